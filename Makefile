@@ -1,0 +1,68 @@
+# Every target sets up what it needs, from a machine with Python >= 3.11 only.
+VENV := .venv
+BIN := $(VENV)/bin
+RESULTS := results
+
+# the newest Python that works: it may be a stub, too old, or without venv and pip
+PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
+	"$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
+		2>/dev/null && echo "$$python" && break; done)
+
+# Numba's disk cache does not see edits in other files: a folder for each state of the source
+CACHED := NUMBA_CACHE_DIR="$$($(BIN)/python tests/numba_cache.py)" && export NUMBA_CACHE_DIR &&
+
+.PHONY: help venv test trade bench bench-smoke lint format types layers readme clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
+
+$(VENV)/.made:
+	@test -n "$(PYTHON)" || { echo "needs Python >= 3.11 with venv and ensurepip" >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
+
+$(VENV)/.trade: $(VENV)/.made pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[trade]'
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.made pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@ $(VENV)/.trade
+
+venv: $(VENV)/.test  ## the environment of all other targets, in .venv
+
+test: $(VENV)/.test  ## all tests, the README's examples among them
+	$(CACHED) $(BIN)/pytest
+
+readme: $(VENV)/.test  ## the README's examples only
+	$(CACHED) $(BIN)/pytest tests/test_readme.py
+
+trade: $(VENV)/.trade  ## every method on the default scene: table, picture and CSV in results/
+	$(CACHED) $(BIN)/fastatt trade --out $(RESULTS)
+
+bench: $(VENV)/.test  ## speed and error, side by side with other libraries
+	$(CACHED) $(BIN)/pytest bench
+
+bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
+	@if ls bench/bench_*.py >/dev/null 2>&1; \
+	then $(CACHED) FASTATT_SMOKE=1 $(BIN)/pytest bench --benchmark-disable; \
+	else echo "bench-smoke: bench/ has no bench_*.py"; fi
+
+lint: $(VENV)/.test  ## ruff: rules and format
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+format: $(VENV)/.test  ## rewrite files as lint wants them
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+types: $(VENV)/.test  ## mypy
+	$(BIN)/mypy
+
+layers: $(VENV)/.test  ## which module may import which
+	$(BIN)/lint-imports
+
+clean:  ## remove the environment, caches and results
+	rm -rf $(VENV) .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
+		.hypothesis .benchmarks build dist $(RESULTS)
+	find fastatt tests $(wildcard bench) -name __pycache__ -type d -prune -exec rm -rf {} +

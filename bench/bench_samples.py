@@ -1,0 +1,103 @@
+"""Sampled rates: many logs against a plain copy of the same bytes, one long log against a peer."""
+
+from __future__ import annotations
+
+import os
+from time import perf_counter
+
+import numpy as np
+import pytest
+import quaternion
+from problems import Coning
+
+import fastatt as fa
+from fastatt.trade import coning_rates
+
+SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
+N_LOGS, N_SAMPLES = (2_000, 100) if SMOKE else (100_000, 100)
+LONG = 100_000 if SMOKE else 10_000_000
+H = 0.01
+
+
+def _best(call, repeats: int = 5) -> float:
+    call()
+    times = []
+    for _ in range(repeats):
+        begin = perf_counter()
+        call()
+        times.append(perf_counter() - begin)
+    return min(times)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    problem = Coning(N_LOGS)
+    t = H * np.arange(N_SAMPLES)
+    return problem, coning_rates(problem.angle, problem.frequency, t)
+
+
+@pytest.fixture(scope="module")
+def long_log():
+    t = H * np.arange(LONG)
+    return coning_rates(np.array([1.0]), np.array([1.0]), t)[0]
+
+
+def _report(benchmark, samples: int, reference: float, name: str, error: float) -> None:
+    benchmark.extra_info["error, rad"] = error
+    if benchmark.stats is not None:
+        seconds = benchmark.stats.stats.min
+        benchmark.extra_info["M samples/s"] = round(samples / seconds / 1e6, 1)
+        benchmark.extra_info[f"speed over {name}"] = round(reference / seconds, 3)
+
+
+@pytest.mark.benchmark(group="many logs")
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize(
+    "method", [m.name for m in fa.METHODS.values() if "sampled rates" in m.scenes]
+)
+def test_many_logs(benchmark, logs, method, dtype):
+    """Beside it: numpy copying the rates in and as many bytes out as there are attitudes."""
+    problem, rates = logs
+    data = rates.astype(dtype)
+    out = np.empty((N_LOGS, N_SAMPLES, 4), dtype=dtype)
+    given = np.empty_like(data)
+    source = np.ones_like(out)
+
+    def copy() -> None:
+        np.copyto(given, data)
+        np.copyto(out, source)
+
+    def run() -> np.ndarray:
+        return fa.integrate_rates(data, H, problem.q0, method=method)
+
+    reference = _best(copy)
+    q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
+    error = problem.error(q[:, -1].astype(float), H * (N_SAMPLES - 1))
+    _report(benchmark, N_LOGS * N_SAMPLES, reference, "numpy's copy", error)
+
+
+def _peer(rates: np.ndarray) -> np.ndarray:
+    """numpy-quaternion: exponentials of the mean rates, then a running product."""
+    mean = 0.5 * (rates[1:] + rates[:-1])
+    steps = quaternion.from_rotation_vector(mean * H)
+    return np.multiply.accumulate(steps)
+
+
+@pytest.mark.benchmark(group="one long log")
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("method", ["trapezoid", "previous", "coning3", "picard"])
+def test_one_long_log(benchmark, long_log, method, dtype):
+    """Beside it: numpy-quaternion's exp and accumulate on a tenth of the log."""
+    data = long_log.astype(dtype)
+    q0 = np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0])
+
+    def run() -> np.ndarray:
+        return fa.integrate_rates(data, H, q0, method=method)
+
+    part = long_log[: LONG // 10]
+    reference = 10.0 * _best(lambda: _peer(part), repeats=2)
+    q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
+    t = H * (LONG - 1)
+    exact = [np.cos(0.5), np.sin(0.5) * np.cos(t), np.sin(0.5) * np.sin(t), 0.0]
+    error = fa.angle_between(q[-1].astype(float), exact)
+    _report(benchmark, LONG, reference, "numpy-quaternion", error)

@@ -1,0 +1,56 @@
+"""Orientation of rigid bodies, propagated fast and with known error.
+
+Conventions
+-----------
+Quaternions are scalar first, Hamilton, unit: q = (q0, q1, q2, q3) maps body components to inertial
+ones, v_i = q∘v_b∘q*. C is its matrix, v_i = C v_b; its rows are the inertial axes seen from the
+body. The angular velocity w is the body's relative to the inertial frame, in body axes, rad/s:
+q̇ = ½ q∘w, Ċ = C [w×]. A rate in inertial axes is marked ``frame="inertial"``: q̇ = ½ w∘q,
+Ċ = [w×] C. Units are SI. One body is q (4,); an ensemble (N, 4); histories put time first,
+(S, N, 4). 3-1-3 Euler angles (φ, θ, ψ) have
+w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇).
+"""
+
+from fastatt import kernels, rates
+from fastatt.angular_velocity import angular_velocity
+from fastatt.arrays import (
+    angle_between,
+    dcm_to_quat,
+    euler313_to_quat,
+    quat_to_dcm,
+    quat_to_euler313,
+    quat_to_rotation_vector,
+    rotation_vector_to_quat,
+)
+from fastatt.drift import Drift, drift
+from fastatt.integrate import integrate_rates
+from fastatt.methods import METHODS, Method
+from fastatt.propagate import methods_for, propagate, propagate_directions
+from fastatt.scene import Scene
+from fastatt.trajectory import Status, Trajectory
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "METHODS",
+    "Drift",
+    "Method",
+    "Scene",
+    "Status",
+    "Trajectory",
+    "angle_between",
+    "angular_velocity",
+    "dcm_to_quat",
+    "drift",
+    "euler313_to_quat",
+    "integrate_rates",
+    "kernels",
+    "methods_for",
+    "propagate",
+    "propagate_directions",
+    "quat_to_dcm",
+    "quat_to_euler313",
+    "quat_to_rotation_vector",
+    "rates",
+    "rotation_vector_to_quat",
+]

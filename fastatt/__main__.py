@@ -1,0 +1,7 @@
+"""``python -m fastatt``."""
+
+import sys
+
+from fastatt.cli import main
+
+sys.exit(main())

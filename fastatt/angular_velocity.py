@@ -1,0 +1,65 @@
+"""Angular velocity back from a history of attitudes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+
+
+def angular_velocity(
+    q: ArrayLike, dt: ArrayLike, *, frame: str = "body", order: int = 4
+) -> NDArray[np.float64]:
+    """w = 2 q*∘q̇ (body axes) or 2 q̇∘q* (inertial axes) of attitudes at instants, rad/s.
+
+    ``q`` is (S, 4) or (S, N, 4), time first, of either sign; ``dt`` the interval or the (S − 1,)
+    intervals, s. The derivative is that of the polynomial through ``order`` + 1 neighbours, centred
+    where they are there (Berrut and Trefethen, SIAM Rev. 46 (2004), eq. 9.4): the error falls as
+    dt^order; noise of size e in q comes out as some e/dt.
+
+    Raises ``ValueError`` for fewer than ``order`` + 1 attitudes, other shapes, or intervals that
+    are not positive.
+    """
+    checks.choice("frame", frame, ("body", "inertial"))
+    m = checks.whole("order", order, 1) + 1
+    found = checks.array("q", q, "(S, 4) or (S, N, 4)", [(-1, 4), (-1, -1, 4)])
+    n = found.shape[0]
+    if n < m:
+        raise ValueError(f"q: has {n} attitudes; accepted with order {m - 1}: at least {m}")
+    if np.ndim(dt) == 0:
+        t = checks.real("dt", dt, zero=False) * np.arange(n)
+    else:
+        spans = checks.array("dt", dt, f"a number or ({n - 1},)", [(n - 1,)])
+        if (spans <= 0.0).any():
+            k = int(np.argmax(spans <= 0.0))
+            raise ValueError(f"dt[{k}] is {spans[k]}; accepted: intervals above 0")
+        t = np.concatenate([[0.0], np.cumsum(spans)])
+
+    unit = found / np.linalg.norm(found, axis=-1, keepdims=True)
+    turned = (unit[1:] * unit[:-1]).sum(axis=-1, keepdims=True) < 0.0
+    sign = np.where(np.logical_xor.accumulate(turned, axis=0), -1.0, 1.0)
+    unit[1:] *= sign
+    first = np.clip(np.arange(n) - (m - 1) // 2, 0, n - m)
+    stencil = first[:, None] + np.arange(m)
+    weights = _derivative_weights(t[stencil], np.arange(n) - first)
+    qdot = np.einsum("sk,sk...->s...", weights, unit[stencil])
+
+    u, v = unit[..., 1:], qdot[..., 1:]
+    cross = np.cross(u, v) if frame == "inertial" else np.cross(v, u)
+    return np.asarray(2.0 * (unit[..., :1] * v - qdot[..., :1] * u + cross))
+
+
+def _derivative_weights(t: NDArray[Any], at: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Weights (n, m) of the derivative at node ``at`` of the polynomial through nodes t (n, m)."""
+    n, m = t.shape
+    gaps = t[:, :, None] - t[:, None, :]
+    gaps[:, np.arange(m), np.arange(m)] = 1.0
+    barycentric = 1.0 / gaps.prod(axis=2)
+    row = np.arange(n)
+    weights: NDArray[np.float64] = barycentric / barycentric[row, at][:, None] / gaps[row, at]
+    weights[row, at] = 0.0
+    weights[row, at] = -weights.sum(axis=1)
+    return weights

@@ -1,0 +1,113 @@
+"""Arguments, looked at once: a refusal names the argument, what was found, what is accepted."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.floating[Any]]
+
+
+def choice(name: str, value: object, accepted: Iterable[str]) -> str:
+    """One of a few words."""
+    words = list(accepted)
+    if not isinstance(value, str) or value not in words:
+        raise ValueError(f"{name}: found {value!r}; accepted: {', '.join(words)}")
+    return value
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    """A whole number not below ``least``."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name}: found {value!r}; accepted: a whole number") from None
+    if number < least:
+        raise ValueError(f"{name}: found {number}; accepted: a whole number of at least {least}")
+    return number
+
+
+def real(name: str, value: Any, *, zero: bool = True) -> float:
+    """A finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name}: found {value!r}; accepted: a finite number") from None
+    if not math.isfinite(number) or (number == 0.0 and not zero):
+        kind = "a finite number" if zero else "a finite number other than 0"
+        raise ValueError(f"{name}: found {number}; accepted: {kind}")
+    return number
+
+
+def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
+    """float64 or float32: as asked, or float32 when all the arrays are."""
+    if dtype is None:
+        given = {a.dtype for a in arrays if isinstance(a, np.ndarray)}
+        return np.dtype(np.float32) if given == {np.dtype(np.float32)} else np.dtype(np.float64)
+    try:
+        kind: np.dtype[Any] | None = np.dtype(dtype)
+    except TypeError:
+        kind = None
+    if kind is None or kind not in (np.dtype(np.float64), np.dtype(np.float32)):
+        raise TypeError(f"dtype: found {dtype!r}; accepted: float64, float32 or None")
+    return kind
+
+
+def array(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, ...]]) -> Floats:
+    """A finite float array whose shape is one of ``tails`` (−1: any length but 0)."""
+    found = array_any(name, value, shapes, tails)
+    finite(name, found)
+    return found
+
+
+def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, ...]]) -> Floats:
+    """The same, finite or not."""
+    try:
+        found = np.asarray(value)
+        if found.dtype.kind not in "fiu":
+            raise TypeError
+        found = found if found.dtype.kind == "f" else found.astype(np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"{name}: found {brief(value)}; accepted: real numbers of shape {shapes}"
+        ) from None
+    if not any(_fits(found.shape, tail) for tail in tails):
+        raise ValueError(f"{name}: has shape {found.shape}; accepted: {shapes}")
+    return found
+
+
+def finite(name: str, value: Floats) -> None:
+    """Refuse the first number that is not finite."""
+    if np.isfinite(value.sum()) or np.isfinite(value).all():
+        return
+    where = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
+    raise ValueError(f"{name}{list(where)} is {value[where]}; accepted: finite numbers")
+
+
+def attitudes(name: str, value: ArrayLike) -> Floats:
+    """Quaternions (4,) or (N, 4), finite and not zero."""
+    q = array(name, value, "(4,) or (N, 4)", [(4,), (-1, 4)])
+    zero = ~np.any(q != 0.0, axis=-1)
+    if zero.any():
+        where = f"[{int(np.argmax(zero))}]" if q.ndim == 2 else ""
+        raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
+    return q
+
+
+def _fits(shape: tuple[int, ...], tail: tuple[int, ...]) -> bool:
+    return len(shape) == len(tail) and all(
+        n == m or (m == -1 and n > 0) for n, m in zip(shape, tail, strict=True)
+    )
+
+
+def brief(value: object) -> str:
+    """A value as it is shown in a message."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

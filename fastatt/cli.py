@@ -1,0 +1,170 @@
+"""The command line: ``fastatt`` and ``python -m fastatt``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fastatt import __version__, gyrolog
+from fastatt.checks import attitudes
+from fastatt.engine.pool import progress_bar
+from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.methods import METHODS
+from fastatt.trade import compare_on_log, run_trade
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; 0 on success, 2 on bad input with one clear line on standard error."""
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    try:
+        result: int = arguments.run(arguments)
+    except (ValueError, TypeError, OSError, ImportError) as error:
+        text = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else str(error)
+        print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("fastatt: stopped", file=sys.stderr)
+        return 130
+    return result
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="fastatt",
+        description="Orientation of rigid bodies, propagated fast, with known error.",
+    )
+    parser.add_argument("--version", action="version", version=f"fastatt {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    methods = commands.add_parser("methods", help="list the methods and where each fits")
+    methods.set_defaults(run=_methods)
+
+    integrate = commands.add_parser(
+        "integrate",
+        help="gyro log to attitudes",
+        description="Read a gyro log, integrate it, write the attitudes (body to inertial, scalar "
+        "first) and say how far the methods differ on it.",
+    )
+    integrate.add_argument("log", type=Path, help="text table with three rate columns")
+    integrate.add_argument(
+        "-o", "--out", type=Path, help="attitudes as .csv or .npy (default: LOG.attitudes.csv)"
+    )
+    integrate.add_argument(
+        "-m", "--method", default="previous", help="a method for sampled rates (default: previous)"
+    )
+    integrate.add_argument(
+        "-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z"
+    )
+    integrate.add_argument("-u", "--unit", choices=("rad/s", "deg/s"), help="unit of the rates")
+    timing = integrate.add_mutually_exclusive_group()
+    timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
+    timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
+    integrate.add_argument(
+        "--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3"
+    )
+    integrate.add_argument("--max-gap", type=float, help="longest interval allowed, s")
+    integrate.add_argument("--no-compare", action="store_true", help="skip the other methods")
+    integrate.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
+    integrate.set_defaults(run=_integrate)
+
+    trade = commands.add_parser(
+        "trade",
+        help="every method's speed against its error",
+        description="Integrate recorded gyro logs with every method, then an ensemble of coning "
+        "bodies with a known answer; leave tables, CSV files and pictures.",
+    )
+    trade.add_argument("-o", "--out", type=Path, default=Path("results"), help="folder for results")
+    trade.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        help="a gyro log instead of the recordings of scikit-kinematics (may be repeated)",
+    )
+    trade.add_argument("--bodies", type=int, default=4096, help="size of the ensemble")
+    trade.add_argument("--quick", action="store_true", help="few steps and one repeat: a smoke run")
+    trade.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
+    trade.set_defaults(run=_trade)
+    return parser
+
+
+def _names(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",")]
+
+
+def _floats(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}; accepted: four numbers") from None
+
+
+def _bar_wanted(quiet: bool) -> bool:
+    if quiet or not sys.stderr.isatty():
+        return False
+    try:
+        import tqdm  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def _methods(arguments: argparse.Namespace) -> int:
+    width = max(map(len, METHODS))
+    for m in METHODS.values():
+        print(f"{m.name:{width}}  order {m.order}  {', '.join(m.scenes)}: {m.summary}")
+        print(f"{'':{width}}  {', '.join(m.representations)}; {m.source}")
+    return 0
+
+
+def _integrate(arguments: argparse.Namespace) -> int:
+    q0 = attitudes("--q0", np.array(arguments.q0))
+    if arguments.method not in methods_for_samples():
+        raise ValueError(
+            f"--method: found {arguments.method!r}; accepted: {', '.join(methods_for_samples())}"
+        )
+    size = arguments.log.stat().st_size
+    if not arguments.log.is_file():
+        raise ValueError(f"LOG: found the directory {arguments.log}; accepted: a file")
+    out = arguments.out or arguments.log.with_suffix(".attitudes.csv")
+    if out.suffix not in (".csv", ".npy"):
+        raise ValueError(f"--out: found the ending {out.suffix!r}; accepted: .csv and .npy")
+    bar = _bar_wanted(arguments.quiet)
+    with progress_bar(bar, size, "B") as done:
+        log = gyrolog.read_log(
+            arguments.log,
+            columns=arguments.columns,
+            unit=arguments.unit,
+            rate=arguments.rate,
+            time_column=arguments.time_column,
+            progress=done,
+        )
+    n = len(log.rates)
+    print(
+        f"{log.path}: {n} samples at {log.rate:.6g} Hz ({log.timing}), {', '.join(log.columns)} "
+        f"in {log.unit}"
+    )
+    q = integrate_rates(
+        log.rates, log.dt, q0, method=arguments.method, progress=bar, max_gap=arguments.max_gap
+    )
+    with progress_bar(bar and out.suffix == ".csv", n, "row") as done:
+        gyrolog.write_attitudes(out, log.t, q, done)
+    print(f"{out}: {n} attitudes by {arguments.method}, body to inertial, scalar first")
+    if not arguments.no_compare and n > 1:
+        print(compare_on_log(log, arguments.method, arguments.max_gap))
+    return 0
+
+
+def _trade(arguments: argparse.Namespace) -> int:
+    run_trade(
+        arguments.out,
+        logs=arguments.log,
+        n_bodies=arguments.bodies,
+        quick=arguments.quick,
+        progress=_bar_wanted(arguments.quiet),
+    )
+    return 0

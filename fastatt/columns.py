@@ -1,0 +1,82 @@
+"""Straight-line code on a column of a tile: load it as a tuple, store it, combine tuples.
+
+A loop over a tuple leaves an indexed copy on the stack that stops LLVM's vectoriser, so the
+few lines are written out for each length.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from numba import types
+
+from fastatt._jit import hook
+
+
+def load(a: Any, i: Any, j: Any, n: Any) -> Any:
+    """(a[i, j], …, a[i+n−1, j]); n is the length of the tuple n, whose values are not used."""
+    return tuple(a[i + k, j] for k in range(len(n)))
+
+
+def store(a: Any, i: Any, j: Any, x: Any) -> None:
+    """a[i + k, j] = x[k]."""
+    for k, v in enumerate(x):
+        a[i + k, j] = v
+
+
+def unpack(a: Any, n: Any) -> Any:
+    """(a[0], …, a[n−1]) with n as for ``load``."""
+    return tuple(a[i] for i in range(len(n)))
+
+
+def repeat(x: Any, n: Any) -> Any:
+    """(x, …, x) with n as for ``load``."""
+    return (x,) * len(n)
+
+
+def axpy(k: Any, x: Any, y: Any) -> Any:
+    """k x + y."""
+    return tuple(k * a + b for a, b in zip(x, y, strict=True))
+
+
+@cache
+def _written_out(signature: str, item: str, n: int) -> Any:
+    items = ", ".join(item.replace("{i}", str(i)) for i in range(n))
+    source = f"def straight({signature}):\n    return ({items}{',' if n == 1 else ''})\n"
+    scope: dict[str, Any] = {}
+    exec(source, scope)
+    return scope["straight"]
+
+
+@cache
+def _stores(n: int) -> Any:
+    lines = "".join(f"    a[i + {k}, j] = x[{k}]\n" for k in range(n)) or "    pass\n"
+    scope: dict[str, Any] = {}
+    exec(f"def straight(a, i, j, x):\n{lines}", scope)
+    return scope["straight"]
+
+
+@hook(load)
+def _load(a: types.Type, i: types.Type, j: types.Type, n: types.BaseTuple) -> Any:
+    return _written_out("a, i, j, n", "a[i + {i}, j]", len(n))
+
+
+@hook(unpack)
+def _unpack(a: types.Type, n: types.BaseTuple) -> Any:
+    return _written_out("a, n", "a[{i}]", len(n))
+
+
+@hook(repeat)
+def _repeat(x: types.Type, n: types.BaseTuple) -> Any:
+    return _written_out("x, n", "x", len(n))
+
+
+@hook(store)
+def _store(a: types.Type, i: types.Type, j: types.Type, x: types.BaseTuple) -> Any:
+    return _stores(len(x))
+
+
+@hook(axpy)
+def _axpy(k: types.Type, x: types.BaseTuple, y: types.BaseTuple) -> Any:
+    return _written_out("k, x, y", "k * x[{i}] + y[{i}]", len(x))

@@ -1,0 +1,1 @@
+"""Tiles of bodies, the time loop, threads and saving."""

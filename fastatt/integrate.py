@@ -1,0 +1,254 @@
+"""Sampled rates, or angle increments, to attitudes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
+from threading import Event
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from fastatt import checks
+from fastatt.engine import pool
+from fastatt.engine.samples import TILE, chain, sweep, sweep_one
+from fastatt.methods import METHODS, Method
+from fastatt.methods.sampled import LANES, WINDOWS, Increments, Rates, Window
+
+_GAP = 10.0  # an interval this many times the median is a hole in the log
+
+
+def integrate_rates(
+    rates: ArrayLike,
+    dt: ArrayLike,
+    q0: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    *,
+    method: str = "previous",
+    increments: bool = False,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    progress: bool = False,
+    max_gap: float | None = None,
+) -> NDArray[Any]:
+    """Attitudes from body rates sampled at instants, or from angle increments over intervals.
+
+    Parameters
+    ----------
+    rates : (n, 3) or (N, n, 3), rad/s at n instants; with ``increments``, rad over n intervals.
+    dt : the interval, s, or the intervals, (n − 1,) for rates, (n,) for increments; all above 0.
+    q0 : (4,) or (N, 4), attitude at the first instant, body to inertial, scalar first.
+    method : "hold", "trapezoid" (rates), "previous", "coning2", "coning3", "coning3_optimal"
+        (equal increments), "picard".
+    dtype : float64 or float32; None takes float32 when ``rates`` is a float32 array.
+    n_threads : None takes every processor; results do not depend on it.
+    max_gap : longest interval allowed, s; None: 10 times the median.
+
+    Returns
+    -------
+    (n, 4) or (N, n, 4) attitudes at the instants; of n increments (n + 1, 4) or (N, n + 1, 4).
+
+    Raises
+    ------
+    ValueError : a shape that does not fit, a number that is not finite, an interval that is zero,
+        negative (a repeated or decreasing time stamp) or a gap; an unknown method.
+    """
+    kind = Increments() if increments else Rates()
+    record = _method(method, increments)
+    name = "rates (increments)" if increments else "rates"
+    data = checks.array_any(name, rates, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
+    one = data.ndim == 2
+    precision = checks.precision(dtype, rates)
+    data = np.ascontiguousarray(data if not one else data[None], dtype=precision)
+    n_logs, n = data.shape[:2]
+    count = n if increments else n - 1
+    spans = _intervals(dt, count, max_gap, precision)
+    if method == "coning3_optimal" and isinstance(spans, np.ndarray):
+        raise ValueError(
+            'dt: found intervals; accepted with "coning3_optimal": one number, its coefficients '
+            'hold for equal intervals ("coning3" takes any)'
+        )
+    threads = (
+        pool.default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
+    )
+    start = checks.attitudes("q0", q0)
+    if start.ndim == 2 and start.shape[0] != n_logs:
+        raise ValueError(f"q0: has shape {start.shape}; accepted: (4,) or ({n_logs}, 4), one a log")
+
+    out = np.empty((n_logs, count + 1, 4), dtype=precision)
+    unit = np.array(np.broadcast_to(_unit(start), (n_logs, 4)), dtype=precision, order="C")
+    if count == 0:
+        out[:, 0] = unit
+        return out[0] if one else out
+    before, after = _beyond(data, spans, WINDOWS[type(record.tag)], type(kind))
+    carry = partial(sweep, record.tag, kind, data, before, after, spans)
+    along = partial(sweep_one, record.tag, kind, data, before, after, spans)
+    with pool.progress_bar(progress, n_logs * count, "sample") as done:
+        if n_logs >= LANES:
+            _side_by_side(carry, unit, out, count, threads, done)
+        else:
+            for b in range(n_logs):
+                _one_log(along, carry, b, unit[b], out, count, threads, done)
+    if not np.isfinite(out[:, -1]).all():
+        checks.finite(name, data[0] if one else data)
+        raise ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
+    return out[0] if one else out
+
+
+def methods_for_samples(increments: bool = False) -> list[str]:
+    """Names of the methods for sampled rates, or for increments."""
+    scene = "increments" if increments else "sampled rates"
+    return [m.name for m in METHODS.values() if scene in m.scenes]
+
+
+def _method(name: str, increments: bool) -> Method:
+    checks.choice("method", name, methods_for_samples(increments))
+    return METHODS[name]
+
+
+def _side_by_side(
+    carry: Callable[..., Any],
+    q: NDArray[Any],
+    out: NDArray[Any],
+    count: int,
+    threads: int,
+    done: Callable[[int], object],
+) -> None:
+    """A lane for each log."""
+    n_logs = out.shape[0]
+    body = np.arange(n_logs)
+    start = np.zeros(n_logs, dtype=np.int64)
+    tiles = -(-n_logs // LANES)
+    size = LANES * max(1, min(-(-tiles // threads), 2_000_000 // (LANES * count)))
+
+    def task(first: int, stop: Event) -> None:
+        if not stop.is_set():
+            last = min(first + size, n_logs)
+            carry(body, start, count, q, out, True, first, last)
+            done((last - first) * count)
+
+    pool.in_threads([partial(task, first) for first in range(0, n_logs, size)], threads)
+
+
+def _one_log(
+    along: Callable[..., Any],
+    carry: Callable[..., Any],
+    log: int,
+    q: NDArray[Any],
+    out: NDArray[Any],
+    count: int,
+    threads: int,
+    done: Callable[[int], object],
+) -> None:
+    """One log: runs of tiles on each thread, and what is left of the last tile in one lane."""
+    tiles = count // TILE
+    threads = max(1, min(threads, tiles // 64))
+    bounds = [tiles * i // threads for i in range(threads + 1)]
+    totals = np.empty((tiles, 4), dtype=out.dtype)
+    starts = [q.copy() for _ in range(threads)]
+    if threads > 1:
+        known = bounds[-2]
+        parts = [known * i // threads for i in range(threads + 1)]
+
+        def find(first: int, last: int, stop: Event) -> None:
+            for a, z in _pieces(first, last, stop):
+                along(log, q.copy(), totals, out, False, a, z)
+
+        pool.in_threads([partial(find, a, z) for a, z in pairwise(parts)], threads)
+        for i in range(1, threads):
+            starts[i][:] = starts[i - 1]
+            chain(starts[i], totals[bounds[i - 1] : bounds[i]])
+
+    def run(q: NDArray[Any], first: int, last: int, stop: Event) -> None:
+        for a, z in _pieces(first, last, stop):
+            along(log, q, totals, out, True, a, z)
+            done((z - a) * TILE)
+
+    runs = zip(starts, pairwise(bounds), strict=True)
+    pool.in_threads([partial(run, q, a, z) for q, (a, z) in runs], threads)
+    rest = count - tiles * TILE
+    if rest or not tiles:
+        lane = np.array([log]), np.array([tiles * TILE])
+        carry(*lane, rest, starts[-1][None], out, True, 0, 1)
+        done(rest)
+
+
+def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
+    """Cuts between which a run may be stopped, some 0.05 s apart."""
+    for a in range(first, last, 4096):
+        if stop.is_set():
+            return
+        yield a, min(a + 4096, last)
+
+
+def _unit(q: NDArray[Any]) -> NDArray[Any]:
+    scaled = q / np.abs(q).max(axis=-1, keepdims=True)
+    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+
+
+def _intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
+    """One number of the precision, or an array of ``count`` intervals."""
+    if np.ndim(dt) == 0:
+        return precision.type(checks.real("dt", dt, zero=False))
+    spans = checks.array("dt", dt, f"a number or ({count},)", [(count,)])
+    bad = spans <= 0.0
+    if bad.any():
+        k = int(np.argmax(bad))
+        what = "a repeated" if spans[k] == 0.0 else "a decreasing"
+        raise ValueError(f"dt[{k}] is {spans[k]}: {what} time stamp; accepted: intervals above 0")
+    longest = _GAP * float(np.median(spans)) if max_gap is None else float(max_gap)
+    if not math.isnan(longest) and spans.max() > longest:
+        k = int(np.argmax(spans))
+        raise ValueError(
+            f"dt[{k}] is {spans[k]}: a gap; accepted: at most {longest:.6g} s; cut the log there, "
+            "or pass max_gap to go across it"
+        )
+    return np.ascontiguousarray(spans, dtype=precision)
+
+
+def _beyond(
+    data: NDArray[Any], spans: Any, window: Window, kind: type
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Samples before and after the log, by the polynomial of the nearest whole window."""
+    n_logs, n = data.shape[:2]
+    increments = kind is Increments
+    count = n if increments else n - 1
+    near = min(window.samples(kind), n)
+    inside = near if increments else near - 1
+    gaps = np.full(max(count, 1), spans) if np.ndim(spans) == 0 else spans
+    gaps = gaps.astype(np.float64)
+    missing = -count % window.span
+    head = np.zeros((n_logs, 1, 3))
+    tail = np.zeros((n_logs, 1, 3))
+    if window.history:
+        first = data[:, :near][:, ::-1]
+        head = _extrapolate(first, gaps[:inside][::-1], gaps[0], window.history, increments)[
+            :, ::-1
+        ]
+    if missing:
+        tail = _extrapolate(
+            data[:, n - near :], gaps[count - inside :], gaps[-1], missing, increments
+        )
+    return (
+        np.ascontiguousarray(head, dtype=data.dtype),
+        np.ascontiguousarray(tail, dtype=data.dtype),
+    )
+
+
+def _extrapolate(
+    samples: NDArray[Any], gaps: NDArray[Any], gap: float, n: int, increments: bool
+) -> NDArray[np.float64]:
+    """``n`` further samples after those given, spaced by ``gap``."""
+    nodes = np.concatenate([[0.0], np.cumsum(gaps)])
+    far = (nodes[-1] + gap * np.arange(1, n + 1))[:, None] - nodes
+    apart = nodes[:, None] - nodes
+    np.fill_diagonal(apart, 1.0)
+    lagrange = far.prod(axis=1)[:, None] / far / apart.prod(axis=1)
+    if not increments:
+        return np.asarray(lagrange @ samples)
+    # the polynomial is that of the running angle, from 0 at the first node
+    running = lagrange[:, 1:] @ samples.cumsum(axis=1)
+    total = samples.sum(axis=1, keepdims=True)
+    return np.diff(np.concatenate([total, running], axis=1), axis=1)

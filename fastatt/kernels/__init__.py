@@ -1,0 +1,8 @@
+"""Scalar kernels on floats and tuples: from Python, from ``@njit`` code and in the tile loop.
+
+Every kernel is pure: tuples in, tuples out, no allocation, no branch, float64 or float32 kept.
+"""
+
+from fastatt.kernels import axis_angle, coning, dcm, euler313, quat, so3, trig, vec3
+
+__all__ = ["axis_angle", "coning", "dcm", "euler313", "quat", "so3", "trig", "vec3"]

@@ -1,0 +1,106 @@
+"""Rotation over an interval from a polynomial angular velocity, and the fits that give one.
+
+w(t) = a + b t + c t² + d t³ in body axes. The rotation vector to time t is the integral of w plus
+the coning term ½∫α×w dt, α the running integral: Bortz, IEEE Trans. AES 7 (1971); Savage,
+J. Guidance 21 (1998) 19; the next terms are of order t⁵. With equal intervals the fits to
+increments give the known coefficients: 1/12 for one increment and the one before, 2/3 for two,
+33/80 and 57/80 for three.
+"""
+
+from __future__ import annotations
+
+from fastatt._jit import kernel
+from fastatt.kernels.vec3 import add, axpy, cross, scale, sub
+
+
+@kernel
+def rotation_vector_linear(a, b, t):
+    """Rotation vector (rad) from time 0 to t (s) of w = a + b t (rad/s, body axes).
+
+    t a + t²/2 b + t³/12 a×b.
+    """
+    F = type(t)
+    angle = scale(t, axpy(F(0.5) * t, b, a))
+    return axpy(F(1.0 / 12.0) * t * t * t, cross(a, b), angle)
+
+
+@kernel
+def rotation_vector_quadratic(a, b, c, t):
+    """The same of w = a + b t + c t²: adds t³/3 c + t⁴/12 a×c + t⁵/60 b×c."""
+    F = type(t)
+    rest = axpy(F(1.0 / 12.0), cross(a, c), scale(F(1.0 / 60.0) * t, cross(b, c)))
+    rest = axpy(t, rest, scale(F(1.0 / 3.0), c))
+    return axpy(t * t * t, rest, rotation_vector_linear(a, b, t))
+
+
+@kernel
+def rotation_vector(a, b, c, d, t):
+    """The same of w = a + b t + c t² + d t³.
+
+    Adds t⁴/4 d + 3t⁵/40 a×d + t⁶/48 b×d + t⁷/168 c×d.
+    """
+    F = type(t)
+    rest = axpy(F(1.0 / 48.0), cross(b, d), scale(F(1.0 / 168.0) * t, cross(c, d)))
+    rest = axpy(t, rest, scale(F(3.0 / 40.0), cross(a, d)))
+    rest = axpy(t, rest, scale(F(0.25), d))
+    return axpy(t * t * t * t, rest, rotation_vector_quadratic(a, b, c, t))
+
+
+@kernel
+def rates_quadratic(w0, w1, w2, t1, t2):
+    """(a, b, c) of the parabola through w0, w1, w2 at times 0, t1, t2."""
+    F = type(t1)
+    d1 = scale(F(1.0) / t1, sub(w1, w0))
+    d2 = scale(F(1.0) / (t2 - t1), sub(w2, w1))
+    c = scale(F(1.0) / t2, sub(d2, d1))
+    return w0, axpy(-t1, c, d1), c
+
+
+@kernel
+def rates_cubic(w0, w1, w2, w3, t1, t2, t3):
+    """(a, b, c, d) of the cubic through w0 … w3 at times 0, t1, t2, t3."""
+    F = type(t1)
+    d1 = scale(F(1.0) / t1, sub(w1, w0))
+    d2 = scale(F(1.0) / (t2 - t1), sub(w2, w1))
+    d3 = scale(F(1.0) / (t3 - t2), sub(w3, w2))
+    e1 = scale(F(1.0) / t2, sub(d2, d1))
+    e2 = scale(F(1.0) / (t3 - t1), sub(d3, d2))
+    d = scale(F(1.0) / t3, sub(e2, e1))
+    b = axpy(t1 * t2, d, axpy(-t1, e1, d1))
+    return w0, b, axpy(-(t1 + t2), d, e1), d
+
+
+@kernel
+def increments_linear(before, now, h0, h1):
+    """(a, b) of the line whose integrals over [−h0, 0] and [0, h1] are the two increments (rad)."""
+    F = type(h0)
+    r1 = scale(F(1.0) / h1, now)
+    b = scale(F(2.0) / (h0 + h1), axpy(F(-1.0) / h0, before, r1))
+    return axpy(F(-0.5) * h1, b, r1), b
+
+
+@kernel
+def increments_quadratic(i1, i2, i3, h1, h2, h3):
+    """(a, b, c) of the parabola with three increments (rad) over intervals h1, h2, h3 from 0."""
+    F = type(h1)
+    r1 = scale(F(1.0) / h1, i1)
+    r2 = scale(F(1.0) / h2, i2)
+    r3 = scale(F(1.0) / h3, i3)
+    d1 = scale(F(1.0) / (h1 + h2), sub(r2, r1))
+    d2 = scale(F(1.0) / (h2 + h3), sub(r3, r2))
+    e = scale(F(1.0) / (h1 + h2 + h3), sub(d2, d1))
+    t2 = h1 + h2
+    a = axpy(h1 * t2, e, axpy(-h1, d1, r1))
+    return a, scale(F(2.0), axpy(-(h1 + t2), e, d1)), scale(F(3.0), e)
+
+
+@kernel
+def miller(i1, i2, i3):
+    """Rotation vector over three equal intervals, coefficients optimal for pure coning.
+
+    Σθ + (9/20) θ1×θ3 + (27/40) (θ1×θ2 + θ2×θ3): Miller, J. Guidance 6 (1983) 287.
+    """
+    F = type(i1[0])
+    outer = scale(F(9.0 / 20.0), cross(i1, i3))
+    inner = scale(F(27.0 / 40.0), add(cross(i1, i2), cross(i2, i3)))
+    return add(add(i1, i2), add(i3, add(outer, inner)))

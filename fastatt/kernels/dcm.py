@@ -1,0 +1,212 @@
+"""Direction cosine matrices as 9-tuples, row by row: v_i = C v_b.
+
+The rows of C are the inertial axes seen from the body; each obeys Poisson's equation
+ṙ = r×w. Shuster, "A survey of attitude representations", J. Astronaut. Sci. 41 (1993).
+"""
+
+from __future__ import annotations
+
+import math
+
+from fastatt._jit import kernel
+from fastatt.kernels import quat
+from fastatt.kernels.vec3 import cross, dot
+
+
+@kernel
+def mul(a, b):
+    """Matrix product a b."""
+    return (
+        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
+        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
+        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
+        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
+        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
+        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
+        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
+        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
+        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
+    )
+
+
+@kernel
+def transpose(a):
+    """Transpose; of a rotation the inverse."""
+    return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
+
+
+@kernel
+def rotate(c, v):
+    """v_i = C v: body components v to inertial ones."""
+    return (
+        c[0] * v[0] + c[1] * v[1] + c[2] * v[2],
+        c[3] * v[0] + c[4] * v[1] + c[5] * v[2],
+        c[6] * v[0] + c[7] * v[1] + c[8] * v[2],
+    )
+
+
+@kernel
+def rotate_inverse(c, v):
+    """v_b = Cᵀ v: inertial components v to body ones."""
+    return rotate(transpose(c), v)
+
+
+@kernel
+def from_quat(q):
+    """C of a unit quaternion; an error e of its length enters as 4e²."""
+    F = type(q[0])
+    # 2/|q|² to first order: the length of a rounded q is what costs a matrix most
+    f = F(4.0) - F(2.0) * quat.dot(q, q)
+    x = f * q[1]
+    y = f * q[2]
+    z = f * q[3]
+    xx = x * q[1]
+    yy = y * q[2]
+    zz = z * q[3]
+    xy = x * q[2]
+    xz = x * q[3]
+    yz = y * q[3]
+    wx = x * q[0]
+    wy = y * q[0]
+    wz = z * q[0]
+    return (
+        F(1.0) - (yy + zz),
+        xy - wz,
+        xz + wy,
+        xy + wz,
+        F(1.0) - (xx + zz),
+        yz - wx,
+        xz - wy,
+        yz + wx,
+        F(1.0) - (xx + yy),
+    )
+
+
+@kernel
+def to_quat(c):
+    """Unit quaternion of a rotation, q0 ≥ 0: the best conditioned of Shepperd's four rows.
+
+    Shepperd, J. Guidance and Control 1 (1978) 223. Error at most 5e-16 (float64) at any angle.
+    """
+    F = type(c[0])
+    t = c[0] + c[4] + c[8]
+    # rows of 4 q qᵀ
+    w = (F(1.0) + t, c[7] - c[5], c[2] - c[6], c[3] - c[1])
+    x = (w[1], F(1.0) + (c[0] - c[4] - c[8]), c[1] + c[3], c[2] + c[6])
+    y = (w[2], x[2], F(1.0) + (c[4] - c[0] - c[8]), c[5] + c[7])
+    z = (w[3], x[3], y[3], F(1.0) + (c[8] - c[0] - c[4]))
+    zy = c[8] > c[4]
+    p0 = z[0] if zy else y[0]
+    p1 = z[1] if zy else y[1]
+    p2 = z[2] if zy else y[2]
+    p3 = z[3] if zy else y[3]
+    top = c[8] if zy else c[4]
+    wx = t > c[0]
+    r0 = w[0] if wx else x[0]
+    r1 = w[1] if wx else x[1]
+    r2 = w[2] if wx else x[2]
+    r3 = w[3] if wx else x[3]
+    best = t if wx else c[0]
+    second = top > best
+    r0 = p0 if second else r0
+    r1 = p1 if second else r1
+    r2 = p2 if second else r2
+    r3 = p3 if second else r3
+    n = math.sqrt(r0 * r0 + r1 * r1 + r2 * r2 + r3 * r3)
+    n = -n if r0 < F(0.0) else n
+    return r0 / n, r1 / n, r2 / n, r3 / n
+
+
+@kernel
+def exp_short(u):
+    """exp [u×] for a rotation vector of at most π rad; beyond, meaningless. See ``exp``."""
+    return from_quat(quat.exp_short(u))
+
+
+@kernel
+def exp(u):
+    """exp [u×], the rotation by the vector u (rad), any angle.
+
+    Error at most 1e-15 per element (float64) for θ ≤ π; beyond, as ``quat.exp``.
+    """
+    return from_quat(quat.exp(u))
+
+
+@kernel
+def log(c):
+    """Rotation vector (rad) of a rotation; full accuracy also near π, by way of ``to_quat``."""
+    return quat.log(to_quat(c))
+
+
+@kernel
+def derivative_row(r, w):
+    """ṙ = r×w: a fixed inertial direction r seen from a body that turns at w (body axes, rad/s)."""
+    return cross(r, w)
+
+
+@kernel
+def derivative(c, w):
+    """Ċ = C [w×] (Poisson), w the angular velocity in body axes, rad/s."""
+    a = derivative_row((c[0], c[1], c[2]), w)
+    b = derivative_row((c[3], c[4], c[5]), w)
+    d = derivative_row((c[6], c[7], c[8]), w)
+    return a[0], a[1], a[2], b[0], b[1], b[2], d[0], d[1], d[2]
+
+
+@kernel
+def rate(c, cdot):
+    """Angular velocity in body axes of a rotation and its derivative, from [w×] = CᵀĊ."""
+    F = type(c[0])
+    s = mul(transpose(c), cdot)
+    return F(0.5) * (s[7] - s[5]), F(0.5) * (s[2] - s[6]), F(0.5) * (s[3] - s[1])
+
+
+@kernel
+def close_rows(a, b):
+    """Matrix of two orthonormal rows, the third their cross product (the Darboux problem)."""
+    c = cross(a, b)
+    return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+
+
+@kernel
+def orthonormalise_rows(a, b):
+    """Two nearly orthonormal rows made so to second order: half of a·b off each, then scaled.
+
+    Premerlani and Bizard, "Direction cosine matrix IMU: theory" (2009), eqs. 18 to 21.
+    """
+    F = type(a[0])
+    e = F(0.5) * dot(a, b)
+    p = (a[0] - e * b[0], a[1] - e * b[1], a[2] - e * b[2])
+    r = (b[0] - e * a[0], b[1] - e * a[1], b[2] - e * a[2])
+    f = F(1.5) - F(0.5) * dot(p, p)
+    g = F(1.5) - F(0.5) * dot(r, r)
+    return (f * p[0], f * p[1], f * p[2]), (g * r[0], g * r[1], g * r[2])
+
+
+@kernel
+def gram(c):
+    """Upper triangle of C Cᵀ: (11, 12, 13, 22, 23, 33)."""
+    a = (c[0], c[1], c[2])
+    b = (c[3], c[4], c[5])
+    d = (c[6], c[7], c[8])
+    return dot(a, a), dot(a, b), dot(a, d), dot(b, b), dot(b, d), dot(d, d)
+
+
+@kernel
+def defect(c):
+    """Departure from a rotation, the Frobenius norm of C Cᵀ − 1."""
+    F = type(c[0])
+    g = gram(c)
+    diagonal = (g[0] - F(1.0), g[3] - F(1.0), g[5] - F(1.0))
+    off = (g[1], g[2], g[4])
+    return math.sqrt(dot(diagonal, diagonal) + F(2.0) * dot(off, off))
+
+
+@kernel
+def orthonormalise(c):
+    """(3 − C Cᵀ) C / 2: one Newton step to the nearest rotation; of a defect e leaves 3e²/8."""
+    F = type(c[0])
+    g = gram(c)
+    h = F(-0.5)
+    d = (F(1.5) + h * g[0], h * g[1], h * g[2], F(1.5) + h * g[3], h * g[4], F(1.5) + h * g[5])
+    return mul((d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5]), c)

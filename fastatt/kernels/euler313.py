@@ -1,0 +1,69 @@
+"""3-1-3 Euler angles (φ, θ, ψ), rad: C = Rz(φ) Rx(θ) Rz(ψ).
+
+Singular at θ = 0 and π, where φ and ψ turn about one axis. Goldstein, *Classical Mechanics*,
+§4.4 and §4.9; Whittaker, *Analytical Dynamics* (1937), §10.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fastatt._jit import kernel
+from fastatt.kernels import dcm
+from fastatt.kernels.trig import atan2, sincos
+
+
+@kernel
+def to_quat(angles):
+    """Unit quaternion of the angles."""
+    F = type(angles[0])
+    h = F(0.5)
+    st, ct = sincos(h * angles[1])
+    sp, cp = sincos(h * (angles[0] + angles[2]))
+    sm, cm = sincos(h * (angles[0] - angles[2]))
+    return ct * cp, st * cm, st * sm, ct * sp
+
+
+@kernel
+def from_quat(q):
+    """Angles of a unit quaternion, θ in [0, π]; φ = ψ at θ = 0, φ = −ψ at θ = π."""
+    F = type(q[0])
+    s = atan2(q[3], q[0])
+    d = atan2(q[2], q[1])
+    sine = math.sqrt(q[1] * q[1] + q[2] * q[2])
+    cosine = math.sqrt(q[0] * q[0] + q[3] * q[3])
+    return s + d, F(2.0) * atan2(sine, cosine), s - d
+
+
+@kernel
+def to_dcm(angles):
+    """Direction cosine matrix of the angles."""
+    return dcm.from_quat(to_quat(angles))
+
+
+@kernel
+def from_dcm(c):
+    """Angles of a rotation, θ in [0, π]."""
+    return from_quat(dcm.to_quat(c))
+
+
+@kernel
+def rate(angles, derivative):
+    """Angular velocity in body axes (rad/s) of the angles and their derivative (φ̇, θ̇, ψ̇)."""
+    st, ct = sincos(angles[1])
+    sp, cp = sincos(angles[2])
+    a = derivative[0] * st
+    return (
+        a * sp + derivative[1] * cp,
+        a * cp - derivative[1] * sp,
+        derivative[0] * ct + derivative[2],
+    )
+
+
+@kernel
+def derivative(angles, w):
+    """(φ̇, θ̇, ψ̇) of the angular velocity w in body axes, rad/s; infinite or NaN where sin θ = 0."""
+    st, ct = sincos(angles[1])
+    sp, cp = sincos(angles[2])
+    a = (w[0] * sp + w[1] * cp) / st
+    return a, w[0] * cp - w[1] * sp, w[2] - a * ct

@@ -1,0 +1,45 @@
+"""The single list of methods; each lives in a file of its own with its step and its record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from fastatt.methods import (
+    cf4,
+    cg3,
+    coning2,
+    coning3,
+    hold,
+    lie_euler,
+    lie_midpoint,
+    magnus4,
+    magnus6,
+    picard,
+    previous,
+    rk4,
+    rkmk4,
+    trapezoid,
+)
+from fastatt.methods.method import Method, step
+
+_ALL = (
+    lie_euler.METHOD,
+    lie_midpoint.METHOD,
+    rk4.METHOD,
+    magnus4.METHOD,
+    magnus6.METHOD,
+    cf4.METHOD,
+    rkmk4.METHOD,
+    cg3.METHOD,
+    hold.METHOD,
+    trapezoid.METHOD,
+    previous.METHOD,
+    coning2.METHOD,
+    coning3.POLYNOMIAL,
+    coning3.OPTIMAL,
+    picard.METHOD,
+)
+METHODS: Mapping[str, Method] = MappingProxyType({m.name: m for m in _ALL})
+
+__all__ = ["METHODS", "Method", "step"]

@@ -1,0 +1,42 @@
+"""Previous: an interval and the one before it, the causal coning correction."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fastatt._jit import kernel
+from fastatt.kernels.coning import (
+    increments_linear,
+    rates_quadratic,
+    rotation_vector_linear,
+    rotation_vector_quadratic,
+)
+from fastatt.methods.sampled import Window, exponential, sampled_method
+
+
+class Previous(NamedTuple):
+    """Tag."""
+
+
+@kernel
+def rates(rep, v, h):
+    now = (v[3], v[4], v[5])
+    a, b, c = rates_quadratic(now, (v[6], v[7], v[8]), (v[0], v[1], v[2]), h[1], -h[0])
+    return exponential(rep, rotation_vector_quadratic(a, b, c, h[1]))
+
+
+@kernel
+def increments(rep, v, h):
+    a, b = increments_linear((v[0], v[1], v[2]), (v[3], v[4], v[5]), h[0], h[1])
+    return exponential(rep, rotation_vector_linear(a, b, h[1]))
+
+
+METHOD = sampled_method(
+    Previous(),
+    Window(history=1, span=1, rates=rates, increments=increments),
+    name="previous",
+    order=3,
+    exponentials=1,
+    summary="one interval and the one before: causal, an attitude with every sample",
+    source="Ignagni, J. Guidance 13 (1990) 363; Savage, J. Guidance 21 (1998) 19",
+)

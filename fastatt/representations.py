@@ -1,0 +1,334 @@
+"""How an attitude is stored while it is propagated, and what every method needs of it.
+
+A representation is an empty ``NamedTuple``: a tag whose type chooses the kernels when a driver
+is compiled. Four operations stand for all of them: ``turn`` (compose with an exponential),
+``derivative`` (the linear kinematic equation), ``flip`` (the inverse attitude, which turns rates
+in inertial axes into rates in body axes) and ``finish`` (what is handed out, and how far the
+state had left the group).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from numba import types
+
+from fastatt._jit import hook, kernel
+from fastatt.kernels import dcm, euler313, quat, so3
+from fastatt.kernels.vec3 import dot, neg
+
+
+class Quat(NamedTuple):
+    """Unit quaternion, 4 numbers."""
+
+
+class QuatShort(NamedTuple):
+    """As ``Quat``, turns of at most π."""
+
+
+class Dcm(NamedTuple):
+    """Direction cosine matrix, 9 numbers."""
+
+
+class DcmShort(NamedTuple):
+    """As ``Dcm``, turns of at most π."""
+
+
+class DcmRows(NamedTuple):
+    """Two rows of the matrix, 6 numbers; the third is their cross product (Darboux)."""
+
+
+class DcmRowsShort(NamedTuple):
+    """As ``DcmRows``, turns of at most π."""
+
+
+class Direction(NamedTuple):
+    """One inertial direction in body axes, 3 numbers (Poisson's equation in vector form)."""
+
+
+class DirectionShort(NamedTuple):
+    """As ``Direction``, turns of at most π."""
+
+
+class Euler313(NamedTuple):
+    """3-1-3 Euler angles, 3 numbers."""
+
+
+class RotationVector(NamedTuple):
+    """Rotation vector from the reference attitude, 3 numbers (Bortz)."""
+
+
+Tag = Any  # an instance of one of the classes above
+
+
+def initial(rep: Tag, q0: Any, b: Any) -> Any:
+    """The state of body b: its row of initial attitudes, quaternions of any length but zero."""
+    raise NotImplementedError(rep)
+
+
+def turn(rep: Tag, x: Any, u: Any) -> Any:
+    """x∘exp(u): the state x turned by the rotation vector u (rad, body axes)."""
+    raise NotImplementedError(rep)
+
+
+def derivative(rep: Tag, x: Any, w: Any) -> Any:
+    """Time derivative of the state x at body rates w (rad/s)."""
+    raise NotImplementedError(rep)
+
+
+def speed_squared(rep: Tag, xdot: Any, w: Any) -> Any:
+    """Square of the rate (rad/s) that limits an explicit step: of the body or of its angles."""
+    raise NotImplementedError(rep)
+
+
+def flip(rep: Tag, x: Any) -> Any:
+    """State of the inverse attitude."""
+    raise NotImplementedError(rep)
+
+
+def finish(rep: Tag, x: Any) -> Any:
+    """(what the trajectory holds, departure from the group): the state brought back to it."""
+    raise NotImplementedError(rep)
+
+
+@kernel
+def _turn_quat(x, u):
+    return quat.mul(x, quat.exp(u))
+
+
+@kernel
+def _turn_quat_short(x, u):
+    return quat.mul(x, quat.exp_short(u))
+
+
+@kernel
+def _turn_dcm(x, u):
+    return dcm.mul(x, dcm.exp(u))
+
+
+@kernel
+def _turn_dcm_short(x, u):
+    return dcm.mul(x, dcm.exp_short(u))
+
+
+@kernel
+def _turned_rows(x, r):
+    a = dcm.rotate(r, (x[0], x[1], x[2]))
+    b = dcm.rotate(r, (x[3], x[4], x[5]))
+    return a[0], a[1], a[2], b[0], b[1], b[2]
+
+
+@kernel
+def _turn_rows(x, u):
+    return _turned_rows(x, dcm.exp(neg(u)))
+
+
+@kernel
+def _turn_rows_short(x, u):
+    return _turned_rows(x, dcm.exp_short(neg(u)))
+
+
+@kernel
+def _turn_direction(x, u):
+    return quat.rotate_inverse(quat.exp(u), x)
+
+
+@kernel
+def _turn_direction_short(x, u):
+    return quat.rotate_inverse(quat.exp_short(u), x)
+
+
+@kernel
+def _derivative_rows(x, w):
+    a = dcm.derivative_row((x[0], x[1], x[2]), w)
+    b = dcm.derivative_row((x[3], x[4], x[5]), w)
+    return a[0], a[1], a[2], b[0], b[1], b[2]
+
+
+@kernel
+def _body_speed(xdot, w):
+    return dot(w, w)
+
+
+@kernel
+def _angle_speed(xdot, w):
+    return dot(xdot, xdot)
+
+
+@kernel
+def _flip_rows(x):
+    c = dcm.transpose(dcm.close_rows((x[0], x[1], x[2]), (x[3], x[4], x[5])))
+    return c[0], c[1], c[2], c[3], c[4], c[5]
+
+
+@kernel
+def _flip_angles(x):
+    F = type(x[0])
+    return F(math.pi) - x[2], x[1], F(math.pi) - x[0]
+
+
+@kernel
+def _same(x):
+    return x
+
+
+@kernel
+def _start_dcm(q):
+    return dcm.from_quat(quat.normalise(q))
+
+
+@kernel
+def _start_rows(q):
+    c = dcm.from_quat(quat.normalise(q))
+    return c[0], c[1], c[2], c[3], c[4], c[5]
+
+
+@kernel
+def _start_euler313(q):
+    return euler313.from_quat(quat.normalise(q))
+
+
+@kernel
+def _finish_quat(x):
+    F = type(x[0])
+    return quat.normalise(x), math.sqrt(quat.dot(x, x)) - F(1.0)
+
+
+@kernel
+def _finish_dcm(x):
+    return dcm.orthonormalise(dcm.orthonormalise(x)), dcm.defect(x)
+
+
+@kernel
+def _finish_rows(x):
+    p = (x[0], x[1], x[2])
+    r = (x[3], x[4], x[5])
+    a, b = dcm.orthonormalise_rows(p, r)
+    a, b = dcm.orthonormalise_rows(a, b)
+    return dcm.close_rows(a, b), dcm.defect(dcm.close_rows(p, r))
+
+
+@kernel
+def _finish_direction(x):
+    return x, math.sqrt(dot(x, x))
+
+
+@kernel
+def _finish_angles(x):
+    F = type(x[0])
+    return x, F(0.0) * x[0]
+
+
+class Operations(NamedTuple):
+    """The kernels of one representation; ``short`` is its twin for turns of at most π."""
+
+    size: int
+    stored: int
+    start: Any
+    turn: Any
+    derivative: Any
+    speed_squared: Any
+    flip: Any
+    finish: Any
+    short: type | None = None
+
+
+_QUAT = Operations(
+    4,
+    4,
+    quat.normalise,
+    _turn_quat,
+    quat.derivative,
+    _body_speed,
+    quat.conj,
+    _finish_quat,
+    QuatShort,
+)
+_DCM = Operations(
+    9, 9, _start_dcm, _turn_dcm, dcm.derivative, _body_speed, dcm.transpose, _finish_dcm, DcmShort
+)
+_ROWS = Operations(
+    6,
+    9,
+    _start_rows,
+    _turn_rows,
+    _derivative_rows,
+    _body_speed,
+    _flip_rows,
+    _finish_rows,
+    DcmRowsShort,
+)
+_DIRECTION = Operations(
+    3,
+    3,
+    _same,
+    _turn_direction,
+    dcm.derivative_row,
+    _body_speed,
+    _same,
+    _finish_direction,
+    DirectionShort,
+)
+OPERATIONS: dict[type, Operations] = {
+    Quat: _QUAT,
+    QuatShort: _QUAT._replace(turn=_turn_quat_short, short=None),
+    Dcm: _DCM,
+    DcmShort: _DCM._replace(turn=_turn_dcm_short, short=None),
+    DcmRows: _ROWS,
+    DcmRowsShort: _ROWS._replace(turn=_turn_rows_short, short=None),
+    Direction: _DIRECTION,
+    DirectionShort: _DIRECTION._replace(turn=_turn_direction_short, short=None),
+    Euler313: Operations(
+        3, 3, _start_euler313, None, euler313.derivative, _angle_speed, _flip_angles, _finish_angles
+    ),
+    RotationVector: Operations(
+        3, 3, quat.log, None, so3.dexpinv, _angle_speed, neg, _finish_angles
+    ),
+}
+
+REPRESENTATIONS: dict[str, type] = {
+    "quat": Quat,
+    "dcm": Dcm,
+    "dcm_rows": DcmRows,
+    "euler313": Euler313,
+    "rotation_vector": RotationVector,
+}
+
+
+@hook(initial)
+def _initial(rep: types.BaseNamedTuple, q0: types.Array, b: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].start
+    if OPERATIONS[rep.instance_class] is _DIRECTION:
+        return lambda rep, q0, b: (q0[b, 0], q0[b, 1], q0[b, 2])
+    return lambda rep, q0, b: operation((q0[b, 0], q0[b, 1], q0[b, 2], q0[b, 3]))
+
+
+@hook(turn)
+def _turn(rep: types.BaseNamedTuple, x: types.Type, u: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].turn
+    return lambda rep, x, u: operation(x, u)
+
+
+@hook(derivative)
+def _derivative(rep: types.BaseNamedTuple, x: types.Type, w: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].derivative
+    return lambda rep, x, w: operation(x, w)
+
+
+@hook(speed_squared)
+def _speed_squared(rep: types.BaseNamedTuple, xdot: types.Type, w: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].speed_squared
+    return lambda rep, xdot, w: operation(xdot, w)
+
+
+@hook(flip)
+def _flip(rep: types.BaseNamedTuple, x: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].flip
+    return lambda rep, x: operation(x)
+
+
+@hook(finish)
+def _finish(rep: types.BaseNamedTuple, x: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].finish
+    return lambda rep, x: operation(x)

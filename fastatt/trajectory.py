@@ -1,0 +1,110 @@
+"""What a run gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntFlag
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import arrays
+from fastatt._jit import driver
+from fastatt.columns import unpack
+from fastatt.rates import InertialAxes, Packed, evaluate
+
+
+class Status(IntFlag):
+    """What went wrong with one body; 0 where nothing did."""
+
+    OK = 0
+    NON_FINITE = 1  #: the state holds NaN or infinity
+    STEP_TOO_LARGE = 2  #: a step turned further than the method's limit
+    INVARIANT = 4  #: the state left its group by more than round-off explains
+    SINGULAR = 8  #: the representation's coordinates passed too near their singularity
+
+
+# |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
+INVARIANT_BOUND = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Saved attitudes of one body or of an ensemble, time first.
+
+    ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
+    in body axes; ``status`` (N,), one :class:`Status` a body; ``defect`` (S, N), how far the state
+    had left its group before it was brought back for output: |q| − 1, or ‖C Cᵀ − 1‖ of a matrix.
+    """
+
+    t: NDArray[np.float64]
+    state: NDArray[Any]
+    defect: NDArray[Any]
+    status: NDArray[np.uint8]
+    method: str
+    representation: str
+    dt: float
+    one_body: bool
+    packed: Packed = field(repr=False)
+
+    @cached_property
+    def q(self) -> NDArray[Any]:
+        """Unit quaternions, body to inertial."""
+        if self.representation == "quat":
+            return self._shaped(self.state)
+        if self.representation == "euler313":
+            return self._shaped(arrays.euler313_to_quat(self.state))
+        if self.representation == "rotation_vector":
+            return self._shaped(arrays.rotation_vector_to_quat(self.state))
+        return arrays.dcm_to_quat(self.C)
+
+    @cached_property
+    def C(self) -> NDArray[Any]:
+        """Direction cosine matrices, body to inertial."""
+        if self.representation in ("dcm", "dcm_rows"):
+            return self._shaped(self.state.reshape((*self.state.shape[:2], 3, 3)))
+        return arrays.quat_to_dcm(self.q)
+
+    @cached_property
+    def euler313(self) -> NDArray[Any]:
+        """3-1-3 Euler angles (φ, θ, ψ), rad."""
+        if self.representation == "euler313":
+            return self._shaped(self.state)
+        return arrays.quat_to_euler313(self.q)
+
+    @cached_property
+    def w(self) -> NDArray[Any]:
+        """Angular velocity in body axes at the saved times, rad/s."""
+        tag, params, cacheable = self.packed
+        inertial = isinstance(tag, InertialAxes)
+        model = tag.model if inertial else tag
+        out = np.empty((*self.state.shape[:2], 3))
+        table = params if params.ndim == 2 else np.broadcast_to(params, (out.shape[1], params.size))
+        loop = _sample_rates if cacheable else _sample_user_rates
+        loop(model, (0.0,) * params.shape[-1], np.ascontiguousarray(table), self.t, out)
+        w = self._shaped(out)
+        if inertial:
+            w = np.einsum("...ji,...j->...i", self.C, w)
+        return w.astype(self.state.dtype, copy=False)
+
+    def status_counts(self) -> dict[str, int]:
+        """How many bodies carry each flag; empty when all are fine."""
+        found = {f.name or "": int(np.count_nonzero(self.status & f)) for f in Status if f}
+        return {name: count for name, count in found.items() if count}
+
+    def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
+        return value[:, 0] if self.one_body else value
+
+
+def _sample(model, shape, params, t, out):
+    for s in range(t.size):
+        for b in range(out.shape[1]):
+            w = evaluate(model, t[s], unpack(params[b], shape))
+            for i in range(3):
+                out[s, b, i] = w[i]
+
+
+_sample_rates = driver(_sample)
+_sample_user_rates = driver(_sample, cache=False)

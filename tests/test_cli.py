@@ -1,0 +1,110 @@
+"""The command line, run as a user runs it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.cli import main
+
+
+@pytest.fixture
+def log(tmp_path):
+    t = 0.01 * np.arange(400)
+    rates = np.stack([np.sin(t), np.cos(2 * t), 0.3 + 0 * t], axis=1)
+    path = tmp_path / "log.csv"
+    head = "Time (s),Gyr_X (rad/s),Gyr_Y (rad/s),Gyr_Z (rad/s)"
+    np.savetxt(
+        path, np.column_stack([t, rates]), delimiter=",", header=head, comments="", fmt="%.17g"
+    )
+    return path, t, rates
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npy"])
+def test_integrate(log, tmp_path, capsys, suffix):
+    path, t, rates = log
+    out = tmp_path / f"out{suffix}"
+    assert main(["integrate", str(path), "-o", str(out), "-m", "coning3"]) == 0
+    found = np.load(out) if suffix == ".npy" else np.loadtxt(out, delimiter=",", skiprows=1)
+    expected = fa.integrate_rates(rates, np.diff(t), method="coning3")
+    assert np.array_equal(found[:, 1:], expected)
+    assert found[:, 0] == pytest.approx(t, abs=1e-15)
+    text = capsys.readouterr().out
+    assert "400 samples at 100 Hz (time stamps in Time (s))" in text
+    assert "400 attitudes by coning3" in text
+    for method in ("hold", "trapezoid", "previous", "coning2", "picard"):
+        assert method in text
+    assert "half the samples change coning3 by" in text
+
+
+def test_default_output_stands_beside_the_log(log):
+    path = log[0]
+    assert main(["integrate", str(path), "--no-compare", "--q0", "0,2,0,0"]) == 0
+    found = np.loadtxt(path.with_suffix(".attitudes.csv"), delimiter=",", skiprows=1)
+    assert found[0].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["integrate", "none.csv"], "No such file or directory: none.csv"),
+        (["integrate", "{log}", "-c", "a,b,c"], "columns: found 'a'; accepted: 'Time (s)'"),
+        (["integrate", "{log}", "-c", "1,2"], "accepted: 3 different columns"),
+        (["integrate", "{log}", "-m", "rk4"], "--method: found 'rk4'; accepted: hold, trapezoid"),
+        (["integrate", "{log}", "--q0", "0,0,0,0"], "--q0 is the zero quaternion"),
+        (["integrate", "{log}", "--q0", "1,0,0"], "--q0: has shape (3,)"),
+        (["integrate", "{log}", "-r", "-5"], "rate: found -5.0"),
+        (["integrate", "{log}", "-o", "a.txt"], "--out: found the ending '.txt'"),
+        (["integrate", "{log}", "--max-gap", "1e-6"], "a gap"),
+        (["integrate", "."], "directory"),
+        (["trade", "--bodies", "0"], "--bodies: found 0"),
+        (["trade", "--log", "none.csv"], "No such file"),
+    ],
+)
+def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert main([a.format(log=log[0]) for a in arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["nonsense"], ["integrate"], ["integrate", "a", "-u", "rpm"]]
+)
+def test_usage_errors(arguments, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert "usage: fastatt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [[], ["integrate"], ["trade"], ["methods"]])
+def test_help(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([*command, "--help"])
+    assert caught.value.code == 0
+    assert "usage: fastatt" in capsys.readouterr().out
+
+
+def test_methods_lists_all(capsys):
+    assert main(["methods"]) == 0
+    text = capsys.readouterr().out
+    for method in fa.METHODS.values():
+        assert f"\n{method.name} " in f"\n{text}"
+        assert method.summary in text
+
+
+def test_as_a_module():
+    run = subprocess.run(
+        [sys.executable, "-m", "fastatt", "integrate", "none.csv"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 2
+    assert run.stderr == "fastatt: No such file or directory: none.csv\n"

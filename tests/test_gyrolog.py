@@ -1,0 +1,169 @@
+"""Reading and writing gyro logs: every layout that is accepted, every refusal in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fastatt import gyrolog
+from fastatt.gyrolog import LogError, read_log, write_attitudes
+
+RATES = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [-0.7, 0.8, -0.9]])
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rows(separator, first=""):
+    return "\n".join(first + separator.join(map(str, r)) for r in RATES) + "\n"
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("names", ["gx{0}gy{0}gz", "Gyr_X{0}Gyr_Y{0}Gyr_Z", "gyro x,gyro y,gyro z"])
+def test_layouts(tmp_path, separator, names):
+    head = names.format(separator)
+    columns = None if "gyr" in head.lower() else ["gx", "gy", "gz"]
+    log = read_log(
+        write(tmp_path / "a.txt", f"{head}\n{rows(separator)}"), rate=50.0, columns=columns
+    )
+    assert np.array_equal(log.rates, RATES)
+    assert log.dt == 0.02
+    assert log.t == pytest.approx([0.0, 0.02, 0.04])
+
+
+def test_no_names_at_all(tmp_path):
+    path = write(tmp_path / "a.csv", rows(",", "9,"))
+    log = read_log(path, rate=10.0, columns=["2", "3", "4"])
+    assert np.array_equal(log.rates, RATES)
+    assert log.unit == "rad/s (assumed)"
+
+
+def test_comments_and_their_sample_rate(tmp_path):
+    text = "// Start: 0\n// Sample rate: 50.0Hz\n\nCounter\tGyr_X\tGyr_Y\tGyr_Z\t\n" + rows(
+        "\t", "7\t"
+    )
+    log = read_log(write(tmp_path / "a.txt", text))
+    assert log.rate == 50.0
+    assert np.array_equal(log.rates, RATES)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit", "factor"),
+    [
+        ("Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)", None, np.pi / 180),
+        ("wx,wy,wz", "deg/s", np.pi / 180),
+        ("wx [rad/s],wy [rad/s],wz [rad/s]", None, 1.0),
+        ("omega_x,omega_y,omega_z", None, 1.0),
+    ],
+)
+def test_units(tmp_path, names, unit, factor):
+    log = read_log(write(tmp_path / "a.csv", f"{names}\n{rows(',')}"), rate=1.0, unit=unit)
+    assert log.rates == pytest.approx(RATES * factor, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "scale"), [("Time (s)", 1.0), ("t_ms", 1e-3), ("timestamp us", 1e-6)]
+)
+def test_time_stamps(tmp_path, name, scale):
+    stamps = [5.0, 5.5, 7.0]
+    lines = [f"{t},{','.join(map(str, r))}" for t, r in zip(stamps, RATES, strict=True)]
+    path = write(tmp_path / "a.csv", "\n".join([f"{name},wx,wy,wz", *lines]))
+    log = read_log(path)
+    assert log.dt == pytest.approx([0.5 * scale, 1.5 * scale])
+    assert log.t[0] == 0.0
+
+
+def test_maker_orientation(tmp_path):
+    lines = "\n".join(",".join(map(str, r)) + ",1,0,0,0" for r in RATES)
+    path = write(tmp_path / "a.csv", "wx,wy,wz,Quat_w,Quat_x,Quat_y,Quat_z\n" + lines)
+    assert read_log(path, rate=1.0).attitudes.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 3
+
+
+GOOD = "t,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", {}, "found no row of numbers"),
+        ("a,b\nc,d\n", {}, "line 2: found 'c,d'; accepted: numbers"),
+        ("a,b\n1,2\n", {"rate": 1.0}, "no three columns named like gyro"),
+        ("wx,wy,wz\n1,2,3\n", {}, "no time column and no sample rate"),
+        (GOOD.replace("2,1,2,3", "2,1,nan,3"), {}, "line 4: wy is 'nan'"),
+        (GOOD.replace("2,1,2,3", "2,1,,3"), {}, "line 4: wy is ''"),
+        (GOOD.replace("2,1,2,3", "2,1,x,3"), {}, "line 4: wy is 'x'"),
+        (GOOD.replace("2,1,2,3", "2,1"), {}, "line 4: found 2 columns; accepted: at least 3"),
+        (GOOD.replace("2,1,2,3", "1,1,2,3"), {}, "t is repeated after row 2"),
+        (GOOD.replace("2,1,2,3", "0.5,1,2,3"), {}, "t is decreasing after row 2"),
+        (GOOD, {"columns": ["wx", "wy", "nope"]}, "columns: found 'nope'"),
+        (GOOD, {"columns": ["wx", "wy", "wy"]}, "3 different columns"),
+        (GOOD, {"columns": ["1", "2", "9"]}, "a number from 1 to 4"),
+        (GOOD, {"time_column": "T"}, "time column: found 'T'"),
+        (GOOD, {"rate": 0.0}, "rate: found 0.0"),
+        (GOOD, {"rate": float("nan")}, "rate: found nan"),
+        (GOOD, {"unit": "rpm"}, "unit: found 'rpm'; accepted: rad/s, deg/s"),
+        ("t,wx,wy,wz\n0,1,2,3\n", {}, "at least two"),
+        (
+            "// sample rate: 0 Hz\nwx,wy,wz\n1,2,3\n",
+            {},
+            "no time column and no sample rate|above 0",
+        ),
+    ],
+)
+def test_refusals(tmp_path, text, options, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        read_log(write(tmp_path / "a.csv", text), **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_log(tmp_path / "none.csv")
+
+
+def test_blocks_join(tmp_path, monkeypatch):
+    monkeypatch.setattr(gyrolog, "_ROWS", 7)
+    numbers = np.arange(60.0).reshape(20, 3)
+    text = "wx,wy,wz\n" + "\n".join(",".join(map(str, r)) for r in numbers)
+    seen: list[int] = []
+    path = write(tmp_path / "a.csv", text)
+    assert np.array_equal(read_log(path, rate=1.0, progress=seen.append).rates, numbers)
+    assert len(seen) == 3
+    assert sum(seen) == path.stat().st_size - len("wx,wy,wz\n")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npy"])
+def test_written_attitudes_come_back(tmp_path, suffix):
+    t, q = np.array([0.0, 0.1]), np.array([[1.0, 0.0, 0.0, 0.0], [0.6, 0.8, 0.0, 1e-300]])
+    path = tmp_path / f"a{suffix}"
+    write_attitudes(path, t, q)
+    found = np.load(path) if suffix == ".npy" else np.loadtxt(path, delimiter=",", skiprows=1)
+    assert np.array_equal(found, np.column_stack([t, q]))
+
+
+def test_unknown_ending(tmp_path):
+    with pytest.raises(LogError, match=r"found the ending '.xls'; accepted: .csv and .npy"):
+        write_attitudes(tmp_path / "a.xls", np.zeros(1), np.ones((1, 4)))
+
+
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.one_of(st.binary(max_size=200), st.text("0123456789.,;\t -+enaif/#\nwxyzt\"'", max_size=120))
+)
+def test_hostile_files(tmp_path, content):
+    """Read, or refused in one line: no other error, no hang."""
+    path = tmp_path / "hostile.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    try:
+        log = read_log(path, columns=["1", "2", "3"], rate=1.0)
+    except ValueError as error:
+        assert "\n" not in str(error).strip()
+    else:
+        assert log.rates.shape[1] == 3
+        assert np.isfinite(log.rates).all()

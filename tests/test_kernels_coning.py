@@ -1,0 +1,208 @@
+"""Rotation over an interval from rates or increments: exactness, coefficients and order."""
+
+from itertools import pairwise
+
+import mpmath as mp
+import numpy as np
+import pytest
+from oracle import (
+    EPS,
+    attitude,
+    cross,
+    distance,
+    error,
+    floats,
+    norm,
+    polynomial,
+    pure,
+    quat_angle,
+    quat_conj,
+    quat_exp,
+    quat_mul,
+    slope,
+    uniform,
+    vec,
+    vectors,
+)
+
+from fastatt.kernels import coning
+
+SETS = 30
+VECTORS = {
+    2: coning.rotation_vector_linear,
+    3: coning.rotation_vector_quadratic,
+    4: coning.rotation_vector,
+}
+
+terms = pytest.mark.parametrize("terms", VECTORS)
+
+
+def value(coefficients, t):
+    return vec(polynomial(*coefficients)(mp.mpf(t)))
+
+
+def integral(coefficients, t0, t1):
+    """∫ of the polynomial from t0 to t1."""
+    t0, t1 = mp.mpf(t0), mp.mpf(t1)
+    parts = ((t1 ** (n + 1) - t0 ** (n + 1)) / (n + 1) * vec(c) for n, c in enumerate(coefficients))
+    return sum(parts, mp.matrix(3, 1))
+
+
+def nodes(n, seed):
+    """n unequal steps between 0.5 and 2, and their sums."""
+    steps = uniform(0.5, 2.0, n, seed)
+    return steps, np.cumsum(steps).tolist()
+
+
+def fitted(found, true, total):
+    """Coefficients within the rounding of the data, which divided differences magnify.
+
+    Times are of order one: each of at most three differences divides by 0.5 or more, so a
+    rounding of the data grows at most (2/0.5)³ = 64 times, and to a rate once more by 2.
+    """
+    size = max(norm(c) * mp.mpf(total) ** n for n, c in enumerate(true))
+    for f, t in zip(found, true, strict=True):
+        assert distance(f, t) <= 128 * EPS * size
+
+
+# fits
+
+
+@pytest.mark.parametrize("seed", range(SETS))
+def test_rates_fits_reproduce_polynomials(seed):
+    _, (t1, t2, t3) = nodes(3, seed)
+    cubic = vectors(4, seed)
+    w = [floats(value(cubic, t)) for t in (0, t1, t2, t3)]
+    fitted(coning.rates_cubic(*w, t1, t2, t3), cubic, t3)
+    parabola = cubic[:3]
+    w = [floats(value(parabola, t)) for t in (0, t1, t2)]
+    fitted(coning.rates_quadratic(*w, t1, t2), parabola, t2)
+
+
+@pytest.mark.parametrize("seed", range(SETS))
+def test_increments_fits_reproduce_polynomials(seed):
+    (h1, h2, h3), (t1, t2, t3) = nodes(3, seed)
+    parabola = vectors(3, seed)
+    times = [0.0, t1, t2, t3]
+    steps = [floats(integral(parabola, a, b)) for a, b in pairwise(times)]
+    fitted(coning.increments_quadratic(*steps, h1, h2, h3), parabola, t3)
+    line = parabola[:2]
+    before, now = floats(integral(line, -h1, 0)), floats(integral(line, 0, h2))
+    fitted(coning.increments_linear(before, now, h1, h2), line, h1 + h2)
+
+
+# coefficients, as published for equal intervals
+
+
+def compensated(increments, weights):
+    """Σθ + Σ weight θi×θj."""
+    total = sum((vec(i) for i in increments), mp.matrix(3, 1))
+    for (i, j), weight in weights.items():
+        total += mp.mpf(weight[0]) / weight[1] * cross(vec(increments[i]), vec(increments[j]))
+    return total
+
+
+@pytest.mark.parametrize("h", [1.0, 0.01, 1e3])
+def test_published_coefficients(h):
+    for seed in range(SETS):
+        i, j, k = increments = vectors(3, seed)
+        a, b = coning.increments_linear(i, j, h, h)
+        found = coning.rotation_vector_linear(a, b, h)
+        assert error(found, vec(j) + cross(vec(i), vec(j)) / 12) <= 32 * EPS
+        # the same line from the start of the first interval
+        start = tuple(x - h * y for x, y in zip(a, b, strict=True))
+        found = coning.rotation_vector_linear(start, b, 2.0 * h)
+        assert error(found, compensated([i, j], {(0, 1): (2, 3)})) <= 32 * EPS
+        a, b, c = coning.increments_quadratic(i, j, k, h, h, h)
+        found = coning.rotation_vector_quadratic(a, b, c, 3.0 * h)
+        weights = {(0, 2): (33, 80), (0, 1): (57, 80), (1, 2): (57, 80)}
+        assert error(found, compensated(increments, weights)) <= 128 * EPS
+
+
+def test_miller():
+    weights = {(0, 2): (9, 20), (0, 1): (27, 40), (1, 2): (27, 40)}
+    for seed in range(SETS):
+        increments = vectors(3, seed)
+        assert error(coning.miller(*increments), compensated(increments, weights)) <= 8 * EPS
+
+
+def test_miller_is_optimal_for_pure_coning():
+    """w = (sin t, cos t, 0): ½∫α×w is (sin T − T)/2 along the axis of the cone, T = 3 h.
+
+    Miller's coefficients miss it by h⁷, those of the parabola by h⁵.
+    """
+    sizes = [0.1, 0.05, 0.025]
+    errors = {"miller": [], "parabola": []}
+    for h in sizes:
+        ends = [(-mp.cos(n * h), mp.sin(n * h), 0) for n in range(4)]
+        parts = [floats(vec(b) - vec(a)) for a, b in pairwise(ends)]
+        true = float(mp.sin(3 * mp.mpf(h)) - 3 * mp.mpf(h)) / 2
+        errors["miller"].append(abs(coning.miller(*parts)[2] - true))
+        fit = coning.increments_quadratic(*parts, h, h, h)
+        errors["parabola"].append(abs(coning.rotation_vector_quadratic(*fit, 3.0 * h)[2] - true))
+    assert slope(sizes, errors["miller"]) == pytest.approx(7, abs=0.1)
+    assert slope(sizes, errors["parabola"]) == pytest.approx(5, abs=0.1)
+
+
+# rotation vector
+
+
+def own_formula(coefficients, t):
+    """αt + ½∫α×w of the polynomial, term by term: tᵐ⁺ⁿ⁺² cm×cn /((m + 1)(m + n + 2))."""
+    t = mp.mpf(t)
+    total = integral(coefficients, 0, t)
+    for m, a in enumerate(coefficients):
+        for n, b in enumerate(coefficients):
+            part = t ** (m + n + 2) / ((m + 1) * (m + n + 2)) * cross(vec(a), vec(b))
+            total += part / 2
+    return total
+
+
+@terms
+@pytest.mark.parametrize("t", [1e-300, 1e-3, 1.0, -0.7, 2.0])
+def test_rotation_vector_is_its_formula(terms, t):
+    for seed in range(SETS):
+        c = vectors(terms, seed)
+        size = sum(norm(x) * abs(mp.mpf(t)) ** (n + 1) for n, x in enumerate(c))
+        found = VECTORS[terms](*c, t)
+        assert distance(found, own_formula(c, t)) <= 8 * EPS * (size + size**2)
+
+
+def test_rotation_vector_is_exact_about_a_fixed_axis():
+    a, b, c, d = ([k * x for x in (0.6, -0.64, 0.48)] for k in (1.0, -2.0, 0.5, 0.25))
+    found = coning.rotation_vector(tuple(a), tuple(b), tuple(c), tuple(d), 1.5)
+    assert distance(found, integral((a, b, c, d), 0, 1.5)) <= 8 * EPS * 6
+
+
+@terms
+@pytest.mark.parametrize("seed", range(3))
+def test_rotation_vector_has_a_local_error_of_order_five(terms, seed):
+    c = vectors(terms, seed)
+    times = [0.08, 0.04, 0.02, 0.01]
+    errors = []
+    for t in times:
+        found = quat_exp(VECTORS[terms](*c, t))
+        errors.append(quat_angle(found, attitude(polynomial(*c), 0, t)))
+    assert slope(times, errors) == pytest.approx(5, abs=0.1)
+    assert errors[-1] > 1e-14
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_reference_attitude_of_a_coning_body(steps):
+    """q = exp(αt e3)∘q1∘exp(βt e3): w is β e3 + α q*∘e3∘q (body), α e3 + β q∘e3∘q* (space)."""
+    alpha, beta, start = mp.mpf(1.25), mp.mpf(-0.5), quat_exp((0.5, 0.3, -0.2))
+
+    def q(t):
+        left, right = quat_exp((0, 0, alpha * t)), quat_exp((0, 0, beta * t))
+        return quat_mul(quat_mul(left, start), right)
+
+    def body(t):
+        spun = quat_mul(quat_mul(quat_conj(q(t)), pure((0, 0, 1))), q(t))
+        return [alpha * spun[1], alpha * spun[2], alpha * spun[3] + beta]
+
+    def inertial(t):
+        spun = quat_mul(quat_mul(q(t), pure((0, 0, 1))), quat_conj(q(t)))
+        return [beta * spun[1], beta * spun[2], beta * spun[3] + alpha]
+
+    assert distance(attitude(body, 0, 1, q(0), steps=steps), q(1)) <= 1e-30
+    assert distance(attitude(inertial, 0, 1, q(0), steps=steps, inertial=True), q(1)) <= 1e-30

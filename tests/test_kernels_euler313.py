@@ -1,0 +1,152 @@
+"""3-1-3 Euler angles against products of elementary rotations."""
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+from oracle import (
+    EPS,
+    attitude_error,
+    distance,
+    entries,
+    norm,
+    quat_conj,
+    quat_exp,
+    quat_mul,
+    quaternions,
+    rodrigues,
+    uniform,
+    vec,
+    vectors,
+)
+
+from fastatt.kernels import dcm, euler313
+
+N = 300
+ANGLES = list(
+    zip(
+        uniform(-math.pi, math.pi, N, 1),
+        uniform(0.0, math.pi, N, 2),
+        uniform(-math.pi, math.pi, N, 3),
+        strict=True,
+    )
+)
+FAR = [(20.0 * a, 20.0 * b, 20.0 * c) for a, b, c in ANGLES]
+NEXT_TO_POLES = [
+    (a, t, c) for a, _, c in ANGLES[:4] for t in (1e-300, 1e-12, 1e-4, math.pi - 1e-4, math.pi)
+]
+POLES = [(0.7, 0.0, -1.9), (3.0, 0.0, 2.0), (0.7, math.pi, -1.9), (-3.0, math.pi, 1.0)]
+EVERYWHERE = ANGLES + FAR + NEXT_TO_POLES + POLES
+
+
+def by_axes(angles):
+    """Rz(φ) Rx(θ) Rz(ψ) as a quaternion."""
+    phi, theta, psi = (vec([a])[0] for a in angles)
+    first = quat_mul(quat_exp([0, 0, phi]), quat_exp([theta, 0, 0]))
+    return quat_mul(first, quat_exp([0, 0, psi]))
+
+
+def allowed(angles):
+    """Rounding of φ ± ψ, half of it in the half angle, and that of the products."""
+    return 4 * EPS + 0.5 * math.ulp(max(abs(a) for a in angles) * 2)
+
+
+def test_numpy_product_of_axes():
+    def z(a):
+        return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+
+    def x(a):
+        return np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+
+    for angles in ANGLES:
+        product = z(angles[0]) @ x(angles[1]) @ z(angles[2])
+        assert np.abs(np.reshape(euler313.to_dcm(angles), (3, 3)) - product).max() <= 12 * EPS
+
+
+def test_to_quat():
+    for angles in EVERYWHERE:
+        assert distance(euler313.to_quat(angles), by_axes(angles)) <= allowed(angles)
+
+
+def test_to_dcm():
+    for phi, theta, psi in EVERYWHERE:
+        true = rodrigues((0, 0, phi)) * rodrigues((theta, 0, 0)) * rodrigues((0, 0, psi))
+        found = euler313.to_dcm((phi, theta, psi))
+        assert distance(found, entries(true)) <= math.sqrt(8) * allowed((phi, theta, psi)) + 4 * EPS
+
+
+@pytest.mark.parametrize("q", [*quaternions(N, 1), (1.0, 0.0, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0)])
+def test_from_quat(q):
+    angles = euler313.from_quat(q)
+    assert 0.0 <= angles[1] <= math.pi
+    assert attitude_error(by_axes(angles), vec(q) / norm(q)) <= 8 * EPS
+    again = euler313.from_dcm(dcm.from_quat(q))
+    assert attitude_error(by_axes(again), vec(q) / norm(q)) <= 12 * EPS
+
+
+def test_from_quat_gives_the_angles_back():
+    for angles in ANGLES:
+        found = vec(euler313.from_quat(euler313.to_quat(angles)))
+        # φ and ψ may each differ by a whole turn
+        turns = [mp.nint(d / (2 * mp.pi)) for d in found - vec(angles)]
+        assert turns[1] == 0
+        gap = found - vec(angles) - 2 * mp.pi * vec(turns)
+        assert norm(gap) <= 16 * EPS * (1 + 1 / math.sin(angles[1]))
+
+
+@pytest.mark.parametrize("a", [-2.0, 0.0, 0.3, 3.0])
+def test_from_quat_at_the_poles(a):
+    s, c = math.sin(a), math.cos(a)
+    assert euler313.from_quat((c, 0.0, 0.0, s)) == pytest.approx((a, 0.0, a), rel=8 * EPS, abs=0)
+    found = euler313.from_quat((0.0, c, s, 0.0))
+    assert found == pytest.approx((a, math.pi, -a), rel=8 * EPS, abs=0)
+
+
+def formula(angles, derivative):
+    """w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇)."""
+    _, t, p = angles
+    f, n, s = derivative
+    return (
+        f * mp.sin(t) * mp.sin(p) + n * mp.cos(p),
+        f * mp.sin(t) * mp.cos(p) - n * mp.sin(p),
+        f * mp.cos(t) + s,
+    )
+
+
+def test_rate():
+    for angles, d in zip(ANGLES + FAR, vectors(2 * N, 2, size=3.0), strict=True):
+        assert distance(euler313.rate(angles, d), formula(angles, d)) <= 4 * EPS * norm(d)
+
+
+def test_rate_is_that_of_the_attitude():
+    """w = 2 q*∘q̇ with q̇ by a central difference: error 1e-30."""
+    h = mp.mpf(10) ** -15
+    for angles, d in zip(ANGLES[:30], vectors(30, 3), strict=True):
+        ahead, behind = by_axes(vec(angles) + h * vec(d)), by_axes(vec(angles) - h * vec(d))
+        w = quat_mul(quat_conj(by_axes(angles)), ahead - behind) / h
+        assert abs(w[0]) <= 1e-25
+        assert distance(euler313.rate(angles, d), w[1:]) <= 4 * EPS * norm(d)
+
+
+def test_derivative_inverts_rate():
+    """To a relative 1/sin θ, which magnifies what is lost towards the poles."""
+    for angles, w in zip(ANGLES, vectors(N, 4), strict=True):
+        allowed = 8 * EPS * norm(w) / math.sin(angles[1])
+        d = euler313.derivative(angles, w)
+        assert distance(euler313.rate(angles, d), w) <= allowed
+        again = euler313.derivative(angles, euler313.rate(angles, w))
+        assert distance(again, w) <= allowed
+
+
+def test_derivative_has_no_value_at_the_poles():
+    assert not np.isfinite(euler313.derivative((0.4, 0.0, 0.3), (0.1, 0.2, 0.3))).all()
+    assert not np.isfinite(euler313.derivative((0.4, 0.0, 0.0), (0.0, 0.2, 0.3))).all()
+    # the float next to π is 1.2e-16 short of it
+    assert abs(euler313.derivative((0.4, math.pi, 0.3), (1.0, 0.0, 0.0))[0]) > 1e15
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_non_finite_angle_shows(bad):
+    assert np.isnan(euler313.to_quat((0.1, bad, 0.2))).any()
+    assert np.isnan(euler313.rate((0.1, bad, 0.2), (1.0, 1.0, 1.0))).any()

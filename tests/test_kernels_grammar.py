@@ -1,0 +1,226 @@
+"""What holds for every kernel: its form, both precisions, use from jitted code, no integers."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+
+import numpy as np
+import pytest
+from numba import njit, types
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import TypingError
+
+import fastatt.kernels
+
+PREFIX = "fastatt.kernels."
+MODULES = [
+    importlib.import_module(m.name) for m in pkgutil.iter_modules(fastatt.kernels.__path__, PREFIX)
+]
+KERNELS = {
+    f"{module.__name__.removeprefix(PREFIX)}.{name}": f
+    for module in MODULES
+    for name, f in vars(module).items()
+    if isinstance(f, Dispatcher) and f.py_func.__module__ == module.__name__
+}
+
+U = (0.3, -0.5, 0.7)
+V = (-1.1, 0.4, 0.9)
+W = (0.8, 1.2, -0.6)
+X = (0.2, -0.9, 0.5)
+E = (0.6, 0.0, 0.8)
+Q = (0.1, -0.5, 0.7, 0.5)
+P = (0.7, 0.1, -0.5, 0.5)
+C = (0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6)
+B = (1.1, 0.2, -0.3, 0.4, 0.9, 0.6, -0.2, 0.1, 1.2)
+# arguments for every kernel: a new one needs a line here
+ARGUMENTS = {
+    "axis_angle.rate": (E, (0.8, 0.1, -0.6), 1.2, 0.7),
+    "axis_angle.derivative": (E, 1.2, W),
+    "coning.rotation_vector": (U, V, W, X, 0.7),
+    "coning.rotation_vector_linear": (U, V, 0.7),
+    "coning.rotation_vector_quadratic": (U, V, W, 0.7),
+    "coning.rates_quadratic": (U, V, W, 0.5, 1.25),
+    "coning.rates_cubic": (U, V, W, X, 0.5, 1.25, 2.0),
+    "coning.increments_linear": (U, V, 0.5, 0.75),
+    "coning.increments_quadratic": (U, V, W, 0.5, 0.75, 1.0),
+    "coning.miller": (U, V, W),
+    "dcm.mul": (B, C),
+    "dcm.transpose": (B,),
+    "dcm.rotate": (C, U),
+    "dcm.rotate_inverse": (C, U),
+    "dcm.from_quat": (Q,),
+    "dcm.to_quat": (C,),
+    "dcm.exp_short": (U,),
+    "dcm.exp": (U,),
+    "dcm.log": (C,),
+    "dcm.derivative_row": (U, W),
+    "dcm.derivative": (C, W),
+    "dcm.rate": (C, B),
+    "dcm.close_rows": (C[:3], C[3:6]),
+    "dcm.orthonormalise_rows": (B[:3], B[3:6]),
+    "dcm.gram": (B,),
+    "dcm.defect": (B,),
+    "dcm.orthonormalise": (B,),
+    "euler313.to_quat": (U,),
+    "euler313.from_quat": (Q,),
+    "euler313.to_dcm": (U,),
+    "euler313.from_dcm": (C,),
+    "euler313.rate": (U, W),
+    "euler313.derivative": (U, W),
+    "quat.mul": (P, Q),
+    "quat.conj": (Q,),
+    "quat.dot": (P, Q),
+    "quat.rotate": (Q, U),
+    "quat.rotate_inverse": (Q, U),
+    "quat.exp_short": (U,),
+    "quat.exp": (V,),
+    "quat.log": (Q,),
+    "quat.normalise": ((*V, 2.0),),
+    "quat.renormalise": (Q,),
+    "quat.derivative": (Q, W),
+    "quat.derivative_inertial": (Q, W),
+    "quat.rate": (Q, P),
+    "quat.rate_inertial": (Q, P),
+    "quat.slerp": (P, Q, 0.3),
+    "quat.angle": (P, Q),
+    "so3.hat": (U,),
+    "so3.vee": (B,),
+    "so3.second_order": (0.4, -0.2, U),
+    "so3.jacobian_coefficients": (1.3,),
+    "so3.inverse_coefficient": (1.3,),
+    "so3.right_jacobian": (U,),
+    "so3.left_jacobian": (U,),
+    "so3.right_jacobian_inverse": (U,),
+    "so3.left_jacobian_inverse": (U,),
+    "so3.dexpinv": (U, W),
+    "so3.dexp": (U, W),
+    "trig.reduce_turns": (8.0,),
+    "trig.is_odd": (3.0,),
+    "trig.sincos": (2.5,),
+    "trig.half_sinc_cos": (1.3,),
+    "trig.half_sinc_cos_wide": (30.0,),
+    "trig.sin_remainder": (1.3,),
+    "trig.cot_remainder": (1.3,),
+    "trig.atan2": (0.4, -0.9),
+    "vec3.dot": (U, V),
+    "vec3.cross": (U, V),
+    "vec3.add": (U, V),
+    "vec3.sub": (U, V),
+    "vec3.scale": (0.5, U),
+    "vec3.axpy": (0.5, U, V),
+    "vec3.neg": (U,),
+}
+
+every_kernel = pytest.mark.parametrize("name", sorted(KERNELS.keys() & ARGUMENTS))
+
+
+def cast(x, to):
+    """A nested tuple of floats with every leaf of type ``to``."""
+    return tuple(cast(c, to) for c in x) if isinstance(x, tuple) else to(x)
+
+
+def leaves(x):
+    """The numbers, or number types, of a nested tuple."""
+    if isinstance(x, types.Type):
+        return [t for part in x for t in leaves(part)] if isinstance(x, types.BaseTuple) else [x]
+    return [c for part in x for c in leaves(part)] if isinstance(x, tuple) else [x]
+
+
+def one_integer(x, place):
+    """The arguments with the number at ``place`` (0 first, −1 last) an integer."""
+    if not isinstance(x, tuple):
+        return 1
+    x = list(x)
+    x[place] = one_integer(x[place], place)
+    return tuple(x)
+
+
+def user_function(kernel):
+    """What a user writes."""
+
+    @njit
+    def user(arguments):
+        return kernel(*arguments)
+
+    return user
+
+
+def test_the_list_of_arguments_is_complete():
+    assert sorted(ARGUMENTS) == sorted(KERNELS)
+
+
+@every_kernel
+def test_from_jitted_code_in_both_precisions(name):
+    kernel, arguments = KERNELS[name], ARGUMENTS[name]
+    user = user_function(kernel)
+    double = user(arguments)
+    single = user(cast(arguments, np.float32))
+    wide, narrow = (s.return_type for s in user.nopython_signatures)
+    assert set(leaves(wide)) == {types.float64}
+    assert set(leaves(narrow)) == {types.float32}
+    assert len(leaves(wide)) == len(leaves(narrow)) == len(leaves(double))
+    size = max(1.0, *(abs(c) for c in leaves(double)))
+    # inlined or called, the same sums: a fused product or two of difference
+    gap = np.subtract(leaves(kernel(*arguments)), leaves(double))
+    assert np.abs(gap).max() <= 4 * np.finfo(np.float64).eps * size
+    gap = np.subtract(leaves(single), leaves(double))
+    assert np.abs(gap).max() <= 16 * np.finfo(np.float32).eps * size
+
+
+@every_kernel
+@pytest.mark.parametrize("place", [0, -1])
+def test_integers_are_refused(name, place):
+    arguments = one_integer(ARGUMENTS[name], place)
+    short = name.split(".")[1]
+    with pytest.raises(TypingError, match=f"{short}: found an integer .* write 1.0 instead of 1"):
+        KERNELS[name](*arguments)
+
+
+@pytest.mark.parametrize("bad", [1, np.int32(1), True])
+def test_integers_are_refused_inside_jitted_code(bad):
+    user = user_function(fastatt.kernels.quat.rotate)
+    with pytest.raises(TypingError, match="rotate: found an integer"):
+        user((Q, (0.5, bad, 0.5)))
+
+
+# form
+
+CALLS = {"abs", "type", "F"}
+NUMPY = {"trig": {"rint", "floor"}}
+MATH = {"sqrt", "pi"}
+
+
+def functions():
+    for module in MODULES:
+        short = module.__name__.removeprefix(PREFIX)
+        for node in ast.parse(inspect.getsource(module)).body:
+            if isinstance(node, ast.FunctionDef):
+                yield pytest.param(short, node, id=f"{short}.{node.name}")
+
+
+def test_every_function_is_a_kernel():
+    assert {p.id for p in functions()} == set(KERNELS)
+
+
+@pytest.mark.parametrize(("module", "function"), list(functions()))
+def test_form(module, function):
+    """A docstring, assignments of expressions and one return: what vectorises."""
+    assert ast.get_docstring(function)
+    _, *steps, last = function.body
+    assert all(isinstance(s, ast.Assign) for s in steps)
+    assert isinstance(last, ast.Return)
+    allowed = (
+        *(ast.Name, ast.Constant, ast.Attribute, ast.Subscript, ast.Tuple, ast.Call),
+        *(ast.BinOp, ast.UnaryOp, ast.Compare, ast.IfExp, ast.Assign, ast.Return),
+        *(ast.expr_context, ast.operator, ast.unaryop, ast.cmpop),
+    )
+    for node in (n for s in (*steps, last) for n in ast.walk(s)):
+        assert isinstance(node, allowed), ast.unparse(node)
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "np":
+            assert node.attr in NUMPY.get(module, ()), ast.unparse(node)
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "math":
+            assert node.attr in MATH, ast.unparse(node)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            called = getattr(fastatt.kernels, module).__dict__.get(node.func.id)
+            assert node.func.id in CALLS or isinstance(called, Dispatcher), ast.unparse(node)

@@ -1,0 +1,183 @@
+"""Jacobians of the exponential map against their definition by differences in mpmath."""
+
+import math
+
+import mpmath as mp
+import pytest
+from oracle import (
+    EPS,
+    coefficients,
+    cross,
+    directions,
+    distance,
+    entries,
+    error,
+    floats,
+    hat,
+    inverse_coefficient,
+    isotropic,
+    norm,
+    quat_conj,
+    quat_exp,
+    quat_log,
+    quat_mul,
+    right_jacobian,
+    rotation_vectors,
+    square,
+    uniform,
+    vec,
+    vectors,
+)
+
+from fastatt.kernels import so3, vec3
+
+ANGLES = [0.0, 1e-300, 1e-160, 1e-8, 1e-4, 0.1, 1.0, 3.0, math.pi, 3.2, 4.0, 6.0, 6.28, 7.0, 100.0]
+ONE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+angles = pytest.mark.parametrize("theta", ANGLES)
+
+
+def conditioning(theta):
+    """How x cot x, x = θ/2, magnifies a relative error of θ, in relation to 1 − x cot x or 1."""
+    x = max(0.5 * theta, 1e-300)
+    return (1 + (x / math.sin(x)) ** 2) / max(1.0, abs(1 - x / math.tan(x)))
+
+
+def phis(theta, n=10):
+    return rotation_vectors([theta] * n, seed=1)
+
+
+# coefficients
+
+
+def test_coefficients_up_to_pi():
+    squares = [0.0, 1e-320, 1e-300, 1e-16, *uniform(0, math.pi**2, 1000), math.pi**2]
+    for z in squares:
+        found = (*so3.jacobian_coefficients(z), so3.inverse_coefficient(z))
+        true = (*coefficients(z)[1:], inverse_coefficient(z))
+        for f, t in zip(found, true, strict=True):
+            assert error([f], [t]) <= 1e-15
+
+
+def test_coefficients_beyond_pi():
+    """(1 − cos θ)/θ² has zeros: its error is one of sin θ/2, by an ulp of θ/2."""
+    for theta in uniform(math.pi, 100, 300):
+        z = theta * theta
+        b, c = so3.jacobian_coefficients(z)
+        _, b_true, c_true = coefficients(z)
+        assert abs(b - b_true) * z <= 2 * math.ulp(theta)
+        assert error([c], [c_true]) <= 1e-15
+        k, k_true = so3.inverse_coefficient(z), inverse_coefficient(z)
+        allowed = 2 * EPS * conditioning(theta) * max(1, abs(k_true * z))
+        assert abs(k - k_true) * z <= allowed
+
+
+def test_coefficients_at_zero():
+    assert so3.jacobian_coefficients(0.0) == (0.5, 1.0 / 6.0)
+    assert so3.inverse_coefficient(0.0) == pytest.approx(1.0 / 12.0, rel=4e-16)
+
+
+# Jacobians
+
+
+@angles
+def test_jacobians(theta):
+    for phi in phis(theta):
+        true = right_jacobian(phi)
+        assert error(so3.right_jacobian(phi), entries(true)) <= 1e-15
+        assert error(so3.left_jacobian(phi), entries(true.T)) <= 1e-15
+
+
+@angles
+def test_inverse_jacobians(theta):
+    for phi in phis(theta):
+        true = mp.inverse(right_jacobian(phi))
+        allowed = 1e-15 * conditioning(theta)
+        assert error(so3.right_jacobian_inverse(phi), entries(true)) <= allowed
+        assert error(so3.left_jacobian_inverse(phi), entries(true.T)) <= allowed
+
+
+@angles
+def test_jacobians_are_each_other_s_transpose_and_inverse(theta):
+    for phi in phis(theta):
+        right, inverse = so3.right_jacobian(phi), so3.right_jacobian_inverse(phi)
+        assert square(so3.left_jacobian(phi)) == square(right).T
+        assert square(so3.left_jacobian_inverse(phi)) == square(inverse).T
+        allowed = 2e-15 * conditioning(theta) * float(norm(inverse) * norm(right))
+        assert distance(entries(square(right) * square(inverse)), ONE) <= allowed
+
+
+@angles
+def test_left_jacobian_is_the_rotated_right_one(theta):
+    for phi in phis(theta, 3):
+        left = isotropic(*coefficients(norm(phi) ** 2)[:2], phi) * right_jacobian(phi)
+        assert error(so3.left_jacobian(phi), entries(left)) <= 1e-15
+
+
+# the rotation vector's equation
+
+
+@angles
+def test_dexp_is_the_right_jacobian(theta):
+    for phi, x in zip(phis(theta), vectors(10, 2), strict=True):
+        true = right_jacobian(phi) * vec(x)
+        assert distance(so3.dexp(phi, x), true) <= 2e-15 * norm(x)
+
+
+@angles
+def test_dexpinv_inverts_dexp(theta):
+    """Of the size of x times the norm of the inverse, which dexp's rounding meets."""
+    for phi, x in zip(phis(theta), vectors(10, 3), strict=True):
+        inverse = norm(so3.right_jacobian_inverse(phi))
+        allowed = 2e-15 * conditioning(theta) * float(inverse * norm(x))
+        assert distance(so3.dexpinv(phi, so3.dexp(phi, x)), x) <= allowed
+        assert distance(so3.dexp(phi, so3.dexpinv(phi, x)), x) <= allowed
+
+
+@pytest.mark.parametrize("theta", [1e-8, 1.0, 3.0])
+def test_dexpinv_moves_the_rotation_vector(theta):
+    """exp(φ + h φ̇) = exp(φ)∘exp(h w), and with w in inertial axes exp(h w)∘exp(φ)."""
+    h = mp.mpf(10) ** -25
+    for phi, w in zip(phis(theta), vectors(10, 4), strict=True):
+        q, turn = quat_exp(phi), quat_exp(h * vec(w))
+        body = (quat_log(quat_mul(q, turn)) - vec(phi)) / h
+        inertial = (quat_log(quat_mul(turn, q)) - vec(phi)) / h
+        assert error(so3.dexpinv(phi, w), body) <= 2e-15 * conditioning(theta)
+        minus = so3.dexpinv(tuple(-c for c in phi), tuple(-c for c in w))
+        assert error([-c for c in minus], inertial) <= 2e-15 * conditioning(theta)
+
+
+def test_first_order_of_small_rotations():
+    """exp(φ)* ∘ exp(φ + δ) for a δ as small as a float can be beside φ."""
+    phi, delta = (0.5, -0.25, 1.0), (2.0**-40, -(2.0**-41), 2.0**-39)
+    moved = tuple(a + b for a, b in zip(phi, delta, strict=True))
+    exact = quat_log(quat_mul(quat_conj(quat_exp(phi)), quat_exp(moved)))
+    assert error(so3.dexp(phi, delta), exact) <= 1e-11
+
+
+# small parts
+
+
+def test_hat_and_vee():
+    for v, x in zip(vectors(20, 5), directions(20, 6), strict=True):
+        assert so3.hat(v) == floats(entries(hat(v)))
+        assert so3.vee(so3.hat(v)) == v
+        assert distance(square(so3.hat(v)) * vec(x), cross(vec(v), vec(x))) <= 1e-45
+    assert so3.vee((9.0, -3.0, 2.0, 5.0, 9.0, -1.0, 4.0, 3.0, 9.0)) == (2.0, -1.0, 4.0)
+
+
+def test_second_order():
+    for v in vectors(20, 7):
+        assert error(so3.second_order(0.7, -0.3, v), entries(isotropic(0.7, -0.3, v))) <= 2 * EPS
+
+
+def test_vec3():
+    """Small whole numbers: every result is exact."""
+    a, b, k = (1.0, -2.0, 3.0), (4.0, 7.0, -5.0), 6.0
+    assert vec3.dot(a, b) == -25.0
+    assert vec3.cross(a, b) == (-11.0, 17.0, 15.0)
+    assert vec3.add(a, b) == (5.0, 5.0, -2.0)
+    assert vec3.sub(a, b) == (-3.0, -9.0, 8.0)
+    assert vec3.scale(k, a) == (6.0, -12.0, 18.0)
+    assert vec3.axpy(k, a, b) == (10.0, -5.0, 13.0)
+    assert vec3.neg(a) == (-1.0, 2.0, -3.0)
