@@ -25,7 +25,7 @@ def angular_velocity(
     """
     checks.choice("frame", frame, ("body", "inertial"))
     m = checks.whole("order", order, 1) + 1
-    found = checks.array("q", q, "(S, 4) or (S, N, 4)", [(-1, 4), (-1, -1, 4)])
+    found = checks.attitudes("q", q, "(S, 4) or (S, N, 4)", [(-1, 4), (-1, -1, 4)])
     n = found.shape[0]
     if n < m:
         raise ValueError(f"q: has {n} attitudes; accepted with order {m - 1}: at least {m}")

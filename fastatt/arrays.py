@@ -2,125 +2,132 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt._jit import driver
+from fastatt import checks
+from fastatt._jit import driver, hook
+from fastatt.columns import unpack
 from fastatt.kernels import dcm, euler313, quat
 
 
-@driver
-def _quat_to_dcm(q, out):
-    for i in range(q.shape[0]):
-        c = dcm.from_quat((q[i, 0], q[i, 1], q[i, 2], q[i, 3]))
-        for k in range(9):
-            out[i, k] = c[k]
+class QuatToDcm(NamedTuple):
+    """Tag."""
+
+
+class DcmToQuat(NamedTuple):
+    """Tag."""
+
+
+class Euler313ToQuat(NamedTuple):
+    """Tag."""
+
+
+class QuatToEuler313(NamedTuple):
+    """Tag."""
+
+
+class RotationVectorToQuat(NamedTuple):
+    """Tag."""
+
+
+class QuatToRotationVector(NamedTuple):
+    """Tag."""
+
+
+# tag: its kernel and the lengths of a row before and after
+_CONVERSIONS: dict[type, tuple[Any, int, int]] = {
+    QuatToDcm: (dcm.from_quat, 4, 9),
+    DcmToQuat: (dcm.to_quat, 9, 4),
+    Euler313ToQuat: (euler313.to_quat, 3, 4),
+    QuatToEuler313: (euler313.from_quat, 4, 3),
+    RotationVectorToQuat: (quat.exp, 3, 4),
+    QuatToRotationVector: (quat.log, 4, 3),
+}
+
+
+def convert(conversion: Any, row: Any) -> Any:
+    """The kernel of a conversion, on a row of an array."""
+    raise NotImplementedError(conversion)
+
+
+@hook(convert)
+def _convert(conversion: types.BaseNamedTuple, row: types.Array) -> Any:
+    kernel, before, _ = _CONVERSIONS[conversion.instance_class]
+    shape = (0.0,) * before
+    return lambda conversion, row: kernel(unpack(row, shape))
 
 
 @driver
-def _dcm_to_quat(c, out):
-    for i in range(c.shape[0]):
-        q = dcm.to_quat(
-            (c[i, 0], c[i, 1], c[i, 2], c[i, 3], c[i, 4], c[i, 5], c[i, 6], c[i, 7], c[i, 8])
-        )
-        for k in range(4):
-            out[i, k] = q[k]
-
-
-@driver
-def _euler313_to_quat(a, out):
-    for i in range(a.shape[0]):
-        q = euler313.to_quat((a[i, 0], a[i, 1], a[i, 2]))
-        for k in range(4):
-            out[i, k] = q[k]
-
-
-@driver
-def _quat_to_euler313(q, out):
-    for i in range(q.shape[0]):
-        a = euler313.from_quat((q[i, 0], q[i, 1], q[i, 2], q[i, 3]))
-        for k in range(3):
-            out[i, k] = a[k]
-
-
-@driver
-def _rotation_vector_to_quat(u, out):
-    for i in range(u.shape[0]):
-        q = quat.exp((u[i, 0], u[i, 1], u[i, 2]))
-        for k in range(4):
-            out[i, k] = q[k]
-
-
-@driver
-def _quat_to_rotation_vector(q, out):
-    for i in range(q.shape[0]):
-        u = quat.log((q[i, 0], q[i, 1], q[i, 2], q[i, 3]))
-        for k in range(3):
-            out[i, k] = u[k]
+def _convert_rows(conversion, rows, out):
+    for i in range(rows.shape[0]):
+        x = convert(conversion, rows[i])
+        for k in range(out.shape[1]):
+            out[i, k] = x[k]
 
 
 @driver
 def _angle(p, q, out):
     for i in range(out.shape[0]):
-        out[i] = quat.angle(
-            quat.normalise((p[i, 0], p[i, 1], p[i, 2], p[i, 3])),
-            quat.normalise((q[i, 0], q[i, 1], q[i, 2], q[i, 3])),
-        )
+        a = (p[i, 0], p[i, 1], p[i, 2], p[i, 3])
+        b = (q[i, 0], q[i, 1], q[i, 2], q[i, 3])
+        out[i] = quat.angle(quat.normalise(a), quat.normalise(b))
 
 
-def _rows(
-    loop: Any, value: NDArray[Any], before: tuple[int, ...], after: tuple[int, ...]
-) -> NDArray[Any]:
-    """Run a loop over the rows of ``value``, (..., *before) to (..., *after)."""
-    lead = value.shape[: value.ndim - len(before)]
-    out = np.empty((int(np.prod(lead)), int(np.prod(after))), dtype=value.dtype)
-    loop(np.ascontiguousarray(value).reshape(-1, int(np.prod(before))), out)
+def _rows(conversion: Any, value: NDArray[Any], axes: int, after: tuple[int, ...]) -> NDArray[Any]:
+    """Convert rows that span the last ``axes`` axes: (..., *before) to (..., *after)."""
+    _, n, m = _CONVERSIONS[type(conversion)]
+    lead = value.shape[: value.ndim - axes]
+    out = np.empty((math.prod(lead), m), dtype=value.dtype)
+    _convert_rows(conversion, np.ascontiguousarray(value).reshape(-1, n), out)
     return out.reshape(lead + after)
 
 
 def _floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
-    found = np.asarray(value)
-    if found.dtype != np.float32:
-        try:
-            found = found.astype(np.float64)
-        except (TypeError, ValueError):
-            raise TypeError(f"{name}: found {value!r}; accepted: real numbers") from None
+    try:
+        found = np.asarray(value)
+    except ValueError:
+        found = np.asarray(None)
+    if found.dtype.kind not in "fiu":
+        raise TypeError(f"{name}: found {checks.brief(value)}; accepted: real numbers")
     if found.shape[found.ndim - len(tail) :] != tail:
         accepted = ", ".join(map(str, tail))
         raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., {accepted})")
-    return found
+    return found if found.dtype == np.float32 else found.astype(np.float64)
 
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
     """Direction cosine matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    return _rows(_quat_to_dcm, _floats("q", q, (4,)), (4,), (3, 3))
+    return _rows(QuatToDcm(), _floats("q", q, (4,)), 1, (3, 3))
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method."""
-    return _rows(_dcm_to_quat, _floats("C", C, (3, 3)), (3, 3), (4,))
+    return _rows(DcmToQuat(), _floats("C", C, (3, 3)), 2, (4,))
 
 
 def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) of 3-1-3 angles (φ, θ, ψ), rad, (..., 3)."""
-    return _rows(_euler313_to_quat, _floats("angles", angles, (3,)), (3,), (4,))
+    return _rows(Euler313ToQuat(), _floats("angles", angles, (3,)), 1, (4,))
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
     """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of unit quaternions (..., 4)."""
-    return _rows(_quat_to_euler313, _floats("q", q, (4,)), (4,), (3,))
+    return _rows(QuatToEuler313(), _floats("q", q, (4,)), 1, (3,))
 
 
 def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) of rotation vectors (..., 3), rad, any angle."""
-    return _rows(_rotation_vector_to_quat, _floats("u", u, (3,)), (3,), (4,))
+    return _rows(RotationVectorToQuat(), _floats("u", u, (3,)), 1, (4,))
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
     """Rotation vectors (..., 3), rad, of at most π, of quaternions (..., 4)."""
-    return _rows(_quat_to_rotation_vector, _floats("q", q, (4,)), (4,), (3,))
+    return _rows(QuatToRotationVector(), _floats("q", q, (4,)), 1, (3,))
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Any:

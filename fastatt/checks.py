@@ -85,18 +85,23 @@ def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[in
 
 def finite(name: str, value: Floats) -> None:
     """Refuse the first number that is not finite."""
-    if np.isfinite(value.sum()) or np.isfinite(value).all():
+    if np.isfinite(value).all():
         return
     where = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
     raise ValueError(f"{name}{list(where)} is {value[where]}; accepted: finite numbers")
 
 
-def attitudes(name: str, value: ArrayLike) -> Floats:
-    """Quaternions (4,) or (N, 4), finite and not zero."""
-    q = array(name, value, "(4,) or (N, 4)", [(4,), (-1, 4)])
+def attitudes(
+    name: str,
+    value: ArrayLike,
+    shapes: str = "(4,) or (N, 4)",
+    tails: Iterable[tuple[int, ...]] = ((4,), (-1, 4)),
+) -> Floats:
+    """Quaternions, finite and not zero."""
+    q = array(name, value, shapes, tails)
     zero = ~np.any(q != 0.0, axis=-1)
     if zero.any():
-        where = f"[{int(np.argmax(zero))}]" if q.ndim == 2 else ""
+        where = [int(i) for i in np.argwhere(zero)[0]] if q.ndim > 1 else ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
     return q
 

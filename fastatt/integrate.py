@@ -91,7 +91,8 @@ def integrate_rates(
         else:
             for b in range(n_logs):
                 _one_log(along, carry, b, unit[b], out, count, threads, done)
-    if not np.isfinite(out[:, -1]).all():
+    # a sample that is not finite stays in every later attitude; the last may not be used
+    if not (np.isfinite(out[:, -1]).all() and np.isfinite(data[:, -1]).all()):
         checks.finite(name, data[0] if one else data)
         raise ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
     return out[0] if one else out
@@ -183,6 +184,16 @@ def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
         yield a, min(a + 4096, last)
 
 
+def _allowed(max_gap: Any) -> float:
+    try:
+        allowed = float(max_gap)
+    except (TypeError, ValueError):
+        allowed = math.nan
+    if not allowed > 0.0:
+        raise ValueError(f"max_gap: found {max_gap!r}; accepted: a number above 0, or inf")
+    return allowed
+
+
 def _unit(q: NDArray[Any]) -> NDArray[Any]:
     scaled = q / np.abs(q).max(axis=-1, keepdims=True)
     return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
@@ -191,15 +202,18 @@ def _unit(q: NDArray[Any]) -> NDArray[Any]:
 def _intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
     if np.ndim(dt) == 0:
-        return precision.type(checks.real("dt", dt, zero=False))
+        interval = checks.real("dt", dt)
+        if interval <= 0.0:
+            raise ValueError(f"dt: found {interval}; accepted: an interval above 0")
+        return precision.type(interval)
     spans = checks.array("dt", dt, f"a number or ({count},)", [(count,)])
     bad = spans <= 0.0
     if bad.any():
         k = int(np.argmax(bad))
         what = "a repeated" if spans[k] == 0.0 else "a decreasing"
         raise ValueError(f"dt[{k}] is {spans[k]}: {what} time stamp; accepted: intervals above 0")
-    longest = _GAP * float(np.median(spans)) if max_gap is None else float(max_gap)
-    if not math.isnan(longest) and spans.max() > longest:
+    longest = _GAP * float(np.median(spans)) if max_gap is None else _allowed(max_gap)
+    if spans.max() > longest:
         k = int(np.argmax(spans))
         raise ValueError(
             f"dt[{k}] is {spans[k]}: a gap; accepted: at most {longest:.6g} s; cut the log there, "

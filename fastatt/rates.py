@@ -140,7 +140,7 @@ _MODELS: dict[type, tuple[Any, tuple[int, ...]]] = {
     Precession: (precession, (0, 0, 0, 0)),
     Slew: (slew, (1, 0, 0)),
 }
-_VECTORS = {Constant, Polynomial, Sinusoidal, Slew}
+_ABOVE_ZERO = {"Slew.duration"}
 
 
 class InertialAxes(NamedTuple):
@@ -228,15 +228,14 @@ def user_tag(function: Callable[..., Any], n_params: int) -> Any:
     signature = (types.float64, types.UniTuple(types.float64, n_params))
     name = getattr(function, "__name__", repr(function))
     try:
-        result = _user_functions[cls].compile(signature)
-    except NumbaError as error:
+        _user_functions[cls].compile(signature)
+    except (NumbaError, TypeError) as error:  # numba's own, or its word on the number of arguments
         first = next((ln for ln in str(error).splitlines() if ln.strip()), "")
         raise TypeError(
             f"rate: {name}(t, p) does not compile for a float t and a tuple p of {n_params} "
             f"floats: {first}; accepted is a function that numba.njit compiles"
         ) from error
     returned = _user_functions[cls].overloads[signature].signature.return_type
-    del result
     numbers = isinstance(returned, types.BaseTuple) and len(returned) == 3
     if not numbers or not all(isinstance(t, types.Number) for t in returned):
         raise TypeError(
@@ -271,13 +270,19 @@ def pack(model: Model, n_bodies: int | None, argument: str = "rate") -> Packed:
     zeros, columns = [], []
     for name, value, axes in zip(model._fields, model, _MODELS[cls][1], strict=True):
         array = _numbers(f"{argument}: {cls.__name__}.{name}", value)
-        vectors = axes > 0 and cls in _VECTORS
-        if array.ndim not in (axes, axes + 1) or (vectors and array.shape[-1] != 3):
+        if array.ndim not in (axes, axes + 1) or (axes > 0 and array.shape[-1] != 3):
             one = {0: "()", 1: "(3,)", 2: "(K, 3)"}[axes]
             many = {0: "(N,)", 1: "(N, 3)", 2: "(N, K, 3)"}[axes]
             raise ValueError(
                 f"{argument}: {cls.__name__}.{name} has shape {array.shape}; "
                 f"accepted are {one} and {many}"
+            )
+        bad = np.argwhere(np.atleast_1d(array) <= 0.0)
+        if f"{cls.__name__}.{name}" in _ABOVE_ZERO and bad.size:
+            where = f"[{bad[0, 0]}]" if array.ndim else ""
+            found = np.atleast_1d(array)[bad[0, 0]]
+            raise ValueError(
+                f"{argument}: {cls.__name__}.{name}{where} is {found}; accepted: above 0"
             )
         zeros.append(_zeros(array.shape[array.ndim - axes :]))
         columns.append(array.reshape((*array.shape[: array.ndim - axes], -1)))

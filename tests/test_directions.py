@@ -1,0 +1,126 @@
+"""Poisson's equation for single directions, against the rows of the whole attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact import EPS, START, conj, exp, generic, matrix, observed_order, rotate, steady
+
+import fastatt as fa
+
+BODIES = generic(3)
+RATE_METHODS = [m.name for m in fa.METHODS.values() if "rate" in m.scenes]
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+rng = np.random.default_rng(5)
+VECTORS = rng.normal(size=(3, 4, 3)) * np.array([1.0, 1e-3, 1e3, 1.0])[:, None]
+N, H = 100, 0.02
+
+
+def run(v0, scene=None, n=N, h=H, method="magnus6", **options):
+    scene = BODIES.scene if scene is None else scene
+    return fa.propagate_directions(scene, v0, dt=h, n_steps=n, method=method, **options)
+
+
+def seen(bodies, t, v, frame="body"):
+    """q*∘v∘q with the reference attitude that starts at the identity."""
+    q = bodies.attitude(0.0, t, IDENTITY, frame=frame)
+    return rotate(q[:, None] if frame == "inertial" else conj(q)[:, None], v)
+
+
+@pytest.mark.parametrize("method", RATE_METHODS)
+def test_observed_order(method):
+    v = VECTORS / np.linalg.norm(VECTORS, axis=-1, keepdims=True)
+    end = seen(BODIES, 2.0, v)
+
+    def error(n):
+        return np.linalg.norm(run(v, n=n, h=2.0 / n, method=method)[1][-1] - end, axis=-1).max()
+
+    assert observed_order(error) == pytest.approx(fa.METHODS[method].order, abs=0.25)
+
+
+@pytest.mark.parametrize("method", RATE_METHODS)
+def test_directions_are_the_rows_of_the_matrix(method):
+    """The inertial axes seen from the body; the same step, so round-off is all the difference."""
+    axes = np.broadcast_to(np.eye(3), (3, 3, 3))
+    _, rows = run(axes, method=method, save_every=20)
+    traj = fa.propagate(
+        BODIES.scene, np.tile(IDENTITY, (3, 1)), dt=H, n_steps=N, method=method,
+        representation="dcm", save_every=20,
+    )  # fmt: skip
+    # the matrix is brought back to the group for output, RK4's rows are not
+    allowed = 1e-7 if method == "rk4" else 12 * EPS * N
+    assert np.abs(rows - traj.C).max() < allowed
+
+
+def test_shapes_and_times():
+    shared = BODIES.shared
+    t, one = run(VECTORS[0, 0], shared, save_every=30, t0=0.5)
+    assert t.tolist() == [0.5 + k * H for k in (0, 30, 60, 90, 100)]
+    assert one.shape == (5, 3)
+    _, many = run(VECTORS[0], shared, save_every=30, t0=0.5)
+    assert many.shape == (5, 4, 3)
+    assert (many[:, 0] == one).all()
+    _, all_bodies = run(VECTORS, shared, save_every=30, t0=0.5)
+    assert all_bodies.shape == (5, 3, 4, 3)
+    assert (all_bodies[:, 0] == many).all()
+    assert run(VECTORS)[1].shape == (1, 3, 4, 3)
+
+
+def test_each_body_has_its_own_rate():
+    """Also with more directions than a tile holds."""
+    many = np.repeat(VECTORS, 30, axis=1)
+    _, found = run(many)
+    assert np.abs(found[-1] - seen(BODIES, N * H, many)).max() < 1e-9 * 1e3
+    for b in range(3):
+        _, alone = run(many[[b]], BODIES.take([b]).scene)
+        assert (alone[:, 0] == found[:, b]).all()
+
+
+@pytest.mark.parametrize("method", RATE_METHODS)
+def test_lengths_and_scalar_products_are_kept(method):
+    """The first integrals; exponentials keep them to round-off, RK4 to its own error."""
+    _, v = run(VECTORS, method=method, save_every=10)
+    gram = np.einsum("sbic,sbjc->sbij", v, v)
+    size = np.linalg.norm(v[0], axis=-1)
+    scale = size[:, :, None] * size[:, None, :]
+    drift = np.abs(gram - gram[0]) / scale
+    allowed = (1.8 * H) ** 6 / 72.0 * N * 2.0 if method == "rk4" else 8 * EPS * N
+    assert drift.max() < allowed
+    assert drift.max() > 1e-12 or method != "rk4"
+
+
+def test_inertial_rate_carries_body_vectors_outwards():
+    """v fixed in the body, seen from inertial axes: v_i = q∘v∘q*."""
+    scene = fa.Scene(rate=BODIES.model, frame="inertial")
+    _, found = run(VECTORS, scene)
+    error = np.abs(found[-1] - seen(BODIES, N * H, VECTORS, "inertial"))
+    assert error.max() < 1e-9 * 1e3
+
+
+def test_a_turn_about_z_brings_x_to_minus_y():
+    """Seen from a body that has turned by a quarter, the inertial x axis lies at −y."""
+    quarter = steady([[0.0, 0.0, np.pi / 2]]).scene
+    _, v = run([[[1.0, 0.0, 0.0]]], quarter, n=1, h=1.0, method="magnus4")
+    assert v[-1, 0, 0] == pytest.approx([0.0, -1.0, 0.0], abs=4 * EPS)
+    assert v[-1, 0, 0] == pytest.approx(matrix(exp([0, 0, np.pi / 2]))[0], abs=4 * EPS)
+
+
+def test_negative_step_goes_back():
+    _, there = run(VECTORS)
+    _, back = run(there[-1], h=-H, t0=N * H)
+    size = np.linalg.norm(VECTORS, axis=-1, keepdims=True)
+    assert (np.abs(back[-1] - VECTORS) / size).max() < 12 * EPS * N
+
+
+def test_float32():
+    _, v = run(VECTORS.astype(np.float32), method="magnus4")
+    assert v.dtype == np.float32
+    size = np.linalg.norm(VECTORS, axis=-1, keepdims=True)
+    assert (np.abs(v[-1] - seen(BODIES, N * H, VECTORS)) / size).max() < 2.0**-24 * 4 * N
+
+
+def test_start_attitude_does_not_matter():
+    """A star seen from the body turns by the body's rate alone."""
+    v = rotate(conj(START), VECTORS)
+    q = BODIES.attitude(0.0, N * H, START)
+    assert np.abs(run(v)[1][-1] - rotate(conj(q)[:, None], VECTORS)).max() < 1e-9 * 1e3

@@ -1,0 +1,87 @@
+"""Measures of a trajectory: what left the group, and how far from a reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact import EPS, START, angle, generic
+
+import fastatt as fa
+
+BODIES = generic(3)
+START3 = np.broadcast_to(START, (3, 4))
+
+
+def run(method, representation="quat", q0=START3, scene=None, h=0.1, **options):
+    scene = BODIES.scene if scene is None else scene
+    return fa.propagate(
+        scene, q0, dt=h, n_steps=20, method=method, representation=representation, save_every=5,
+        **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("method", ["rk4", "magnus4"])
+def test_norm_of_a_quaternion(method):
+    """RK4 loses |w h|⁶/9216 a step and more when w varies; an exponential loses nothing."""
+    traj = run(method)
+    d = fa.drift(traj, BODIES.scene)
+    assert d.norm.shape == d.orthogonality.shape == (5, 3)
+    assert d.norm[0].max() <= 2 * EPS
+    if method == "rk4":
+        assert (d.norm[-1] > 1e-9).all()
+        assert d.norm.max() < 20 * 0.18**6
+        assert d.norm == pytest.approx(np.abs(traj.defect))
+    else:
+        assert d.norm.max() < 20 * 4 * EPS
+    assert d.orthogonality.max() < 12 * EPS
+    assert d.energy is None
+    assert d.momentum is None
+
+
+@pytest.mark.parametrize("representation", ["dcm", "dcm_rows"])
+def test_orthogonality_of_a_matrix(representation):
+    plain = fa.drift(run("rk4", representation), BODIES.scene)
+    lie = fa.drift(run("magnus4", representation), BODIES.scene)
+    assert plain.orthogonality[0].max() < 12 * EPS
+    assert (plain.orthogonality[-1] > 1e-7).all()
+    assert lie.orthogonality.max() < 20 * 12 * EPS
+    assert plain.norm.max() < 4 * EPS
+    halved = fa.propagate(
+        BODIES.scene, START3, dt=0.05, n_steps=40, method="rk4", representation=representation
+    )
+    ratio = plain.orthogonality[-1] / fa.drift(halved, BODIES.scene).orthogonality[-1]
+    # at least h⁴, whichever of its terms leads
+    assert (ratio > 12.0).all()
+
+
+@pytest.mark.parametrize("representation", ["euler313", "rotation_vector"])
+def test_coordinates_cannot_leave_the_group(representation):
+    d = fa.drift(run("rk4", representation), BODIES.scene)
+    assert d.norm.max() < 4 * EPS
+    assert d.orthogonality.max() < 12 * EPS
+
+
+def test_angle_to_a_reference():
+    traj = run("magnus4")
+    d = fa.drift(traj, BODIES.scene)
+    reference = np.stack([BODIES.attitude(0.0, t) if t else START3 for t in traj.t])
+    found = d.angle_to(reference)
+    assert found.shape == (5, 3)
+    assert found == pytest.approx(angle(traj.q, reference), abs=4 * EPS)
+    assert d.angle_to(fa.quat_to_dcm(reference)) == pytest.approx(found, abs=20 * EPS)
+    assert d.angle_to(START).shape == (5, 3)
+    assert d.angle_to(traj.q).max() == 0.0
+
+
+def test_one_body_has_no_axis_of_bodies():
+    traj = run("magnus4", q0=START, scene=BODIES.shared)
+    d = fa.drift(traj, BODIES.shared)
+    assert d.norm.shape == d.orthogonality.shape == d.angle_to(START).shape == (5,)
+
+
+@pytest.mark.parametrize(("trajectory", "scene"), [("traj", None), (None, BODIES.scene)])
+def test_refuses_what_is_neither(trajectory, scene):
+    trajectory = run("magnus4") if trajectory else trajectory
+    name = "scene" if scene is None else "trajectory"
+    with pytest.raises(TypeError, match=rf"{name}: found None; accepted"):
+        fa.drift(trajectory, scene)

@@ -1,0 +1,318 @@
+"""Wrong input: one message that names the argument, what was found and what is accepted."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import numpy as np
+import pytest
+from exact import START, generic
+from numba import njit
+
+import fastatt as fa
+
+SCENE = generic(2).shared
+NAN, INF = np.nan, np.inf
+Q = [1.0, 0.0, 0.0, 0.0]
+LOG = np.full((20, 3), 0.1)
+RATE_METHODS = [m.name for m in fa.METHODS.values() if "rate" in m.scenes]
+
+
+def propagate(scene=SCENE, q0=START, **options):
+    return fa.propagate(scene, q0, **{"dt": 0.1, "n_steps": 3, **options})
+
+
+def changed(at, value, shape=(20, 3)):
+    data = np.full(shape, 0.1)
+    data[at] = value
+    return data
+
+
+PROPAGATE = [
+    ({"q0": [1, 0, 0]}, ValueError, "q0: has shape (3,); accepted: (4,) or (N, 4)"),
+    ({"q0": np.zeros((0, 4))}, ValueError, "q0: has shape (0, 4)"),
+    ({"q0": np.ones((2, 2, 4))}, ValueError, "q0: has shape (2, 2, 4)"),
+    ({"q0": [0, 0, 0, 0]}, ValueError, "q0 is the zero quaternion"),
+    ({"q0": [Q, [0, 0, 0, 0]]}, ValueError, "q0[1] is the zero quaternion"),
+    ({"q0": [Q, [1, 0, NAN, 0]]}, ValueError, "q0[1, 2] is nan; accepted: finite numbers"),
+    ({"q0": [1, 0, INF, 0]}, ValueError, "q0[2] is inf"),
+    ({"q0": "north"}, TypeError, "q0: found 'north'; accepted: real numbers"),
+    ({"q0": [1j, 0, 0, 0]}, TypeError, "q0: found"),
+    ({"q0": [Q, [1.0]]}, TypeError, "q0: found"),
+    ({"q0": None}, TypeError, "q0: found None"),
+    ({"dt": 0.0}, ValueError, "dt: found 0.0; accepted: a finite number other than 0"),
+    ({"dt": NAN}, ValueError, "dt: found nan"),
+    ({"dt": "fast"}, TypeError, "dt: found 'fast'; accepted: a finite number"),
+    ({"dt": [0.1, 0.2]}, TypeError, "dt: found [0.1, 0.2]"),
+    ({"n_steps": -1}, ValueError, "n_steps: found -1; accepted: a whole number of at least 0"),
+    ({"n_steps": 2.0}, TypeError, "n_steps: found 2.0; accepted: a whole number"),
+    ({"n_steps": True}, TypeError, "n_steps: found True"),
+    ({"save_every": 0}, ValueError, "save_every: found 0"),
+    ({"save_every": "all"}, TypeError, "save_every: found 'all'"),
+    ({"n_threads": 0}, ValueError, "n_threads: found 0"),
+    ({"n_threads": 1.5}, TypeError, "n_threads: found 1.5"),
+    ({"t0": INF}, ValueError, "t0: found inf"),
+    ({"t0": None}, TypeError, "t0: found None"),
+    ({"dtype": np.int32}, TypeError, "dtype: found"),
+    ({"dtype": "float16"}, TypeError, "dtype: found 'float16'; accepted: float64, float32 or None"),
+    ({"dtype": "nonsense"}, TypeError, "dtype: found 'nonsense'"),
+    ({"representation": "matrix"}, ValueError, "representation: found 'matrix'; accepted: quat, dcm"),
+    ({"representation": None}, ValueError, "representation: found None"),
+    ({"method": "rk5"}, ValueError, "method: found 'rk5'; accepted: " + ", ".join(RATE_METHODS)),
+    ({"method": "hold"}, ValueError, "method: found 'hold'; accepted: " + ", ".join(RATE_METHODS)),
+    ({"method": 4}, ValueError, "method: found 4"),
+    (
+        {"method": "magnus4", "representation": "euler313"},
+        ValueError,
+        'method for representation "euler313": found \'magnus4\'; accepted: rk4',
+    ),
+    ({"scene": fa.rates.Constant([0, 0, 1])}, TypeError, "scene: found Constant("),
+    ({"scene": None}, TypeError, "scene: found None; accepted: a fastatt.Scene"),
+    (
+        {"scene": generic(3).scene, "q0": [Q, Q]},
+        ValueError,
+        "found parameters for [3] bodies; accepted: 2 bodies",
+    ),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), PROPAGATE)
+def test_propagate(arguments, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        propagate(**arguments)
+
+
+DIRECTIONS = [
+    ({"v0": [1.0, 2.0]}, ValueError, "v0: has shape (2,); accepted: (3,), (M, 3) or (N, M, 3)"),
+    ({"v0": np.zeros((0, 3))}, ValueError, "v0: has shape (0, 3)"),
+    ({"v0": [0.0, NAN, 1.0]}, ValueError, "v0[1] is nan"),
+    ({"v0": "up"}, TypeError, "v0: found 'up'"),
+    ({"method": "hold"}, ValueError, "method: found 'hold'"),
+    ({"scene": None}, TypeError, "scene: found None"),
+    ({"scene": generic(3).scene}, ValueError, "parameters for [3] bodies"),
+    ({"scene": generic(3).scene, "v0": np.ones((2, 5, 3))}, ValueError, "parameters for [3] bodies"),
+    ({"dt": 0}, ValueError, "dt: found 0.0"),
+    ({"n_steps": None}, TypeError, "n_steps: found None"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), DIRECTIONS)
+def test_propagate_directions(arguments, error, message):
+    options = {"scene": SCENE, "v0": [0.0, 0.0, 1.0], "dt": 0.1, "n_steps": 3, **arguments}
+    with pytest.raises(error, match=re.escape(message)):
+        fa.propagate_directions(options.pop("scene"), options.pop("v0"), **options)
+
+
+R = fa.rates
+SCENES = [
+    ({"rate": 3.0}, TypeError, "rate: found float; accepted is a model of fastatt.rates (Coning"),
+    ({"rate": None}, TypeError, "rate: found NoneType"),
+    ({"rate": R.Constant([1, 2])}, ValueError, "rate: Constant.w has shape (2,); accepted are (3,)"),
+    ({"rate": R.Constant([1, NAN, 3])}, ValueError, "rate: Constant.w[1] is nan"),
+    ({"rate": R.Constant("x")}, TypeError, "rate: Constant.w: found 'x'"),
+    ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "rate: Polynomial.coefficients has shape (3,)"),
+    ({"rate": R.Polynomial([[1, 2]])}, ValueError, "rate: Polynomial.coefficients has shape (1, 2)"),
+    ({"rate": R.Coning([1, INF], 1)}, ValueError, "rate: Coning.angle[1] is inf"),
+    ({"rate": R.Coning([1, 2], [1, 2, 3])}, ValueError, "rate: Coning: found parameters for [2, 3]"),
+    ({"rate": R.Coning([[1]], 1)}, ValueError, "rate: Coning.angle has shape (1, 1)"),
+    ({"rate": R.Slew([1, 2, 3], 0.0)}, ValueError, "rate: Slew.duration"),
+    ({"rate": R.Slew([1, 2, 3], [1.0, -2.0])}, ValueError, "rate: Slew.duration[1] is -2.0"),
+    ({"rate": R.Sum(())}, ValueError, "rate: Sum.terms is empty"),
+    ({"rate": R.Sum((R.Constant([1, 2]),))}, ValueError, "rate: Sum: Constant.w has shape (2,)"),
+    ({"rate": R.Sum((3,))}, TypeError, "rate: Sum: found int"),
+    ({"rate": R.Constant([0, 0, 1]), "frame": "space"}, ValueError, "frame: found 'space'; accepted"),
+    ({"rate": R.Constant([0, 0, 1]), "params": [1]}, ValueError, "params: found [1] beside the model"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), SCENES)
+def test_scene(arguments, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        fa.Scene(**arguments)
+
+
+@njit
+def two_numbers(t, p):
+    return t, t
+
+
+@njit
+def one_number(t, p):
+    return t
+
+
+@njit
+def an_array(t, p):
+    return np.array([t, t, t])
+
+
+@njit
+def words(t, p):
+    return "a", "b", "c"
+
+
+@njit
+def no_such_name(t, p):
+    return undefined(t), t, t  # noqa: F821
+
+
+@njit
+def one_argument(t):
+    return t, t, t
+
+
+@njit
+def needs_three(t, p):
+    return p[0], p[1], p[2]
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (two_numbers, "returns UniTuple(float64 x 2); accepted is a tuple of three floats"),
+        (one_number, "returns float64; accepted"),
+        (an_array, "returns array(float64, 1d, C); accepted"),
+        (words, "returns Tuple("),
+        (no_such_name, "does not compile for a float t and a tuple p of 2 floats"),
+        (one_argument, "does not compile"),
+        (needs_three, "does not compile for a float t and a tuple p of 2 floats"),
+    ],
+)
+def test_users_rate_function(function, message):
+    with pytest.raises(TypeError, match="^rate: " + re.escape(f"{function.__name__}(t, p) {message}")):
+        fa.Scene(rate=function, params=[1.0, 2.0])
+
+
+def test_users_function_is_refused_each_time():
+    for _ in range(2):
+        with pytest.raises(TypeError, match="rate: two_numbers"):
+            fa.Scene(rate=two_numbers)
+
+
+@pytest.mark.parametrize(
+    ("params", "error", "message"),
+    [
+        ([1.0, NAN, 1.0], ValueError, "params[1] is nan"),
+        (np.ones((2, 2, 3)), ValueError, "params: has shape (2, 2, 3); accepted are (P,) and (N, P)"),
+        ("ab", TypeError, "params: found 'ab'"),
+    ],
+)
+def test_users_parameters(params, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        fa.Scene(rate=needs_three, params=params)
+
+
+def test_rows_of_users_parameters_must_be_the_bodies():
+    scene = fa.Scene(rate=needs_three, params=np.ones((3, 3)))
+    with pytest.raises(ValueError, match=r"params: found parameters for \[3\] bodies; accepted: 2"):
+        propagate(scene, [Q, Q])
+
+
+SPANS = np.full(19, 0.1)
+
+
+def spans(at, value):
+    out = SPANS.copy()
+    out[at] = value
+    return out
+
+
+SAMPLED = ["hold", "trapezoid", "previous", "coning2", "coning3", "picard"]
+OF_INCREMENTS = ["hold", "previous", "coning2", "coning3", "coning3_optimal", "picard"]
+INTEGRATE = [
+    ({"rates": np.ones(3)}, ValueError, "rates: has shape (3,); accepted: (n, 3) or (N, n, 3)"),
+    ({"rates": np.ones((4, 4))}, ValueError, "rates: has shape (4, 4)"),
+    ({"rates": np.ones((0, 3))}, ValueError, "rates: has shape (0, 3)"),
+    ({"rates": np.ones((2, 2, 2, 3))}, ValueError, "rates: has shape (2, 2, 2, 3)"),
+    ({"rates": None}, TypeError, "rates: found None; accepted: real numbers"),
+    ({"rates": [["a", "b", "c"]]}, TypeError, "rates: found"),
+    ({"rates": changed(7, NAN)}, ValueError, "rates[7, 0] is nan; accepted: finite numbers"),
+    ({"rates": changed((12, 1), INF)}, ValueError, "rates[12, 1] is inf"),
+    ({"rates": changed((19, 2), NAN)}, ValueError, "rates[19, 2] is nan"),
+    ({"rates": changed((0, 0), -INF)}, ValueError, "rates[0, 0] is -inf"),
+    ({"rates": changed((1, 5, 2), NAN, (2, 20, 3))}, ValueError, "rates[1, 5, 2] is nan"),
+    ({"rates": changed((17, 5, 2), NAN, (20, 20, 3))}, ValueError, "rates[17, 5, 2] is nan"),
+    (
+        {"rates": changed((3, 1), NAN), "increments": True},
+        ValueError,
+        "rates (increments)[3, 1] is nan",
+    ),
+    ({"dt": 0.0}, ValueError, "dt: found 0.0"),
+    ({"dt": -0.1}, ValueError, "dt: found -0.1"),
+    ({"dt": NAN}, ValueError, "dt: found nan"),
+    ({"dt": "fast"}, TypeError, "dt: found 'fast'"),
+    ({"dt": SPANS[:-1]}, ValueError, "dt: has shape (18,); accepted: a number or (19,)"),
+    ({"dt": np.full(20, 0.1)}, ValueError, "dt: has shape (20,); accepted: a number or (19,)"),
+    ({"dt": SPANS, "increments": True}, ValueError, "dt: has shape (19,); accepted: a number or (20,)"),
+    ({"dt": SPANS[:, None]}, ValueError, "dt: has shape (19, 1)"),
+    ({"dt": spans(4, NAN)}, ValueError, "dt[4] is nan"),
+    ({"dt": spans(4, 0.0)}, ValueError, "dt[4] is 0.0: a repeated time stamp"),
+    ({"dt": spans(18, -0.1)}, ValueError, "dt[18] is -0.1: a decreasing time stamp"),
+    ({"dt": spans(9, 1.5)}, ValueError, "dt[9] is 1.5: a gap; accepted: at most 1 s"),
+    ({"dt": spans(9, 0.3), "max_gap": 0.2}, ValueError, "dt[9] is 0.3: a gap; accepted: at most 0.2"),
+    ({"dt": SPANS, "max_gap": "no"}, (TypeError, ValueError), "max_gap: found 'no'"),
+    ({"q0": np.zeros(4)}, ValueError, "q0 is the zero quaternion"),
+    ({"q0": [Q, Q]}, ValueError, "q0: has shape (2, 4); accepted: (4,) or (1, 4), one a log"),
+    ({"q0": [1, 0, 0]}, ValueError, "q0: has shape (3,)"),
+    ({"q0": [1, 0, NAN, 0]}, ValueError, "q0[2] is nan"),
+    ({"method": "rk4"}, ValueError, "method: found 'rk4'; accepted: " + ", ".join(SAMPLED)),
+    ({"method": "coning3_optimal"}, ValueError, "method: found 'coning3_optimal'; accepted: hold"),
+    (
+        {"method": "trapezoid", "increments": True},
+        ValueError,
+        "method: found 'trapezoid'; accepted: " + ", ".join(OF_INCREMENTS),
+    ),
+    (
+        {"method": "coning3_optimal", "increments": True, "dt": np.full(20, 0.1)},
+        ValueError,
+        'dt: found intervals; accepted with "coning3_optimal": one number',
+    ),
+    ({"n_threads": 0}, ValueError, "n_threads: found 0"),
+    ({"dtype": "float16"}, TypeError, "dtype: found 'float16'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), INTEGRATE)
+def test_integrate_rates(arguments, error, message):
+    options = {"rates": LOG, "dt": 0.1, "method": "hold", **arguments}
+    with pytest.raises(error, match=re.escape(message)):
+        fa.integrate_rates(options.pop("rates"), options.pop("dt"), **options)
+
+
+@pytest.mark.parametrize("method", SAMPLED)
+def test_bad_sample_is_found_with_every_method(method):
+    with pytest.raises(ValueError, match=re.escape("rates[13, 1] is nan")):
+        fa.integrate_rates(changed((13, 1), NAN), 0.1, method=method)
+
+
+def test_angles_too_large_for_the_precision():
+    with pytest.raises(ValueError, match="rates: the angles overflow float64; accepted: smaller"):
+        fa.integrate_rates(np.full((5, 3), 1e308), 10.0, method="hold")
+
+
+def test_progress_needs_its_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    with pytest.raises(ImportError, match="progress: needs tqdm"):
+        propagate(progress=True)
+    with pytest.raises(ImportError, match="progress: needs tqdm"):
+        fa.integrate_rates(LOG, 0.1, method="hold", progress=True)
+
+
+@pytest.mark.parametrize(
+    ("q", "dt", "options", "message"),
+    [
+        (np.ones((3, 4)), 0.1, {}, "q: has 3 attitudes; accepted with order 4: at least 5"),
+        (np.ones((9, 3)), 0.1, {}, "q: has shape (9, 3)"),
+        (np.ones((9, 4)), 0.0, {}, "dt: found 0.0"),
+        (np.ones((9, 4)), np.full(9, 0.1), {}, "dt: has shape (9,)"),
+        (np.ones((9, 4)), np.r_[np.full(7, 0.1), -0.1], {}, "dt[7] is -0.1"),
+        (np.ones((9, 4)), 0.1, {"frame": "up"}, "frame: found 'up'"),
+        (np.ones((9, 4)), 0.1, {"order": 0}, "order: found 0"),
+        (changed((4, 2), NAN, (9, 4)), 0.1, {}, "q[4, 2] is nan"),
+        (changed(4, 0.0, (9, 4)), 0.1, {}, "q[4] is the zero quaternion"),
+    ],
+)
+def test_angular_velocity(q, dt, options, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        fa.angular_velocity(q, dt, **options)

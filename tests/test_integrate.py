@@ -1,0 +1,341 @@
+"""Sampled rates and angle increments to attitudes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from exact import EPS, START, angle, cone, conj, coning, exp, generic, mul, observed_order
+
+import fastatt as fa
+from fastatt.methods.sampled import WINDOWS
+
+KINDS = [False, True]
+SAMPLED = [
+    (m.name, inc)
+    for m in fa.METHODS.values()
+    for inc in KINDS
+    if ("increments" if inc else "sampled rates") in m.scenes
+]
+# of increments hold needs no intervals, and Picard fits both kinds of samples by one routine
+LEFT_OUT = [("coning3_optimal", True), ("hold", True), ("picard", True)]
+ANY_INTERVALS = [pair for pair in SAMPLED if pair not in LEFT_OUT]
+BODIES = generic(3)
+START3 = np.broadcast_to(START, (3, 4))
+SPAN = 2.0
+END = BODIES.attitude(0.0, SPAN)
+
+
+def kind(increments):
+    return "increments" if increments else "sampled rates"
+
+
+def samples(bodies, t, increments):
+    """(N, n, 3) of rates at the times, or of increments between them."""
+    values = bodies.increments(t) if increments else bodies.rate(t)
+    return np.ascontiguousarray(np.moveaxis(values, 0, 1))
+
+
+def same(a, b):
+    return a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes()
+
+
+# orders
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_observed_order_with_equal_intervals(method, increments):
+    """At the end of whole windows: 12 intervals and multiples of 6 hold a whole number of each."""
+
+    def error(n):
+        assert n % WINDOWS[type(fa.METHODS[method].tag)].span == 0
+        data = samples(BODIES, np.linspace(0.0, SPAN, n + 1), increments)
+        q = fa.integrate_rates(data, SPAN / n, START3, method=method, increments=increments)
+        return angle(q[:, -1], END).max()
+
+    declared = fa.METHODS[method].order_of(kind(increments))
+    assert observed_order(error) == pytest.approx(declared, abs=0.25)
+
+
+# equal intervals make a window symmetric, which is worth an order to these
+UNEVEN = {"coning2": 3, "picard": 7}
+
+
+@pytest.mark.parametrize("pattern", ["alternate", "random"])
+@pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
+def test_observed_order_with_uneven_intervals(method, increments, pattern):
+    """By 30 %: long and short in turn, or at random (the mean of the logarithm over several logs).
+
+    At random the windows' errors partly cancel, so that the order may come out higher.
+    """
+    rng = np.random.default_rng(1)
+
+    def error(n):
+        logs = []
+        for _ in range(1 if pattern == "alternate" else 5):
+            spans = np.resize([0.7, 1.3], n) if pattern == "alternate" else rng.uniform(0.7, 1.3, n)
+            t = np.concatenate([[0.0], np.cumsum(spans * SPAN / spans.sum())])
+            data = samples(BODIES, t, increments)
+            q = fa.integrate_rates(data, np.diff(t), START3, method=method, increments=increments)
+            logs.append(np.log(angle(q[:, -1], END).max()))
+        return math.exp(np.mean(logs))
+
+    expected = UNEVEN.get(method, fa.METHODS[method].order_of(kind(increments)))
+    found = observed_order(error)
+    assert found > expected - 0.25
+    assert found < expected + (0.25 if pattern == "alternate" else 1.25)
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_observed_order_when_the_log_ends_within_a_window(method, increments):
+    """6k + 1 intervals: the last window borrows from extrapolated samples."""
+
+    def error(n):
+        n = n // 6 * 6 + 1
+        data = samples(BODIES, np.linspace(0.0, SPAN, n + 1), increments)
+        q = fa.integrate_rates(data, SPAN / n, START3, method=method, increments=increments)
+        return angle(q[:, -1], END).max()
+
+    expected = fa.METHODS[method].order_of(kind(increments)) - (method == "picard")
+    assert observed_order(error) == pytest.approx(expected, abs=0.25)
+
+
+# known figures
+
+
+@pytest.mark.parametrize(("h", "known"), [(0.2, 3.9e-4), (0.05, 2.6e-6)])
+def test_coning_with_one_increment_and_the_one_before(h, known):
+    """Coning at 1 rad and 1 rad/s, after 20 s; how the first interval is done is left open."""
+    t = np.linspace(0.0, 20.0, round(20.0 / h) + 1)
+    inc = samples(cone(1.0, 1.0), t, True)[0]
+    q = fa.integrate_rates(inc, h, coning(0.0, 1.0, 1.0), method="previous", increments=True)
+    assert angle(q[-1], coning(20.0, 1.0, 1.0)) == pytest.approx(known, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("method", "known"),
+    [
+        ("hold", 1.038),
+        ("coning2", 3.27e-3),
+        ("previous", 3.28e-3),
+        ("coning3", 2.44e-3),
+        ("coning3_optimal", 1.09e-5),
+    ],
+)
+def test_drift_in_small_coning(method, known):
+    """Half a cone of 1°, 2 Hz, 10 ms: deg/h about the cone's axis, over whole periods.
+
+    Three digits are known. The first period is left out: it begins without an interval before.
+    """
+    a, omega, h = math.radians(1.0), 4.0 * math.pi, 0.01
+    n = 50 * 60  # 60 periods
+    t = h * np.arange(n + 1)
+    inc = samples(cone(a, omega), t, True)[0]
+    q = fa.integrate_rates(inc, h, coning(0.0, a, omega), method=method, increments=True)
+    turned = mul(q, conj(coning(t, a, omega)))[[150, n], 3] * 2.0
+    drift = math.degrees((turned[1] - turned[0]) / (t[n] - t[150])) * 3600.0
+    assert abs(drift) == pytest.approx(known, rel=0.006)
+
+
+@pytest.mark.parametrize(
+    ("method", "n", "divisor"),
+    [("hold", 1, 12.0), ("coning2", 2, 960.0), ("coning3_optimal", 3, 204120.0)],
+)
+def test_drift_in_small_coning_is_the_formula(method, n, divisor):
+    """a²Ω(ΩT)^(2n)/divisor for n samples in each span T, to the next power of ΩT."""
+    a, omega, h = math.radians(1.0), 4.0 * math.pi, 0.005
+    t = h * np.arange(6001)
+    inc = samples(cone(a, omega), t, True)[0]
+    q = fa.integrate_rates(inc, h, coning(0.0, a, omega), method=method, increments=True)
+    turned = mul(q[-1], conj(coning(t[-1], a, omega)))[3] * 2.0 / t[-1]
+    known = a**2 * omega * (omega * n * h) ** (2 * n) / divisor
+    assert abs(turned) == pytest.approx(known, rel=0.05)
+
+
+# one log, many logs
+
+
+def one_by_one(increments, q0):
+    """q0, q0∘exp(θ1), q0∘exp(θ1)∘exp(θ2) … in plain Python order."""
+    q = [np.asarray(q0, float)]
+    for turn in exp(increments):
+        p, r = q[-1], turn
+        q.append(
+            np.array(
+                [
+                    p[0] * r[0] - p[1] * r[1] - p[2] * r[2] - p[3] * r[3],
+                    p[0] * r[1] + p[1] * r[0] + p[2] * r[3] - p[3] * r[2],
+                    p[0] * r[2] - p[1] * r[3] + p[2] * r[0] + p[3] * r[1],
+                    p[0] * r[3] + p[1] * r[2] - p[2] * r[1] + p[3] * r[0],
+                ]
+            )
+        )
+    q = np.array(q)
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+LENGTHS = [1, 2, 3, 5, 23, 24, 25, 383, 384, 385, 1000, 20000]
+LOG = np.random.default_rng(2).normal(size=(20000, 3))
+PRODUCT = one_by_one(0.1 * LOG, START)
+
+
+@pytest.mark.parametrize("n", LENGTHS)
+@pytest.mark.parametrize("increments", KINDS)
+def test_one_log_is_the_plain_product_of_its_turns(n, increments):
+    """Held rates over n − 1 intervals are increments; the cuts into stretches leave no trace."""
+    if increments:
+        found = fa.integrate_rates(0.1 * LOG[:n], 1.0, START, method="hold", increments=True)
+    else:
+        found = fa.integrate_rates(LOG[:n], 0.1, START, method="hold")
+    assert found.shape == (n + increments, 4)
+    # a few roundings a factor in both products
+    assert np.abs(found - PRODUCT[: len(found)]).max() < 6 * EPS * (n + 1)
+    assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 24 * 6 * EPS
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_threads_change_no_bit(method, increments):
+    """Of one log, of a few, and of more than a tile of 16."""
+    dt = 0.1
+    for data in (LOG, LOG.reshape(4, 5000, 3), LOG.reshape(40, 500, 3)):
+        one, two, three = (
+            fa.integrate_rates(
+                data * (dt if increments else 1.0), dt, START, method=method, increments=increments,
+                n_threads=k,
+            )
+            for k in (1, 2, 3)
+        )  # fmt: skip
+        assert same(one, two)
+        assert same(one, three)
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@pytest.mark.parametrize("n_logs", [1, 3, 16, 40])
+def test_batch_is_its_logs(method, increments, n_logs):
+    n = 500
+    data = 0.02 * LOG[: n_logs * n].reshape(n_logs, n, 3)
+    q0 = np.random.default_rng(0).normal(size=(n_logs, 4))
+    options = {"method": method, "increments": increments}
+    batch = fa.integrate_rates(data, 1.0, q0, **options)
+    assert batch.shape == (n_logs, n + increments, 4)
+    for b in {0, n_logs // 2, n_logs - 1}:
+        single = fa.integrate_rates(data[b], 1.0, q0[b], **options)
+        assert angle(batch[b], single).max() < 4 * EPS * n
+
+
+def inner(method, turn):
+    """Error between the ends of a window that turns by ``turn`` rad at a constant rate.
+
+    Picard's polynomial of degree 6 does not hold sin and cos of half the turn: θ⁷/(2⁷ 7! 4) or so.
+    """
+    return (0.5 * turn) ** 7 / 20160.0 if method == "picard" else 0.0
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7, 25])
+def test_short_logs_and_rests_of_windows(method, increments, n):
+    """A constant rate is exact whatever the number of samples, fewer than a window too."""
+    w = np.array([0.03, -0.02, 0.04])
+    q = fa.integrate_rates(np.tile(w, (n, 1)), 0.5, START, method=method, increments=increments)
+    factor = 1.0 if increments else 0.5
+    t = np.arange(n + increments)[:, None]
+    assert q.shape == (n + increments, 4)
+    rounding = (n + 1) * 12 * EPS
+    error = angle(q, mul(START, exp(factor * t * w)))
+    assert error.max() < rounding + inner(method, 6.0 * factor * np.linalg.norm(w))
+    assert error[:: WINDOWS[type(fa.METHODS[method].tag)].span].max() < rounding
+
+
+@pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
+def test_equal_intervals_as_an_array(method, increments):
+    n = 100
+    data = (0.01 if increments else 1.0) * LOG[:n]
+    spans = np.full(n - (not increments), 0.01)
+    options = {"method": method, "increments": increments}
+    a = fa.integrate_rates(data, 0.01, START, **options)
+    b = fa.integrate_rates(data, spans, START, **options)
+    # interpolating noise by a sextic through 7 samples amplifies the rounding
+    assert angle(a, b).max() < (40 if method == "picard" else 4) * n * EPS
+
+
+@pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
+def test_constant_rate_is_exact_with_any_intervals(method, increments):
+    spans = np.random.default_rng(4).uniform(0.05, 0.15, 60)
+    w = np.array([0.3, -0.2, 0.4])
+    t = np.concatenate([[0.0], np.cumsum(spans)])
+    data = spans[:, None] * w if increments else np.tile(w, (61, 1))
+    q = fa.integrate_rates(data, spans, START, method=method, increments=increments)
+    error = angle(q, mul(START, exp(t[:, None] * w)))
+    assert error.max() < 61 * 12 * EPS + inner(method, 6.0 * 0.15 * np.linalg.norm(w))
+
+
+@pytest.mark.parametrize(("method", "increments"), [p for p in SAMPLED if p[0] != "picard"])
+@pytest.mark.parametrize("theta", [3.0, 4.0, 100.0, 1e6])
+def test_constant_rate_is_exact_at_any_angle(method, increments, theta):
+    """To some ulps of the angle of a window; Picard's polynomial in time holds no long turn."""
+    n = 12
+    w = theta * np.array([2.0, -1.0, 2.0]) / 3.0
+    q = fa.integrate_rates(np.tile(w, (n, 1)), 1.0, START, method=method, increments=increments)
+    t = np.arange(n + increments)[:, None]
+    span = WINDOWS[type(fa.METHODS[method].tag)].span
+    assert angle(q, mul(START, exp(t * w))).max() < n * (4 * np.spacing(span * theta) + 12 * EPS)
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_fast_log_changes_no_bit_of_its_neighbours(method, increments):
+    """Nor does its fast stretch change the slow one before it."""
+    data = 0.01 * LOG.reshape(40, 500, 3)
+    fast = data.copy()
+    fast[[5, 21], 250:] *= [[[500.0]], [[1e5]]]
+    options = {"method": method, "increments": increments}
+    alone, beside = (fa.integrate_rates(d, 1.0, START, **options) for d in (data, fast))
+    others = [b for b in range(40) if b not in (5, 21)]
+    assert same(beside[others], alone[others])
+    assert same(beside[[5, 21], :240], alone[[5, 21], :240])
+    assert angle(beside[5, -1], alone[5, -1]) > 0.01
+
+
+def test_rates_and_increments_of_one_motion_agree():
+    """The two ways in, and the default method."""
+    t = np.linspace(0.0, 1.0, 201)
+    q = [
+        fa.integrate_rates(samples(BODIES, t, inc), t[1], START3, increments=inc) for inc in KINDS
+    ]
+    expected = BODIES.attitude(0.0, 1.0)
+    assert q[0].shape == q[1].shape == (3, 201, 4)
+    assert angle(q[0][:, -1], expected).max() < 1e-6
+    assert angle(q[1][:, -1], expected).max() < 1e-6
+
+
+def test_gap_can_be_allowed():
+    spans = np.full(9, 0.1)
+    spans[4] = 3.0
+    data = np.tile([0.3, -0.2, 0.4], (10, 1))
+    q = fa.integrate_rates(data, spans, START, method="hold", max_gap=5.0)
+    assert angle(q[-1], mul(START, exp(spans.sum() * data[0]))) < 100 * EPS
+
+
+@pytest.mark.parametrize("length", [1e-200, 3.0, 1e200])
+def test_start_of_any_length(length):
+    a = fa.integrate_rates(LOG[:10], 0.1, START, method="hold")
+    b = fa.integrate_rates(LOG[:10], 0.1, START * length, method="hold")
+    assert np.abs(a - b).max() < 8 * EPS
+
+
+def test_float32():
+    data = (0.01 * LOG[:5000]).astype(np.float32)
+    options = {"method": "previous"}
+    single = fa.integrate_rates(data, 1.0, START, **options)
+    double = fa.integrate_rates(data, 1.0, START, dtype=np.float64, **options)
+    assert (single.dtype, double.dtype) == (np.float32, np.float64)
+    error = angle(single[-1], double[-1])
+    assert 1e-9 < error < 2.0**-24 * 4 * 5000
+    assert same(fa.integrate_rates(data.astype(float), 1.0, START, dtype="f4", **options), single)
+
+
+def test_arguments_are_not_changed():
+    data, q0 = LOG[:100].copy(), 3.0 * START
+    fa.integrate_rates(data, 0.1, q0)
+    assert same(data, LOG[:100])
+    assert same(q0, 3.0 * START)

@@ -1,0 +1,267 @@
+"""Orders, error constants and invariants of every method for a given rate, over the list."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from exact import (
+    EPS,
+    START,
+    angle,
+    combinations,
+    cone,
+    coning,
+    exp,
+    generic,
+    mul,
+    observed_order,
+    steady,
+)
+
+import fastatt as fa
+from fastatt.engine import tiles
+from fastatt.kernels.vec3 import add, axpy, cross, dot, scale
+from fastatt.methods.method import lie_method
+from fastatt.rates import rate
+from fastatt.representations import turn
+
+BODIES = generic(3)
+START3 = np.broadcast_to(START, (3, 4))
+SPAN = 2.0
+END = BODIES.attitude(0.0, SPAN)
+METHODS = [m for m in fa.METHODS.values() if "rate" in m.scenes]
+EXPONENTIAL = combinations(exponential=True)
+
+
+def final_error(n, method, representation):
+    traj = fa.propagate(
+        BODIES.scene, START3, dt=SPAN / n, n_steps=n, method=method, representation=representation
+    )
+    return angle(traj.q[-1], END).max()
+
+
+@pytest.mark.parametrize(("method", "representation"), combinations())
+def test_observed_order_is_the_declared_one(method, representation):
+    found = observed_order(lambda n: final_error(n, method, representation), SPAN)
+    assert found == pytest.approx(fa.METHODS[method].order_of("rate"), abs=0.25)
+
+
+# the same measure sees a wrong coefficient
+
+
+class WrongSign(NamedTuple):
+    """Magnus-4 with the commutator of the other convention."""
+
+
+def wrong_sign(method, rep, model, t, h, x, p):
+    F = type(h)
+    a = rate(model, t + F(0.21132486540518713) * h, p, h)
+    b = rate(model, t + F(0.7886751345948129) * h, p, h)
+    u = scale(h, axpy(F(-0.14433756729740643) * h, cross(a, b), scale(F(0.5), add(a, b))))
+    return turn(rep, x, u), dot(u, u)
+
+
+class WrongDigit(NamedTuple):
+    """CG3 with one weight 1 % off, the sum of weights kept."""
+
+
+def wrong_digit(method, rep, model, t, h, x, p):
+    F = type(h)
+    u = scale(F(13.0 / 51.0 + 0.01) * h, rate(model, t, p, h))
+    v = scale(F(-2.0 / 3.0 - 0.01) * h, rate(model, t + F(0.75) * h, p, h))
+    w = scale(F(24.0 / 17.0) * h, rate(model, t + F(17.0 / 24.0) * h, p, h))
+    return turn(rep, turn(rep, turn(rep, x, u), v), w), dot(w, w)
+
+
+@pytest.mark.parametrize(
+    ("tag", "step", "declared"),
+    [(WrongSign(), wrong_sign, 4), (WrongDigit(), wrong_digit, 3)],
+    ids=["sign", "digit"],
+)
+def test_order_shows_a_wrong_coefficient(monkeypatch, tag, step, declared):
+    """Both fall to a lower order: 2, and 1."""
+    record = lie_method(
+        tag, step, name="new", order=declared, rate_calls=2, exponentials=1, summary="", source=""
+    )
+    module = importlib.import_module("fastatt.propagate")
+    monkeypatch.setattr(module, "METHODS", {**fa.METHODS, "new": record})
+    monkeypatch.setattr(tiles, "cached_run_tiles", tiles.uncached_run_tiles)
+    found = observed_order(lambda n: final_error(n, "new", "quat"), SPAN)
+    assert found < declared - 0.75
+
+
+# error constants
+
+
+@pytest.mark.parametrize(
+    ("method", "coarse", "fine"),
+    [
+        ("lie_euler", "9.4e-02", "2.3e-02"),
+        ("lie_midpoint", "2.4e-02", "1.5e-03"),
+        ("cg3", "9.6e-05", "1.3e-06"),
+        ("rk4", "5.9e-06", "2.4e-08"),
+        ("rkmk4", "3.1e-06", "1.2e-08"),
+        ("magnus4", "6.4e-06", "2.5e-08"),
+        ("cf4", "1.3e-05", "5.2e-08"),
+        ("magnus6", "1.4e-07", "3.5e-11"),
+    ],
+)
+@pytest.mark.parametrize(("h", "column"), [(0.2, 0), (0.05, 1)])
+def test_coning_error_has_the_known_digits(method, coarse, fine, h, column):
+    """Goodman and Robinson's coning at 1 rad and 1 rad/s, after 20 s."""
+    start = coning(0.0, 1.0, 1.0)[None]
+    n = round(20.0 / h)
+    traj = fa.propagate(cone(1.0, 1.0).scene, start, dt=h, n_steps=n, method=method)
+    error = angle(traj.q[-1, 0], coning(20.0, 1.0, 1.0))
+    assert f"{error:.1e}" == (coarse, fine)[column]
+
+
+@pytest.mark.parametrize("method", [m.name for m in METHODS])
+def test_coning_table_names_every_method(method):
+    """A new method needs its row above."""
+    (mark, *_) = (
+        m for m in test_coning_error_has_the_known_digits.pytestmark if "coarse" in str(m.args[0])
+    )
+    assert method in [row[0] for row in mark.args[1]]
+
+
+THETAS = np.array([0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("representation", "share", "angle_5", "norm_6"),
+    [("quat", 2.0, 1920.0, 9216.0), ("dcm", 1.0, 120.0, 144.0), ("dcm_rows", 1.0, 120.0, 144.0)],
+)
+def test_rk4_on_a_constant_rate(representation, share, angle_5, norm_6):
+    """A step multiplies by 1 + ix − x²/2 − ix³/6 + x⁴/24, x = θ/2 of a quaternion, θ of a matrix.
+
+    Its argument is θ⁵/1920 or θ⁵/120 short of the angle, its modulus θ⁶/9216 or θ⁶/144 short of 1.
+    """
+    n = 20
+    w = np.outer(THETAS, [0.0, 0.0, 1.0])
+    start = np.tile([1.0, 0.0, 0.0, 0.0], (len(w), 1))
+    traj = fa.propagate(
+        steady(w).scene, start, dt=1.0, n_steps=n, method="rk4", representation=representation
+    )
+    x = THETAS / share
+    factor = 1.0 - x**2 / 2.0 + x**4 / 24.0 + 1j * (x - x**3 / 6.0)
+    lag = THETAS - share * np.angle(factor)
+    modulus = np.abs(factor) ** n
+    # of a matrix two rows shrink, and the third with them where it is their cross product
+    third = modulus**4 - 1.0 if representation == "dcm_rows" else 0.0
+    defect = np.sqrt(2.0 * (modulus**2 - 1.0) ** 2 + third**2)
+    defect = modulus - 1.0 if representation == "quat" else defect
+    assert traj.defect[-1] == pytest.approx(defect, rel=1e-12, abs=30 * n * EPS)
+    left = traj.status & fa.Status.INVARIANT != 0
+    assert left.tolist() == (np.abs(defect) > 1e-3).tolist()
+
+    found = fa.quat_to_rotation_vector(mul(exp(-n * w), traj.q[-1]))[:, 2]
+    wrong = np.abs(found - np.angle(np.exp(-1j * n * lag)))
+    # the length of a quaternion does not touch its attitude; that of rows does, unless it is small
+    assert wrong[:3].max() < 30 * n * EPS
+    if share == 2.0:
+        assert wrong.max() < 30 * n * EPS
+
+    # the leading terms, within the next ones
+    small = THETAS <= 0.2
+    assert lag[small] == pytest.approx(THETAS[small] ** 5 / angle_5, rel=0.05)
+    assert (1.0 - np.abs(factor))[small] == pytest.approx(THETAS[small] ** 6 / norm_6, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("representation", "limit"),
+    [
+        ("quat", 4.0 * math.sqrt(2.0)),
+        ("dcm", 2.0 * math.sqrt(2.0)),
+        ("dcm_rows", 2.0 * math.sqrt(2.0)),
+    ],
+)
+def test_rk4_is_stable_up_to_its_limit(representation, limit):
+    """Below, lengths across the axis die out; above, they grow and the status says so."""
+    w = np.outer([0.99 * limit, 1.01 * limit], [0.0, 0.0, 1.0])
+    start = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    traj = fa.propagate(
+        steady(w).scene, start, dt=1.0, n_steps=50, method="rk4", representation=representation
+    )
+    below, above = traj.defect[-1]
+    if representation == "quat":
+        assert below < -0.5
+    else:
+        assert 0.5 < below <= math.sqrt(3.0)  # rows of length 0
+    assert above > 1.0
+    assert fa.METHODS["rk4"].limit(representation) == pytest.approx(limit)
+    too_large = traj.status & fa.Status.STEP_TOO_LARGE != 0
+    assert too_large.tolist() == [False, True]
+
+
+# a constant rate
+
+
+AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
+
+
+@pytest.mark.parametrize(("method", "representation"), EXPONENTIAL)
+def test_exponentials_are_exact_for_a_constant_rate(method, representation):
+    """Up to π an exponential, which is as far as a step is vouched for when the rate may vary."""
+    w = np.outer([0.0, 1e-160, 1e-9, 0.3, 1.0, 2.2], AXIS)
+    start = np.broadcast_to(START, (len(w), 4))
+    n = 10
+    traj = fa.propagate(
+        steady(w).scene, start, dt=1.0, n_steps=n, method=method, representation=representation
+    )
+    expected = mul(START, exp(n * w))
+    assert traj.status.tolist() == [0] * len(w)
+    # each step rounds the state and the angle, a few ulps of 1 and of 3 rad
+    assert angle(traj.q[-1], expected).max() < n * 12 * EPS
+
+
+# time reversal
+
+
+@pytest.mark.parametrize(("method", "representation"), combinations())
+def test_negative_step_retraces(method, representation):
+    """Symmetric methods to round-off, the others to their own error.
+
+    RK4's step on a linear equation is a symmetric one times a length, so it may do better.
+    """
+    n, h = 20, 0.1
+    options = {"method": method, "representation": representation}
+    out = fa.propagate(BODIES.scene, START3, dt=h, n_steps=n, **options)
+    back = fa.propagate(BODIES.scene, out.q[-1], dt=-h, n_steps=n, t0=n * h, **options)
+    assert back.t[-1] == pytest.approx(0.0, abs=1e-15)
+    error = angle(back.q[-1], START3).max()
+    if "reversible" in fa.METHODS[method].summary:
+        assert error < 1e-13
+    else:
+        assert error < 4.0 * angle(out.q[-1], END).max()
+        assert error > 1e-13 or method == "rk4"
+
+
+def test_reversible_methods_are_those_that_are_symmetric():
+    found = {m.name for m in METHODS if "reversible" in m.summary}
+    assert found == {"lie_midpoint", "magnus4", "magnus6", "cf4"}
+
+
+# the records
+
+
+@pytest.mark.parametrize("record", fa.METHODS.values(), ids=lambda m: m.name)
+def test_record_is_complete(record):
+    assert fa.METHODS[record.name] is record
+    assert record.order >= 1
+    assert record.summary
+    assert record.source
+    assert set(record.scenes) <= {"rate", "sampled rates", "increments"}
+    assert set(record.limits) <= {*record.representations, "direction"}
+    assert record.exact_for_constant <= (record.exponentials > 0)
+
+
+@pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows", "euler313"])
+def test_methods_for_a_representation(representation):
+    names = fa.methods_for(BODIES.scene, representation)
+    assert names == [m for m, r in combinations() if r == representation]
+    assert set(names) <= set(fa.methods_for(BODIES.scene))

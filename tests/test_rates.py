@@ -1,0 +1,181 @@
+"""Each model of the angular velocity against its formula and, where there is one, its attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact import EPS, START, angle, attitude, coning, exp, mul, precession
+from numba import njit
+
+import fastatt as fa
+from fastatt import rates
+from fastatt.rates import evaluate, pack
+
+TIMES = [0.0, 0.3, 1.7, -2.4, 60.0]
+A, B, C, D = (np.array(v) for v in ([0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2, -1]))
+
+
+@njit
+def sample(tag, t, p):
+    return evaluate(tag, t, p)
+
+
+def at(model, t):
+    """w(t) from the compiled model."""
+    packed = pack(model, None)
+    assert packed.params.ndim == 1
+    return np.array(sample(packed.tag, float(t), tuple(packed.params)))
+
+
+def versine(t, rotation, duration, start):
+    x = np.clip((t - start) / duration, 0.0, 1.0)
+    return np.asarray(rotation) / duration * (1.0 - np.cos(2.0 * np.pi * x))
+
+
+SINES = rates.Sinusoidal(A, B, C, D)
+CASES = {
+    "constant": (rates.Constant(A), lambda t: A),
+    "sinusoidal": (SINES, lambda t: A + B * np.sin(C * t + D)),
+    "no phase": (rates.Sinusoidal(A, B, C), lambda t: A + B * np.sin(C * t)),
+    "coning": (
+        rates.Coning(0.4, 1.3),
+        lambda t: 1.3
+        * np.array(
+            [
+                -np.sin(0.4) * np.sin(1.3 * t),
+                np.sin(0.4) * np.cos(1.3 * t),
+                -2.0 * np.sin(0.2) ** 2,
+            ]
+        ),
+    ),
+    "precession": (
+        rates.Precession(0.7, 0.4, 1.1, 0.3),
+        lambda t: np.array([0.7 * np.cos(1.1 * t + 0.3), 0.7 * np.sin(1.1 * t + 0.3), 0.4]),
+    ),
+    "slew": (rates.Slew(A, 3.0, 0.2), lambda t: versine(t, A, 3.0, 0.2)),
+    "sum": (
+        rates.Sum((SINES, rates.Polynomial([B, C]), rates.Constant(D))),
+        lambda t: A + B * np.sin(C * t + D) + B + C * t + D,
+    ),
+    "sum of one": (rates.Sum((rates.Constant(A),)), lambda t: A),
+    "sum of sums": (
+        rates.Sum((rates.Sum((rates.Constant(A), rates.Constant(B))), rates.Constant(C))),
+        lambda t: A + B + C,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_model_is_its_formula(name):
+    """The argument of a sine rounds by half an ulp of it, its value by a few."""
+    model, formula = CASES[name]
+    for t in TIMES:
+        assert np.abs(at(model, t) - formula(t)).max() < 4 * EPS * (1.0 + 4.0 * abs(t)), t
+
+
+@pytest.mark.parametrize("degree", range(6))
+def test_polynomial_of_any_degree(degree):
+    c = np.random.default_rng(degree).normal(size=(degree + 1, 3))
+    for t in TIMES[:-1]:
+        expected = sum(c[k] * t**k for k in range(degree + 1))
+        size = sum(np.abs(c[k]) * abs(t) ** k for k in range(degree + 1))
+        assert (np.abs(at(rates.Polynomial(c), t) - expected) <= (degree + 1) * 2 * EPS * size).all()
+
+
+# attitudes in closed form
+
+
+def propagated(model, t, q0=START, n=400, **options):
+    return fa.propagate(fa.Scene(rate=model), q0, dt=t / n, n_steps=n, method="magnus6", **options)
+
+
+def test_constant_attitude():
+    assert angle(propagated(rates.Constant(A), 3.0).q[-1], mul(START, exp(3.0 * A))) < 400 * 4 * EPS
+
+
+def test_coning_attitude():
+    found = propagated(rates.Coning(0.4, 1.3), 3.0, coning(0.0, 0.4, 1.3)).q[-1]
+    assert angle(found, coning(3.0, 0.4, 1.3)) < 1e-12
+
+
+def test_precession_attitude():
+    found = propagated(rates.Precession(0.7, 0.4, 1.1, 0.3), 3.0).q[-1]
+    assert angle(found, precession(3.0, 0.7, 0.4, 1.1, 0.3, START)) < 1e-12
+
+
+@pytest.mark.parametrize("start", [0.0, 0.5])
+def test_slew_turns_by_its_rotation_and_stops(start):
+    """To round-off: the axis stands still, and Gauss nodes over whole periods miss nothing."""
+    model = rates.Slew(A, 2.0, start)
+    done = propagated(model, 4.0, save_every=25)
+    assert angle(done.q[-1], mul(START, exp(A))) < 400 * 4 * EPS
+    x = np.clip((done.t - start) / 2.0, 0.0, 1.0)
+    share = x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi)
+    assert angle(done.q, mul(START, exp(share[:, None] * A))).max() < 1e-12
+    assert np.abs(done.w[done.t >= start + 2.0]).max() < EPS**2
+
+
+def test_sum_attitude():
+    """No closed form: the independent reference."""
+    model = rates.Sum((rates.Coning(0.4, 1.3), rates.Constant(A)))
+    found = propagated(model, 3.0).q[-1]
+    formula = CASES["coning"][1]
+    expected = attitude(lambda times: np.array([formula(t) + A for t in times]), 0.0, 3.0, START)
+    assert angle(found, expected) < 1e-12
+
+
+# parameters of each body
+
+
+@pytest.mark.parametrize(
+    ("model", "single"),
+    [
+        (
+            rates.Sinusoidal([A, B], C, np.array([D, A]), D),
+            [rates.Sinusoidal(A, C, D, D), rates.Sinusoidal(B, C, A, D)],
+        ),
+        (rates.Coning(0.4, [1.0, 2.0]), [rates.Coning(0.4, 1.0), rates.Coning(0.4, 2.0)]),
+        (
+            rates.Slew([A, B], 2.0, [0.0, 1.0]),
+            [rates.Slew(A, 2.0, 0.0), rates.Slew(B, 2.0, 1.0)],
+        ),
+        (
+            rates.Sum((rates.Constant(A), rates.Precession([0.1, 0.2], 0.3, 0.4))),
+            [
+                rates.Sum((rates.Constant(A), rates.Precession(0.1, 0.3, 0.4))),
+                rates.Sum((rates.Constant(A), rates.Precession(0.2, 0.3, 0.4))),
+            ],
+        ),
+        (
+            rates.Polynomial([[A, B], [C, D]]),
+            [rates.Polynomial([A, B]), rates.Polynomial([C, D])],
+        ),
+    ],
+    ids=["sinusoidal", "coning", "slew", "sum", "polynomial"],
+)
+def test_rows_of_bodies_broadcast_with_numbers_for_all(model, single):
+    packed = pack(model, 2)
+    alone = [pack(m, None) for m in single]
+    assert packed.params.tolist() == [p.params.tolist() for p in alone]
+    assert {type(packed.tag)} == {type(p.tag) for p in alone}
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.asarray, np.float32])
+def test_numbers_may_be_any_sequence(kind):
+    value = np.asarray([0.5, 1.0, 2.0], np.float32) if kind is np.float32 else kind([0.5, 1, 2])
+    assert at(rates.Constant(value), 0.0).tolist() == [0.5, 1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "t", "p"),
+    [
+        ("constant", 0.3, (0.1, 0.2, 0.3)),
+        ("coning", 0.3, (0.4, 1.3)),
+        ("precession", 0.3, (0.7, 0.4, 1.1, 0.3)),
+        ("slew", 0.3, (*A, 3.0, 0.2)),
+    ],
+)
+def test_kernels_are_callable_from_python(name, t, p):
+    found = getattr(rates, name)(t, p)
+    model = {"constant": rates.Constant(p)}.get(name) or CASES[name][0]
+    assert found == pytest.approx(at(model, t), abs=2 * EPS)

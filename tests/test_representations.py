@@ -1,0 +1,190 @@
+"""The same motion in every representation, and what each hands out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact import (
+    EPS,
+    START,
+    angle,
+    combinations,
+    conj,
+    exp,
+    generic,
+    matrix,
+    mul,
+    rotate,
+    steady,
+)
+
+import fastatt as fa
+
+BODIES = generic(3)
+START3 = np.broadcast_to(START, (3, 4))
+MATRICES = [(m, r) for m, r in combinations(exponential=True) if r != "quat"]
+COORDINATES = ["euler313", "rotation_vector"]
+REPRESENTATIONS = ["quat", "dcm", "dcm_rows", *COORDINATES]
+N, H = 100, 0.02
+
+
+def run(method, representation, n=N, h=H, scene=None, q0=START3, **options):
+    return fa.propagate(
+        BODIES.scene if scene is None else scene,
+        q0,
+        dt=h,
+        n_steps=n,
+        method=method,
+        representation=representation,
+        **options,
+    )
+
+
+@pytest.mark.parametrize(("method", "representation"), MATRICES)
+def test_matrices_equal_quaternions_to_round_off(method, representation):
+    """The exponentials are the same: only rounding differs, a few ulps a step and exponential."""
+    a, b = run(method, "quat"), run(method, representation)
+    each = fa.METHODS[method].exponentials
+    assert angle(a.q, b.q).max() < 4 * EPS * N * each
+    assert np.abs(a.C - b.C).max() < 4 * EPS * N * each
+
+
+@pytest.mark.parametrize("representation", REPRESENTATIONS)
+def test_rk4_in_any_coordinates_is_right_to_its_own_error(representation):
+    """At twice the step the error is 16 times as large, and explains the difference."""
+    end = BODIES.attitude(0.0, N * H)
+    found, coarse = run("rk4", representation), run("rk4", representation, N // 2, 2 * H)
+    own = angle(coarse.q[-1], end).max() / 16.0
+    assert found.status.tolist() == [0, 0, 0]
+    assert angle(found.q[-1], end).max() < 2.0 * own < 1e-6
+    assert angle(found.q[-1], run("rk4", "quat").q[-1]).max() < 3.0 * own + 1e-8
+
+
+@pytest.mark.parametrize("representation", REPRESENTATIONS)
+def test_views_of_one_attitude_agree(representation):
+    """q, C and the angles of a trajectory, by the definitions of the conventions' page."""
+    traj = run("rk4", representation, save_every=10)
+    assert np.abs(np.linalg.norm(traj.q, axis=-1) - 1.0).max() < 4 * EPS
+    identity = traj.C @ np.swapaxes(traj.C, -1, -2)
+    assert np.abs(identity - np.eye(3)).max() < 12 * EPS
+    assert np.linalg.det(traj.C) == pytest.approx(1.0, abs=12 * EPS)
+    assert np.abs(matrix(traj.q) - traj.C).max() < 12 * EPS
+    phi, theta, psi = np.moveaxis(traj.euler313, -1, 0)
+    e1, e3 = np.eye(3)[0], np.eye(3)[2]
+    turns = (phi, e3), (theta, e1), (psi, e3)
+    q = np.array([1.0, 0.0, 0.0, 0.0])
+    for a, e in turns:
+        q = mul(q, exp(a[..., None] * e))
+    assert angle(q, traj.q).max() < 12 * EPS
+
+
+@pytest.mark.parametrize("representation", REPRESENTATIONS)
+@pytest.mark.parametrize("length", [1e-200, 1.0, 1e200])
+def test_initial_attitude_of_any_length(representation, length):
+    q0 = np.array([START, -START]) * length
+    traj = run("rk4", representation, n=0, q0=q0, scene=BODIES.shared)
+    assert angle(traj.q[-1], START).max() < 4 * EPS
+
+
+@pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows"])
+def test_vectors_turn_as_the_conventions_say(representation):
+    """v_i = C v_b, and a body that turns about its z axis carries x to y."""
+    quarter = steady([[0.0, 0.0, np.pi / 2]])
+    traj = run("magnus4", representation, 1, 1.0, quarter.scene, np.array([[1.0, 0, 0, 0]]))
+    assert traj.C[-1, 0] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
+    assert rotate(traj.q[-1, 0], [1.0, 0.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
+    assert traj.C[-1, 0, 1] == pytest.approx([1.0, 0.0, 0.0], abs=4 * EPS)  # inertial y from the body
+
+
+def test_euler313_rates_have_the_stated_kinematics():
+    """φ̇ = 1 alone: w = (sinθ sinψ, sinθ cosψ, cosθ), and the angles run straight."""
+    theta, psi = 1.1, 0.4
+    q0 = fa.euler313_to_quat([[0.2, theta, psi]])
+    w = [[np.sin(theta) * np.sin(psi), np.sin(theta) * np.cos(psi), np.cos(theta)]]
+    traj = run("rk4", "euler313", 50, 0.01, steady(w).scene, q0)
+    assert traj.euler313[-1, 0] == pytest.approx([0.7, theta, psi], abs=1e-14)
+
+
+# singularities
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-6, 1e-3, 0.02])
+def test_euler313_says_that_it_passed_its_singularity(offset):
+    """θ falls through 0 at 1 rad/s, missing it by ``offset``."""
+    q0 = fa.euler313_to_quat([[offset, 0.5, 0.0], [offset, 1.5, 0.0]])
+    w = np.array([[-1.0, offset, 0.0], [-0.5, offset, 0.0]])
+    traj = run("rk4", "euler313", 100, 0.01, steady(w).scene, q0)
+    flagged = traj.status[0] & (fa.Status.NON_FINITE | fa.Status.SINGULAR)
+    # straight through the pole φ and ψ stand still, and θ < 0 is as good an angle as any
+    straight = offset == 0.0 and angle(traj.q[-1, 0], mul(q0[0], exp(w[0]))) < 1e-12
+    assert flagged or straight
+    assert traj.status[1] == 0
+    assert angle(traj.q[-1, 1], mul(q0[1], exp(w[1]))) < 1e-9
+
+
+@pytest.mark.parametrize("miss", [0.05, 0.1, 0.2, 0.4, 0.8])
+def test_euler313_is_accurate_where_its_status_is_fine(miss):
+    """Passing the pole at a distance: either flagged, or right to what the step size promises."""
+    q0 = fa.euler313_to_quat([[0.0, 1.0, 0.0]])
+    # about a body axis that leans by the miss: the least θ of the pass is about the miss
+    w = np.array([[-np.cos(miss), np.sin(miss), 0.0]])
+    traj = run("rk4", "euler313", 200, 0.01, steady(w).scene, q0, save_every=1)
+    error = angle(traj.q[-1, 0], mul(q0[0], exp(2.0 * w[0])))
+    least = traj.euler313[:, 0, 1].min()
+    assert least < 1.5 * miss
+    if traj.status[0] == 0:
+        # φ and ψ turn at 1/θ: h⁴/120 ∫θ θ⁻⁵ dt over the pass, θ² = least² + t²
+        assert error < 0.01**4 / (60.0 * least**3)
+    else:
+        assert least < 0.1
+
+
+def test_start_on_the_pole_is_flagged():
+    traj = run("rk4", "euler313", 10, 0.01, steady([[0.3, 0.2, 0.1]]).scene, [[1.0, 0, 0, 0]])
+    assert traj.status[0] & (fa.Status.NON_FINITE | fa.Status.SINGULAR)
+
+
+def test_rotation_vector_is_flagged_at_a_whole_turn():
+    """The vector's equation is singular at 2π; half a turn is as good as any."""
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    bodies = generic(2)
+    bodies.c[0, 0] += (0.0, 0.0, 6.0)
+    traj = run("rk4", "rotation_vector", 200, 0.01, bodies.scene, q0)
+    assert traj.status[0] & (fa.Status.NON_FINITE | fa.Status.SINGULAR)
+    assert traj.status[1] == 0
+    assert angle(traj.q[-1, 1], bodies.attitude(0.0, 2.0, q0)[1]) < 1e-8
+
+
+# inertial axes
+
+
+INERTIAL = [("magnus4", r) for r in ("quat", "dcm", "dcm_rows")] + [("rk4", r) for r in COORDINATES]
+
+
+@pytest.mark.parametrize(("method", "representation"), INERTIAL)
+def test_rates_in_inertial_axes(method, representation):
+    """q̇ = ½ w∘q against the reference of that equation."""
+    scene = fa.Scene(rate=BODIES.model, frame="inertial")
+    traj = run(method, representation, scene=scene, save_every=N)
+    end = BODIES.attitude(0.0, N * H, frame="inertial")
+    assert angle(traj.q[0], START).max() < 8 * EPS
+    assert angle(traj.q[-1], end).max() < 1e-6
+    coarse = run(method, representation, N // 2, 2 * H, scene)
+    ratio = angle(coarse.q[-1], end).max() / angle(traj.q[-1], end).max()
+    assert ratio == pytest.approx(16.0, rel=0.2)
+    # the trajectory's own rate is in body axes
+    w = rotate(conj(traj.q[-1]), BODIES.rate(N * H))
+    assert np.abs(traj.w[-1] - w).max() < 20 * EPS
+
+
+@pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows"])
+def test_a_rate_fixed_in_inertial_axes_is_its_conjugate_in_the_body(representation):
+    """exp(wt)∘q0 = q0∘exp(w_b t) with w_b = q0*∘w∘q0: a constant rate is constant in both."""
+    w = np.array([[0.4, -1.1, 0.7], [0.0, 0.0, 2.0], [1.0, 0.3, -0.2]])
+    fixed = steady(w)
+    scene = fa.Scene(rate=fixed.model, frame="inertial")
+    inertial = run("magnus4", representation, scene=scene)
+    body = run("magnus4", representation, scene=steady(rotate(conj(START), w)).scene)
+    assert angle(inertial.q[-1], mul(exp(N * H * w), START)).max() < 4 * EPS * N
+    assert angle(inertial.q[-1], body.q[-1]).max() < 4 * EPS * N
+    assert np.abs(inertial.w[-1] - body.w[-1]).max() < 4 * EPS * N
