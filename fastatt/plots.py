@@ -79,11 +79,11 @@ def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
         styles = _styles(list(log.methods))
         every = max(1, len(log.t) // 12)
         for name, angle in log.methods.items():
-            shown = np.maximum(angle, 1e-9)
-            axes.plot(log.t, shown, label=name, markevery=every, **styles[name])
+            axes.plot(log.t, angle, label=name, markevery=every, **styles[name])
         if log.maker is not None:
             axes.plot(log.t, log.maker, color="0.5", lw=2.5, label="maker's orientation")
         axes.set(yscale="log", xlabel="time, s", ylabel=f"angle from {reference}, deg")
+        axes.set_ylim(bottom=1e-4)
         axes.set_title(log.title, fontsize=10)
         axes.grid(visible=True, alpha=0.3)
         axes.legend(fontsize=7, ncols=2)

@@ -397,11 +397,13 @@ def run_trade(
     write_csv(out / "trade.csv", rows)
     panels, frontiers = {}, {}
     for source, title in _PANELS.items():
-        panels[title] = ladders([r for r in rows if r.input == source and r.dtype == "float64"])
-        best = frontier(r for r in rows if r.input == source)
+        own = [r for r in rows if r.input == source]
+        drawn = [r for r in own if r.dtype == "float64"]
+        panels[title] = ladders(drawn)
+        best = frontier(drawn)
         frontiers[title] = plots.Ladder(
             "", "", [r.seconds_per_body for r in best], [r.error_median for r in best]
         )
-        print(f"\nFrontier, {title}: the cheapest way to each error\n{trade_table(best)}")
+        print(f"\nFrontier, {title}: the cheapest way to each error\n{trade_table(frontier(own))}")
     plots.work_precision(panels, frontiers, T_END, out / "trade.png")
     print(f"\n{out}: recordings.csv, recordings.png, trade.csv, trade.png")

@@ -210,5 +210,3 @@ def combinations(*, scene="rate", exponential=None):
         if scene in m.scenes and exponential in (None, m.exponentials > 0)
         for r in m.representations
     ]
-
-

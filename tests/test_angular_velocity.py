@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ def test_order(order, uneven):
         q, w = history(t)
         dt = np.diff(t) if uneven else t[1]
         errors.append(np.abs(fa.angular_velocity(q, dt, order=order) - w).max())
-    slopes = [np.log2(a / b) for a, b in zip(errors, errors[1:], strict=False) if b > 1e-11]
+    slopes = [np.log2(a / b) for a, b in pairwise(errors) if b > 1e-11]
     assert slopes[-1] > order - 0.25
 
 

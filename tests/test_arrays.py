@@ -20,11 +20,7 @@ def mp_angle(p, q):
     with mp.workdps(40):
         a, b = [mp.mpf(float(c)) for c in p], [mp.mpf(float(c)) for c in q]
         w = mp.fsum(x * y for x, y in zip(a, b, strict=True))
-        minors = [
-            a[i] * b[j] - a[j] * b[i]
-            for i in range(4)
-            for j in range(i + 1, 4)
-        ]  # fmt: skip
+        minors = [a[i] * b[j] - a[j] * b[i] for i in range(4) for j in range(i + 1, 4)]
         # |v|² = |p|²|q|² − (p·q)², without the cancellation (Lagrange)
         return 2 * mp.atan2(mp.sqrt(mp.fsum(m * m for m in minors)), abs(w))
 
@@ -85,7 +81,21 @@ def test_views_that_are_not_contiguous():
 
 @pytest.mark.parametrize(
     "turn",
-    [0.0, 1e-300, 1e-160, 1e-15, 1e-9, 1e-8, 1e-4, 0.5, 2.0, 3.0, np.pi - 1e-8, np.pi - 1e-15, np.pi],
+    [
+        0.0,
+        1e-300,
+        1e-160,
+        1e-15,
+        1e-9,
+        1e-8,
+        1e-4,
+        0.5,
+        2.0,
+        3.0,
+        np.pi - 1e-8,
+        np.pi - 1e-15,
+        np.pi,
+    ],
 )
 def test_angle_between_any_two_quaternions(turn):
     """Where 2 acos |p·q| keeps half the digits or none; against 40 digits."""
@@ -97,7 +107,10 @@ def test_angle_between_any_two_quaternions(turn):
         for b in (q, -q, 5e-30 * q):
             assert abs(fa.angle_between(p, b) - known) < 1e-15
     identity = np.array([1.0, 0.0, 0.0, 0.0])
-    found, known = fa.angle_between(identity, exp(turn * axis)), mp_angle(identity, exp(turn * axis))
+    found, known = (
+        fa.angle_between(identity, exp(turn * axis)),
+        mp_angle(identity, exp(turn * axis)),
+    )
     if turn > 1e-150:  # to the last digits: from the identity no rounding hides a small turn
         assert found == pytest.approx(float(known), rel=8 * EPS)
 
@@ -158,9 +171,17 @@ def test_float32_angles():
     [
         (lambda: fa.angle_between([1, 0, 0], [1, 0, 0, 0]), ValueError, r"a: has shape \(3,\)"),
         (lambda: fa.angle_between([1, 0, 0, 0], 3.0), ValueError, r"b: has shape \(\)"),
-        (lambda: fa.angle_between(QUATS[:3], QUATS[:2]), ValueError, r"b: has shape \(2, 4\), a \(3"),
+        (
+            lambda: fa.angle_between(QUATS[:3], QUATS[:2]),
+            ValueError,
+            r"b: has shape \(2, 4\), a \(3",
+        ),
         (lambda: fa.angle_between(["a"] * 4, QUATS[0]), TypeError, "a: found"),
-        (lambda: fa.quat_to_dcm(np.zeros(3)), ValueError, r"q: has shape \(3,\); accepted: \(..., 4"),
+        (
+            lambda: fa.quat_to_dcm(np.zeros(3)),
+            ValueError,
+            r"q: has shape \(3,\); accepted: \(..., 4",
+        ),
         (lambda: fa.quat_to_dcm(None), (TypeError, ValueError), "q: "),
         (lambda: fa.dcm_to_quat(np.eye(4)), ValueError, r"C: has shape \(4, 4\); accepted"),
         (lambda: fa.euler313_to_quat([1, 2]), ValueError, r"angles: has shape \(2,\)"),

@@ -51,7 +51,9 @@ def innermost_loops(assembly):
         elif (jump := re.match(r"^\s+j\w+\s+(\.L\w+)", line)) and jump[1] in labels:
             spans.append((labels[jump[1]], i))
     inner = [
-        (a, b) for a, b in spans if not any((c, d) != (a, b) and a <= c and d <= b for c, d in spans)
+        (a, b)
+        for a, b in spans
+        if not any((c, d) != (a, b) and a <= c and d <= b for c, d in spans)
     ]
     return [lines[a:b] for a, b in inner]
 

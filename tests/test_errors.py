@@ -57,7 +57,11 @@ PROPAGATE = [
     ({"dtype": np.int32}, TypeError, "dtype: found"),
     ({"dtype": "float16"}, TypeError, "dtype: found 'float16'; accepted: float64, float32 or None"),
     ({"dtype": "nonsense"}, TypeError, "dtype: found 'nonsense'"),
-    ({"representation": "matrix"}, ValueError, "representation: found 'matrix'; accepted: quat, dcm"),
+    (
+        {"representation": "matrix"},
+        ValueError,
+        "representation: found 'matrix'; accepted: quat, dcm",
+    ),
     ({"representation": None}, ValueError, "representation: found None"),
     ({"method": "rk5"}, ValueError, "method: found 'rk5'; accepted: " + ", ".join(RATE_METHODS)),
     ({"method": "hold"}, ValueError, "method: found 'hold'; accepted: " + ", ".join(RATE_METHODS)),
@@ -65,7 +69,7 @@ PROPAGATE = [
     (
         {"method": "magnus4", "representation": "euler313"},
         ValueError,
-        'method for representation "euler313": found \'magnus4\'; accepted: rk4',
+        "method for representation \"euler313\": found 'magnus4'; accepted: rk4",
     ),
     ({"scene": fa.rates.Constant([0, 0, 1])}, TypeError, "scene: found Constant("),
     ({"scene": None}, TypeError, "scene: found None; accepted: a fastatt.Scene"),
@@ -91,7 +95,11 @@ DIRECTIONS = [
     ({"method": "hold"}, ValueError, "method: found 'hold'"),
     ({"scene": None}, TypeError, "scene: found None"),
     ({"scene": generic(3).scene}, ValueError, "parameters for [3] bodies"),
-    ({"scene": generic(3).scene, "v0": np.ones((2, 5, 3))}, ValueError, "parameters for [3] bodies"),
+    (
+        {"scene": generic(3).scene, "v0": np.ones((2, 5, 3))},
+        ValueError,
+        "parameters for [3] bodies",
+    ),
     ({"dt": 0}, ValueError, "dt: found 0.0"),
     ({"n_steps": None}, TypeError, "n_steps: found None"),
 ]
@@ -108,21 +116,41 @@ R = fa.rates
 SCENES = [
     ({"rate": 3.0}, TypeError, "rate: found float; accepted is a model of fastatt.rates (Coning"),
     ({"rate": None}, TypeError, "rate: found NoneType"),
-    ({"rate": R.Constant([1, 2])}, ValueError, "rate: Constant.w has shape (2,); accepted are (3,)"),
+    (
+        {"rate": R.Constant([1, 2])},
+        ValueError,
+        "rate: Constant.w has shape (2,); accepted are (3,)",
+    ),
     ({"rate": R.Constant([1, NAN, 3])}, ValueError, "rate: Constant.w[1] is nan"),
     ({"rate": R.Constant("x")}, TypeError, "rate: Constant.w: found 'x'"),
     ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "rate: Polynomial.coefficients has shape (3,)"),
-    ({"rate": R.Polynomial([[1, 2]])}, ValueError, "rate: Polynomial.coefficients has shape (1, 2)"),
+    (
+        {"rate": R.Polynomial([[1, 2]])},
+        ValueError,
+        "rate: Polynomial.coefficients has shape (1, 2)",
+    ),
     ({"rate": R.Coning([1, INF], 1)}, ValueError, "rate: Coning.angle[1] is inf"),
-    ({"rate": R.Coning([1, 2], [1, 2, 3])}, ValueError, "rate: Coning: found parameters for [2, 3]"),
+    (
+        {"rate": R.Coning([1, 2], [1, 2, 3])},
+        ValueError,
+        "rate: Coning: found parameters for [2, 3]",
+    ),
     ({"rate": R.Coning([[1]], 1)}, ValueError, "rate: Coning.angle has shape (1, 1)"),
     ({"rate": R.Slew([1, 2, 3], 0.0)}, ValueError, "rate: Slew.duration"),
     ({"rate": R.Slew([1, 2, 3], [1.0, -2.0])}, ValueError, "rate: Slew.duration[1] is -2.0"),
     ({"rate": R.Sum(())}, ValueError, "rate: Sum.terms is empty"),
     ({"rate": R.Sum((R.Constant([1, 2]),))}, ValueError, "rate: Sum: Constant.w has shape (2,)"),
     ({"rate": R.Sum((3,))}, TypeError, "rate: Sum: found int"),
-    ({"rate": R.Constant([0, 0, 1]), "frame": "space"}, ValueError, "frame: found 'space'; accepted"),
-    ({"rate": R.Constant([0, 0, 1]), "params": [1]}, ValueError, "params: found [1] beside the model"),
+    (
+        {"rate": R.Constant([0, 0, 1]), "frame": "space"},
+        ValueError,
+        "frame: found 'space'; accepted",
+    ),
+    (
+        {"rate": R.Constant([0, 0, 1]), "params": [1]},
+        ValueError,
+        "params: found [1] beside the model",
+    ),
 ]
 
 
@@ -180,7 +208,9 @@ def needs_three(t, p):
     ],
 )
 def test_users_rate_function(function, message):
-    with pytest.raises(TypeError, match="^rate: " + re.escape(f"{function.__name__}(t, p) {message}")):
+    with pytest.raises(
+        TypeError, match="^rate: " + re.escape(f"{function.__name__}(t, p) {message}")
+    ):
         fa.Scene(rate=function, params=[1.0, 2.0])
 
 
@@ -194,7 +224,11 @@ def test_users_function_is_refused_each_time():
     ("params", "error", "message"),
     [
         ([1.0, NAN, 1.0], ValueError, "params[1] is nan"),
-        (np.ones((2, 2, 3)), ValueError, "params: has shape (2, 2, 3); accepted are (P,) and (N, P)"),
+        (
+            np.ones((2, 2, 3)),
+            ValueError,
+            "params: has shape (2, 2, 3); accepted are (P,) and (N, P)",
+        ),
         ("ab", TypeError, "params: found 'ab'"),
     ],
 )
@@ -244,13 +278,21 @@ INTEGRATE = [
     ({"dt": "fast"}, TypeError, "dt: found 'fast'"),
     ({"dt": SPANS[:-1]}, ValueError, "dt: has shape (18,); accepted: a number or (19,)"),
     ({"dt": np.full(20, 0.1)}, ValueError, "dt: has shape (20,); accepted: a number or (19,)"),
-    ({"dt": SPANS, "increments": True}, ValueError, "dt: has shape (19,); accepted: a number or (20,)"),
+    (
+        {"dt": SPANS, "increments": True},
+        ValueError,
+        "dt: has shape (19,); accepted: a number or (20,)",
+    ),
     ({"dt": SPANS[:, None]}, ValueError, "dt: has shape (19, 1)"),
     ({"dt": spans(4, NAN)}, ValueError, "dt[4] is nan"),
     ({"dt": spans(4, 0.0)}, ValueError, "dt[4] is 0.0: a repeated time stamp"),
     ({"dt": spans(18, -0.1)}, ValueError, "dt[18] is -0.1: a decreasing time stamp"),
     ({"dt": spans(9, 1.5)}, ValueError, "dt[9] is 1.5: a gap; accepted: at most 1 s"),
-    ({"dt": spans(9, 0.3), "max_gap": 0.2}, ValueError, "dt[9] is 0.3: a gap; accepted: at most 0.2"),
+    (
+        {"dt": spans(9, 0.3), "max_gap": 0.2},
+        ValueError,
+        "dt[9] is 0.3: a gap; accepted: at most 0.2",
+    ),
     ({"dt": SPANS, "max_gap": "no"}, (TypeError, ValueError), "max_gap: found 'no'"),
     ({"q0": np.zeros(4)}, ValueError, "q0 is the zero quaternion"),
     ({"q0": [Q, Q]}, ValueError, "q0: has shape (2, 4); accepted: (4,) or (1, 4), one a log"),

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from exact import EPS, START, angle, cone, conj, coning, exp, generic, mul, observed_order
+from exact import EPS, START, angle, cone, coning, conj, exp, generic, mul, observed_order
 
 import fastatt as fa
 from fastatt.methods.sampled import WINDOWS
@@ -299,9 +299,7 @@ def test_fast_log_changes_no_bit_of_its_neighbours(method, increments):
 def test_rates_and_increments_of_one_motion_agree():
     """The two ways in, and the default method."""
     t = np.linspace(0.0, 1.0, 201)
-    q = [
-        fa.integrate_rates(samples(BODIES, t, inc), t[1], START3, increments=inc) for inc in KINDS
-    ]
+    q = [fa.integrate_rates(samples(BODIES, t, inc), t[1], START3, increments=inc) for inc in KINDS]
     expected = BODIES.attitude(0.0, 1.0)
     assert q[0].shape == q[1].shape == (3, 201, 4)
     assert angle(q[0][:, -1], expected).max() < 1e-6
@@ -339,3 +337,24 @@ def test_arguments_are_not_changed():
     fa.integrate_rates(data, 0.1, q0)
     assert same(data, LOG[:100])
     assert same(q0, 3.0 * START)
+
+
+def test_out_is_filled_and_given_back():
+    rates = np.random.default_rng(0).normal(size=(3, 30, 3))
+    out = np.empty((3, 30, 4))
+    assert fa.integrate_rates(rates, 0.1, out=out) is out
+    assert np.array_equal(out, fa.integrate_rates(rates, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("out", "error"),
+    [
+        (np.empty((30, 3)), ValueError),
+        (np.empty((30, 4), dtype=np.float32), ValueError),
+        (np.empty((4, 30)).T, ValueError),
+        ([[0.0] * 4] * 30, TypeError),
+    ],
+)
+def test_out_of_another_kind_is_refused(out, error):
+    with pytest.raises(error, match=r"^out: found"):
+        fa.integrate_rates(np.ones((30, 3)), 0.1, out=out)

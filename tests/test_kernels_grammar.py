@@ -94,6 +94,8 @@ ARGUMENTS = {
     "so3.right_jacobian_inverse": (U,),
     "so3.left_jacobian_inverse": (U,),
     "so3.dexpinv": (U, W),
+    "so3.dexpinv_short": (U, W),
+    "so3.second_order_apply": (0.5, 0.1, U, W),
     "so3.dexp": (U, W),
     "trig.reduce_turns": (8.0,),
     "trig.is_odd": (3.0,),

@@ -132,6 +132,8 @@ def test_dexpinv_inverts_dexp(theta):
         allowed = 2e-15 * conditioning(theta) * float(inverse * norm(x))
         assert distance(so3.dexpinv(phi, so3.dexp(phi, x)), x) <= allowed
         assert distance(so3.dexp(phi, so3.dexpinv(phi, x)), x) <= allowed
+        if theta < 3.1:
+            assert so3.dexpinv_short(phi, x) == so3.dexpinv(phi, x)
 
 
 @pytest.mark.parametrize("theta", [1e-8, 1.0, 3.0])

@@ -232,7 +232,7 @@ def test_fast_body_changes_no_bit_of_its_neighbours(method, representation):
 @pytest.mark.parametrize("method", [m for m, r in combinations(exponential=True) if r == "quat"])
 @pytest.mark.parametrize("theta", [0.1, 3.0, 4.0, 2 * math.pi, 100.0, 1e4, 1e6])
 def test_constant_rate_is_exact_at_any_angle(method, theta):
-    """To an ulp of the angle a step, where the record says so; the others say when it is too far."""
+    """To an ulp of the angle a step where the record says so; the others are flagged beyond π."""
     n = 10
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
     scene = fa.Scene(rate=fa.rates.Constant(np.outer([theta / H], axis)))

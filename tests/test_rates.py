@@ -12,7 +12,7 @@ from fastatt import rates
 from fastatt.rates import evaluate, pack
 
 TIMES = [0.0, 0.3, 1.7, -2.4, 60.0]
-A, B, C, D = (np.array(v) for v in ([0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2, -1]))
+A, B, C, D = np.array([[0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2.0, -1.0]])
 
 
 @njit
@@ -39,13 +39,15 @@ CASES = {
     "no phase": (rates.Sinusoidal(A, B, C), lambda t: A + B * np.sin(C * t)),
     "coning": (
         rates.Coning(0.4, 1.3),
-        lambda t: 1.3
-        * np.array(
-            [
-                -np.sin(0.4) * np.sin(1.3 * t),
-                np.sin(0.4) * np.cos(1.3 * t),
-                -2.0 * np.sin(0.2) ** 2,
-            ]
+        lambda t: (
+            1.3
+            * np.array(
+                [
+                    -np.sin(0.4) * np.sin(1.3 * t),
+                    np.sin(0.4) * np.cos(1.3 * t),
+                    -2.0 * np.sin(0.2) ** 2,
+                ]
+            )
         ),
     ),
     "precession": (
@@ -79,7 +81,8 @@ def test_polynomial_of_any_degree(degree):
     for t in TIMES[:-1]:
         expected = sum(c[k] * t**k for k in range(degree + 1))
         size = sum(np.abs(c[k]) * abs(t) ** k for k in range(degree + 1))
-        assert (np.abs(at(rates.Polynomial(c), t) - expected) <= (degree + 1) * 2 * EPS * size).all()
+        error = np.abs(at(rates.Polynomial(c), t) - expected)
+        assert (error <= (degree + 1) * 2 * EPS * size).all()
 
 
 # attitudes in closed form

@@ -93,7 +93,8 @@ def test_vectors_turn_as_the_conventions_say(representation):
     traj = run("magnus4", representation, 1, 1.0, quarter.scene, np.array([[1.0, 0, 0, 0]]))
     assert traj.C[-1, 0] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
     assert rotate(traj.q[-1, 0], [1.0, 0.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
-    assert traj.C[-1, 0, 1] == pytest.approx([1.0, 0.0, 0.0], abs=4 * EPS)  # inertial y from the body
+    # the inertial y axis seen from the body
+    assert traj.C[-1, 0, 1] == pytest.approx([1.0, 0.0, 0.0], abs=4 * EPS)
 
 
 def test_euler313_rates_have_the_stated_kinematics():

@@ -53,6 +53,14 @@ def second_order(b, c, v):
 
 
 @kernel
+def second_order_apply(b, c, v, x):
+    """(1 + b [v] + c [v]²) x = x + b v×x + c v×(v×x), without the matrix."""
+    p = cross(v, x)
+    r = cross(v, p)
+    return x[0] + b * p[0] + c * r[0], x[1] + b * p[1] + c * r[1], x[2] + b * p[2] + c * r[2]
+
+
+@kernel
 def jacobian_coefficients(z):
     """((1 − cos θ)/θ², (θ − sin θ)/θ³) of z = θ², any θ, without cancellation.
 
@@ -116,25 +124,18 @@ def dexpinv(phi, w):
     For w in inertial axes: −dexpinv(−φ, −w), Jl⁻¹ w.
     """
     F = type(w[0])
-    k = inverse_coefficient(dot(phi, phi))
-    a = cross(phi, w)
-    b = cross(phi, a)
-    h = F(0.5)
-    return (
-        w[0] + h * a[0] + k * b[0],
-        w[1] + h * a[1] + k * b[1],
-        w[2] + h * a[2] + k * b[2],
-    )
+    return second_order_apply(F(0.5), inverse_coefficient(dot(phi, phi)), phi, w)
+
+
+@kernel
+def dexpinv_short(phi, w):
+    """``dexpinv`` for a rotation vector of at most π, without a root; beyond, meaningless."""
+    F = type(w[0])
+    return second_order_apply(F(0.5), cot_remainder(dot(phi, phi)), phi, w)
 
 
 @kernel
 def dexp(phi, phidot):
     """w = Jr φ̇ in body axes, rad/s: the angular velocity of a changing rotation vector."""
     b, c = jacobian_coefficients(dot(phi, phi))
-    p = cross(phi, phidot)
-    r = cross(phi, p)
-    return (
-        phidot[0] - b * p[0] + c * r[0],
-        phidot[1] - b * p[1] + c * r[1],
-        phidot[2] - b * p[2] + c * r[2],
-    )
+    return second_order_apply(-b, c, phi, phidot)
