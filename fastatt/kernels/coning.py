@@ -101,6 +101,7 @@ def miller(i1, i2, i3):
     Σθ + (9/20) θ1×θ3 + (27/40) (θ1×θ2 + θ2×θ3): Miller, J. Guidance 6 (1983) 287.
     """
     F = type(i1[0])
-    outer = scale(F(9.0 / 20.0), cross(i1, i3))
-    inner = scale(F(27.0 / 40.0), add(cross(i1, i2), cross(i2, i3)))
+    # a×b as a×(b − a): of equal increments nothing is left, where a fused a×a leaves its rounding
+    outer = scale(F(9.0 / 20.0), cross(i1, sub(i3, i1)))
+    inner = scale(F(27.0 / 40.0), add(cross(i1, sub(i2, i1)), cross(i2, sub(i3, i2))))
     return add(add(i1, i2), add(i3, add(outer, inner)))

@@ -34,6 +34,6 @@ METHOD = lie_method(
     order=3,
     rate_calls=3,
     exponentials=3,
-    summary="exponentials of frozen rates, the historical alternative; slower than any order 4",
+    summary="exponentials of frozen rates, the historical alternative; magnus4 beats it in both",
     source="Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1",
 )

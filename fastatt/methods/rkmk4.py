@@ -35,6 +35,6 @@ METHOD = lie_method(
     rate_calls=3,
     exponentials=1,
     exact_for_constant=False,  # its equation is singular at 2π
-    summary="Runge-Kutta on the rotation vector; the smallest error of the orders 4",
+    summary="Runge-Kutta on the rotation vector; half of magnus4's error in large-angle coning",
     source="Munthe-Kaas, Appl. Numer. Math. 29 (1999) 115",
 )
