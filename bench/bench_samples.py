@@ -51,20 +51,22 @@ def _report(benchmark, samples: int, reference: float, name: str, error: float) 
 
 
 @pytest.mark.benchmark(group="many logs")
+@pytest.mark.parametrize("memory", ["new", "used"])
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize(
     "method", [m.name for m in fa.METHODS.values() if "sampled rates" in m.scenes]
 )
-def test_many_logs(benchmark, logs, method, dtype):
-    """Beside it: numpy copying as many bytes as come in and go out, between arrays used before."""
+def test_many_logs(benchmark, logs, method, dtype, memory):
+    """Beside it: numpy copying as many bytes as come in and go out, to new or to used memory."""
     problem, rates = logs
     data = rates.astype(dtype)
-    out = np.ones((N_LOGS, N_SAMPLES, 4), dtype=dtype)
-    source = np.ones(data.size + out.size, dtype=dtype)
+    used = np.ones((N_LOGS, N_SAMPLES, 4), dtype=dtype)
+    source = np.ones(data.size + used.size, dtype=dtype)
     target = np.ones_like(source)
+    out = used if memory == "used" else None
 
     def copy() -> None:
-        np.copyto(target, source)
+        np.copyto(target if memory == "used" else np.empty_like(source), source)
 
     def run() -> np.ndarray:
         return fa.integrate_rates(data, H, problem.q0, method=method, out=out)
