@@ -11,18 +11,27 @@ q̇ = ½ q∘w, Ċ = C [w×]. A rate in inertial axes is marked ``frame="inertia
 w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇).
 """
 
-from fastatt import kernels, rates
+from fastatt import exact, forces, kernels, rates, torques
 from fastatt.angular_velocity import angular_velocity
 from fastatt.arrays import (
     angle_between,
     dcm_to_quat,
     euler313_to_quat,
+    quat_multiply,
     quat_to_dcm,
     quat_to_euler313,
     quat_to_rotation_vector,
+    rotate,
+    rotate_inverse,
     rotation_vector_to_quat,
 )
 from fastatt.drift import Drift, drift
+from fastatt.energy import (
+    angular_momentum,
+    kinetic_energy,
+    kinetic_energy_symmetric,
+    potential_energy,
+)
 from fastatt.integrate import integrate_rates
 from fastatt.methods import METHODS, Method
 from fastatt.propagate import methods_for, propagate, propagate_directions
@@ -39,18 +48,28 @@ __all__ = [
     "Status",
     "Trajectory",
     "angle_between",
+    "angular_momentum",
     "angular_velocity",
     "dcm_to_quat",
     "drift",
     "euler313_to_quat",
+    "exact",
+    "forces",
     "integrate_rates",
     "kernels",
+    "kinetic_energy",
+    "kinetic_energy_symmetric",
     "methods_for",
+    "potential_energy",
     "propagate",
     "propagate_directions",
+    "quat_multiply",
     "quat_to_dcm",
     "quat_to_euler313",
     "quat_to_rotation_vector",
     "rates",
+    "rotate",
+    "rotate_inverse",
     "rotation_vector_to_quat",
+    "torques",
 ]

@@ -68,7 +68,7 @@ def driver(function: Callable[..., Any], *, cache: bool = True) -> Any:
     return njit(**_ARITHMETIC, cache=cache)(function)
 
 
-def helper(function: Callable[..., Any]) -> Any:
+def helper(function: Any) -> Any:
     """A part of a driver, inlined: a tile's strides are constants only where it was made."""
     return register_jitable(**_INLINED)(function)
 

@@ -39,6 +39,14 @@ class QuatToRotationVector(NamedTuple):
     """Tag."""
 
 
+class Multiply(NamedTuple):
+    """Tag."""
+
+
+class Rotate(NamedTuple):
+    """Tag."""
+
+
 # tag: its kernel and the lengths of a row before and after
 _CONVERSIONS: dict[type, tuple[Any, int, int]] = {
     QuatToDcm: (dcm.from_quat, 4, 9),
@@ -48,6 +56,8 @@ _CONVERSIONS: dict[type, tuple[Any, int, int]] = {
     RotationVectorToQuat: (quat.exp, 3, 4),
     QuatToRotationVector: (quat.log, 4, 3),
 }
+
+_PRODUCTS: dict[type, Any] = {Multiply: quat.mul, Rotate: quat.rotate}
 
 
 def convert(conversion: Any, row: Any) -> Any:
@@ -66,6 +76,26 @@ def _convert(conversion: types.BaseNamedTuple, row: types.Array) -> Any:
 def _convert_rows(conversion, rows, out):
     for i in range(rows.shape[0]):
         x = convert(conversion, rows[i])
+        for k in range(out.shape[1]):
+            out[i, k] = x[k]
+
+
+def combine(product: Any, p: Any, row: Any) -> Any:
+    """The kernel of a product of a quaternion and a row of an array."""
+    raise NotImplementedError(product)
+
+
+@hook(combine)
+def _combine(product: types.BaseNamedTuple, p: types.UniTuple, row: types.Array) -> Any:
+    kernel = _PRODUCTS[product.instance_class]
+    shape = (0.0,) * (4 if product.instance_class is Multiply else 3)
+    return lambda product, p, row: kernel(p, unpack(row, shape))
+
+
+@driver
+def _combine_rows(product, p, rows, out):
+    for i in range(out.shape[0]):
+        x = combine(product, (p[i, 0], p[i, 1], p[i, 2], p[i, 3]), rows[i])
         for k in range(out.shape[1]):
             out[i, k] = x[k]
 
@@ -128,6 +158,41 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
     """Rotation vectors (..., 3), rad, of at most π, of quaternions (..., 4)."""
     return _rows(QuatToRotationVector(), _floats("q", q, (4,)), 1, (3,))
+
+
+def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
+    """Hamilton products p∘q of quaternions (..., 4) that broadcast against each other."""
+    return _product(Multiply(), "p", p, "q", q, 4)
+
+
+def rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
+    """v_i = q∘v_b∘q*: vectors (..., 3) of the body along inertial axes, by unit q (..., 4)."""
+    return _product(Rotate(), "q", q, "v", v, 3)
+
+
+def rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
+    """v_b = q*∘v_i∘q: inertial vectors (..., 3) along body axes, by unit q (..., 4)."""
+    return rotate(_floats("q", q, (4,)) * (1.0, -1.0, -1.0, -1.0), v)
+
+
+def _product(
+    product: Any, p_name: str, p: ArrayLike, name: str, value: ArrayLike, length: int
+) -> NDArray[Any]:
+    left, right = _floats(p_name, p, (4,)), _floats(name, value, (length,))
+    try:
+        lead = np.broadcast_shapes(left.shape[:-1], right.shape[:-1])
+    except ValueError:
+        raise ValueError(
+            f"{name}: has shape {right.shape}, {p_name} {left.shape}; accepted: shapes that "
+            "broadcast"
+        ) from None
+    out = np.empty((math.prod(lead), length), dtype=np.result_type(left, right))
+    left, right = (
+        np.ascontiguousarray(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(-1, x.shape[-1])
+        for x in (left, right)
+    )
+    _combine_rows(product, left, right, out)
+    return out.reshape(*lead, length)
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Any:

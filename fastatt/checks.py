@@ -99,7 +99,7 @@ def attitudes(
 ) -> Floats:
     """Quaternions, finite and not zero."""
     q = array(name, value, shapes, tails)
-    zero = ~np.any(q != 0.0, axis=-1)
+    zero = np.abs(q) @ np.ones(4, dtype=q.dtype) == 0.0
     if zero.any():
         where = [int(i) for i in np.argwhere(zero)[0]] if q.ndim > 1 else ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")

@@ -40,10 +40,19 @@ def axpy(k: Any, x: Any, y: Any) -> Any:
     return tuple(k * a + b for a, b in zip(x, y, strict=True))
 
 
+def combine(h: Any, weights: Any, ks: Any, y: Any) -> Any:
+    """y + h Σ weights[i] ks[i]; a weight is a Python float and takes the type of h."""
+    return tuple(
+        b + h * sum(w * k[i] for w, k in zip(weights, ks, strict=True)) for i, b in enumerate(y)
+    )
+
+
 @cache
-def _written_out(signature: str, item: str, n: int) -> Any:
+def _written_out(signature: str, item: str, n: int, first: str = "pass") -> Any:
     items = ", ".join(item.replace("{i}", str(i)) for i in range(n))
-    source = f"def straight({signature}):\n    return ({items}{',' if n == 1 else ''})\n"
+    source = (
+        f"def straight({signature}):\n    {first}\n    return ({items}{',' if n == 1 else ''})\n"
+    )
     scope: dict[str, Any] = {}
     exec(source, scope)
     return scope["straight"]
@@ -80,3 +89,11 @@ def _store(a: types.Type, i: types.Type, j: types.Type, x: types.BaseTuple) -> A
 @hook(axpy)
 def _axpy(k: types.Type, x: types.BaseTuple, y: types.BaseTuple) -> Any:
     return _written_out("k, x, y", "k * x[{i}] + y[{i}]", len(x))
+
+
+@hook(combine)
+def _combine(
+    h: types.Type, weights: types.BaseTuple, ks: types.BaseTuple, y: types.BaseTuple
+) -> Any:
+    terms = " + ".join(f"F(weights[{i}]) * ks[{i}][{{i}}]" for i in range(len(ks)))
+    return _written_out("h, weights, ks, y", f"y[{{i}}] + h * ({terms})", len(y), "F = type(h)")

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
-from fastatt.arrays import angle_between
+from fastatt import checks, torques
+from fastatt.arrays import angle_between, rotate
+from fastatt.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.scene import Scene
 from fastatt.trajectory import Trajectory
 
@@ -19,8 +20,10 @@ class Drift:
     """Departures from the invariants, each (S, N), or (S,) for one body.
 
     ``norm``: | |q| − 1 |; ``orthogonality``: ‖C Cᵀ − 1‖ (Frobenius); both of the propagated state,
-    before it was brought back to the group for output. ``energy``, ``momentum``: None for a rate
-    scene.
+    before it was brought back to the group for output. ``energy``: kinetic and potential energy
+    less the first save's, over the largest kinetic energy saved; None where the torque has no
+    potential or the rate is given. ``momentum``: length of what the angular momentum in space,
+    wheels included, has changed since the first save, over the largest saved; None under a torque.
     """
 
     norm: NDArray[Any]
@@ -52,7 +55,33 @@ def drift(trajectory: Trajectory, scene: Scene) -> Drift:
     return Drift(
         norm=defect if of_quaternion else length,
         orthogonality=defect if of_matrix else matrix,
-        energy=None,
-        momentum=None,
+        energy=_energy(trajectory, scene),
+        momentum=_momentum(trajectory, scene),
         trajectory=trajectory,
     )
+
+
+def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
+    if scene.inertia is None or not scene.has_potential:
+        return None
+    kinetic = kinetic_energy(trajectory.w, scene.inertia)
+    q = trajectory.q[:, None] if trajectory.one_body else trajectory.q
+    total = kinetic + potential_energy(scene, q, trajectory.t).reshape(kinetic.shape)
+    return _relative(np.abs(total - total[0]), kinetic)
+
+
+def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
+    rotor = isinstance(scene.torque, torques.Rotor)
+    if scene.inertia is None or not (scene.torque is None or rotor):
+        return None
+    inside = angular_momentum(trajectory.w, scene.inertia)
+    if rotor:
+        inside = inside + np.asarray(scene.torque.momentum)
+    total = rotate(trajectory.q, inside)
+    change = np.linalg.norm(total - total[0], axis=-1)
+    return _relative(change, np.linalg.norm(total, axis=-1))
+
+
+def _relative(change: NDArray[Any], scale: NDArray[Any]) -> NDArray[Any]:
+    most = scale.max(axis=0)
+    return change / np.where(most > 0.0, most, 1.0)

@@ -77,8 +77,28 @@ def derivative(rep: Tag, x: Any, w: Any) -> Any:
     raise NotImplementedError(rep)
 
 
+def half_derivative(rep: Tag, x: Any, v: Any) -> Any:
+    """Time derivative of the state x at body rates 2v (rad/s): of a quaternion three flops less."""
+    raise NotImplementedError(rep)
+
+
 def speed_squared(rep: Tag, xdot: Any, w: Any) -> Any:
     """Square of the rate (rad/s) that limits an explicit step: of the body or of its angles."""
+    raise NotImplementedError(rep)
+
+
+def compose(rep: Tag, x: Any, q: Any) -> Any:
+    """x∘q: the state x turned by a unit quaternion q in body axes."""
+    raise NotImplementedError(rep)
+
+
+def attitude(rep: Tag, x: Any) -> Any:
+    """The state as a quaternion, unit as far as the state is."""
+    raise NotImplementedError(rep)
+
+
+def to_body(rep: Tag, x: Any, v: Any) -> Any:
+    """Cᵀ v: the inertial vector v along body axes."""
     raise NotImplementedError(rep)
 
 
@@ -90,6 +110,11 @@ def flip(rep: Tag, x: Any) -> Any:
 def finish(rep: Tag, x: Any) -> Any:
     """(what the trajectory holds, departure from the group): the state brought back to it."""
     raise NotImplementedError(rep)
+
+
+@kernel
+def _same(x):
+    return x
 
 
 @kernel
@@ -140,6 +165,51 @@ def _turn_direction_short(x, u):
 
 
 @kernel
+def _compose_dcm(x, q):
+    return dcm.mul(x, dcm.from_quat(q))
+
+
+@kernel
+def _compose_rows(x, q):
+    return _turned_rows(x, dcm.from_quat(quat.conj(q)))
+
+
+@kernel
+def _compose_angles(x, q):
+    return euler313.from_quat(quat.mul(euler313.to_quat(x), q))
+
+
+@kernel
+def _compose_vector(x, q):
+    return quat.log(quat.mul(quat.exp(x), q))
+
+
+@kernel
+def _rows_to_dcm(x):
+    return dcm.close_rows((x[0], x[1], x[2]), (x[3], x[4], x[5]))
+
+
+@kernel
+def _attitude_rows(x):
+    return dcm.to_quat(_rows_to_dcm(x))
+
+
+@kernel
+def _to_body_rows(x, v):
+    return dcm.rotate_inverse(_rows_to_dcm(x), v)
+
+
+@kernel
+def _to_body_angles(x, v):
+    return quat.rotate_inverse(euler313.to_quat(x), v)
+
+
+@kernel
+def _to_body_vector(x, v):
+    return quat.rotate_inverse(quat.exp(x), v)
+
+
+@kernel
 def _derivative_rows(x, w):
     a = dcm.derivative_row((x[0], x[1], x[2]), w)
     b = dcm.derivative_row((x[3], x[4], x[5]), w)
@@ -158,7 +228,7 @@ def _angle_speed(xdot, w):
 
 @kernel
 def _flip_rows(x):
-    c = dcm.transpose(dcm.close_rows((x[0], x[1], x[2]), (x[3], x[4], x[5])))
+    c = dcm.transpose(_rows_to_dcm(x))
     return c[0], c[1], c[2], c[3], c[4], c[5]
 
 
@@ -166,11 +236,6 @@ def _flip_rows(x):
 def _flip_angles(x):
     F = type(x[0])
     return F(math.pi) - x[2], x[1], F(math.pi) - x[0]
-
-
-@kernel
-def _same(x):
-    return x
 
 
 @kernel
@@ -227,6 +292,9 @@ class Operations(NamedTuple):
     stored: int
     start: Any
     turn: Any
+    compose: Any
+    attitude: Any
+    to_body: Any
     derivative: Any
     speed_squared: Any
     flip: Any
@@ -239,6 +307,9 @@ _QUAT = Operations(
     4,
     quat.normalise,
     _turn_quat,
+    quat.mul,
+    _same,
+    quat.rotate_inverse,
     quat.derivative,
     _body_speed,
     quat.conj,
@@ -246,13 +317,27 @@ _QUAT = Operations(
     QuatShort,
 )
 _DCM = Operations(
-    9, 9, _start_dcm, _turn_dcm, dcm.derivative, _body_speed, dcm.transpose, _finish_dcm, DcmShort
+    9,
+    9,
+    _start_dcm,
+    _turn_dcm,
+    _compose_dcm,
+    dcm.to_quat,
+    dcm.rotate_inverse,
+    dcm.derivative,
+    _body_speed,
+    dcm.transpose,
+    _finish_dcm,
+    DcmShort,
 )
 _ROWS = Operations(
     6,
     9,
     _start_rows,
     _turn_rows,
+    _compose_rows,
+    _attitude_rows,
+    _to_body_rows,
     _derivative_rows,
     _body_speed,
     _flip_rows,
@@ -264,6 +349,9 @@ _DIRECTION = Operations(
     3,
     _same,
     _turn_direction,
+    None,
+    None,
+    None,
     dcm.derivative_row,
     _body_speed,
     _same,
@@ -280,13 +368,34 @@ OPERATIONS: dict[type, Operations] = {
     Direction: _DIRECTION,
     DirectionShort: _DIRECTION._replace(turn=_turn_direction_short, short=None),
     Euler313: Operations(
-        3, 3, _start_euler313, None, euler313.derivative, _angle_speed, _flip_angles, _finish_angles
+        3,
+        3,
+        _start_euler313,
+        None,
+        _compose_angles,
+        euler313.to_quat,
+        _to_body_angles,
+        euler313.derivative,
+        _angle_speed,
+        _flip_angles,
+        _finish_angles,
     ),
     RotationVector: Operations(
-        3, 3, quat.log, None, so3.dexpinv, _angle_speed, neg, _finish_angles
+        3,
+        3,
+        quat.log,
+        None,
+        _compose_vector,
+        quat.exp,
+        _to_body_vector,
+        so3.dexpinv,
+        _angle_speed,
+        neg,
+        _finish_angles,
     ),
 }
 
+QUAT = Quat()
 REPRESENTATIONS: dict[str, type] = {
     "quat": Quat,
     "dcm": Dcm,
@@ -316,10 +425,36 @@ def _derivative(rep: types.BaseNamedTuple, x: types.Type, w: types.Type) -> Any:
     return lambda rep, x, w: operation(x, w)
 
 
+@hook(half_derivative)
+def _half_derivative(rep: types.BaseNamedTuple, x: types.Type, v: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].derivative
+    if OPERATIONS[rep.instance_class].derivative is quat.derivative:
+        return lambda rep, x, v: quat.mul_vector(x, v)
+    return lambda rep, x, v: operation(x, (v[0] + v[0], v[1] + v[1], v[2] + v[2]))
+
+
 @hook(speed_squared)
 def _speed_squared(rep: types.BaseNamedTuple, xdot: types.Type, w: types.Type) -> Any:
     operation = OPERATIONS[rep.instance_class].speed_squared
     return lambda rep, xdot, w: operation(xdot, w)
+
+
+@hook(compose)
+def _compose(rep: types.BaseNamedTuple, x: types.Type, q: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].compose
+    return lambda rep, x, q: operation(x, q)
+
+
+@hook(attitude)
+def _attitude(rep: types.BaseNamedTuple, x: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].attitude
+    return lambda rep, x: operation(x)
+
+
+@hook(to_body)
+def _to_body(rep: types.BaseNamedTuple, x: types.Type, v: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].to_body
+    return lambda rep, x, v: operation(x, v)
 
 
 @hook(flip)

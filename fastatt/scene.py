@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks, rates
+from fastatt import checks, forces, rates, torques
+from fastatt.inertia import Principal, is_spherical, is_symmetric, principal, sort_axes
+from fastatt.models import Packed, join, numbers
+from fastatt.motion import Body, Moving
 
 
 @dataclass(frozen=True)
@@ -20,34 +25,118 @@ class Scene:
     t in s and p the tuple of ``params``, (P,) for all bodies or (N, P). ``frame`` says along which
     axes the rate is given: "body" (q̇ = ½ q∘w) or "inertial" (q̇ = ½ w∘q).
 
-    Raises ``TypeError`` or ``ValueError`` for an unknown model, frame, or numbers of wrong shape.
+    A scene with ``inertia`` (kg·m²) carries w too, by Euler's dynamic equations: principal moments
+    (3,), a tensor (3, 3), or one of them for each body. ``torque`` is a model of
+    ``fastatt.torques`` or an ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along
+    body axes, with ``params``. ``allow_unphysical`` admits inertia that no body has.
+
+    A scene with ``mass`` (kg, a number or (N,)) and ``force`` also carries the velocity V in body
+    axes, by μ(V̇ + Ω×V) = F. ``force`` is a model of ``fastatt.forces``, (3,) or (N, 3) in N along
+    body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters.
+
+    Raises ``TypeError`` or ``ValueError`` for an unknown model, frame, or numbers of wrong shape,
+    and for bodies that can't exist.
     """
 
-    rate: Any
+    rate: Any = None
     params: ArrayLike | None = None
     frame: str = "body"
+    inertia: ArrayLike | None = None
+    torque: Any = None
+    allow_unphysical: bool = False
+    mass: ArrayLike | None = None
+    force: Any = None
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
-        if self.params is not None and not callable(self.rate):
+        if (self.rate is None) == (self.inertia is None):
+            found = "neither" if self.rate is None else "both"
+            raise ValueError(f"rate, inertia: found {found}; accepted: one of them")
+        if self.params is not None and not callable(self._acting):
             raise ValueError(
                 f"params: found {checks.brief(self.params)} beside the model "
-                f"{type(self.rate).__name__}; accepted: params with an @njit function only"
+                f"{type(self._acting).__name__}; accepted: params with an @njit function only"
             )
+        if (self.mass is None) != (self.force is None):
+            missing = "force" if self.force is None else "mass"
+            raise ValueError(f"{missing}: is missing; mass and force go together")
+        if self.rate is not None and self.torque is not None:
+            raise ValueError("torque: found beside a rate; accepted: with inertia only")
+        if self.rate is None and self.frame != "body":
+            raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
         self.packed(None)
 
     @property
+    def _acting(self) -> Any:
+        return self.torque if self.rate is None else self.rate
+
+    @cached_property
     def kind(self) -> str:
-        """Always "rate": the angular velocity is given."""
-        return "rate"
+        """What the numbers say: "rate", "spherical", "symmetric", "free" or "torqued".
+
+        Moments are equal within 1e-12 of the largest; of an ensemble, all bodies'.
+        """
+        if self.rate is not None:
+            return "rate"
+        if self.torque is not None:
+            return "torqued"
+        moments = self.principal.moments
+        if is_spherical(moments).all():
+            return "spherical"
+        return "symmetric" if is_symmetric(moments).all() else "free"
 
     @property
     def is_constant(self) -> bool:
         """Whether the rate never changes along its axes; then one exponential is exact."""
         return isinstance(self.rate, rates.Constant)
 
-    def packed(self, n_bodies: int | None) -> rates.Packed:
-        """The rate's tag and flat parameters, checked against the number of bodies."""
+    @cached_property
+    def principal(self) -> Principal:
+        """Principal moments and axes of ``inertia``."""
+        if self.inertia is None:
+            raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
+        return principal(self.inertia, allow_unphysical=self.allow_unphysical)
+
+    @cached_property
+    def splits(self) -> bool:
+        """Whether the torque depends on w by linear damping along principal axes alone."""
+        return self.rate is None and torques.splits(self._body(None).tag.torque)
+
+    @cached_property
+    def has_potential(self) -> bool:
+        """Whether kinetic plus potential energy is constant."""
+        return self.rate is None and torques.has_potential(self._body(None).tag.torque)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the velocity is carried."""
+        return self.mass is not None
+
+    def packed(
+        self, n_bodies: int | None, *, sorted_axes: bool = False, position: bool = False
+    ) -> Packed:
+        """The tag and the flat parameters of all that acts, checked against the number of bodies.
+
+        The intermediate principal axis may be wanted second, and the position carried.
+        """
+        packed = (
+            self._rate(n_bodies) if self.rate is not None else self._body(n_bodies, sorted_axes)
+        )
+        if self.mass is None:
+            return packed
+        inverse = 1.0 / _masses(self.mass)
+        model = self.force
+        if isinstance(model, (list, tuple, np.ndarray)) and not hasattr(model, "_fields"):
+            model = forces.Constant(model)
+        elif callable(model):
+            model = forces.Custom(model)
+        pushing = forces.pack(model, n_bodies)
+        place = (0.0, 0.0, 0.0) if position else ()
+        params = join([packed.params, inverse[..., None], pushing.params], n_bodies, "mass, force")
+        cacheable = packed.cacheable and pushing.cacheable
+        return Packed(Moving(packed.tag, pushing.tag, place), params, cacheable)
+
+    def _rate(self, n_bodies: int | None) -> Packed:
         function: Callable[..., Any] | None = self.rate if callable(self.rate) else None
         if function is not None:
             packed = rates.pack_user(function, self.params, n_bodies)
@@ -56,3 +145,36 @@ class Scene:
         if self.frame == "inertial":
             packed = packed._replace(tag=rates.InertialAxes(packed.tag))
         return packed
+
+    def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:
+        found = self.principal
+        rows = found.moments.shape[0] if found.moments.ndim == 2 else None
+        if rows is not None and n_bodies not in (None, rows):
+            raise ValueError(f"inertia: found {rows} bodies; accepted: one, or {n_bodies}")
+        if sorted_axes:
+            found = sort_axes(found)
+        model = self.torque
+        if model is None:
+            model = torques.Free()
+        elif callable(model):
+            model = torques.Custom(model, self.params)
+        acting = torques.pack(model, n_bodies, found.axes)
+        a, b, c = np.moveaxis(found.moments, -1, 0)
+        gyroscopic = np.stack([(b - c) / (b * c), (c - a) / (c * a), (a - b) / (a * b)], axis=-1)
+        columns = [0.5 / found.moments, found.moments, gyroscopic]
+        if found.axes is not None:
+            columns.append(found.axes)
+        turned = () if found.axes is None else (0.0,) * 4
+        params = join([*columns, acting.params], n_bodies, "inertia, torque")
+        return Packed(Body(acting.tag, turned), params, acting.cacheable)
+
+
+def _masses(value: ArrayLike) -> NDArray[np.float64]:
+    mass = numbers("mass", value)
+    if mass.ndim > 1:
+        raise ValueError(f"mass: has shape {mass.shape}; accepted: a number or (N,), kg")
+    bad = np.atleast_1d(mass) <= 0.0
+    if bad.any():
+        where = f"[{int(np.argmax(bad))}]" if mass.ndim else ""
+        raise ValueError(f"mass{where} is {np.atleast_1d(mass)[bad][0]}; accepted: above 0, kg")
+    return mass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag
 from functools import cached_property
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 from fastatt import arrays
 from fastatt._jit import driver
 from fastatt.columns import unpack
-from fastatt.rates import InertialAxes, Packed, evaluate
+from fastatt.models import Packed, count
+from fastatt.motion import Moving
+from fastatt.rates import InertialAxes, evaluate
 
 
 class Status(IntFlag):
@@ -24,6 +27,7 @@ class Status(IntFlag):
     STEP_TOO_LARGE = 2  #: a step turned further than the method's limit
     INVARIANT = 4  #: the state left its group by more than round-off explains
     SINGULAR = 8  #: the representation's coordinates passed too near their singularity
+    NOT_CONVERGED = 16  #: an implicit step's iteration did not converge
 
 
 # |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
@@ -48,6 +52,8 @@ class Trajectory:
     dt: float
     one_body: bool
     packed: Packed = field(repr=False)
+    #: w, v and r where the scene carries them, each (S, N, 3)
+    carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def q(self) -> NDArray[Any]:
@@ -77,7 +83,12 @@ class Trajectory:
     @cached_property
     def w(self) -> NDArray[Any]:
         """Angular velocity in body axes at the saved times, rad/s."""
+        if "w" in self.carried:
+            return self._shaped(self.carried["w"])
         tag, params, cacheable = self.packed
+        if isinstance(tag, Moving):
+            tag = tag.model
+            params = params[..., : count(tag)]
         inertial = isinstance(tag, InertialAxes)
         model = tag.model if inertial else tag
         out = np.empty((*self.state.shape[:2], 3))
@@ -88,6 +99,21 @@ class Trajectory:
         if inertial:
             w = np.einsum("...ji,...j->...i", self.C, w)
         return w.astype(self.state.dtype, copy=False)
+
+    @property
+    def v(self) -> NDArray[Any]:
+        """Velocity in body axes, m/s, of a scene with mass."""
+        return self._shaped(self._carried("v", "mass"))
+
+    @property
+    def r(self) -> NDArray[Any]:
+        """Position in inertial axes, m, of a scene with mass where r0 was given."""
+        return self._shaped(self._carried("r", "mass, propagated from an r0"))
+
+    def _carried(self, name: str, needs: str) -> NDArray[Any]:
+        if name not in self.carried:
+            raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
+        return self.carried[name]
 
     def status_counts(self) -> dict[str, int]:
         """How many bodies carry each flag; empty when all are fine."""

@@ -115,7 +115,7 @@ def test_propagate_directions(arguments, error, message):
 R = fa.rates
 SCENES = [
     ({"rate": 3.0}, TypeError, "rate: found float; accepted is a model of fastatt.rates (Coning"),
-    ({"rate": None}, TypeError, "rate: found NoneType"),
+    ({"rate": None}, ValueError, "rate, inertia: found neither; accepted: one of them"),
     (
         {"rate": R.Constant([1, 2])},
         ValueError,
@@ -202,9 +202,9 @@ def needs_three(t, p):
         (one_number, "returns float64; accepted"),
         (an_array, "returns array(float64, 1d, C); accepted"),
         (words, "returns Tuple("),
-        (no_such_name, "does not compile for a float t and a tuple p of 2 floats"),
+        (no_such_name, "does not compile for floats, with p a tuple of 2 floats"),
         (one_argument, "does not compile"),
-        (needs_three, "does not compile for a float t and a tuple p of 2 floats"),
+        (needs_three, "does not compile for floats, with p a tuple of 2 floats"),
     ],
 )
 def test_users_rate_function(function, message):

@@ -22,9 +22,10 @@ from numba import types
 
 from fastatt._jit import driver, helper, hook
 from fastatt.columns import load, store, unpack
-from fastatt.methods.method import step
-from fastatt.rates import InertialAxes
-from fastatt.representations import OPERATIONS, finish, flip, initial
+from fastatt.methods.method import enter, extras, leave, prepare
+from fastatt.motion import carried, hand_out, handed_out, start
+from fastatt.representations import OPERATIONS
+from fastatt.translation import full_step
 
 WIDTH = 64
 BLOCK = 64
@@ -50,18 +51,6 @@ def short(rep: Any) -> Any:
     """Tag of the twin for turns of at most π, or the tag itself."""
     cls = OPERATIONS[type(rep)].short
     return rep if cls is None else cls()
-
-
-def oriented(model: Any, rep: Any, x: Any) -> Any:
-    """The state or, for rates along inertial axes, that of the inverse attitude."""
-    raise NotImplementedError
-
-
-@hook(oriented)
-def _oriented(model: types.BaseNamedTuple, rep: types.Type, x: types.Type) -> Any:
-    if model.instance_class is InertialAxes:
-        return lambda model, rep, x: flip(rep, x)
-    return lambda model, rep, x: x
 
 
 def clock(params: Any, t: Any, like: Any) -> Any:
@@ -112,6 +101,44 @@ def load_parameters(params: Any, rows: Any, top: Any, start: Any) -> None:
     raise NotImplementedError
 
 
+def extras_of(method: Any, params: Any, shape: Any, rows: Any, top: Any, j: Any) -> Any:
+    """What the method prepared for lane j, in the rows below the parameters."""
+    raise NotImplementedError
+
+
+@hook(extras_of)
+def _extras_of(
+    method: types.BaseNamedTuple,
+    params: types.Array,
+    shape: types.BaseTuple,
+    rows: types.Type,
+    top: types.Type,
+    j: types.Type,
+) -> Any:
+    n = (0.0,) * extras(method.instance_class)
+    below = 1 + (len(shape) if params.ndim == 2 else 0)
+    return lambda method, params, shape, rows, top, j: load(rows, top + below, j, n)
+
+
+def store_extras(method: Any, params: Any, shape: Any, rows: Any, top: Any, j: Any, e: Any) -> None:
+    """Put what the method prepared for lane j in the rows below the parameters."""
+    raise NotImplementedError
+
+
+@hook(store_extras)
+def _store_extras(
+    method: types.Type,
+    params: types.Array,
+    shape: types.BaseTuple,
+    rows: types.Type,
+    top: types.Type,
+    j: types.Type,
+    e: types.Type,
+) -> Any:
+    below = 1 + (len(shape) if params.ndim == 2 else 0)
+    return lambda method, params, shape, rows, top, j, e: store(rows, top + below, j, e)
+
+
 @hook(load_parameters)
 def _load_parameters(
     params: types.Array, rows: types.Type, top: types.Type, start: types.Type
@@ -128,71 +155,119 @@ def _load_parameters(
     return impl
 
 
-def scratch(rep: Any, shape: Any, params: Any, x: Any) -> Any:
+def scratch(method: Any, rep: Any, model: Any, shape: Any, params: Any, x: Any) -> Any:
     """Empty tiles: the state with all that a step touches, a copy of it, what is handed out.
 
-    Below the state lie the squared turns, below those the parameters. One array for all that a
-    step touches: between two, LLVM would need an aliasing check a pair of rows, and gives up at 19
-    rows.
+    Below the state lie the squared turns, the parameters, what the method prepared. One array for
+    all that a step touches: between two, LLVM would need an aliasing check a pair of rows, and
+    gives up at 19 rows.
     """
     raise NotImplementedError
 
 
 @hook(scratch)
 def _scratch(
-    rep: types.BaseNamedTuple, shape: types.BaseTuple, params: types.Array, x: types.Array
+    method: types.BaseNamedTuple,
+    rep: types.BaseNamedTuple,
+    model: types.BaseNamedTuple,
+    shape: types.BaseTuple,
+    params: types.Array,
+    x: types.Array,
 ) -> Any:
-    size = OPERATIONS[rep.instance_class].size
-    all_rows = size + 1 + (len(shape) if params.ndim == 2 else 0)
-    stored = OPERATIONS[rep.instance_class].stored + 1
+    size = carried(rep.instance_class, model)
+    own = len(shape) if params.ndim == 2 else 0
+    all_rows = size + 1 + own + extras(method.instance_class)
+    out = handed_out(rep.instance_class, model) + 1
 
-    def impl(rep, shape, params, x):
+    def impl(method, rep, model, shape, params, x):
         return (
             np.empty((all_rows, WIDTH), dtype=x.dtype),
             np.empty((size + 1, WIDTH), dtype=x.dtype),
-            np.empty((stored, WIDTH), dtype=x.dtype),
+            np.empty((out, WIDTH), dtype=x.dtype),
         )
 
     return impl
 
 
-def state(rep: Any, rows: Any, j: Any) -> Any:
+def state(rep: Any, model: Any, rows: Any, j: Any) -> Any:
     """The state of lane j as a tuple."""
     raise NotImplementedError
 
 
 @hook(state)
-def _state(rep: types.BaseNamedTuple, rows: types.Type, j: types.Type) -> Any:
-    n = (0.0,) * OPERATIONS[rep.instance_class].size
-    return lambda rep, rows, j: load(rows, 0, j, n)
+def _state(
+    rep: types.BaseNamedTuple, model: types.BaseNamedTuple, rows: types.Type, j: types.Type
+) -> Any:
+    n = (0.0,) * carried(rep.instance_class, model)
+    return lambda rep, model, rows, j: load(rows, 0, j, n)
 
 
-def height(rep: Any) -> Any:
+def height(rep: Any, model: Any) -> Any:
     """Number of rows of the state, known when compiling."""
     raise NotImplementedError
 
 
 @hook(height)
-def _height(rep: types.BaseNamedTuple) -> Any:
-    n = OPERATIONS[rep.instance_class].size
-    return lambda rep: n
+def _height(rep: types.BaseNamedTuple, model: types.BaseNamedTuple) -> Any:
+    n = carried(rep.instance_class, model)
+    return lambda rep, model: n
 
 
 @helper
-def advance(method, rep, model, rows, shape, params, shared, run, h, first, last):
+def lanes(method, rep, model, rows, shape, params, shared, t, span, other):
+    """One stage of every lane."""
+    top = height(rep, model)
+    for j in range(WIDTH):
+        x = state(rep, model, rows, j)
+        p = parameters(params, shape, shared, rows, top, j)
+        e = extras_of(method, params, shape, rows, top, j)
+        x, z = full_step(method, rep, model, t, span, other, x, p, e)
+        store(rows, 0, j, x)
+        rows[top, j] = z if z > rows[top, j] else rows[top, j]
+
+
+def steps(
+    method: Any, rep: Any, model: Any, rows: Any, shape: Any, params: Any, shared: Any, run: Any,
+    stages: Any, h: Any, first: Any, last: Any,
+) -> None:  # fmt: skip
+    """Steps [first, last) of every lane; ``stages`` is empty for a method of one stage.
+
+    A loop over one stage would cost the cheapest methods a third of their speed.
+    """
+    raise NotImplementedError
+
+
+@hook(steps)
+def _steps(
+    method: types.Type, rep: types.Type, model: types.Type, rows: types.Type, shape: types.Type,
+    params: types.Type, shared: types.Type, run: types.Type, stages: types.Type, h: types.Type,
+    first: types.Type, last: types.Type,
+) -> Any:  # fmt: skip
+    def whole(method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
+        for n in range(first, last):
+            t = clock(params, run.t0 + n * run.h, h)
+            lanes(method, rep, model, rows, shape, params, shared, t, h, h)
+
+    def staged(method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
+        F = type(h)
+        for n in range(first, last):
+            for i in range(stages.shape[0]):
+                t = clock(params, run.t0 + (n + stages[i, 2]) * run.h, h)
+                span = F(stages[i, 0] * run.h)
+                other = F(stages[i, 1] * run.h)
+                lanes(method, rep, model, rows, shape, params, shared, t, span, other)
+
+    return staged if isinstance(stages, types.Array) else whole
+
+
+@helper
+def advance(method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
     """Run steps [first, last) on one tile; true if any lane turned by more than π in a step."""
     F = type(h)
-    top = height(rep)
+    top = height(rep, model)
     for j in range(WIDTH):
         rows[top, j] = F(0.0)
-    for n in range(first, last):
-        t = clock(params, run.t0 + n * run.h, h)
-        for j in range(WIDTH):
-            x = state(rep, rows, j)
-            p = parameters(params, shape, shared, rows, top, j)
-            x, z = step(method, rep, model, t, h, x, p)
-            store(rows, 0, j, x)
-            rows[top, j] = z if z > rows[top, j] else rows[top, j]
+    steps(method, rep, model, rows, shape, params, shared, run, stages, h, first, last)
     far = False
     for j in range(WIDTH):
         far |= rows[top, j] > F(math.pi * math.pi)
@@ -224,12 +299,58 @@ def take_slow(source, target, top):
                 target[i, j] = source[i, j]
 
 
+def block(
+    method: Any, rep: Any, near: Any, model: Any, rows: Any, kept: Any, shape: Any, params: Any,
+    shared: Any, run: Any, stages: Any, h: Any, first: Any, last: Any,
+) -> None:  # fmt: skip
+    """Run steps [first, last) on one tile, short and where it must be wide."""
+    raise NotImplementedError
+
+
+@hook(block)
+def _block(
+    method: types.Type, rep: types.BaseNamedTuple, near: types.BaseNamedTuple, model: types.Type,
+    rows: types.Type, kept: types.Type, shape: types.Type, params: types.Type, shared: types.Type,
+    run: types.Type, stages: types.Type, h: types.Type, first: types.Type, last: types.Type,
+) -> Any:  # fmt: skip
+    def plain(
+        method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, first, last
+    ):
+        advance(method, rep, model, rows, shape, params, shared, run, stages, h, first, last)
+
+    def twice(
+        method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, first, last
+    ):
+        copy(rows, kept)
+        if advance(method, near, model, rows, shape, params, shared, run, stages, h, first, last):
+            swap(rows, kept)
+            advance(method, rep, model, rows, shape, params, shared, run, stages, h, first, last)
+            take_slow(kept, rows, height(rep, model))
+
+    return plain if near.instance_class is rep.instance_class else twice
+
+
 @helper
-def begin(model, rep, rows, q0, start):
-    """Load the initial attitudes of a tile."""
-    last = q0.shape[0] - 1
+def begin(model, rep, rows, shape, params, shared, q0, w0, first, last):
+    """Load the initial states of a tile; the last body fills it up."""
+    top = height(rep, model)
     for j in range(WIDTH):
-        store(rows, 0, j, oriented(model, rep, initial(rep, q0, min(start + j, last))))
+        p = parameters(params, shape, shared, rows, top, j)
+        store(rows, 0, j, start(rep, model, q0, w0, min(first + j, last), p))
+
+
+@helper
+def set_out(method, rep, model, rows, shape, params, shared, run, edge, h):
+    """Prepare what the method needs of each lane, and take its state to the one that is stepped."""
+    F = type(h)
+    top = height(rep, model)
+    t = clock(params, run.t0, h)
+    for j in range(WIDTH):
+        x = state(rep, model, rows, j)
+        p = parameters(params, shape, shared, rows, top, j)
+        e = prepare(method, rep, model, h, x, p)
+        store_extras(method, params, shape, rows, top, j, e)
+        store(rows, 0, j, enter(method, rep, model, t, F(0.0), F(edge), x, p, e))
 
 
 @helper
@@ -242,58 +363,83 @@ def resume(rows, x, start):
 
 
 @helper
-def save(model, rep, rows, done, out, defect, start, width):
-    """Hand out the attitudes of a tile, brought back to the group."""
-    top = done.shape[0] - 1
+def save_start(model, rep, rows, done, shape, params, shared):
+    """What is handed out of the initial states."""
+    top = height(rep, model)
     for j in range(WIDTH):
-        y, d = finish(rep, oriented(model, rep, state(rep, rows, j)))
+        p = parameters(params, shape, shared, rows, top, j)
+        y, d = hand_out(rep, model, state(rep, model, rows, j), p)
         store(done, 0, j, y)
-        done[top, j] = d
+        done[done.shape[0] - 1, j] = d
+
+
+@helper
+def save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h):
+    """What is handed out of the states after n steps, brought back to the group."""
+    F = type(h)
+    top = height(rep, model)
+    t = clock(params, run.t0 + n * run.h, h)
+    since = F(n * run.h)
+    for j in range(WIDTH):
+        p = parameters(params, shape, shared, rows, top, j)
+        e = extras_of(method, params, shape, rows, top, j)
+        x = leave(method, rep, model, t, since, F(edge), state(rep, model, rows, j), p, e)
+        y, d = hand_out(rep, model, x, p)
+        store(done, 0, j, y)
+        done[done.shape[0] - 1, j] = d
+
+
+@helper
+def put(done, out, defect, first, width):
+    """Copy what is handed out to the ensemble's arrays."""
+    top = done.shape[0] - 1
     for j in range(width):
         for i in range(top):
-            out[start + j, i] = done[i, j]
-        defect[start + j] = done[top, j]
+            out[first + j, i] = done[i, j]
+        defect[first + j] = done[top, j]
 
 
 def run_tiles(
-    method, rep, near, model, shape, params, q0, x, h, run, out, defect, turn, tile_first, tile_last
-):
+    method, rep, near, model, shape, params, q0, w0, x, h, stages, edge, run, out, defect, turn,
+    tile_first, tile_last,
+):  # fmt: skip
     """Run steps [run.first, run.last) of the tiles [tile_first, tile_last).
 
-    Starts from ``q0`` or, where run.first > 0, from ``x (N, K)``, in which the states are left;
-    saves to ``out (S, N, K')`` and ``defect (S, N)``; ``turn (N,)`` grows to the largest squared
-    angle of a step. ``near`` is ``short(rep)``.
+    Starts from ``q0`` and ``w0`` or, where run.first > 0, from ``x (N, K)``, in which the states
+    are left; saves to ``out (S, N, K')`` and ``defect (S, N)``; ``turn (N,)`` grows to the largest
+    squared angle of a step. ``near`` is the twin of ``rep`` for turns of at most π; ``stages``
+    (M, 3) are those of the method, or () for one; ``edge`` the s that what is stepped lies ahead.
     """
-    rows, kept, done = scratch(rep, shape, params, x)
-    size = height(rep)
+    rows, kept, done = scratch(method, rep, model, shape, params, x)
+    size = height(rep, model)
     shared = shared_parameters(params, shape)
     for tile in range(tile_first, tile_last):
-        start = tile * WIDTH
-        width = min(WIDTH, x.shape[0] - start)
-        load_parameters(params, rows, size, start)
-        if run.first == 0:
-            begin(model, rep, rows, q0, start)
-            if run.slot == 1 or run.n_steps == 0:
-                save(model, rep, rows, done, out[0], defect[0], start, width)
-        else:
-            resume(rows, x, start)
+        first = tile * WIDTH
+        width = min(WIDTH, x.shape[0] - first)
+        load_parameters(params, rows, size, first)
+        begin(model, rep, rows, shape, params, shared, q0, w0, first, x.shape[0] - 1)
+        if run.first == 0 and (run.slot == 1 or run.n_steps == 0):
+            save_start(model, rep, rows, done, shape, params, shared)
+            put(done, out[0], defect[0], first, width)
+        set_out(method, rep, model, rows, shape, params, shared, run, edge, h)
+        if run.first > 0:
+            resume(rows, x, first)
         n = run.first
         while n < run.last:
             stop = min(n + BLOCK, run.last, (n // run.save_every + 1) * run.save_every)
-            copy(rows, kept)
-            if advance(method, near, model, rows, shape, params, shared, run, h, n, stop):
-                swap(rows, kept)
-                advance(method, rep, model, rows, shape, params, shared, run, h, n, stop)
-                take_slow(kept, rows, size)
+            block(
+                method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, n, stop
+            )
             for j in range(width):
-                turn[start + j] = max(turn[start + j], rows[size, j])
+                turn[first + j] = max(turn[first + j], rows[size, j])
             n = stop
             if n % run.save_every == 0 or n == run.n_steps:
                 slot = (n - 1) // run.save_every + run.slot
-                save(model, rep, rows, done, out[slot], defect[slot], start, width)
+                save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h)
+                put(done, out[slot], defect[slot], first, width)
         for j in range(width):
             for i in range(size):
-                x[start + j, i] = rows[i, j]
+                x[first + j, i] = rows[i, j]
 
 
 cached_run_tiles = driver(run_tiles)

@@ -118,6 +118,44 @@ def to_quat(c):
 
 
 @kernel
+def turn_first(a, c, s):
+    """a turned about body axis 1, c and s cosine and sine of half the angle."""
+    F = type(c)
+    C = F(1.0) - F(2.0) * s * s
+    S = F(2.0) * s * c
+    return (
+        a[0],
+        C * a[1] + S * a[2],
+        C * a[2] - S * a[1],
+        a[3],
+        C * a[4] + S * a[5],
+        C * a[5] - S * a[4],
+        a[6],
+        C * a[7] + S * a[8],
+        C * a[8] - S * a[7],
+    )
+
+
+@kernel
+def turn_third(a, c, s):
+    """a turned about body axis 3, c and s cosine and sine of half the angle."""
+    F = type(c)
+    C = F(1.0) - F(2.0) * s * s
+    S = F(2.0) * s * c
+    return (
+        C * a[0] + S * a[1],
+        C * a[1] - S * a[0],
+        a[2],
+        C * a[3] + S * a[4],
+        C * a[4] - S * a[3],
+        a[5],
+        C * a[6] + S * a[7],
+        C * a[7] - S * a[6],
+        a[8],
+    )
+
+
+@kernel
 def exp_short(u):
     """exp [u×] for a rotation vector of at most π rad; beyond, meaningless. See ``exp``."""
     return from_quat(quat.exp_short(u))

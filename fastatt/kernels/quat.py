@@ -57,6 +57,28 @@ def rotate_inverse(q, v):
 
 
 @kernel
+def turn_first(q, c, s):
+    """q∘(c, s, 0, 0): turned about body axis 1, c and s cosine and sine of half the angle."""
+    return (
+        c * q[0] - s * q[1],
+        c * q[1] + s * q[0],
+        c * q[2] + s * q[3],
+        c * q[3] - s * q[2],
+    )
+
+
+@kernel
+def turn_third(q, c, s):
+    """q∘(c, 0, 0, s): turned about body axis 3, c and s cosine and sine of half the angle."""
+    return (
+        c * q[0] - s * q[3],
+        c * q[1] + s * q[2],
+        c * q[2] - s * q[1],
+        c * q[3] + s * q[0],
+    )
+
+
+@kernel
 def exp_short(u):
     """exp(u/2) for a rotation vector u of at most π rad; beyond, meaningless. See ``exp``."""
     s, c = half_sinc_cos(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
@@ -132,16 +154,21 @@ def renormalise(q):
 
 
 @kernel
+def mul_vector(q, v):
+    """q∘(0, v): the derivative of q at the angular velocity 2v in body axes."""
+    return (
+        -q[1] * v[0] - q[2] * v[1] - q[3] * v[2],
+        q[0] * v[0] + q[2] * v[2] - q[3] * v[1],
+        q[0] * v[1] - q[1] * v[2] + q[3] * v[0],
+        q[0] * v[2] + q[1] * v[1] - q[2] * v[0],
+    )
+
+
+@kernel
 def derivative(q, w):
     """q̇ = ½ q∘w, w the angular velocity in body axes, rad/s."""
     F = type(q[0])
-    h = (F(0.5) * w[0], F(0.5) * w[1], F(0.5) * w[2])
-    return (
-        -q[1] * h[0] - q[2] * h[1] - q[3] * h[2],
-        q[0] * h[0] + q[2] * h[2] - q[3] * h[1],
-        q[0] * h[1] - q[1] * h[2] + q[3] * h[0],
-        q[0] * h[2] + q[1] * h[1] - q[2] * h[0],
-    )
+    return mul_vector(q, (F(0.5) * w[0], F(0.5) * w[1], F(0.5) * w[2]))
 
 
 @kernel

@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from numba import types
 
-from fastatt._jit import hook
+from fastatt._jit import helper, hook
+from fastatt.motion import Body
+
+FREE = ("spherical", "symmetric", "free")
+BODIES = (*FREE, "torqued")
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,22 @@ class Method:
     summary: str = ""
     exact_for_constant: bool = False
     orders: Mapping[str, int] = field(default_factory=dict)
+    #: (h, k, c) of each stage of a step: its share of free motion and of the other flow, and at
+    #: which share of the step the other flow acts; none for a method of one stage
+    stages: tuple[tuple[float, float, float], ...] = ()
+    #: needs the principal axes in ascending order
+    sorted_axes: bool = False
+    #: takes torques that depend on w only by linear damping
+    splits: bool = False
+
+    @property
+    def translates(self) -> bool:
+        """Whether velocity and position can be carried along: what is stepped is the state."""
+        return (
+            self.tag is not None
+            and type(self.tag) in _kernels
+            and (_kernels[type(self.tag)].stage is None)
+        )
 
     def order_of(self, scene: str) -> int:
         """Order on one kind of scene, where it differs from ``order``."""
@@ -45,39 +65,134 @@ class Method:
         return self.limits.get(representation, math.inf)
 
 
-def step(method: Any, rep: Any, model: Any, t: Any, h: Any, x: Any, p: Any) -> Any:
+class Kernels(NamedTuple):
+    """What a driver compiles of a method, chosen by its tag and by the kind of model.
+
+    ``rate`` and ``body`` are steps ``f(method, rep, model, t, h, x, p)``; ``stage`` is one stage of
+    a splitting, ``f(method, rep, model, t, h, k, x, p, e)``. ``prepare(method, rep, model, h, x,
+    p)`` gives the ``extras`` numbers e that a run needs of each body, from its initial state.
+    ``enter`` and ``leave`` change between the state and the one that is stepped:
+    ``f(method, rep, model, t, s, k, x, p, e)`` at time t, s after the start.
+    """
+
+    rate: Callable[..., Any] | None = None
+    body: Callable[..., Any] | None = None
+    stage: Callable[..., Any] | None = None
+    extras: int = 0
+    prepare: Callable[..., Any] | None = None
+    enter: Callable[..., Any] | None = None
+    leave: Callable[..., Any] | None = None
+
+
+def step(method: Any, rep: Any, model: Any, t: Any, h: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
     """(x(t + h), z): one step, and z the squared angle (rad²) that it turns at a time.
 
-    ``method``, ``rep`` and ``model`` are tags; x and h share a type; p are flat parameters.
+    ``method``, ``rep`` and ``model`` are tags; x and h share a type; p are flat parameters. Of a
+    splitting it is a stage: h s of free motion, then k s of the other flow. z is infinite where an
+    iteration did not converge.
     """
     raise NotImplementedError(method)
 
 
-_steps: dict[type, Callable[..., Any]] = {}
+def prepare(method: Any, rep: Any, model: Any, h: Any, x: Any, p: Any) -> Any:
+    """The numbers of a body that a run with step h needs besides its parameters."""
+    raise NotImplementedError(method)
 
 
-def register(cls: type, function: Callable[..., Any]) -> None:
-    """Make ``function`` (a step kernel) the step of the tag class ``cls``."""
-    _steps[cls] = function
+def enter(method: Any, rep: Any, model: Any, t: Any, s: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
+    """The state as the method steps it."""
+    raise NotImplementedError(method)
+
+
+def leave(method: Any, rep: Any, model: Any, t: Any, s: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
+    """The state from what the method steps."""
+    raise NotImplementedError(method)
+
+
+_kernels: dict[type, Kernels] = {}
+
+
+def register(cls: type, kernels: Kernels) -> None:
+    """Make ``kernels`` those of the tag class ``cls``."""
+    _kernels[cls] = kernels
+
+
+def extras(method: type) -> int:
+    """How many numbers ``prepare`` gives."""
+    return _kernels[method].extras
 
 
 @hook(step)
 def _step(
     method: types.BaseNamedTuple,
     rep: types.Type,
-    model: types.Type,
+    model: types.BaseNamedTuple,
     t: types.Type,
+    h: types.Type,
+    k: types.Type,
+    x: types.Type,
+    p: types.Type,
+    e: types.Type,
+) -> Any:
+    found = _kernels[method.instance_class]
+    if found.stage is not None:
+        return found.stage
+    function: Any = helper(found.body if model.instance_class is Body else found.rate)
+    return lambda method, rep, model, t, h, k, x, p, e: function(method, rep, model, t, h, x, p)
+
+
+@hook(prepare)
+def _prepare(
+    method: types.BaseNamedTuple,
+    rep: types.Type,
+    model: types.Type,
     h: types.Type,
     x: types.Type,
     p: types.Type,
 ) -> Any:
-    return _steps[method.instance_class]
+    found = _kernels[method.instance_class].prepare
+    return found or (lambda method, rep, model, h, x, p: ())
+
+
+def _unchanged(method, rep, model, t, s, k, x, p, e):
+    return x
+
+
+@hook(enter)
+def _enter(
+    method: types.BaseNamedTuple,
+    rep: types.Type,
+    model: types.Type,
+    t: types.Type,
+    s: types.Type,
+    k: types.Type,
+    x: types.Type,
+    p: types.Type,
+    e: types.Type,
+) -> Any:
+    return _kernels[method.instance_class].enter or _unchanged
+
+
+@hook(leave)
+def _leave(
+    method: types.BaseNamedTuple,
+    rep: types.Type,
+    model: types.Type,
+    t: types.Type,
+    s: types.Type,
+    k: types.Type,
+    x: types.Type,
+    p: types.Type,
+    e: types.Type,
+) -> Any:
+    return _kernels[method.instance_class].leave or _unchanged
 
 
 def lie_method(
     tag: Any,
     function: Callable[..., Any],
     *,
+    body: Callable[..., Any] | None = None,
     name: str,
     order: int,
     rate_calls: int,
@@ -87,13 +202,13 @@ def lie_method(
     exact_for_constant: bool = True,
 ) -> Method:
     """Record of a method whose state only ever turns: it stays on the group by construction."""
-    register(type(tag), function)
+    register(type(tag), Kernels(rate=function, body=body))
     representations = ("quat", "dcm", "dcm_rows")
     return Method(
         tag=tag,
         name=name,
         order=order,
-        scenes=("rate",),
+        scenes=("rate",) if body is None else ("rate", *BODIES),
         representations=representations,
         conserves=("norm",),
         rate_calls=rate_calls,

@@ -6,9 +6,8 @@ import math
 from typing import NamedTuple
 
 from fastatt.columns import axpy
-from fastatt.methods.method import Method, register
-from fastatt.rates import rate
-from fastatt.representations import derivative, speed_squared
+from fastatt.methods.method import BODIES, Kernels, Method, register
+from fastatt.motion import field, given, turning
 
 
 class RK4(NamedTuple):
@@ -18,25 +17,25 @@ class RK4(NamedTuple):
 def step(method, rep, model, t, h, x, p):
     F = type(h)
     half = F(0.5) * h
-    w = rate(model, t, p, h)
-    middle = rate(model, t + half, p, h)
-    k1 = derivative(rep, x, w)
-    k2 = derivative(rep, axpy(half, k1, x), middle)
-    k3 = derivative(rep, axpy(half, k2, x), middle)
-    k4 = derivative(rep, axpy(h, k3, x), rate(model, t + h, p, h))
+    start = given(model, t, p, h)
+    middle = given(model, t + half, p, h)
+    k1 = field(rep, model, start, x, p)
+    k2 = field(rep, model, middle, axpy(half, k1, x), p)
+    k3 = field(rep, model, middle, axpy(half, k2, x), p)
+    k4 = field(rep, model, given(model, t + h, p, h), axpy(h, k3, x), p)
     k = axpy(F(2.0), k2, k1)
     k = axpy(F(2.0), k3, k)
     k = axpy(F(1.0), k4, k)
-    return axpy(F(1.0 / 6.0) * h, k, x), h * h * speed_squared(rep, k1, w)
+    return axpy(F(1.0 / 6.0) * h, k, x), h * h * turning(rep, model, start, k1, x, p)
 
 
-register(RK4, step)
+register(RK4, Kernels(rate=step, body=step))
 
 METHOD = Method(
     tag=RK4(),
     name="rk4",
     order=4,
-    scenes=("rate",),
+    scenes=("rate", *BODIES),
     representations=("quat", "dcm", "dcm_rows", "euler313", "rotation_vector"),
     conserves=(),
     rate_calls=3,

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from fastatt._jit import helper
 from fastatt.kernels.so3 import dexpinv_short
 from fastatt.kernels.vec3 import add, axpy, dot, scale
 from fastatt.methods.method import lie_method
+from fastatt.motion import angular_velocity, attitude_of, given, momentum_of, momentum_rate
 from fastatt.rates import rate
 from fastatt.representations import turn
 
@@ -27,9 +29,34 @@ def step(method, rep, model, t, h, x, p):
     return turn(rep, x, u), dot(u, u)
 
 
+@helper
+def stage(rep, model, t, x, u, m, p):
+    """(u̇, ṁ) of the rotation vector u from the attitude x and of the momentum m."""
+    rate_of_m = momentum_rate(rep, model, t, turn(rep, x, u), m, p)
+    return dexpinv_short(u, angular_velocity(m, p)), rate_of_m
+
+
+def body_step(method, rep, model, t, h, x, p):
+    F = type(h)
+    half = F(0.5) * h
+    a = attitude_of(rep, x)
+    m = momentum_of(rep, x)
+    middle = given(model, t + half, p, h)
+    k1 = angular_velocity(m, p)
+    n1 = momentum_rate(rep, model, given(model, t, p, h), a, m, p)
+    k2, n2 = stage(rep, model, middle, a, scale(half, k1), axpy(half, n1, m), p)
+    k3, n3 = stage(rep, model, middle, a, scale(half, k2), axpy(half, n2, m), p)
+    k4, n4 = stage(rep, model, given(model, t + h, p, h), a, scale(h, k3), axpy(h, n3, m), p)
+    sixth = F(1.0 / 6.0) * h
+    u = scale(sixth, add(axpy(F(2.0), add(k2, k3), k1), k4))
+    m = axpy(sixth, add(axpy(F(2.0), add(n2, n3), n1), n4), m)
+    return turn(rep, a, u) + m, dot(u, u)
+
+
 METHOD = lie_method(
     RKMK4(),
     step,
+    body=body_step,
     name="rkmk4",
     order=4,
     rate_calls=3,

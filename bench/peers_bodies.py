@@ -1,0 +1,348 @@
+"""Rigid bodies in other programs: RK4 in C, Taylor series by heyoka, the order-8 pair of scipy.
+
+Each peer runs an ensemble from attitudes q0 (N, 4) and momenta m0 (N, 3), body axes, and gives a
+``Run``: the same at the end, and the seconds of the propagation on one core, compilation and the
+change of layout left out. Scenes are free bodies, or bodies in the potential of a heavy top,
+q0² − q1² − q2² + q3². A peer is imported, or its compiler looked for, where it is used.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+import time
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+T_END = 10.0
+TILE = 64
+
+
+class Run(NamedTuple):
+    """Attitudes (N, 4) and momenta (N, 3) at the end, seconds of the propagation."""
+
+    q: np.ndarray
+    m: np.ndarray
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """An ensemble: moments (3,) or (N, 3), attitudes and momenta at t = 0, a potential or none."""
+
+    inertia: np.ndarray
+    q0: np.ndarray
+    m0: np.ndarray
+    potential: bool
+
+    def __len__(self) -> int:
+        return len(self.q0)
+
+    def take(self, n: int) -> Bodies:
+        """The first n bodies."""
+        inertia = self.inertia if self.inertia.ndim == 1 else self.inertia[:n]
+        return Bodies(inertia, self.q0[:n], self.m0[:n], self.potential)
+
+
+def error(run: Run, exact: Run) -> np.ndarray:
+    """Angles between the attitudes of two runs, rad, right when tiny."""
+    p, q = exact.q, run.q
+    scalar = (p * q).sum(axis=1)
+    vector = p[:, :1] * q[:, 1:] - q[:, :1] * p[:, 1:] - np.cross(p[:, 1:], q[:, 1:])
+    return 2.0 * np.arctan2(np.linalg.norm(vector, axis=1), np.abs(scalar))
+
+
+def _ensemble(inertia: list, size: float, n_bodies: int, *, potential: bool) -> Bodies:
+    m0 = np.random.default_rng(1).normal(size=(n_bodies, 3))
+    m0 *= size / np.linalg.norm(m0, axis=1, keepdims=True)
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1))
+    return Bodies(np.array(inertia), q0, m0, potential)
+
+
+def free_bodies(n_bodies: int) -> Bodies:
+    """Moments (2, 1, 2/3), momenta of size 1 in all directions, no torque."""
+    return _ensemble([2.0, 1.0, 2.0 / 3.0], 1.0, n_bodies, potential=False)
+
+
+def bodies_in_potential(n_bodies: int) -> Bodies:
+    """Moments (0.6, 0.8, 1), momenta of size 2.05 in all directions, as a heavy top."""
+    return _ensemble([0.6, 0.8, 1.0], 2.05, n_bodies, potential=True)
+
+
+def _products(inertia: np.ndarray) -> np.ndarray:
+    """Factors of m2 m3, m3 m1 and m1 m2 in Euler's equations for the momentum, (..., 3)."""
+    inverse = 1.0 / np.asarray(inertia, float)
+    return np.roll(inverse, -2, axis=-1) - np.roll(inverse, -1, axis=-1)
+
+
+# C
+
+C_SOURCE = r"""
+enum { TILE = 64, STATE = 7, COEFFICIENTS = 6 };
+
+/* attitude, momentum; half the inverse moments and the factors of Euler's equations */
+typedef struct { double a, b, c, d, x, y, z; } body;
+typedef struct { double x, y, z, yz, zx, xy; } coefficients;
+
+#define INLINE static inline __attribute__((always_inline))
+
+INLINE body slope(body s, coefficients k, int potential)
+{
+    const double x = k.x * s.x, y = k.y * s.y, z = k.z * s.z;
+    body r;
+    r.a = -s.b * x - s.c * y - s.d * z;
+    r.b = s.a * x + s.c * z - s.d * y;
+    r.c = s.a * y - s.b * z + s.d * x;
+    r.d = s.a * z + s.b * y - s.c * x;
+    r.x = k.yz * s.y * s.z;
+    r.y = k.zx * s.z * s.x;
+    r.z = k.xy * s.x * s.y;
+    if (potential) {
+        r.x += 2.0 * (s.a * s.b + s.c * s.d);
+        r.y += 2.0 * (s.a * s.c - s.b * s.d);
+    }
+    return r;
+}
+
+INLINE body add(body s, double h, body r)
+{
+    s.a += h * r.a; s.b += h * r.b; s.c += h * r.c; s.d += h * r.d;
+    s.x += h * r.x; s.y += h * r.y; s.z += h * r.z;
+    return s;
+}
+
+INLINE void tile(double s[STATE][TILE], double k[COEFFICIENTS][TILE], int shared, int potential,
+                 double h, long steps)
+{
+    for (long n = 0; n < steps; n++)
+        for (int i = 0; i < TILE; i++) {
+            const int j = shared ? 0 : i;
+            const coefficients c = {k[0][j], k[1][j], k[2][j], k[3][j], k[4][j], k[5][j]};
+            const body s0 = {s[0][i], s[1][i], s[2][i], s[3][i], s[4][i], s[5][i], s[6][i]};
+            const body k1 = slope(s0, c, potential);
+            const body k2 = slope(add(s0, 0.5 * h, k1), c, potential);
+            const body k3 = slope(add(s0, 0.5 * h, k2), c, potential);
+            const body k4 = slope(add(s0, h, k3), c, potential);
+            body r = add(add(s0, h / 6.0, k1), h / 3.0, k2);
+            r = add(add(r, h / 3.0, k3), h / 6.0, k4);
+            s[0][i] = r.a; s[1][i] = r.b; s[2][i] = r.c; s[3][i] = r.d;
+            s[4][i] = r.x; s[5][i] = r.y; s[6][i] = r.z;
+        }
+}
+
+INLINE void run(double *y, const double *factors, long bodies, int shared, int potential,
+                double h, long steps)
+{
+    double s[STATE][TILE] __attribute__((aligned(64)));
+    double k[COEFFICIENTS][TILE] __attribute__((aligned(64)));
+    for (long first = 0; first < bodies; first += TILE) {
+        for (int e = 0; e < STATE; e++)
+            for (int i = 0; i < TILE; i++) s[e][i] = y[e * bodies + first + i];
+        for (int e = 0; e < COEFFICIENTS; e++)
+            for (int i = 0; i < TILE; i++)
+                k[e][i] = shared ? factors[e] : factors[e * bodies + first + i];
+        tile(s, k, shared, potential, h, steps);
+        for (int e = 0; e < STATE; e++)
+            for (int i = 0; i < TILE; i++) y[e * bodies + first + i] = s[e][i];
+    }
+}
+
+/* y[7][bodies], a multiple of 64 bodies; factors[6] for all or factors[6][bodies] */
+void rk4(double *y, const double *factors, long bodies, int shared, int potential,
+         double h, long steps)
+{
+    if (potential && shared) run(y, factors, bodies, 1, 1, h, steps);
+    else if (potential) run(y, factors, bodies, 0, 1, h, steps);
+    else if (shared) run(y, factors, bodies, 1, 0, h, steps);
+    else run(y, factors, bodies, 0, 0, h, steps);
+}
+"""
+C_FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
+
+
+def has_c() -> bool:
+    return shutil.which("gcc") is not None
+
+
+@cache
+def compile_c(vector_width: int | None = 512) -> ctypes._CFuncPtr:
+    """The C function ``rk4``; a compiler that does not know the vector width goes without."""
+    width = () if vector_width is None else (f"-mprefer-vector-width={vector_width}",)
+    with tempfile.TemporaryDirectory() as folder:
+        source, library = Path(folder, "rk4.c"), Path(folder, "rk4.so")
+        source.write_text(C_SOURCE, encoding="ascii")
+        done = None
+        for flags in dict.fromkeys(((*C_FLAGS, *width), C_FLAGS)):
+            command = ["gcc", *flags, str(source), "-o", str(library)]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode == 0:
+                break
+        else:
+            raise RuntimeError(f"gcc failed: {done.stderr}")
+        function = ctypes.CDLL(str(library)).rk4
+    array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
+    function.argtypes = [array, array, *[ctypes.c_long, *[ctypes.c_int] * 2]]
+    function.argtypes += [ctypes.c_double, ctypes.c_long]
+    function.restype = None
+    return function
+
+
+def c_rk4(
+    bodies: Bodies, n_steps: int, *, t_end: float = T_END, vector_width: int | None = 512
+) -> Run:
+    """RK4 on (q, m) in C: tiles of 64 bodies stay in a local array for the whole run."""
+    function = compile_c(vector_width)
+    n = len(bodies)
+    padded = -(-n // TILE) * TILE
+    y = np.empty((7, padded))
+    y[:4, :n], y[4:, :n] = bodies.q0.T, bodies.m0.T
+    y[:, n:] = y[:, :1]
+    factors = np.concatenate([0.5 / bodies.inertia.T, _products(bodies.inertia).T])
+    shared = factors.ndim == 1
+    if not shared:
+        factors = np.concatenate([factors, np.repeat(factors[:, :1], padded - n, 1)], axis=1)
+    start = time.perf_counter()
+    function(
+        y, np.ascontiguousarray(factors), padded, shared, bodies.potential, t_end / n_steps, n_steps
+    )
+    seconds = time.perf_counter() - start
+    return Run(y[:4, :n].T.copy(), y[4:, :n].T.copy(), seconds)
+
+
+# heyoka
+
+
+def has_heyoka() -> bool:
+    return find_spec("heyoka") is not None
+
+
+def _fastest_group(tol: float) -> int:
+    """Bodies in one system, measured: the looser the tolerance, the dearer the choice of a step."""
+    return next((n for n, least in ((8, 1e-3), (4, 1e-6), (2, 1e-8)) if tol >= least), 1)
+
+
+class Heyoka:
+    """heyoka's batch integrator for one scene: compiled once, used for batch after batch.
+
+    The state is (q, w/2), which has the fewest products; ``group`` bodies are one system of
+    equations with one step size, which spreads the cost of choosing the step and is chosen for the
+    tolerance unless given. Unrolled code (no compact mode) and a batch of one vector are fastest.
+    The library's ensemble functions copy the integrator for every batch, which takes longer than
+    the propagation.
+    """
+
+    def __init__(
+        self,
+        bodies: Bodies,
+        tol: float,
+        *,
+        batch: int | None = None,
+        group: int | None = None,
+        **options,
+    ) -> None:
+        import heyoka as hy
+
+        self.bodies = bodies
+        self.batch = hy.recommended_simd_size() if batch is None else batch
+        self.group = group = _fastest_group(tol) if group is None else group
+        self.shared = bodies.inertia.ndim == 1
+        # a torque-free body needs the first three factors only
+        self._n_factors = 5 if bodies.potential else 3
+        equations = []
+        for k in range(group):
+            first = k * self._n_factors
+            factors = (
+                self._factors(bodies.inertia)
+                if self.shared
+                else [hy.par[first + i] for i in range(self._n_factors)]
+            )
+            variables = hy.make_vars(*(f"{name}{k}" for name in "abcdxyz"))
+            equations += self._equations(variables, factors)
+        state = np.tile(np.eye(7, 1), (group, self.batch))
+        self.integrator = hy.taylor_adaptive_batch(equations, state, tol=tol, **options)
+
+    def _factors(self, inertia: np.ndarray) -> np.ndarray:
+        """Of the products of half rates in Euler's equations; 1/I1 and 1/I2 for the potential."""
+        i1, i2, i3 = np.moveaxis(inertia, -1, 0)
+        products = [2.0 * (i2 - i3) / i1, 2.0 * (i3 - i1) / i2, 2.0 * (i1 - i2) / i3]
+        return np.stack([*products, 1.0 / i1, 1.0 / i2][: self._n_factors], axis=-1)
+
+    def _equations(self, variables: list, factors) -> list:
+        a, b, c, d, x, y, z = variables
+        spin = [factors[0] * (y * z), factors[1] * (z * x), factors[2] * (x * y)]
+        if self.bodies.potential:
+            spin[0] += factors[3] * (a * b + c * d)
+            spin[1] += factors[4] * (a * c - b * d)
+        turn = [-b * x - c * y - d * z, a * x + c * z - d * y, a * y - b * z + d * x]
+        return list(zip(variables, [*turn, a * z + b * y - c * x, *spin], strict=True))
+
+    def _lanes(self, columns: np.ndarray) -> np.ndarray:
+        """Columns (N, k) of the bodies as (batches, group k, batch), the last body repeated."""
+        n, k = columns.shape
+        size = self.group * self.batch
+        bodies = np.minimum(np.arange(-(-n // size) * size), n - 1)
+        lanes = columns[bodies].reshape(-1, self.group, self.batch, k)
+        return np.swapaxes(lanes, 2, 3).reshape(len(lanes), self.group * k, self.batch)
+
+    def run(self, t_end: float = T_END) -> Run:
+        """All bodies, a batch at a time, from t = 0."""
+        n, integrator = len(self.bodies), self.integrator
+        inertia = np.broadcast_to(self.bodies.inertia, self.bodies.m0.shape)
+        starts = self._lanes(
+            np.concatenate([self.bodies.q0, 0.5 * self.bodies.m0 / inertia], axis=1)
+        )
+        factors = None if self.shared else self._lanes(self._factors(inertia))
+        ends = np.empty_like(starts)
+        state, parameters = integrator.state, integrator.pars
+        start = time.perf_counter()
+        for k in range(len(starts)):
+            state[:] = starts[k]
+            if factors is not None:
+                parameters[:] = factors[k]
+            integrator.set_time(0.0)
+            integrator.propagate_until(t_end)
+            ends[k] = state
+        seconds = time.perf_counter() - start
+        y = ends.reshape(len(ends), self.group, 7, self.batch)
+        y = np.swapaxes(y, 2, 3).reshape(-1, 7)[:n]
+        return Run(y[:, :4].copy(), 2.0 * inertia * y[:, 4:], seconds)
+
+
+# scipy
+
+
+def scipy_dop853(bodies: Bodies, rtol: float, *, t_end: float = T_END) -> Run:
+    """``solve_ivp`` with DOP853, body by body."""
+    from scipy.integrate import solve_ivp
+
+    def slope(_, s, i1, i2, i3):
+        a, b, c, d, m1, m2, m3 = s.tolist()
+        x, y, z = m1 / i1, m2 / i2, m3 / i3
+        u, v = (2.0 * (a * b + c * d), 2.0 * (a * c - b * d)) if bodies.potential else (0.0, 0.0)
+        return (
+            0.5 * (-b * x - c * y - d * z),
+            0.5 * (a * x + c * z - d * y),
+            0.5 * (a * y - b * z + d * x),
+            0.5 * (a * z + b * y - c * x),
+            m2 * z - m3 * y + u,
+            m3 * x - m1 * z + v,
+            m1 * y - m2 * x,
+        )
+
+    inertia = np.broadcast_to(bodies.inertia, bodies.m0.shape).tolist()
+    starts = np.concatenate([bodies.q0, bodies.m0], axis=1)
+    ends = np.empty_like(starts)
+    start = time.perf_counter()
+    for k, y in enumerate(starts):
+        ends[k] = solve_ivp(
+            slope, (0.0, t_end), y, "DOP853", args=inertia[k], rtol=rtol, atol=rtol
+        ).y[:, -1]
+    seconds = time.perf_counter() - start
+    return Run(ends[:, :4].copy(), ends[:, 4:].copy(), seconds)

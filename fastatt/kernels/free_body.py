@@ -1,0 +1,375 @@
+"""Free motion of a rigid body in closed form: constants once, then attitude and momentum at any t.
+
+Jacobi's solution (1849) as arranged by van Zon and Schofield, J. Comput. Phys. 225 (2007), and
+Celledoni, Fassò, Säfström and Zanna, SIAM J. Sci. Comput. 30 (2008), on axes of which the momentum
+m circles the third: I1 < I2 < I3 or I1 > I2 > I3, m1 = a1 cn, m2 = a2 sn, m3 = a3 dn. The phase, an
+integral of the third kind, is not taken by itself: with B/A the quotient of a theta pair,
+
+    L + m3 : L − m3 = |A|² : |B|²,    m1 + i m2 ~ i B A*,
+    (q0 + i q3) : (q1 + i q2) = A : B, both turning by a phase linear in time.
+
+So the attitude carries m(t) to where it carried m(0), to rounding, whatever t.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fastatt._jit import kernel
+from fastatt.kernels import quat
+from fastatt.kernels.elliptic import cubic, first_kind_pair, theta_pair, theta_pair_at
+from fastatt.kernels.trig import sincos
+
+# numbers with twice the digits, high and low part: |high| ≤ 1
+
+
+@kernel
+def split_product(a, b):
+    """a b as (high, low) for |a|, |b| ≤ 1: error 1e-32 (float64).
+
+    Dekker's product (Numer. Math. 18, 1971), its roundings made by additions alone: a multiply
+    may be fused here, which would undo the usual splitting by 2²⁷ + 1.
+    """
+    F = type(a)
+    cut = F(201326592.0)
+    a1 = (a + cut) - cut
+    b1 = (b + cut) - cut
+    a2 = a - a1
+    b2 = b - b1
+    high = (a * b + F(3.0)) - F(3.0)
+    low = (((a1 * b1 - high) + a1 * b2) + a2 * b1) + a2 * b2
+    total = high + low
+    return total, low - (total - high)
+
+
+@kernel
+def split_difference(a, b):
+    """a − b as (high, low), without error (Knuth)."""
+    high = a - b
+    c = high - a
+    return high, (a - (high - c)) - (b + c)
+
+
+@kernel
+def split_multiply(a, b):
+    """Product of two numbers (high, low) of at most 1: error 1e-31 (float64)."""
+    high, low = split_product(a[0], b[0])
+    low = low + (a[0] * b[1] + a[1] * b[0])
+    total = high + low
+    return total, low - (total - high)
+
+
+@kernel
+def scale(x):
+    """A power of two s with 3/8 ≤ s x < 1, for 1e-290 ≤ x ≤ 1e290; below 1e-290, 1 (float64)."""
+    F = type(x)
+    tiny = F(1e-290)
+    # in float32, where 1e-290 is 0, the same with its own bounds
+    double = tiny > F(0.0)
+    tiny = tiny if double else F(1e-30)
+    shift = F(2.0**52) if double else F(2.0**23)
+    # x is the last bit of the sum: rounded to one bit. Nothing here changes when fused
+    bit = (x * shift + x) - x * shift
+    return F(1.0) if x < tiny else F(0.5) / bit
+
+
+@kernel
+def largest(v):
+    """The largest of |v1|, |v2|, |v3|."""
+    m = abs(v[0])
+    m = abs(v[1]) if abs(v[1]) > m else m
+    return abs(v[2]) if abs(v[2]) > m else m
+
+
+# axes
+
+
+@kernel
+def exchange(a, b, swap):
+    """(b, a) of two tuples of four where swap > 0, else (a, b)."""
+    F = type(swap)
+    s = swap > F(0.0)
+    return (
+        (b[0] if s else a[0], b[1] if s else a[1], b[2] if s else a[2], b[3] if s else a[3]),
+        (a[0] if s else b[0], a[1] if s else b[1], a[2] if s else b[2], a[3] if s else b[3]),
+    )
+
+
+@kernel
+def order(m, low, inertia):
+    """The three axes, the one that the momentum m + low circles last, and I1 I3 |L² − 2T I2|.
+
+    An axis is (moment, momentum, its low part, name 0, 1 or 2); moments ascend or descend.
+    """
+    F = type(m[0])
+    a = (inertia[0], m[0], low[0], F(0.0))
+    b = (inertia[1], m[1], low[1], F(1.0))
+    c = (inertia[2], m[2], low[2], F(2.0))
+    a, b = exchange(a, b, a[0] - b[0])
+    b, c = exchange(b, c, b[0] - c[0])
+    a, b = exchange(a, b, a[0] - b[0])
+
+    # D = I1 (I3 − I2) m3² − I3 (I2 − I1) m1² keeps its digits near the separatrix; also near the
+    # intermediate axis, where both momenta are small: a power of two is taken out
+    s = scale(abs(a[1]) if abs(a[1]) > abs(c[1]) else abs(c[1]))
+    x = (s * c[1], s * c[2])
+    y = (s * a[1], s * a[2])
+    u = split_multiply(split_difference(c[0], b[0]), (a[0], F(0.0)))
+    v = split_multiply(split_difference(b[0], a[0]), (c[0], F(0.0)))
+    x = split_multiply(split_multiply(x, x), u)
+    y = split_multiply(split_multiply(y, y), v)
+    gap = (x[0] - y[0]) + (x[1] - y[1])
+    # on the separatrix either will do, but for symmetric bodies
+    flat = b[0] - a[0] >= c[0] - b[0]
+    a, c = exchange(a, c, (F(1.0) if flat else F(-1.0)) if gap == F(0.0) else -gap)
+    return a, b, c, abs(gap) / s / s
+
+
+@kernel
+def handed(a, b, c):
+    """(name1, name2, s1, s2, s3) of ordered axes: signs that make a right-handed frame.
+
+    In it m1 and m3 are not negative.
+    """
+    F = type(a[0])
+    s1 = F(-1.0) if a[1] < F(0.0) else F(1.0)
+    s3 = F(-1.0) if c[1] < F(0.0) else F(1.0)
+    step = b[3] - a[3]
+    cyclic = step == (F(1.0) if step > F(0.0) else F(-2.0))
+    return a[3], b[3], s1, (s1 * s3 if cyclic else -s1 * s3), s3
+
+
+@kernel
+def to_body(v, axes):
+    """Body components of a vector given along the axes of ``handed``."""
+    F = type(v[0])
+    x = axes[2] * v[0]
+    y = axes[3] * v[1]
+    z = axes[4] * v[2]
+    return (
+        x if axes[0] == F(0.0) else (y if axes[1] == F(0.0) else z),
+        x if axes[0] == F(1.0) else (y if axes[1] == F(1.0) else z),
+        x if axes[0] == F(2.0) else (y if axes[1] == F(2.0) else z),
+    )
+
+
+# the solution
+
+
+@kernel
+def relative(g, phase, rate, start, t):
+    """Attitude seen from the axes along L, on the ordered body axes, and (m1, m2)/2L.
+
+    ``g`` are the constants of the theta pair, B weighted so that |A|² : |B|² = L + m3 : L − m3;
+    its argument is start + rate t.
+    """
+    F = type(t)
+    ar, ai, br, bi, chi = theta_pair_at(g, start + rate * t)
+    s, c = sincos(phase * t + chi)
+    square = (ar * ar + ai * ai) + (br * br + bi * bi)
+    n = F(1.0) / math.sqrt(square)
+    s = n * s
+    c = n * c
+    x = (c * ar - s * ai, c * br - s * bi, c * bi + s * br, c * ai + s * ar)
+    n = n * n
+    return x, n * (br * ai - bi * ar), n * (br * ar + bi * ai)
+
+
+@kernel
+def amplitudes(J, m, gap):
+    """(a1, a2, a3), the least m3, k', k, and the squares of a2/a1 and k a3/a1.
+
+    Moments and momentum are along ordered axes, ``gap`` is that of ``order``. Equal moments leave a
+    circle, k = 0, or rest.
+    """
+    F = type(m[0])
+    zero = F(0.0)
+    one = F(1.0)
+    d21 = abs(J[1] - J[0])
+    d32 = abs(J[2] - J[1])
+    d31 = abs(J[2] - J[0])
+    sphere = d32 == zero
+    d32 = one if sphere else d32
+    r21 = one if sphere else d31 * J[1] / (J[0] * d32)
+    r32 = zero if sphere else d21 * J[2] / (J[1] * d31)
+    r31 = d21 * J[2] / (J[0] * d32)
+    a1 = math.sqrt(m[0] * m[0] + m[1] * m[1] / r21)
+    a2 = math.sqrt(m[1] * m[1] + m[0] * m[0] * r21)
+    a3 = math.sqrt(m[2] * m[2] + m[1] * m[1] * r32)
+    least = math.sqrt(gap / (J[0] * d32))
+    least = m[2] if d21 == zero else least
+    least = least if least < a3 else a3
+    circle = a3 == zero if d21 != zero else d21 == zero
+    k = zero if circle else math.sqrt(r31) * a1 / (one if circle else a3)
+    kc = one if circle else least / (one if circle else a3)
+    return (a1, a2, a3), least, kc, k if k < one else one, r21, r31
+
+
+@kernel
+def begin(q, m, low, inertia, size, f):
+    """Constants of a motion as for ``setup``, from scaled momentum m + low and inertia.
+
+    Their numbers are at most 1. ``size`` is the unit of momentum, ``f`` that of rates.
+    """
+    F = type(m[0])
+    zero = F(0.0)
+    one = F(1.0)
+    x, y, z, gap = order(m, low, inertia)
+    axes = handed(x, y, z)
+    J = (x[0], y[0], z[0])
+    m = (abs(x[1]), axes[3] * y[1], abs(z[1]))
+    a, least, kc, k, r21, r31 = amplitudes(J, m, gap)
+    length = math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    rest = length == zero
+
+    # where the motion starts, cot am u = (a2/a1) m1/m2, and sin am(c, k') = a1/a2
+    side = abs(m[1])
+    cot = math.sqrt(r21) * m[0] / (side if side > zero else one)
+    u, K, c, Kc = first_kind_pair(cot, kc, math.sqrt(r31), k)
+    u = u if side > zero else zero
+    u = -u if m[1] < zero else u
+    g = theta_pair(K, Kc, c)
+    start = g[16] * u
+
+    # the weight of B from a point where m is known: m1 = 0, or m2 = 0 where K may be infinite
+    even = cubic(g[0:4], one)
+    odd = cubic(g[12:16], one)
+    middle = a[1] * cubic(g[0:4], -one) / ((length + least) * cubic(g[8:12], -one))
+    edge = a[0] * even / ((length + a[2]) * (-odd if odd < zero else one))
+    weight = edge if g[20] > F(0.5) else middle
+    weight = zero if rest else weight
+
+    # the phase turns by (2T + L m3/I3)/(L + m3); what the pair does not carry is the same at any
+    # time, so it is taken where u = 0
+    rate = g[16] * a[2] * math.sqrt((J[2] - J[1]) * (J[2] - J[0]) / (J[0] * J[1])) / J[2]
+    rate = rate if J[2] > J[0] else -rate
+    energy = m[0] * m[0] / J[0] + m[1] * m[1] / J[1] + m[2] * m[2] / J[2]
+    whole = (energy + length * a[2] / J[2]) / (one if rest else length + a[2])
+    phase = F(0.5) * whole - rate * (g[19] + cubic(g[4:8], one) / even)
+    # turning about the intermediate axis is an equilibrium
+    rate = (zero if m[2] == zero else rate) if m[0] == zero else rate
+
+    weighted = (
+        weight * g[8],
+        weight * g[9],
+        weight * g[10],
+        weight * g[11],
+        weight * g[12],
+        weight * g[13],
+        weight * g[14],
+        weight * g[15],
+    )
+    g = g[0:8] + weighted + g[16:21]
+    x, _, _ = relative(g, phase, rate, start, zero)
+    v = to_body((-x[1], -x[2], -x[3]), axes)
+    p = quat.mul(q, (x[0], v[0], v[1], v[2]))
+    twice = length + length
+    least = zero if rest else least / twice
+    return p + axes + (f * phase, f * rate, start, twice * size, least, r31) + g
+
+
+@kernel
+def setup(q, m, inertia):
+    """Constants of the motion that starts at attitude q with momentum m = I w, 36 numbers.
+
+    m is in principal axes of the body, ``inertia`` the three principal moments, in any order: all
+    above 0, and both between 1e-290 and 1e290 (float64). A body at rest stays there.
+    """
+    F = type(m[0])
+    sm = scale(largest(m))
+    si = scale(largest(inertia))
+    m = (sm * m[0], sm * m[1], sm * m[2])
+    inertia = (si * inertia[0], si * inertia[1], si * inertia[2])
+    return begin(q, m, (F(0.0), F(0.0), F(0.0)), inertia, F(1.0) / sm, si / sm)
+
+
+@kernel
+def setup_rate(q, w, inertia):
+    """Constants of the motion that starts at attitude q with angular velocity w, as ``setup``.
+
+    The products I w keep their low parts: within 1e-12 of the separatrix the rounding of m alone
+    moves the next flip by 1e-4 of its time.
+    """
+    F = type(w[0])
+    sw = scale(largest(w))
+    si = scale(largest(inertia))
+    inertia = (si * inertia[0], si * inertia[1], si * inertia[2])
+    x = split_product(sw * w[0], inertia[0])
+    y = split_product(sw * w[1], inertia[1])
+    z = split_product(sw * w[2], inertia[2])
+    high = (x[0], y[0], z[0])
+    low = (x[1], y[1], z[1])
+    return begin(q, high, low, inertia, F(1.0) / sw / si, F(1.0) / sw)
+
+
+@kernel
+def evaluate(constants, t):
+    """Attitude q and momentum m (principal body axes) at the time t after the start, of any sign.
+
+    Error at most 1e-15 (1 + |w| t) of q, and of m in relation to |m| (float64), on either side of
+    the separatrix and on it, and for symmetric bodies. Of m from ``setup``, as given.
+    """
+    g = constants
+    x, y1, y2 = relative(g[15:36], g[9], g[10], g[11], t)
+    y3 = math.sqrt(g[13] * g[13] + g[14] * y1 * y1)
+    v = to_body((x[1], x[2], x[3]), g[4:9])
+    q = quat.mul(g[0:4], (x[0], v[0], v[1], v[2]))
+    size = g[12]
+    return q, to_body((size * y1, size * y2, size * y3), g[4:9])
+
+
+# bodies with two equal moments
+
+
+@kernel
+def symmetric_setup(q, w, inertia):
+    """Constants of the regular precession of a body with two equal moments, as ``setup_rate``.
+
+    Of the three moments the two closest count as equal, with their mean.
+    """
+    F = type(w[0])
+    x = abs(inertia[1] - inertia[2])
+    y = abs(inertia[2] - inertia[0])
+    z = abs(inertia[0] - inertia[1])
+    axis = F(2.0) if z <= (x if x < y else y) else (F(0.0) if x <= y else F(1.0))
+    first = axis == F(0.0)
+    second = axis == F(1.0)
+    C = inertia[0] if first else (inertia[1] if second else inertia[2])
+    A1 = inertia[1] if first else (inertia[2] if second else inertia[0])
+    A2 = inertia[2] if first else (inertia[0] if second else inertia[1])
+    A = F(0.5) * A1 + F(0.5) * A2
+    spin = w[0] if first else (w[1] if second else w[2])
+    e = (
+        F(1.0) if first else F(0.0),
+        F(1.0) if second else F(0.0),
+        F(0.0) if first else (F(0.0) if second else F(1.0)),
+    )
+    excess = spin * ((C - A) / A)
+    u = (w[0] + excess * e[0], w[1] + excess * e[1], w[2] + excess * e[2])
+    return (
+        q[0],
+        q[1],
+        q[2],
+        q[3],
+        u[0],
+        u[1],
+        u[2],
+        w[0],
+        w[1],
+        w[2],
+        e[0],
+        e[1],
+        e[2],
+        -excess,
+    )
+
+
+@kernel
+def symmetric_evaluate(constants, t):
+    """Attitude q0∘exp(m0 t/A)∘exp(e (1/C − 1/A) m3 t), e the axis of symmetry, and w at time t."""
+    g = constants
+    F = type(t)
+    s, c = sincos(F(0.5) * (t * g[13]))
+    turn = (c, s * g[10], s * g[11], s * g[12])
+    q = quat.mul(quat.mul(g[0:4], quat.exp((t * g[4], t * g[5], t * g[6]))), turn)
+    return q, quat.rotate_inverse(turn, g[7:10])

@@ -1,0 +1,146 @@
+"""Euler's dynamic equations: momentum, energy and torques in principal body axes.
+
+w is the angular velocity (rad/s), m = I w the angular momentum (N·m·s), both along principal body
+axes; ``inertia`` the three principal moments (kg·m²). Goldstein, *Classical Mechanics*, §5.5;
+Hughes, *Spacecraft Attitude Dynamics* (1986), ch. 4 and 8.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fastatt._jit import kernel
+from fastatt.kernels import quat
+from fastatt.kernels.trig import power_of_two, reduce_powers, sincos, sinhcosh_short
+from fastatt.kernels.vec3 import cross, dot
+
+
+@kernel
+def momentum(w, inertia):
+    """m = I w."""
+    return inertia[0] * w[0], inertia[1] * w[1], inertia[2] * w[2]
+
+
+@kernel
+def gyroscopic_coefficients(inertia):
+    """c = (1/I3 − 1/I2, 1/I1 − 1/I3, 1/I2 − 1/I1), without cancellation."""
+    return (
+        (inertia[1] - inertia[2]) / (inertia[1] * inertia[2]),
+        (inertia[2] - inertia[0]) / (inertia[2] * inertia[0]),
+        (inertia[0] - inertia[1]) / (inertia[0] * inertia[1]),
+    )
+
+
+@kernel
+def gyroscopic(m, c):
+    """m×w = (c1 m2 m3, c2 m3 m1, c3 m1 m2), c from ``gyroscopic_coefficients``."""
+    return c[0] * m[1] * m[2], c[1] * m[2] * m[0], c[2] * m[0] * m[1]
+
+
+@kernel
+def acceleration(w, inertia, torque):
+    """ẇ of Euler's equations I1 ẇ1 + (I3 − I2) w2 w3 = τ1, cyclic, rad/s² (Hughes, eq. 4.1.3)."""
+    return (
+        (torque[0] + (inertia[1] - inertia[2]) * w[1] * w[2]) / inertia[0],
+        (torque[1] + (inertia[2] - inertia[0]) * w[2] * w[0]) / inertia[1],
+        (torque[2] + (inertia[0] - inertia[1]) * w[0] * w[1]) / inertia[2],
+    )
+
+
+@kernel
+def kinetic_energy(w, inertia):
+    """T = ½ w·I w, J."""
+    F = type(w[0])
+    return F(0.5) * dot(w, momentum(w, inertia))
+
+
+@kernel
+def kinetic_energy_symmetric(angles, rates, inertia):
+    """T of a symmetric top in 3-1-3 angles and their rates; ``inertia`` is (I1, I3), J.
+
+    ½ I1 (φ̇² sin²θ + θ̇²) + ½ I3 (φ̇ cosθ + ψ̇)².
+    """
+    F = type(angles[1])
+    s, c = sincos(angles[1])
+    a = rates[0] * s
+    b = rates[0] * c + rates[2]
+    return F(0.5) * (inertia[0] * (a * a + rates[1] * rates[1]) + inertia[1] * b * b)
+
+
+@kernel
+def damping(w, coefficients):
+    """Linear damping τ = −c w, axis by axis; c in N·m·s."""
+    return -coefficients[0] * w[0], -coefficients[1] * w[1], -coefficients[2] * w[2]
+
+
+@kernel
+def quadratic_damping(w, coefficient):
+    """Quadratic damping τ = −c |w| w; c in N·m·s²."""
+    k = -coefficient * math.sqrt(dot(w, w))
+    return k * w[0], k * w[1], k * w[2]
+
+
+@kernel
+def gravity_gradient(o, inertia, mean_motion):
+    """τ = 3 n² o×(I o) in a circular orbit, o the radial unit vector along body axes.
+
+    Hughes (1986), eq. 8.1.13; n in rad/s.
+    """
+    F = type(o[0])
+    k = F(3.0) * mean_motion * mean_motion
+    c = cross(o, momentum(o, inertia))
+    return k * c[0], k * c[1], k * c[2]
+
+
+@kernel
+def orbit_direction(t, mean_motion, radial, along):
+    """cos(nt) radial + sin(nt) along: the direction out from the planet, inertial axes."""
+    s, c = sincos(mean_motion * t)
+    F = type(radial[0])
+    s = F(s)
+    c = F(c)
+    return (
+        c * radial[0] + s * along[0],
+        c * radial[1] + s * along[1],
+        c * radial[2] + s * along[2],
+    )
+
+
+@kernel
+def quaternion_feedback(e, w, stiffness, damping):
+    """τ = −k sgn(e0) (e1, e2, e3) − c w, e the attitude relative to the target's.
+
+    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3; k in N·m, c in N·m·s. Turns the shorter
+    way.
+    """
+    k = stiffness if e[0] < type(e[0])(0.0) else -stiffness
+    return k * e[1] - damping * w[0], k * e[2] - damping * w[1], k * e[3] - damping * w[2]
+
+
+@kernel
+def target_error(target, q):
+    """target*∘q: the attitude seen from the target's."""
+    return quat.mul(quat.conj(target), q)
+
+
+@kernel
+def exp_decay(x):
+    """(e^−x, (1 − e^−x)/x), the flow of linear damping; |x| ≤ 176, beyond which it counts as that.
+
+    The second is e^−y sinh(y)/y with y = x/2. Relative error at most 1e-15 (float64).
+    """
+    F = type(x)
+    y = F(0.5) * x
+    y = F(88.0) if y > F(88.0) else y
+    y = F(-88.0) if y < F(-88.0) else y
+    k, r = reduce_powers(y)
+    s, c = sinhcosh_short(r)
+    p = power_of_two(abs(k))
+    inverse = F(1.0) / p
+    up = (c + s) * (p if k > F(0.0) else inverse)
+    down = (c - s) * (inverse if k > F(0.0) else p)
+    tiny = abs(y) < F(1e-30)
+    safe = F(1.0) if tiny else y
+    numerator = s if k == F(0.0) else F(0.5) * (up - down)
+    ratio = F(1.0) if tiny else numerator / safe
+    return down * down, down * ratio

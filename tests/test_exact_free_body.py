@@ -1,0 +1,461 @@
+"""Free bodies in closed form against Taylor series of Euler's equations and known numbers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+from fractions import Fraction
+
+import mpmath as mp
+import numpy as np
+import oracle
+import pytest
+import rigid_oracle as ro
+
+import fastatt as fa
+from fastatt import exact
+from fastatt.kernels import free_body
+
+ONE = (1.0, 0.0, 0.0, 0.0)
+
+# the reference: power series in fixed point, whose integers are many times as fast as mpmath
+
+BITS = 240
+ORDER = 40
+
+
+def fixed(x):
+    """A number as a multiple of 2^−BITS."""
+    x = Fraction(x)
+    return (x.numerator << BITS) // x.denominator
+
+
+def series_step(m, q, inverse, h):
+    """m and q after h, of ṁ = m×w, q̇ = ½ q∘w, w = I⁻¹ m."""
+
+    def product(a, b):
+        return sum(map(operator.mul, a, reversed(b)))
+
+    m, q = [[c] for c in m], [[c] for c in q]
+    w = [[m[i][0] * inverse[i] >> BITS] for i in range(3)]
+    for n in range(1, ORDER + 1):
+        (m1, m2, m3), (w1, w2, w3), (a, b, c, d) = m, w, q
+        moments = (
+            product(m2, w3) - product(m3, w2),
+            product(m3, w1) - product(m1, w3),
+            product(m1, w2) - product(m2, w1),
+        )
+        turns = (
+            -product(b, w1) - product(c, w2) - product(d, w3),
+            product(a, w1) + product(c, w3) - product(d, w2),
+            product(a, w2) + product(d, w1) - product(b, w3),
+            product(a, w3) + product(b, w2) - product(c, w1),
+        )
+        for i, x in enumerate(moments):
+            m[i].append(((x >> BITS) * h >> BITS) // n)
+            w[i].append(m[i][-1] * inverse[i] >> BITS)
+        for i, x in enumerate(turns):
+            q[i].append(((x >> BITS + 1) * h >> BITS) // n)
+    return [sum(c) for c in m], [sum(c) for c in q]
+
+
+def motion(q0, w0, inertia, times, step=0.4):
+    """[(q, w)] at the times, in this order, in steps of at most ``step``/|w|; floats are exact."""
+    size = Fraction(max(map(abs, w0))) or Fraction(1)
+    largest = Fraction(max(inertia))
+    moments = [Fraction(i) / largest for i in inertia]
+    inverse = [fixed(1 / i) for i in moments]
+    m = [fixed(i * Fraction(c) / size) for i, c in zip(moments, w0, strict=True)]
+    q = [fixed(c) for c in q0]
+    found, now = [], Fraction(0)
+    for t in times:
+        until = Fraction(t) * size
+        n = math.ceil(abs(until - now) / Fraction(step)) or 1
+        for _ in range(n):
+            m, q = series_step(m, q, inverse, fixed((until - now) / n))
+        now = until
+        w = [float(size * Fraction(c * v, 1 << 2 * BITS)) for c, v in zip(m, inverse, strict=True)]
+        found.append((mp.matrix([mp.mpf(c) / (1 << BITS) for c in q]), w))
+    return found
+
+
+def errors(w0, inertia, times, q0=ONE, step=0.4):
+    """Largest errors over the times of the angle, in rad, and of w and m, over 1 + |w| t."""
+    w0, inertia = [float(c) for c in w0], [float(c) for c in inertia]
+    w_size, m_size = math.hypot(*w0), math.hypot(*map(operator.mul, w0, inertia))
+    q, w = exact.free_body(q0, w0, inertia, times)
+    worst = np.zeros(3)
+    for k, (q_true, w_true) in enumerate(motion(q0, w0, inertia, times, step)):
+        gap = (w[k] - w_true) / (1.0 + w_size * abs(times[k]))
+        angle = 2.0 * oracle.attitude_error(q[k], q_true) / (1.0 + w_size * abs(times[k]))
+        scaled = np.linalg.norm(gap) / w_size, np.linalg.norm(gap * inertia) / m_size
+        worst = np.maximum(worst, (angle, *scaled))
+    return worst
+
+
+BOUND = 1e-15
+
+
+def triaxial(rng):
+    """Random moments that a body can have."""
+    while True:
+        inertia = rng.uniform(0.1, 1.0, 3)
+        if 2.0 * inertia.max() < inertia.sum():
+            return inertia
+
+
+def near_separatrix(rng, distance):
+    """(w, inertia) with L² = 2T I2 but for a relative part of about ``distance``, of its sign."""
+    inertia = triaxial(rng)
+    low, middle, high = np.sort(inertia)
+    ordered = (
+        1.0 / math.sqrt(low * (middle - low)),
+        rng.normal() * 10.0 ** rng.uniform(-1, 1),
+        (1.0 + distance) / math.sqrt(high * (high - middle)),
+    )
+    w = np.empty(3)
+    w[np.argsort(inertia)] = ordered * rng.choice([-1.0, 1.0], 3)
+    return w / np.linalg.norm(w), inertia
+
+
+# against the series
+
+
+@pytest.mark.parametrize("inertia", list(itertools.permutations((0.5, 0.8, 1.1))))
+def test_orders_of_axes_and_signs(inertia):
+    rng = np.random.default_rng(sum(k * int(10 * c) for k, c in enumerate(inertia)))
+    for signs in itertools.product((1, -1), repeat=3):
+        w = signs * rng.uniform(0.2, 1.0, 3)
+        assert (errors(w, inertia, (3.0, -5.0)) <= BOUND).all()
+
+
+def test_random_bodies():
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        q0 = tuple(oracle.quaternions(1, int(rng.integers(100)))[0])
+        found = errors(rng.normal(size=3), triaxial(rng), (1.0, -7.0, 20.0), q0)
+        assert (found <= BOUND).all()
+
+
+@pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_near_the_separatrix(distance, side):
+    rng = np.random.default_rng(int(-10 * math.log10(distance)) + (side > 0.0))
+    w, inertia = near_separatrix(rng, side * distance)
+    constants = free_body.setup_rate(ONE, tuple(w.tolist()), tuple(inertia.tolist()))
+    assert constants[35] == 1.0 or distance == 1e-2  # near k = 1, where the series is hyperbolic
+    assert (errors(w, inertia, (1.0, 20.0, 90.0)) <= BOUND).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("tilt", [0.0, 1e-14, 1e-8, 1e-3])
+def test_about_one_axis(axis, tilt):
+    w = np.full(3, tilt) * (1.0, -0.7, 0.4)
+    w[axis] = -1.3
+    assert (errors(w, (0.7, 0.9, 0.4), (2.0, -40.0)) <= BOUND).all()
+
+
+DEGENERATE = {
+    "oblate": (0.6, 0.6, 1.0),
+    "prolate": (1.0, 1.0, 0.3),
+    "spherical": (0.7, 0.7, 0.7),
+    "1e-6": (1.0, 1.0 + 1e-6, 1.0 + 2e-6),
+    "1e-12": (1.0, 1.0, 1.0 + 1e-12),
+    "an ulp": (1.0, 1.0 + 2.0**-52, 1.5),
+    "nearly prolate": (2.0, 2.0 + 1e-12, 1.0),
+    "plate": (0.3, 0.7, 1.0),
+    "textbook": (2.0, 1.0, 2.0 / 3.0),
+}
+
+
+@pytest.mark.parametrize("inertia", DEGENERATE.values(), ids=DEGENERATE)
+@pytest.mark.parametrize("shift", [0, 1, 2])
+def test_degenerate_bodies(inertia, shift):
+    w = np.array([(0.3, -0.8, 0.5), (1.0, 0.2, 0.0), (1e-9, 0.9, 1e-7)][shift])
+    assert (errors(w, np.roll(inertia, shift), (3.0, -11.0)) <= BOUND).all()
+
+
+@pytest.mark.parametrize("inertia", [(1.0, 1e3, 1e3), (1e3 + 0.5, 1.0, 1e3)])
+@pytest.mark.parametrize("w", [(1.0, 1e-3, -2e-3), (0.3, 0.2, 0.4)])
+def test_rods(inertia, w):
+    w = np.array(w)[[1, 0, 2]] if inertia[1] == 1.0 else w
+    assert (errors(w, inertia, (1.0, -3.0), step=0.1) <= BOUND).all()
+
+
+@pytest.mark.parametrize("rate", [1e-6, 1e6])
+@pytest.mark.parametrize("unit", [1e-12, 1e12])
+def test_units(rate, unit):
+    """Nothing depends on them, to the last bit where they are powers of two."""
+    w, inertia = np.array((0.5, -0.3, 0.9)), np.array((0.8, 0.5, 0.6))
+    assert (errors(rate * w, unit * inertia, (5.0 / rate,)) <= BOUND).all()
+    rate, unit = 2.0 ** round(math.log2(rate)), 2.0 ** round(math.log2(unit))
+    q, turned = exact.free_body(ONE, w, inertia, 5.0)
+    scaled = exact.free_body(ONE, rate * w, unit * inertia, 5.0 / rate)
+    assert np.array_equal(scaled[0], q)
+    assert np.array_equal(scaled[1], rate * turned)
+
+
+def test_long_times():
+    assert (errors((0.5, -0.3, 0.9), (0.8, 0.5, 0.6), (150.0,)) <= BOUND).all()
+
+
+def test_momentum_in_space_over_a_thousand_turns():
+    rng = np.random.default_rng(3)
+    bodies = [near_separatrix(rng, d) for d in (1e-3, -1e-6, 1e-12)]
+    bodies += [(rng.normal(size=3), triaxial(rng)) for _ in range(200)]
+    w0, inertia = (np.array(x) for x in zip(*bodies, strict=True))
+    w0 /= np.linalg.norm(w0, axis=1)[:, None]
+    q0 = np.array(oracle.quaternions(len(w0)))
+    t = np.linspace(0.0, 2e3 * np.pi, 50)
+    q, w = exact.free_body(q0, w0, inertia, t)
+    found = rotated(q, inertia * w)
+    kept = rotated(q0, inertia * w0)
+    gap = np.linalg.norm((found - kept).astype(float), axis=-1)
+    assert (gap <= 2e-15 * np.linalg.norm(inertia * w0, axis=1)).all()
+    assert np.abs(np.linalg.norm(q, axis=-1) - 1.0).max() <= 8e-16
+    energy = (inertia * w**2).sum(-1)
+    assert np.abs(energy / (inertia * w0**2).sum(-1) - 1.0).max() <= 4e-15
+
+
+def rotated(q, v):
+    """q∘v∘q* of q/|q| in extended precision."""
+    q, v = q.astype(np.longdouble), v.astype(np.longdouble)
+    u, s = q[..., 1:], q[..., :1]
+    x = np.cross(u, v)
+    return v + 2.0 * (s * x + np.cross(u, x)) / (q * q).sum(-1, keepdims=True)
+
+
+# known numbers
+
+
+@pytest.mark.parametrize("body", [ro.BODY_H, ro.BODY_V], ids=["H", "V"])
+def test_known_bodies(body):
+    m0, inertia = oracle.floats(body.m0), oracle.floats(body.inertia)
+    w0 = oracle.floats(body.w0)
+    for t, (m_true, q_true) in body.states.items():
+        q, w = exact.free_body(ONE, w0, inertia, t)
+        assert oracle.attitude_error(q, q_true) <= 5e-15
+        assert oracle.distance(w * inertia, m_true) <= 5e-15
+        q, m = free_body.evaluate(free_body.setup(ONE, m0, inertia), float(t))
+        assert oracle.attitude_error(q, q_true) <= 5e-15
+        assert oracle.distance(m, m_true) <= 5e-15
+
+
+@pytest.mark.parametrize("epsilon", ro.FLIP_TIMES)
+def test_flips(epsilon):
+    """The momentum along the intermediate axis comes back with its sign changed."""
+    inertia = np.array((2.0, 1.0, 2.0 / 3.0))
+    m0 = np.array((epsilon, math.sqrt(1.0 - epsilon**2), 0.0))
+    _, w = exact.free_body(ONE, m0 / inertia, inertia, ro.FLIP_TIMES[epsilon])
+    assert w * inertia == pytest.approx((epsilon, -m0[1], 0.0), abs=1e-8 * epsilon)
+
+
+# limits
+
+
+@pytest.mark.parametrize("inertia", list(itertools.permutations((1.0, 1.5, 3.0))))
+def test_on_the_separatrix(inertia):
+    """m1 = ±m3 for these moments, the products are exact: sech and tanh, and no flip ever."""
+    order = np.argsort(inertia)
+    m0 = np.empty(3)
+    m0[order] = (1.0, 0.25, -1.0)
+    constants = free_body.setup(ONE, tuple(m0.tolist()), inertia)
+    # ṁ2 = m3 m1 (1/I1 − 1/I3), with the other sign where the order of the axes is odd
+    size = mp.sqrt(mp.mpf("2.0625"))
+    rate = -size / 3 * round(np.linalg.det(np.eye(3)[order]))
+    for t in (0.0, 1.0, -3.0, 20.0, 200.0, -1e5):
+        phase = mp.atanh(mp.mpf("0.25") / size) + rate * t
+        transverse = size / mp.sqrt(2) * mp.sech(phase)
+        q, m = free_body.evaluate(constants, t)
+        found = np.array(m)[order]
+        true = (transverse, size * mp.tanh(phase), -transverse)
+        assert oracle.distance(found, true) <= 2e-15 * (1.0 + abs(t))
+        assert abs(np.linalg.norm(q) - 1.0) <= 4e-16
+
+
+@pytest.mark.parametrize("inertia", [(1.0, 1.5, 3.0), (1.5, 1.0, 3.0), (3.0, 1.0, 1.5)])
+def test_intermediate_axis_is_an_equilibrium(inertia):
+    axis = inertia.index(1.5)
+    w0 = np.zeros(3)
+    w0[axis] = -2.0
+    t = np.array((1.0, -1e3, 1e5))
+    q, w = exact.free_body(ONE, w0, inertia, t)
+    true = np.zeros((3, 4))
+    true[:, 0], true[:, axis + 1] = np.cos(t), -np.sin(t)
+    assert (np.abs(q - true).max(axis=1) <= 4e-16 * (1.0 + np.abs(t))).all()
+    assert np.abs(w - w0).max() <= 1e-15
+
+
+@pytest.mark.parametrize("inertia", [(0.5, 0.8, 1.0), (1.0, 1.0, 0.5), (1.0, 1.0, 1.0)])
+def test_rest(inertia):
+    q, w = exact.free_body((0.6, 0.0, -0.8, 0.0), (0.0, 0.0, 0.0), inertia, [0.0, 1e9])
+    assert np.abs(q - (0.6, 0.0, -0.8, 0.0)).max() <= 2e-16
+    assert not w.any()
+
+
+def test_finite_for_any_finite_body():
+    rng = np.random.default_rng(4)
+    for i in range(3000):
+        w = rng.normal(size=3) * 10.0 ** rng.uniform(-80, 80, 3) * (rng.uniform(size=3) > 0.1)
+        inertia = 10.0 ** rng.uniform(-60, 60, 3)
+        inertia[1] = inertia[0] if i % 3 == 0 else inertia[1]
+        inertia[2] = inertia[1] if i % 7 == 0 else inertia[2]
+        constants = free_body.setup_rate(ONE, tuple(w.tolist()), tuple(inertia.tolist()))
+        q, m = free_body.evaluate(constants, float(10.0 ** rng.uniform(-80, 80)))
+        assert np.isfinite(m).all()
+        assert abs(np.linalg.norm(q) - 1.0) <= 1e-15
+
+
+@pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.5), (2.0, 1.0, 2.0), (1.0, 1.0, 1.0)])
+@pytest.mark.parametrize("place", range(11))
+def test_nan_in_nan_out(inertia, place):
+    x = [1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, *inertia, 0.7]
+    x[place] = math.nan
+    constants = free_body.setup_rate(tuple(x[:4]), tuple(x[4:7]), tuple(x[7:10]))
+    q, m = free_body.evaluate(constants, x[10])
+    assert np.isnan(q).all()
+    assert np.isnan(m).all() == (place >= 4)
+
+
+# ensembles
+
+
+def ensemble(n, seed=5):
+    rng = np.random.default_rng(seed)
+    q0 = np.array(oracle.quaternions(n, seed))
+    return q0, rng.normal(size=(n, 3)), np.array([triaxial(rng) for _ in range(n)])
+
+
+@pytest.mark.parametrize("n", [1, 4, 64, 130])
+@pytest.mark.parametrize("instants", [1, 2, 7, 200])
+def test_a_body_alone_and_among_others(n, instants):
+    """The same bits, whatever its place in the tiles and whatever the other times."""
+    q0, w0, inertia = ensemble(n)
+    t = np.linspace(-3.0, 5.0, instants)
+    q, w = exact.free_body(q0, w0, inertia, t)
+    assert (q.shape, w.shape) == ((instants, n, 4), (instants, n, 3))
+    for b, k in itertools.product({0, n // 2, n - 1}, {0, instants // 2, instants - 1}):
+        alone = exact.free_body(q0[b], w0[b], inertia[b], t[k])
+        assert np.array_equal(alone[0], q[k, b])
+        assert np.array_equal(alone[1], w[k, b])
+
+
+def test_threads_change_nothing():
+    q0, w0, inertia = ensemble(300)
+    t = np.linspace(0.0, 10.0, 100)
+    one, three = (exact.free_body(q0, w0, inertia, t, n_threads=k) for k in (1, 3))
+    assert np.array_equal(one[0], three[0])
+    assert np.array_equal(one[1], three[1])
+
+
+def test_shapes():
+    q0, w0, inertia = ensemble(5)
+    t = [0.0, 1.0]
+
+    def shapes(*arguments):
+        return tuple(x.shape for x in exact.free_body(*arguments))
+
+    assert shapes(q0[0], w0[0], inertia[0], 1.0) == ((4,), (3,))
+    assert shapes(q0[0], w0[0], inertia[0], t) == ((2, 4), (2, 3))
+    assert shapes(q0, w0, inertia[0], 1) == ((5, 4), (5, 3))
+    assert shapes(q0, w0[0], inertia, t) == ((2, 5, 4), (2, 5, 3))
+    assert shapes(q0[0], w0, np.diag(inertia[0]), t) == ((2, 5, 4), (2, 5, 3))
+    assert shapes(q0[0], w0[0], inertia, t) == ((2, 5, 4), (2, 5, 3))
+
+
+@pytest.mark.parametrize("solution", [exact.free_body, exact.symmetric_top])
+def test_tensors(solution):
+    """Body axes turned by p: q∘p*, p∘w∘p*, and back; one tensor for all, and one for each."""
+    q0, w0, inertia = ensemble(4)
+    inertia = (
+        np.array((1.0, 1.0, 0.4)) * np.ones((4, 1)) if solution is exact.symmetric_top else inertia
+    )
+    p = np.array(oracle.quaternions(4, 6))
+    t = np.array((0.0, 2.5))
+    q, w = solution(q0, w0, inertia, t)
+    C = fa.quat_to_dcm(p)
+    tensors = np.einsum("nij,nj,nkj->nik", C, inertia, C)
+    turned_q0 = mul(q0, p * (1.0, -1.0, -1.0, -1.0))
+    turned_w0 = np.einsum("nij,nj->ni", C, w0)
+    found_q, found_w = solution(turned_q0, turned_w0, tensors, t)
+    assert fa.angle_between(mul(found_q, p), q).max() <= 2e-14
+    assert np.abs(np.einsum("nji,tnj->tni", C, found_w) - w).max() <= 2e-14
+    shared = solution(turned_q0, turned_w0, tensors[0], t)
+    assert np.abs(shared[0][:, 0] - found_q[:, 0]).max() <= 1e-14
+    assert np.abs(shared[1][:, 0] - found_w[:, 0]).max() <= 1e-14
+
+
+def mul(p, q):
+    """Hamilton products (..., 4)."""
+    s = p[..., :1] * q[..., :1] - (p[..., 1:] * q[..., 1:]).sum(-1, keepdims=True)
+    v = p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + np.cross(p[..., 1:], q[..., 1:])
+    return np.concatenate([s, v], axis=-1)
+
+
+# bodies with two equal moments
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("moments", [(0.6, 1.0), (1.0, 0.3), (0.7, 0.7)])
+def test_symmetric_top(axis, moments):
+    equal, other = moments
+    inertia = np.roll((equal, equal, other), axis - 2)
+    w0 = np.array((0.7, -0.4, 1.1))
+    q0 = oracle.quaternions(1, 7)[0]
+    momentum = [mp.mpf(i) * c for i, c in zip(inertia, w0, strict=True)]
+    fixed_in_space = ro.to_inertial(oracle.vec(q0), momentum)
+    for t in (0.0, 1.0, -20.0):
+        spin = (1 / mp.mpf(other) - 1 / mp.mpf(equal)) * momentum[axis] * t
+        precession = oracle.quat_exp([c * t / equal for c in fixed_in_space])
+        true_q = oracle.quat_mul(precession, q0)
+        true_q = oracle.quat_mul(true_q, oracle.quat_exp([spin * (i == axis) for i in range(3)]))
+        true_m = ro.to_body(true_q, fixed_in_space)
+        true_w = [c / mp.mpf(i) for c, i in zip(true_m, inertia, strict=True)]
+        for solution in (exact.symmetric_top, exact.free_body):
+            q, w = solution(q0, w0, inertia, t)
+            assert oracle.attitude_error(q, true_q) <= 1e-15 * (1.0 + abs(t))
+            assert oracle.distance(w, true_w) <= 2e-15 * (1.0 + abs(t))
+
+
+# refusals
+
+
+GOOD = ((1, 0, 0, 0), (0.1, 0.2, 0.3), (2.0, 1.0, 1.5), 1.0)
+BAD = {
+    "q0 shape": (0, (1, 0, 0), r"q0: has shape \(3,\); accepted: \(4,\) or \(N, 4\)"),
+    "q0 zero": (0, (0, 0, 0, 0), "q0 is the zero quaternion"),
+    "w0 shape": (1, (1, 2), r"w0: has shape \(2,\); accepted: \(3,\) or \(N, 3\)"),
+    "w0 nan": (1, (1, 2, math.nan), r"w0\[2\] is nan; accepted: finite numbers"),
+    "inertia": (2, (1, -1, 1), "inertia is .* not above 0"),
+    "t shape": (3, [[1.0]], r"t: has shape \(1, 1\); accepted: a number or \(T,\)"),
+    "t inf": (3, [0.0, math.inf], r"t\[1\] is inf"),
+}
+
+
+@pytest.mark.parametrize(("place", "value", "message"), BAD.values(), ids=BAD)
+@pytest.mark.parametrize("solution", [exact.free_body, exact.symmetric_top])
+def test_refusals(solution, place, value, message):
+    arguments = [*GOOD[:2], (2.0, 1.5, 1.5), GOOD[3]]
+    arguments[place] = value
+    with pytest.raises(ValueError, match=message):
+        solution(*arguments)
+
+
+def test_refusals_of_numbers_of_bodies():
+    with pytest.raises(ValueError, match="w0: has 3 rows; accepted: one, or 2 as of q0"):
+        exact.free_body(np.eye(4)[:2], np.ones((3, 3)), GOOD[2], 1.0)
+    with pytest.raises(ValueError, match="inertia: found 4 bodies; accepted: one, or 2"):
+        exact.free_body(np.eye(4)[:2], GOOD[1], np.ones((4, 3)), 1.0)
+    with pytest.raises(TypeError, match="t: found 'now'; accepted: real numbers"):
+        exact.free_body(*GOOD[:3], "now")
+    with pytest.raises(ValueError, match=r"n_threads: found 0; accepted: .* at least 1"):
+        exact.free_body(*GOOD, n_threads=0)
+
+
+def test_symmetric_top_refuses_other_bodies():
+    with pytest.raises(ValueError, match=r"inertia is \(2, 1, 1.5\): no two moments are equal"):
+        exact.symmetric_top(*GOOD)
+    bodies = [(1.0, 1.0, 1.5), (1.0, 1.2, 1.5)]
+    with pytest.raises(ValueError, match=r"inertia\[1\] is \(1, 1.2, 1.5\): no two"):
+        exact.symmetric_top(np.eye(4)[:2], GOOD[1], bodies, 1.0)

@@ -1,0 +1,130 @@
+"""Elliptic integrals and theta functions against mpmath, with the figures of their docstrings."""
+
+import math
+
+import mpmath as mp
+import oracle
+import pytest
+from oracle import EPS, powers, uniform
+
+from fastatt.kernels import elliptic
+
+# complementary moduli: anywhere, near 1, near 0, and where the two series meet (K = 2K')
+MODULI = {
+    "any": uniform(0.0, 1.0, 60),
+    "round": [math.sqrt(1.0 - x) for x in powers(-30, -1, 40)],
+    "separatrix": powers(-12, -1, 60),
+    "seam": uniform(0.171, 0.172, 30),
+}
+
+
+def modulus(kc):
+    """k of a complementary modulus."""
+    return math.sqrt((1.0 - kc) * (1.0 + kc))
+
+
+def complete(kc):
+    """K by the arithmetic-geometric mean."""
+    return mp.pi / 2 / mp.agm(1, kc)
+
+
+def first_kind(y, kc):
+    """F of the amplitude whose cotangent is y, as Carlson's RF(cs², ds², ns²)."""
+    y2 = mp.mpf(y) ** 2
+    return mp.elliprf(y2, y2 + mp.mpf(kc) ** 2, y2 + 1)
+
+
+def relative(found, true):
+    """|found − true| / |true|, 0 for equal zeros."""
+    gap = abs(mp.mpf(found) - true)
+    return float(gap / abs(true)) if gap else 0.0
+
+
+@pytest.mark.parametrize("xs", [uniform(-88, 88, 1000), uniform(-1, 1, 1000), powers(-300, 0, 300)])
+def test_sinhcosh(xs):
+    for x in [0.0, *xs]:
+        s, c = elliptic.sinhcosh(x)
+        assert relative(s, mp.sinh(x)) <= 5e-16
+        assert relative(c, mp.cosh(x)) <= 5e-16
+
+
+def test_sinhcosh_beyond_its_range():
+    for x in (89.0, 1e10, math.inf):
+        assert elliptic.sinhcosh(x) == elliptic.sinhcosh(88.0)
+        assert elliptic.sinhcosh(-x) == elliptic.sinhcosh(-88.0)
+    assert all(math.isnan(c) for c in elliptic.sinhcosh(math.nan))
+
+
+@pytest.mark.parametrize("kcs", [*MODULI.values(), powers(-150, 0, 100)])
+def test_first_kind(kcs):
+    for kc, y in zip(kcs, [0.0, *powers(-12, 6, len(kcs) - 1)], strict=True):
+        found, whole = elliptic.first_kind(y, kc)
+        assert relative(found, first_kind(y, kc)) <= 8e-16
+        assert relative(whole, complete(kc)) <= 8e-16
+
+
+def test_first_kind_of_less_than_its_least_modulus():
+    assert elliptic.first_kind(1.0, 0.0) == elliptic.first_kind(1.0, 1e-150)
+    assert relative(elliptic.first_kind(1.0, 0.0)[0], mp.asinh(1)) <= 8e-16
+
+
+@pytest.mark.parametrize("kcs", MODULI.values(), ids=MODULI)
+def test_first_kind_pair(kcs):
+    for kc, y, yc in zip(kcs, uniform(0, 3, len(kcs), 1), uniform(0, 3, len(kcs), 2), strict=True):
+        k = modulus(kc)
+        u, whole, c, other = elliptic.first_kind_pair(y, kc, yc, k)
+        assert (u, whole) == pytest.approx(elliptic.first_kind(y, kc), rel=8 * EPS, abs=0)
+        assert (c, other) == pytest.approx(elliptic.first_kind(yc, k), rel=8 * EPS, abs=0)
+
+
+@pytest.mark.parametrize("kcs", MODULI.values(), ids=MODULI)
+def test_jacobi(kcs):
+    for kc, x in zip(kcs, uniform(-4, 4, len(kcs)), strict=True):
+        m = 1 - mp.mpf(kc) ** 2
+        for u in (1e-9 * x, x, 10.0 * x):
+            true = [mp.re(mp.ellipfun(f, u, m=m)) for f in ("sn", "cn", "dn")]
+            for found, exact in zip(elliptic.jacobi(u, kc), true, strict=True):
+                assert abs(found - exact) <= 1e-15 + 3e-16 * abs(u)
+
+
+@pytest.mark.parametrize("u", [0.0, 1e-5, 0.5, -3.0, 20.0, -300.0, 1e6])
+def test_jacobi_at_the_ends(u):
+    """k = 0: sin, cos, 1. k = 1: tanh, sech, sech, without a period."""
+    assert oracle.distance(elliptic.jacobi(u, 1.0), (mp.sin(u), mp.cos(u), 1)) <= 1e-15 + EPS * abs(
+        u
+    )
+    sech = mp.sech(u)
+    assert oracle.distance(elliptic.jacobi(u, 0.0), (mp.tanh(u), sech, sech)) <= 1e-15
+
+
+def test_jacobi_differential_equations():
+    """y' = (y2 y3, −y1 y3, −.51 y1 y2) from (0, 1, 1), its period and its state at t = 12."""
+    kc = math.sqrt(0.49)
+    found = elliptic.jacobi(12.0, kc)
+    assert found == pytest.approx(
+        (-0.7053978095225717, -0.7088116324671581, 0.8638466903702221), abs=2e-15
+    )
+    assert 4.0 * elliptic.first_kind(0.0, kc)[1] == pytest.approx(7.450563209330954, rel=4e-16)
+
+
+@pytest.mark.parametrize("kc", [0.999999, 0.7, 0.3, 0.18, 0.16, 1e-3, 1e-8])
+@pytest.mark.parametrize("share", [0.0, 1e-6, 0.3, 0.8, 1.0])
+def test_theta_pair(kc, share):
+    """exp(iχ) A : exp(iχ) B as θ4 : θ1 in phase and, but for a constant, in size, over periods."""
+    K, Kc = complete(kc), complete(mp.sqrt(1 - mp.mpf(kc) ** 2))
+    c = share * float(Kc)
+    g = elliptic.theta_pair(float(K), float(Kc), c)
+    nome = mp.exp(-2 * mp.pi * Kc / K)
+    sizes = []
+    for u in uniform(-2.5 * float(K), 2.5 * float(K), 12):
+        ar, ai, br, bi, chi = elliptic.theta_pair_at(g, g[16] * u)
+        z = mp.pi * mp.mpc(u, -c) / (2 * K)
+        even, odd = mp.jtheta(4, z, nome), mp.jtheta(1, z, nome)
+        a, b = mp.mpc(ar, ai), mp.mpc(br, bi)
+        turn = mp.exp(1j * mp.mpf(chi)) * a / abs(a) * abs(even) / even
+        assert abs(turn - 1) <= 1e-14
+        sizes.append(b / a * even / odd)
+    bound = 2e-12 if kc < 1e-5 else 2e-14  # K of a float: its error times |dθ/du| over θ
+    assert all(abs(s / sizes[0] - 1) <= bound for s in sizes)
+    assert sizes[0].real > 0
+    assert abs(sizes[0].imag) <= bound * abs(sizes[0])
