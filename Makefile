@@ -32,7 +32,7 @@ $(VENV)/.test: $(VENV)/.made pyproject.toml
 venv: $(VENV)/.test  ## the environment of all other targets, in .venv
 
 test: $(VENV)/.test  ## all tests, the README's examples among them
-	$(CACHED) $(BIN)/pytest
+	$(CACHED) $(BIN)/pytest -n auto --dist loadfile -p no:benchmark
 
 readme: $(VENV)/.test  ## the README's examples only
 	$(CACHED) $(BIN)/pytest tests/test_readme.py

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt._jit import driver, helper, hook
@@ -173,8 +173,9 @@ def free_body(
     t: ArrayLike,
     *,
     allow_unphysical: bool = False,
+    dtype: DTypeLike | None = None,
     n_threads: int | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitude and angular velocity of bodies without torque, at any times, in closed form.
 
     Errors are at most 1e-15 (1 + |w| t) rad and as much in relation to |w| for principal moments;
@@ -187,6 +188,8 @@ def free_body(
     inertia : principal moments (3,) or (N, 3) in any order, or tensors (3, 3) or (N, 3, 3), kg·m².
     t : time or times (T,), s, in any order and of either sign.
     allow_unphysical : admit inertia that no body has.
+    dtype : float64 or float32 (errors 1e9 times as large, half the time); None takes float32 when
+        ``q0`` and ``w0`` are float32 arrays, else float64.
     n_threads : None takes every processor that this process may use; results do not depend on it.
 
     Returns
@@ -198,7 +201,7 @@ def free_body(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    return _at_times(FreeBody(), q0, w0, inertia, t, allow_unphysical, n_threads)
+    return _at_times(FreeBody(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads)
 
 
 def symmetric_top(
@@ -208,8 +211,9 @@ def symmetric_top(
     t: ArrayLike,
     *,
     allow_unphysical: bool = False,
+    dtype: DTypeLike | None = None,
     n_threads: int | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Regular precession of bodies with two equal moments: ``free_body`` with two exponentials.
 
     q(t) = exp(L t/A)∘q0∘exp(e (1/C − 1/A) m·e t) with L in inertial axes, e the axis of symmetry,
@@ -218,7 +222,7 @@ def symmetric_top(
 
     Raises ``ValueError`` where no two moments are equal, and as ``free_body`` does.
     """
-    return _at_times(SymmetricTop(), q0, w0, inertia, t, allow_unphysical, n_threads)
+    return _at_times(SymmetricTop(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads)
 
 
 def _at_times(
@@ -228,11 +232,13 @@ def _at_times(
     inertia: ArrayLike,
     t: ArrayLike,
     allow_unphysical: bool,
+    dtype: DTypeLike | None,
     n_threads: int | None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    start = checks.attitudes("q0", q0).astype(np.float64, copy=False)
-    rates = checks.array("w0", w0, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64, copy=False)
-    times = checks.array("t", t, "a number or (T,)", [(), (-1,)]).astype(np.float64, copy=False)
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    kind = checks.precision(dtype, q0, w0)
+    start = checks.attitudes("q0", q0)
+    rates = checks.array("w0", w0, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    times = checks.array("t", t, "a number or (T,)", [(), (-1,)])
     threads = (
         pool.default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
     )
@@ -246,15 +252,15 @@ def _at_times(
     if isinstance(solution, SymmetricTop):
         _check_symmetric(body.moments)
 
-    flat = np.ascontiguousarray(times.reshape(-1))
-    q, w = np.empty((flat.size, n, 4)), np.empty((flat.size, n, 3))
-    no_axes = np.empty((0, 4))
-    given = (
-        np.ascontiguousarray(np.broadcast_to(start, (n, 4))),
-        np.ascontiguousarray(np.broadcast_to(rates, (n, 3))),
-        np.atleast_2d(np.ascontiguousarray(body.moments)),
-        no_axes if body.axes is None else np.atleast_2d(np.ascontiguousarray(body.axes)),
+    flat = np.ascontiguousarray(times.reshape(-1), dtype=kind)
+    q, w = np.empty((flat.size, n, 4), dtype=kind), np.empty((flat.size, n, 3), dtype=kind)
+    rows = (
+        np.broadcast_to(start, (n, 4)),
+        np.broadcast_to(rates, (n, 3)),
+        np.atleast_2d(body.moments),
+        np.empty((0, 4)) if body.axes is None else np.atleast_2d(body.axes),
     )
+    given = [np.ascontiguousarray(x, dtype=kind) for x in rows]
     span = -(-flat.size // max(1, min(flat.size, WIDTH // n)))
 
     def task(tiles: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:

@@ -14,6 +14,7 @@ from fastatt.methods import METHODS, Method
 from fastatt.motion import carried, handed_out
 from fastatt.representations import OPERATIONS, REPRESENTATIONS, Direction
 from fastatt.scene import Scene
+from fastatt.torques import RATE
 from fastatt.trajectory import INVARIANT_BOUND, Status, Trajectory
 
 # in this order, the first that fits the scene and the representation
@@ -29,9 +30,15 @@ def methods_for(scene: Scene, representation: str | None = None) -> list[str]:
         for m in METHODS.values()
         if scene.kind in m.scenes
         and representation in (None, *m.representations)
-        and not (m.splits and scene.kind == "torqued" and not scene.splits)
+        and (scene.kind != "torqued" or _takes(m, scene))
         and (m.translates or not scene.moves)
     ]
+
+
+def _takes(method: Method, scene: Scene) -> bool:
+    if method.takes == RATE:
+        return True
+    return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
 
 
 def propagate(
@@ -230,13 +237,8 @@ def _run(
         w_rows = np.hstack([np.broadcast_to(value, (most, 3)) for value in beside])
     w_rows = np.ascontiguousarray(w_rows, dtype=kind)
     packed = scene.packed(
-        n // rows_each if n > 1 or representation == "direction" else None,
-        sorted_axes=method.sorted_axes,
-        position="r0" in carried_0,
+        n // rows_each, sorted_axes=method.sorted_axes, position="r0" in carried_0
     )
-    if packed.params.ndim == 2 and n == 1:
-        n = len(packed.params)
-        one_body = False
     params = packed.params
     if params.ndim == 2:
         params = np.repeat(params.astype(kind), rows_each, axis=0)
@@ -292,29 +294,33 @@ def _closed_form(
     begin: float,
     h: float,
 ) -> Trajectory:
+    n = max(len(x) if x.ndim == 2 else 1 for x in (start, w0))
+    packed = scene.packed(n)
     q, w = exact.free_body(
         start,
         w0,
         np.asarray(scene.inertia),
         t - begin,
         allow_unphysical=scene.allow_unphysical,
+        dtype=kind,
         n_threads=threads,
     )
     one_body = q.ndim == 2
     q, w = (x[:, None] if one_body else x for x in (q, w))
     state = q if representation == "quat" else quat_to_dcm(q).reshape(*q.shape[:2], 9)
-    bad = ~np.isfinite(q).all(axis=(0, 2))
+    with np.errstate(invalid="ignore"):
+        bad = np.isnan((q @ np.zeros(4, dtype=kind)).sum(axis=0))
     return Trajectory(
         t=t,
-        state=state.astype(kind, copy=False),
+        state=state,
         defect=np.zeros(q.shape[:2], dtype=kind),
         status=np.where(bad, np.uint8(Status.NON_FINITE), np.uint8(0)),
         method="exact",
         representation=representation,
         dt=h,
         one_body=one_body,
-        packed=scene.packed(None),
-        carried={"w": w.astype(kind, copy=False)},
+        packed=packed,
+        carried={"w": w},
     )
 
 

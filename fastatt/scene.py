@@ -97,10 +97,10 @@ class Scene:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
         return principal(self.inertia, allow_unphysical=self.allow_unphysical)
 
-    @cached_property
-    def splits(self) -> bool:
-        """Whether the torque depends on w by linear damping along principal axes alone."""
-        return self.rate is None and torques.splits(self._body(None).tag.torque)
+    def dependence(self, *, sorted_axes: bool = False) -> int:
+        """How the torque depends on w, one of ``fastatt.torques``'s POSITION, DAMPED and RATE."""
+        tag = self._body(None, sorted_axes).tag
+        return torques.dependence(tag.torque)
 
     @cached_property
     def has_potential(self) -> bool:

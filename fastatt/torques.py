@@ -199,7 +199,7 @@ _F8 = types.float64
 _QUATERNION, _TRIPLE = types.UniTuple(_F8, 4), types.UniTuple(_F8, 3)
 _FUNCTIONS = UserFunctions("torque", _CALL, (_F8, _QUATERNION, _TRIPLE), 3, "N·m")
 _POTENTIALS = UserFunctions("potential", "potential(t, q, p)", (_F8, _QUATERNION), 1, "J")
-# what depends on w, and not by linear damping alone: no splitting method takes it
+POSITION, DAMPED, RATE = 0, 1, 2
 _RATE_DEPENDENT = (QuadraticDamping, QuaternionPD, Rotor, UserTorque)
 _CUSTOM = (UserTorque, UserPositionTorque)
 # the same along all axes, or given along principal ones
@@ -396,13 +396,19 @@ def has_potential(tag: Any) -> bool:
     return type(tag) in _POTENTIAL_KERNELS
 
 
-def splits(tag: Any) -> bool:
-    """Whether a torque depends on w by linear damping along principal axes alone."""
+def dependence(tag: Any) -> int:
+    """How a torque's tag depends on w: ``POSITION`` not, ``DAMPED`` along principal axes, ``RATE``.
+
+    ``DAMPED`` is linear damping, whose flow is known.
+    """
     if type(tag) is Sum:
-        return all(splits(term) for term in tag.terms)
+        return max(dependence(term) for term in tag.terms)
     if type(tag) is Turned:
-        return type(tag.torque) is not AxisDamping and splits(tag.torque)
-    return type(tag) not in _RATE_DEPENDENT
+        inner = dependence(tag.torque)
+        return POSITION if inner == POSITION else RATE
+    if type(tag) in (Damping, AxisDamping):
+        return DAMPED
+    return RATE if type(tag) in _RATE_DEPENDENT else POSITION
 
 
 def pack(
@@ -426,7 +432,8 @@ def pack(
     elif cls in _MODELS:
         packed = pack_fields(model, _MODELS[cls], n_bodies, argument)
     else:
-        raise no_model(model, argument, "torques", (*_MODELS, Custom, Sampled, Sum), _CALL)
+        known = {*_MODELS, Custom, Sampled, Sum} - {Free}
+        raise no_model(model, argument, "torques", known, _CALL)
     if axes is None or cls in _AXIS_FREE:
         return packed
     params = join([axes, packed.params], n_bodies, argument)

@@ -22,7 +22,7 @@ from numba import types
 
 from fastatt._jit import driver, helper, hook
 from fastatt.columns import load, store, unpack
-from fastatt.methods.method import enter, extras, leave, prepare
+from fastatt.methods.method import enter, extras, is_staged, leave, prepare
 from fastatt.motion import carried, hand_out, handed_out, start
 from fastatt.representations import OPERATIONS
 from fastatt.translation import full_step
@@ -339,18 +339,35 @@ def begin(model, rep, rows, shape, params, shared, q0, w0, first, last):
         store(rows, 0, j, start(rep, model, q0, w0, min(first + j, last), p))
 
 
-@helper
-def set_out(method, rep, model, rows, shape, params, shared, run, edge, h):
+def set_out(
+    method: Any, rep: Any, model: Any, rows: Any, shape: Any, params: Any, shared: Any, run: Any,
+    edge: Any, h: Any,
+) -> None:  # fmt: skip
     """Prepare what the method needs of each lane, and take its state to the one that is stepped."""
-    F = type(h)
-    top = height(rep, model)
-    t = clock(params, run.t0, h)
-    for j in range(WIDTH):
-        x = state(rep, model, rows, j)
-        p = parameters(params, shape, shared, rows, top, j)
-        e = prepare(method, rep, model, h, x, p)
-        store_extras(method, params, shape, rows, top, j, e)
-        store(rows, 0, j, enter(method, rep, model, t, F(0.0), F(edge), x, p, e))
+    raise NotImplementedError(method)
+
+
+@hook(set_out)
+def _set_out(
+    method: types.BaseNamedTuple, rep: types.Type, model: types.Type, rows: types.Type,
+    shape: types.Type, params: types.Type, shared: types.Type, run: types.Type, edge: types.Type,
+    h: types.Type,
+) -> Any:  # fmt: skip
+    def nothing(method, rep, model, rows, shape, params, shared, run, edge, h):
+        pass
+
+    def impl(method, rep, model, rows, shape, params, shared, run, edge, h):
+        F = type(h)
+        top = height(rep, model)
+        t = clock(params, run.t0, h)
+        for j in range(WIDTH):
+            x = state(rep, model, rows, j)
+            p = parameters(params, shape, shared, rows, top, j)
+            e = prepare(method, rep, model, h, x, p)
+            store_extras(method, params, shape, rows, top, j, e)
+            store(rows, 0, j, enter(method, rep, model, t, F(0.0), F(edge), x, p, e))
+
+    return impl if is_staged(method.instance_class) else nothing
 
 
 @helper
@@ -360,17 +377,6 @@ def resume(rows, x, start):
     for j in range(WIDTH):
         for i in range(x.shape[1]):
             rows[i, j] = x[min(start + j, last), i]
-
-
-@helper
-def save_start(model, rep, rows, done, shape, params, shared):
-    """What is handed out of the initial states."""
-    top = height(rep, model)
-    for j in range(WIDTH):
-        p = parameters(params, shape, shared, rows, top, j)
-        y, d = hand_out(rep, model, state(rep, model, rows, j), p)
-        store(done, 0, j, y)
-        done[done.shape[0] - 1, j] = d
 
 
 @helper
@@ -418,14 +424,18 @@ def run_tiles(
         width = min(WIDTH, x.shape[0] - first)
         load_parameters(params, rows, size, first)
         begin(model, rep, rows, shape, params, shared, q0, w0, first, x.shape[0] - 1)
-        if run.first == 0 and (run.slot == 1 or run.n_steps == 0):
-            save_start(model, rep, rows, done, shape, params, shared)
-            put(done, out[0], defect[0], first, width)
         set_out(method, rep, model, rows, shape, params, shared, run, edge, h)
         if run.first > 0:
             resume(rows, x, first)
         n = run.first
-        while n < run.last:
+        due = n == 0 and (run.slot == 1 or run.n_steps == 0)
+        while True:
+            if due:
+                slot = (n - 1) // run.save_every + run.slot if n > 0 else 0
+                save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h)
+                put(done, out[slot], defect[slot], first, width)
+            if n == run.last:
+                break
             stop = min(n + BLOCK, run.last, (n // run.save_every + 1) * run.save_every)
             block(
                 method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, n, stop
@@ -433,10 +443,7 @@ def run_tiles(
             for j in range(width):
                 turn[first + j] = max(turn[first + j], rows[size, j])
             n = stop
-            if n % run.save_every == 0 or n == run.n_steps:
-                slot = (n - 1) // run.save_every + run.slot
-                save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h)
-                put(done, out[slot], defect[slot], first, width)
+            due = n % run.save_every == 0 or n == run.n_steps
         for j in range(width):
             for i in range(size):
                 x[first + j, i] = rows[i, j]

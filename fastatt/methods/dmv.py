@@ -61,8 +61,8 @@ def tolerance(x: Any) -> Any:
 
 @hook(tolerance)
 def _tolerance(x: types.Float) -> Any:
-    # Newton's last change e leaves e²: 1e-8 leaves round-off
-    square = 1e-16 if x == types.float64 else 1e-7
+    # Newton's last change e leaves e²: 1e-6 leaves 1e-12, less than any level's own error there
+    square = 1e-12 if x == types.float64 else 1e-7
     return lambda x: type(x)(square)
 
 
@@ -143,7 +143,19 @@ def prepare(method, rep, model, h, x, p):
     a, kappa = modified(
         method, h, momentum_of(rep, x), inertia, largest, coefficients(method, inertia)
     )
-    return a + kappa
+    return a + kappa + (squared_turn(h, momentum_of(rep, x), p),)
+
+
+@helper
+def squared_turn(h, m, p):
+    """(|m| h/I_min)²: what the series of the modified moments are in, of a needle far beyond |w| h.
+
+    Not the turn that is solved for: near π the modified moments make it small again.
+    """
+    most = p[0] if p[0] > p[1] else p[1]
+    most = p[2] if p[2] > most else most
+    f = h * (most + most)
+    return f * f * dot(m, m)
 
 
 def enter(method, rep, model, t, s, k, x, p, e):
@@ -156,20 +168,19 @@ def leave(method, rep, model, t, s, k, x, p, e):
 
 
 @helper
-def turned(rep, a, u, kappa):
-    """The attitude after one step, c and 1/(1 + |c|²); z as for a step."""
+def turned(rep, a, u, kappa, z):
+    """The attitude after one step, c and 1/(1 + |c|²); z, infinite where c did not converge."""
     F = type(u[0])
     c, change = mv.solve(u, kappa)
     r, inverse = mv.rotation(c)
-    z = F(4.0) * dot(c, c)
     return compose(rep, a, r), c, inverse, z if change < tolerance(z) else F(math.inf)
 
 
 def step(method, rep, model, t, h, k, x, p, e):
     F = type(h)
     u = momentum_of(rep, x)
-    kappa = e[3:]
-    a, c, inverse, z = turned(rep, attitude_of(rep, x), u, kappa)
+    kappa = e[3:6]
+    a, c, inverse, z = turned(rep, attitude_of(rep, x), u, kappa, e[6])
     f = F(2.0) * inverse
     u = (
         u[0] + f * kappa[0] * (c[1] * c[2]),
@@ -181,7 +192,7 @@ def step(method, rep, model, t, h, k, x, p, e):
 
 def _method(cls: Any) -> Method:
     order = 2 * LEVELS[cls] + 2
-    register(cls, Kernels(stage=step, extras=6, prepare=prepare, enter=enter, leave=leave))
+    register(cls, Kernels(stage=step, extras=7, prepare=prepare, enter=enter, leave=leave))
     summary = "no trigonometry; keeps energy and momentum"
     return Method(
         tag=cls(),

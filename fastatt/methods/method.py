@@ -11,6 +11,7 @@ from numba import types
 
 from fastatt._jit import helper, hook
 from fastatt.motion import Body
+from fastatt.torques import RATE
 
 FREE = ("spherical", "symmetric", "free")
 BODIES = (*FREE, "torqued")
@@ -44,17 +45,13 @@ class Method:
     stages: tuple[tuple[float, float, float], ...] = ()
     #: needs the principal axes in ascending order
     sorted_axes: bool = False
-    #: takes torques that depend on w only by linear damping
-    splits: bool = False
+    #: how a torque may depend on w: ``torques.POSITION``, ``DAMPED`` or ``RATE``
+    takes: int = RATE
 
     @property
     def translates(self) -> bool:
         """Whether velocity and position can be carried along: what is stepped is the state."""
-        return (
-            self.tag is not None
-            and type(self.tag) in _kernels
-            and (_kernels[type(self.tag)].stage is None)
-        )
+        return type(self.tag) in _kernels and not is_staged(type(self.tag))
 
     def order_of(self, scene: str) -> int:
         """Order on one kind of scene, where it differs from ``order``."""
@@ -120,6 +117,11 @@ def register(cls: type, kernels: Kernels) -> None:
 def extras(method: type) -> int:
     """How many numbers ``prepare`` gives."""
     return _kernels[method].extras
+
+
+def is_staged(method: type) -> bool:
+    """Whether what is stepped is not the state itself."""
+    return _kernels[method].stage is not None
 
 
 @hook(step)

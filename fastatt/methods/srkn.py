@@ -16,6 +16,7 @@ from fastatt.kernels import moser_veselov as mv
 from fastatt.methods import dmv
 from fastatt.methods.method import Kernels, Method, register
 from fastatt.motion import attitude_of, kick, momentum_of
+from fastatt.torques import POSITION
 
 
 class SRKN4(NamedTuple):
@@ -40,7 +41,8 @@ def step(method, rep, model, t, h, k, x, p, e):
     m = momentum_of(rep, x)
     inertia, largest = dmv.scaled_inertia(p)
     a, kappa = dmv.modified(method, h, m, inertia, largest, e)
-    b, c, inverse, z = dmv.turned(rep, attitude_of(rep, x), mv.product(a, m), kappa)
+    z = dmv.squared_turn(h, m, p)
+    b, c, inverse, z = dmv.turned(rep, attitude_of(rep, x), mv.product(a, m), kappa, z)
     f = F(2.0) * inverse
     m = (
         m[0] + f * kappa[0] / a[0] * (c[1] * c[2]),
@@ -97,7 +99,7 @@ def _method(cls: type, order: int, stages: tuple[tuple[float, float, float], ...
         summary="kicks between steps of free motion; torques that do not depend on w",
         source="Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313, table 3",
         stages=stages,
-        splits=True,
+        takes=POSITION,
     )
 
 

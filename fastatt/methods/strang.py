@@ -2,8 +2,8 @@
 
 With the Casimir |m|²/(2 I2) taken out, I2 the intermediate moment, the kinetic energy is that of
 two rotors, ½ m1² (1/I1 − 1/I2) + ½ m3² (1/I3 − 1/I2), each of which turns body and momentum about
-its axis at a constant rate; what was taken out is one rotation about the momentum. Explicit, stable at
-any step, reversible; |m| and the momentum in space stay what they were.
+its axis at a constant rate; what was taken out is one rotation about the momentum. Explicit, stable
+at any step, reversible; |m| and the momentum in space stay what they were.
 
 What is stepped lies half a rotation about axis 1 ahead of the state: two rotations a stage, not
 three. Under a torque a stage is all of the free motion and a kick, and half a kick ahead.
@@ -24,7 +24,7 @@ from fastatt.kernels.vec3 import dot, scale
 from fastatt.methods.method import BODIES, Kernels, Method, register
 from fastatt.motion import attitude_of, kick, momentum_of
 from fastatt.representations import Dcm, DcmShort, turn
-from fastatt.torques import Free
+from fastatt.torques import DAMPED, Free
 
 
 class Strang(NamedTuple):
@@ -186,7 +186,7 @@ def _method(name: str, order: int, half: tuple[float, ...], summary: str, source
         source=source,
         stages=composition(half),
         sorted_axes=True,
-        splits=True,
+        takes=DAMPED,
     )
 
 

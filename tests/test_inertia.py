@@ -1,0 +1,214 @@
+"""Inertia: principal moments and axes, what no body has, the kinds of free bodies."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+from exact import EPS, exp, matrix
+
+import fastatt as fa
+from fastatt.inertia import TRIANGLE, is_spherical, is_symmetric, principal, sort_axes
+
+MOMENTS = np.array([0.6, 0.8, 1.0])
+AXES = exp([[0.3, -0.5, 0.7], [2.0, 1.0, -0.4], [0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0]])
+
+
+def tensors(moments=MOMENTS, axes=AXES):
+    """Tensors of bodies whose principal axes lie at ``axes``."""
+    c = matrix(axes)
+    return c @ (np.asarray(moments)[..., None] * np.swapaxes(c, -1, -2))
+
+
+def rebuilt(found):
+    if found.axes is None:
+        return found.moments[..., None] * np.eye(3)
+    return tensors(found.moments, found.axes)
+
+
+# principal axes
+
+
+def test_moments_are_kept_as_they_are():
+    for given in (MOMENTS, MOMENTS[[2, 0, 1]], np.tile(MOMENTS, (5, 1))):
+        found = principal(given)
+        assert found.axes is None
+        assert np.array_equal(found.moments, given)
+
+
+@pytest.mark.parametrize("given", [tensors()[0], tensors(), tensors(axes=AXES[:1])])
+def test_tensor_is_its_principal_moments_and_axes(given):
+    given = 0.5 * (given + np.swapaxes(given, -1, -2))
+    found = principal(given)
+    assert found.moments.shape == given.shape[:-1]
+    assert np.sort(found.moments, axis=-1) == pytest.approx(
+        np.broadcast_to(MOMENTS, found.moments.shape), rel=8 * EPS
+    )
+    assert np.abs(np.linalg.norm(found.axes, axis=-1) - 1.0).max() < 4 * EPS
+    assert np.abs(rebuilt(found) - given).max() < 16 * EPS
+
+
+def test_diagonal_tensors_need_no_axes():
+    found = principal(np.diag([1.0, 0.6, 0.8]))
+    assert found.axes is None
+    assert found.moments.tolist() == [1.0, 0.6, 0.8]
+    found = principal(np.array([np.diag(MOMENTS)] * 4))
+    assert found.axes is None
+    assert np.array_equal(found.moments, np.tile(MOMENTS, (4, 1)))
+
+
+def test_rounded_tensors_are_symmetric_enough():
+    given = tensors()[0]
+    given[0, 1] *= 1.0 + 1e-12
+    assert np.abs(rebuilt(principal(given)) - given).max() < 1e-12
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+def test_sort_axes_puts_the_intermediate_moment_second(order):
+    for given in (MOMENTS[list(order)], tensors(MOMENTS[list(order)])):
+        before = principal(given)
+        after = sort_axes(before)
+        middle = after.moments[..., 1]
+        assert middle == pytest.approx(np.full(middle.shape, 0.8), rel=8 * EPS)
+        assert np.abs(rebuilt(after) - rebuilt(before)).max() < 16 * EPS
+
+
+def test_sort_axes_of_bodies_in_several_orders():
+    given = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])
+    after = sort_axes(principal(given))
+    assert after.moments[:, 1].tolist() == [0.8] * 6
+    assert np.abs(rebuilt(after) - given[..., None] * np.eye(3)).max() < 8 * EPS
+
+
+def test_sort_axes_leaves_what_is_in_order():
+    for given in (MOMENTS, MOMENTS[::-1], [1.0, 1.0, 0.7], [1.0, 1.0, 1.0]):
+        found = principal(np.asarray(given))
+        assert sort_axes(found) is found
+
+
+# what no body has
+
+
+def tilted(moments):
+    a = tensors(moments, AXES[0])
+    return 0.5 * (a + a.T)
+
+
+REFUSED = [
+    ([1.0, 0.0, 1.0], "inertia is (1, 0, 1): a principal moment is not above 0"),
+    ([1.0, -1.0, 1.0], "inertia is (1, -1, 1): a principal moment is not above 0"),
+    ([1.0, 1.0, 2.6], "inertia is (1, 1, 2.6): no body has one moment above the sum of the others"),
+    (
+        [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [3.0, 1.0, 1.0], [1.0, 1.0, 1.0]],
+        "inertia[2] is (3, 1, 1)",
+    ),
+    ([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0]], "inertia[1] is (1, 0, 1)"),
+    (
+        [[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "inertia: the tensor is not symmetric, elements differ by 0.1",
+    ),
+    (
+        [[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [1.0, 1.0, 1.0]],
+        "moments of three bodies go in as (3, 3, 3)",
+    ),
+    (
+        [np.eye(3), [[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]]],
+        "inertia[1]: the tensor is not symmetric",
+    ),
+    (tilted([-1.0, 1.0, 1.0]), "a principal moment is not above 0"),
+    (tilted([1.0, 1.0, 3.0]), "no body has one moment above the sum of the others"),
+]
+
+
+@pytest.mark.parametrize(("inertia", "message"), REFUSED)
+def test_refused(inertia, message):
+    with pytest.raises(ValueError, match=re.escape(message)) as refusal:
+        fa.Scene(inertia=inertia)
+    assert "accepted: " in str(refusal.value)
+    assert "allow_unphysical=True" in str(refusal.value)
+
+
+SHAPES = [
+    ([1.0, 2.0], ValueError, "inertia: has shape (2,); accepted: (3,), (3, 3), (N, 3)"),
+    (1.0, ValueError, "inertia: has shape ()"),
+    (np.ones((2, 3, 2)), ValueError, "inertia: has shape (2, 3, 2)"),
+    (np.zeros((0, 3)), ValueError, "inertia: has shape (0, 3)"),
+    ([1.0, np.nan, 1.0], ValueError, "inertia[1] is nan; accepted: finite numbers"),
+    (np.full((2, 3, 3), np.inf), ValueError, "inertia[0, 0, 0] is inf"),
+    ("round", TypeError, "inertia: found 'round'; accepted: real numbers"),
+    ([1j, 1.0, 1.0], TypeError, "inertia: found"),
+]
+
+
+@pytest.mark.parametrize(("inertia", "error", "message"), SHAPES)
+def test_shapes(inertia, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        fa.Scene(inertia=inertia)
+
+
+def test_triangle_may_be_broken_by_a_quarter():
+    """As estimates from flight and the body (2, 1, 2/3) do."""
+    assert TRIANGLE == 1.25
+    for fine in ([2.0, 1.0, 2.0 / 3.0], [1.0, 1.0, 2.5], [1.0, 1.0, 2.0], [1.0, 1e3, 1e3]):
+        assert fa.Scene(inertia=fine).kind in ("free", "symmetric")
+    with pytest.raises(ValueError, match="by more than 25%"):
+        fa.Scene(inertia=[1.0, 1.0, 2.5 * (1.0 + 1e-9)])
+
+
+def test_allow_unphysical():
+    for inertia in ([1.0, 1.0, 5.0], [1.0, -2.0, 3.0], tilted([1.0, 1.0, 5.0])):
+        assert fa.Scene(inertia=inertia, allow_unphysical=True).kind in ("free", "symmetric")
+    skew = np.array([[1.0, 0.1, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = principal(skew, allow_unphysical=True)
+    assert np.abs(rebuilt(found) - 0.5 * (skew + skew.T)).max() < 8 * EPS
+    with pytest.raises(ValueError, match="a principal moment is 0; accepted: any other"):
+        fa.Scene(inertia=[1.0, 0.0, 1.0], allow_unphysical=True)
+
+
+def test_number_of_bodies():
+    with pytest.raises(ValueError, match="inertia: found 4 bodies; accepted: one, or 5"):
+        principal(np.ones((4, 3)), 5)
+    assert principal(np.ones((4, 3)), 4).moments.shape == (4, 3)
+    assert principal(np.ones(3), 5).moments.shape == (3,)
+
+
+# kinds
+
+
+KINDS = [
+    ([1.0, 1.0, 1.0], "spherical"),
+    ([1.0, 1.0, 0.8], "symmetric"),
+    ([0.8, 1.0, 1.0], "symmetric"),
+    ([1.0, 0.8, 1.0], "symmetric"),
+    ([0.6, 0.8, 1.0], "free"),
+    ([1.0, 1.0 + 9e-13, 0.8], "symmetric"),
+    ([1.0, 1.0 + 2e-12, 0.8], "free"),
+    ([1.0, 1.0 + 9e-13, 1.0], "spherical"),
+    ([1.0, 1.0 + 2e-12, 1.0], "symmetric"),
+    ([[1.0, 1.0, 1.0], [1.0, 1.0, 0.8]], "symmetric"),
+    ([[1.0, 1.0, 1.0], [0.6, 0.8, 1.0]], "free"),
+    ([[1.0, 1.0, 1.0]] * 4, "spherical"),
+]
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-12, 1e12])
+@pytest.mark.parametrize(("inertia", "kind"), KINDS)
+def test_kind(inertia, kind, unit):
+    """To 1e-12 of the largest moment; of an ensemble, what all its bodies are."""
+    inertia = unit * np.array(inertia)
+    assert fa.Scene(inertia=inertia).kind == kind
+    assert bool(is_spherical(inertia).all()) == (kind == "spherical")
+    assert bool(is_symmetric(inertia).all()) == (kind in ("spherical", "symmetric"))
+    torque = fa.torques.Constant([0.0, 0.0, 0.0])
+    assert fa.Scene(inertia=inertia, torque=torque).kind == "torqued"
+
+
+@pytest.mark.parametrize(
+    ("moments", "kind"),
+    [([1.0, 1.0, 1.0], "spherical"), ([1.0, 1.0, 0.8], "symmetric"), (MOMENTS, "free")],
+)
+def test_kind_of_tensors(moments, kind):
+    """Rounding of a turned tensor is far below the tolerance."""
+    assert fa.Scene(inertia=tilted(moments)).kind == kind
