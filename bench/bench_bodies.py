@@ -14,7 +14,7 @@ import peers_bodies as peers
 import pytest
 
 import fastatt as fa
-from fastatt.trade import best_time
+from fastatt.trade.measure import best_time
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 N_BODIES = 256 if SMOKE else 16_384
@@ -181,3 +181,33 @@ def test_closed_form(benchmark, n_times):
     if benchmark.stats is not None:
         speed = n * n_times / benchmark.stats.stats.min
         benchmark.extra_info["M body-times/s"] = round(speed / 1e6, 1)
+
+
+@pytest.mark.benchmark(group="bodies of their own, all cores")
+@pytest.mark.parametrize("method", ["rk4", "strang2", "rk8"])
+def test_million_bodies(benchmark, method):
+    """Each with its own inertia, orbit and damping."""
+    n, steps = (1000, 2) if SMOKE else (1_000_000, 50)
+    generator = np.random.default_rng(7)
+    torque = fa.torques.Sum(
+        (
+            fa.torques.GravityGradient(generator.uniform(0.9e-3, 1.1e-3, n)),
+            fa.torques.Damping(generator.uniform(0.0, 1e-3, n)),
+        )
+    )
+    scene = fa.Scene(inertia=generator.uniform(1.0, 1.5, (n, 3)), torque=torque)
+    q0, w0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), generator.normal(0.0, 0.1, (n, 3))
+
+    def ours(m: int, name: str) -> fa.Trajectory:
+        return fa.propagate(scene, q0, w0, dt=50.0 / m, n_steps=m, method=name)
+
+    result = benchmark.pedantic(
+        ours, args=(steps, method), rounds=1 if SMOKE else 3, warmup_rounds=1
+    )
+    fine = ours(2 * steps, "rk8")
+    benchmark.extra_info["error, rad"] = float(
+        np.median(fa.angle_between(result.q[-1], fine.q[-1]))
+    )
+    if benchmark.stats is not None:
+        speed = n * steps / benchmark.stats.stats.min
+        benchmark.extra_info["M body-steps/s"] = round(speed / 1e6, 1)

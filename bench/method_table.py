@@ -1,4 +1,7 @@
-"""The README's method table, from the CSV that ``fastatt trade`` leaves: path as the argument."""
+"""The README's method tables, from the CSV files that ``fastatt trade`` leaves: paths as arguments.
+
+``trade.csv`` gives the table of given rates, ``bodies.csv`` that of rigid bodies.
+"""
 
 from __future__ import annotations
 
@@ -7,40 +10,54 @@ import sys
 from pathlib import Path
 
 from fastatt import METHODS
+from fastatt.trade import BODY_SCENES
+
+# what the rows of an input are called
+NAMES = {
+    "free": "free bodies",
+    "top": "heavy tops",
+    "torqued": "any torque",
+}
+STEPS = (0.2, 0.025)
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    """Rows on quaternions in float64."""
+def ladders(path: Path) -> dict[tuple[str, str], list[dict[str, str]]]:
+    """Rows on quaternions in float64, by method and input."""
+    found: dict[tuple[str, str], list[dict[str, str]]] = {}
     with path.open(newline="") as file:
-        return [
-            r
-            for r in csv.DictReader(file)
-            if r["representation"] == "quat" and r["dtype"] == "float64"
-        ]
+        for row in csv.DictReader(file):
+            if (row["representation"], row["dtype"]) == ("quat", "float64"):
+                found.setdefault((row["method"], row["input"]), []).append(row)
+    return found
+
+
+def at(ladder: list[dict[str, str]], dt: float) -> dict[str, str] | None:
+    """The row of a step; that of the closed form, which has none, is its only one."""
+    if len(ladder) == 1:
+        return ladder[0]
+    return next((r for r in ladder if abs(float(r["dt"]) - dt) < 1e-9), None)
 
 
 def main(path: Path) -> None:
-    """Print one line a method: error at two steps, speed at the smaller."""
-    table = rows(path)
-    steps = sorted({float(r["dt"]) for r in table}, reverse=True)
-    coarse, fine = steps[1], steps[4]
+    """Print one line a method and input: error at two steps, speed at the smaller, summary once."""
+    coarse, fine = STEPS
     print(f"| method | for | order | error, dt={coarse:g} s | error, dt={fine:g} s | M steps/s | |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    for r in table:
-        if float(r["dt"]) != coarse:
-            continue
-        other = next(
-            o
-            for o in table
-            if (o["method"], o["input"], float(o["dt"])) == (r["method"], r["input"], fine)
-        )
-        method = METHODS[r["method"]]
-        speed = float(other["steps_per_second"]) / 1e6
+    summaries = {name: method.summary for name, method in METHODS.items()}
+    for (name, source), ladder in ladders(path).items():
+        method = METHODS[name]
+        order = method.order_of(BODY_SCENES[source].kind) if source in BODY_SCENES else method.order
+        first, last = at(ladder, coarse), at(ladder, fine)
+        if first is None or last is None:
+            raise SystemExit(f"{path}: {name} has no step of {coarse:g} or {fine:g} s: a full run?")
+        speed = float(last["steps_per_second"]) / 1e6
         print(
-            f"| `{method.name}` | {r['input']} | {method.order} | {float(r['error_median']):.1e} "
-            f"| {float(other['error_median']):.1e} | {speed:.0f} | {method.summary} |"
+            f"| `{name}` | {NAMES.get(source, source)} | {order or 'exact'} "
+            f"| {float(first['error_median']):.1e} | {float(last['error_median']):.1e} "
+            f"| {speed:.0f} | {summaries.pop(name, '')} |"
         )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    for argument in sys.argv[1:]:
+        main(Path(argument))

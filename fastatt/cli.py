@@ -13,8 +13,20 @@ from fastatt import __version__, gyrolog
 from fastatt.checks import attitudes
 from fastatt.engine.pool import progress_bar
 from fastatt.integrate import integrate_rates, methods_for_samples
-from fastatt.methods import METHODS
-from fastatt.trade import compare_on_log, run_trade
+from fastatt.methods import METHODS, Method
+from fastatt.torques import DAMPED, POSITION
+from fastatt.trade import DEFAULT_SCENES, SCENES, compare_on_log, run_trade
+
+_ALL = "all"
+# how a method's list of scenes is read: name on the command line, in words, as records have it
+_SCENES = {
+    "rate": ("rate functions", ("rate",)),
+    "free": ("free bodies", ("spherical", "symmetric", "free")),
+    "torqued": ("torqued bodies", ("torqued",)),
+    "samples": ("samples", ("sampled rates", "increments")),
+}
+# what a method that is not for any torque asks of it
+_TAKEN = {POSITION: "torque free of w", DAMPED: "torque free of w but for linear damping"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -41,7 +53,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"fastatt {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    methods = commands.add_parser("methods", help="list the methods and where each fits")
+    methods = commands.add_parser(
+        "methods",
+        help="list the methods and where each fits",
+        description="List the methods: name, order, scenes, representations, source.",
+    )
+    methods.add_argument("--scene", choices=_SCENES, help="only those for this kind of scene")
     methods.set_defaults(run=_methods)
 
     integrate = commands.add_parser(
@@ -75,8 +92,18 @@ def _parser() -> argparse.ArgumentParser:
     trade = commands.add_parser(
         "trade",
         help="every method's speed against its error",
-        description="Integrate recorded gyro logs with every method, then an ensemble of coning "
-        "bodies with a known answer; leave tables, CSV files and pictures.",
+        description="Run every method that fits on recorded gyro logs and on ensembles with a "
+        "known answer; leave tables, CSV files and pictures.",
+    )
+    trade.add_argument(
+        "--scene",
+        action="append",
+        choices=(*SCENES, _ALL),
+        help=f"what to run, may be repeated (default: {' and '.join(DEFAULT_SCENES)}): recordings "
+        "of gyros, coning bodies, free bodies, heavy tops, bodies under several torques",
+    )
+    trade.add_argument(
+        "--methods", type=_names, help="only these methods, where they fit: rk4,magnus4"
     )
     trade.add_argument("-o", "--out", type=Path, default=Path("results"), help="folder for results")
     trade.add_argument(
@@ -86,7 +113,9 @@ def _parser() -> argparse.ArgumentParser:
         help="a gyro log instead of the recordings of scikit-kinematics (may be repeated)",
     )
     trade.add_argument("--bodies", type=int, default=4096, help="size of the ensemble")
-    trade.add_argument("--quick", action="store_true", help="few steps and one repeat: a smoke run")
+    trade.add_argument(
+        "--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only"
+    )
     trade.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     trade.set_defaults(run=_trade)
     return parser
@@ -114,11 +143,34 @@ def _bar_wanted(quiet: bool) -> bool:
 
 
 def _methods(arguments: argparse.Namespace) -> int:
-    width = max(map(len, METHODS))
-    for m in METHODS.values():
-        print(f"{m.name:{width}}  order {m.order}  {', '.join(m.scenes)}: {m.summary}")
+    chosen = [_SCENES[arguments.scene]] if arguments.scene else list(_SCENES.values())
+    listed = [m for m in METHODS.values() if any(set(m.scenes) & set(own) for _, own in chosen)]
+    width = max(len(m.name) for m in listed)
+    for m in listed:
+        print(f"{m.name:{width}}  {_order(m)}; {_fits(m)}: {m.summary}")
         print(f"{'':{width}}  {', '.join(m.representations)}; {m.source}")
     return 0
+
+
+def _order(m: Method) -> str:
+    if not m.order:
+        return "closed form"
+    others = "".join(f", {order} for {scene}" for scene, order in m.orders.items())
+    return f"order {m.order}{others}"
+
+
+def _fits(m: Method) -> str:
+    """The scenes of a method, in words."""
+    words = []
+    for name, (plural, own) in _SCENES.items():
+        found = [scene for scene in own if scene in m.scenes]
+        if name == "samples" and len(found) == 1:
+            words += found
+        elif found:
+            words.append(plural)
+    if m.takes in _TAKEN:
+        words[-1] += f" ({_TAKEN[m.takes]})"
+    return ", ".join(words)
 
 
 def _integrate(arguments: argparse.Namespace) -> int:
@@ -160,8 +212,11 @@ def _integrate(arguments: argparse.Namespace) -> int:
 
 
 def _trade(arguments: argparse.Namespace) -> int:
+    scenes = arguments.scene or DEFAULT_SCENES
     run_trade(
         arguments.out,
+        scenes=SCENES if _ALL in scenes else scenes,
+        methods=arguments.methods,
         logs=arguments.log,
         n_bodies=arguments.bodies,
         quick=arguments.quick,

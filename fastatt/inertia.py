@@ -67,7 +67,7 @@ def principal(
 def sort_axes(found: Principal) -> Principal:
     """The same body with its intermediate moment on axis 2."""
     m = found.moments
-    if ((m[..., 1] - m[..., 0]) * (m[..., 2] - m[..., 1]) >= 0.0).all():
+    if is_sorted(m):
         return found
     order = np.argsort(m, axis=-1)
     columns = np.swapaxes(np.eye(3)[order], -1, -2)
@@ -75,6 +75,12 @@ def sort_axes(found: Principal) -> Principal:
     turn = dcm_to_quat(columns)
     axes = turn if found.axes is None else quat_multiply(found.axes, turn)
     return Principal(np.take_along_axis(m, order, axis=-1), axes)
+
+
+def is_sorted(moments: NDArray[Any]) -> bool:
+    """Whether the second of the moments (..., 3) is the intermediate one, of every body."""
+    a, b, c = np.moveaxis(moments, -1, 0)
+    return bool(((b - a) * (c - b) >= 0.0).all())
 
 
 def is_symmetric(moments: NDArray[Any]) -> NDArray[np.bool_]:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 # Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 _LINES = {"quat": "-", "dcm": ":"}
+_ENTRY = 1.2  # inches, the width of a legend's entry below the panels
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,16 @@ class Ladder:
 
 
 @dataclass(frozen=True)
+class Panel:
+    """The ladders of an ensemble over ``t_end`` (s), and the best of all their rungs."""
+
+    title: str
+    t_end: float
+    ladders: Sequence[Ladder]
+    frontier: Ladder
+
+
+@dataclass(frozen=True)
 class Departures:
     """One recording: each method's angle (deg) from the reference over time (s)."""
 
@@ -38,34 +52,109 @@ class Departures:
     maker: NDArray[Any] | None
 
 
-def work_precision(
-    panels: Mapping[str, Sequence[Ladder]],
-    frontiers: Mapping[str, Ladder],
-    t_end: float,
-    path: Path,
-) -> None:
-    """Error against time per body, both logarithmic, a panel for each kind of input."""
-    figure = Figure(figsize=(6 * len(panels), 5.6), layout="constrained")
+@dataclass(frozen=True)
+class Polhode:
+    """Curves of one kinetic energy (J) on the sphere of momenta of size 1, (T, 3) each."""
+
+    energy: float
+    curves: Sequence[NDArray[Any]]
+    separatrix: bool
+
+
+@dataclass(frozen=True)
+class Herpolhode:
+    """Angular velocity in the plane across the momentum in space, (T, 2), rad/s."""
+
+    energy: float
+    curve: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class AxisTrace:
+    """A body axis in space over time, (T, 3)."""
+
+    title: str
+    axis: NDArray[Any]
+
+
+def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
+    """Error against time per body, both logarithmic, a panel for each ensemble or input."""
+    width = max(8.0, 5.8 * len(panels))
+    figure = Figure(figsize=(width, 6.4), layout="constrained")
     drawn = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
-    for axes, (title, ladders) in zip(drawn, panels.items(), strict=True):
-        styles = _styles([ladder.method for ladder in ladders])
-        for ladder in ladders:
-            x = np.array(ladder.seconds) * 1e6
-            label = ladder.method if ladder.representation == "quat" else None
-            line = _LINES[ladder.representation]
-            axes.plot(x, ladder.errors, line, label=label, **styles[ladder.method])
-        best = frontiers[title]
+    styles = _styles([ladder.method for panel in panels for ladder in panel.ladders])
+    for axes, panel in zip(drawn, panels, strict=True):
+        best = panel.frontier
         x = np.array(best.seconds) * 1e6
-        axes.plot(x, best.errors, color="k", lw=7, alpha=0.12, label="frontier", zorder=0)
-        if any(ladder.representation == "dcm" for ladder in ladders):
-            axes.plot([], [], "k-", lw=1.4, label="quaternion")
-            axes.plot([], [], "k:", lw=1.4, label="matrix")
-        axes.set(xscale="log", yscale="log", title=title)
-        axes.set_xlabel(f"time per body for {t_end:g} s of motion, µs")
+        axes.plot(x, best.errors, color="k", lw=7, alpha=0.12, zorder=0)
+        for ladder in panel.ladders:
+            x = np.array(ladder.seconds) * 1e6
+            line = _LINES[ladder.representation]
+            axes.plot(x, ladder.errors, line, **styles[ladder.method])
+        axes.set(xscale="log", yscale="log", title=panel.title)
+        axes.set_xlabel(f"time per body for {panel.t_end:g} s of motion, µs")
         axes.grid(visible=True, alpha=0.3)
-        axes.legend(fontsize=8, ncols=2)
+    entries = {name: Line2D([], [], **style) for name, style in styles.items()}
+    entries["frontier"] = Line2D([], [], color="k", lw=7, alpha=0.12)
+    if any(ladder.representation == "dcm" for panel in panels for ladder in panel.ladders):
+        entries["quaternion"] = Line2D([], [], color="k", ls=_LINES["quat"], lw=1.4)
+        entries["matrix"] = Line2D([], [], color="k", ls=_LINES["dcm"], lw=1.4)
+    lines = math.ceil(len(entries) * _ENTRY / width)
+    columns = math.ceil(len(entries) / lines)
+    figure.legend(
+        entries.values(), entries.keys(), loc="outside lower center", fontsize=9, ncols=columns
+    )
     drawn[0].set_ylabel("attitude error, median over bodies, rad")
-    figure.suptitle("Ensemble of coning bodies: what accuracy costs")
+    figure.suptitle(heading)
+    _save(figure, path)
+
+
+def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], path: Path) -> None:
+    """Polhodes on the momentum sphere in body axes; herpolhodes in the plane fixed in space."""
+    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
+    sphere = figure.add_subplot(1, 2, 1, projection="3d")
+    view = _sphere(sphere, elevation=24.0, azimuth=35.0, zoom=1.15)
+    tints = _tints([p.energy for p in polhodes])
+    styles = {p.energy: {"color": tints[p.energy], "lw": 1.8} for p in polhodes}
+    styles |= {p.energy: {"color": "k", "lw": 2.4} for p in polhodes if p.separatrix}
+    names = {p.energy: f"{p.energy:.3f} J{', separatrix' * p.separatrix}" for p in polhodes}
+    for polhode in polhodes:
+        for curve in polhode.curves:
+            _curve(sphere, curve, view, styles[polhode.energy])
+    for i, axis in enumerate(np.eye(3)):
+        sphere.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
+        sphere.text(*(1.56 * axis), f"$I_{i + 1}$", fontsize=13, ha="center", va="center")
+    sphere.set_title("Polhodes: the momentum seen from the body, faint on the far side")
+    plane = figure.add_subplot(1, 2, 2)
+    for herpolhode in herpolhodes:
+        plane.plot(*herpolhode.curve.T, **{**styles[herpolhode.energy], "lw": 1.3})
+    across = "angular velocity across the momentum, rad/s"
+    plane.set(aspect="equal", xlabel=across, ylabel=across)
+    plane.set_title("Herpolhodes: the angular velocity in space over 40 s")
+    plane.grid(visible=True, alpha=0.3)
+    entries = [Line2D([], [], **style) for style in styles.values()]
+    figure.legend(
+        entries,
+        names.values(),
+        loc="outside lower center",
+        ncols=len(names),
+        title="kinetic energy",
+    )
+    figure.suptitle("A free body with a momentum of 1 N·m·s and moments $I_1 > I_2 > I_3$")
+    _save(figure, path)
+
+
+def axis_traces(traces: Sequence[AxisTrace], path: Path) -> None:
+    """A body axis on the sphere of directions in space, a panel for each motion."""
+    figure = Figure(figsize=(4.6 * len(traces), 5.2), layout="constrained")
+    for i, trace in enumerate(traces):
+        axes = figure.add_subplot(1, len(traces), i + 1, projection="3d")
+        view = _sphere(axes, elevation=38.0, azimuth=-60.0, zoom=1.3)
+        _curve(axes, trace.axis, view, {"color": _COLOURS[i], "lw": 1.8})
+        axes.plot([0.0, 0.0], [0.0, 0.0], [1.0, 1.25], color="k", lw=1.2)
+        axes.text(0.0, 0.0, 1.3, "up", ha="center")
+        axes.set_title(trace.title)
+    figure.suptitle("Axis of a heavy top in space, released with different rates of precession")
     _save(figure, path)
 
 
@@ -86,17 +175,49 @@ def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
         axes.set_ylim(bottom=1e-4)
         axes.set_title(log.title, fontsize=10)
         axes.grid(visible=True, alpha=0.3)
-        axes.legend(fontsize=7, ncols=2)
+        if log.methods or log.maker is not None:
+            axes.legend(fontsize=7, ncols=2)
     for axes in panels[len(logs) :]:
         axes.remove()
     _save(figure, path)
 
 
 def _styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    return {
-        name: {"color": _COLOURS[i % 8], "marker": _MARKERS[i % 8], "ms": 5, "lw": 1.4}
-        for i, name in enumerate(dict.fromkeys(names))
-    }
+    """Colour and marker of each name, filled markers for the first eight, then hollow ones."""
+    found = {}
+    for i, name in enumerate(dict.fromkeys(names)):
+        found[name] = {"color": _COLOURS[i % 8], "marker": _MARKERS[i % 8], "ms": 5, "lw": 1.4}
+        if i // 8 % 2:
+            found[name]["markerfacecolor"] = "white"
+    return found
+
+
+def _tints(values: Sequence[float]) -> dict[float, Any]:
+    """A colour of each value, in order of size, from a map that colour-blind readers can read."""
+    order = sorted(set(values))
+    return dict(zip(order, colormaps["viridis"](np.linspace(0.0, 0.9, len(order))), strict=True))
+
+
+def _sphere(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
+    """Draw a faint unit sphere and give the direction from which it is seen."""
+    axes.view_init(elev=elevation, azim=azimuth)
+    axes.set_proj_type("ortho")
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
+    axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
+    axes.set_axis_off()
+    around = np.linspace(0.0, 2.0 * np.pi, 73)
+    up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
+    x, y, z = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0.0 * around
+    axes.plot_wireframe(x, y, z, rstride=3, cstride=6, color="0.6", lw=0.3)
+    e, a = np.radians([elevation, azimuth])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def _curve(axes: Any, points: NDArray[Any], view: NDArray[Any], style: Mapping[str, Any]) -> None:
+    """A curve on the sphere: plain in front, faint behind."""
+    front = (points @ view > 0.0)[:, None]
+    axes.plot(*np.where(front, points, np.nan).T, **style)
+    axes.plot(*np.where(front, np.nan, points).T, alpha=0.25, **style)
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -18,7 +18,7 @@ from fastatt.torques import RATE
 from fastatt.trajectory import INVARIANT_BOUND, Status, Trajectory
 
 # in this order, the first that fits the scene and the representation
-_DEFAULTS = ("magnus4", "exact", "srkn4", "rkmk4", "rk4")
+_DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
 # coordinates with singularities
 _COORDINATES = ("euler313", "rotation_vector")
 
@@ -69,8 +69,8 @@ def propagate(
         positions along inertial axes, m, which are carried if given.
     dt : step, s; negative runs backwards.
     n_steps : number of steps, at least 0.
-    method : a name of ``fastatt.METHODS``; None takes the first of magnus4, exact, srkn4,
-        rkmk4 and rk4 that fits the scene and the representation; the trajectory names it.
+    method : a name of ``fastatt.METHODS``; None takes the first of magnus4, exact, rk8 and rk4 that
+        fits the scene and the representation; the trajectory names it.
     representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector".
     save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
         the final ones.

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, forces, rates, torques
-from fastatt.inertia import Principal, is_spherical, is_symmetric, principal, sort_axes
+from fastatt.inertia import (
+    Principal,
+    is_sorted,
+    is_spherical,
+    is_symmetric,
+    principal,
+    sort_axes,
+)
 from fastatt.models import Packed, join, numbers
 from fastatt.motion import Body, Moving
 
@@ -97,15 +104,19 @@ class Scene:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
         return principal(self.inertia, allow_unphysical=self.allow_unphysical)
 
+    @cached_property
+    def _tag(self) -> Any:
+        return self._body(None).tag
+
     def dependence(self, *, sorted_axes: bool = False) -> int:
         """How the torque depends on w, one of ``fastatt.torques``'s POSITION, DAMPED and RATE."""
-        tag = self._body(None, sorted_axes).tag
-        return torques.dependence(tag.torque)
+        turned = sorted_axes and not is_sorted(self.principal.moments)
+        return torques.dependence(self._tag.torque, turned=turned)
 
     @cached_property
     def has_potential(self) -> bool:
         """Whether kinetic plus potential energy is constant."""
-        return self.rate is None and torques.has_potential(self._body(None).tag.torque)
+        return self.rate is None and torques.has_potential(self._tag.torque)
 
     @property
     def moves(self) -> bool:

@@ -396,19 +396,19 @@ def has_potential(tag: Any) -> bool:
     return type(tag) in _POTENTIAL_KERNELS
 
 
-def dependence(tag: Any) -> int:
+def dependence(tag: Any, *, turned: bool = False) -> int:
     """How a torque's tag depends on w: ``POSITION`` not, ``DAMPED`` along principal axes, ``RATE``.
 
-    ``DAMPED`` is linear damping, whose flow is known.
+    ``DAMPED`` is linear damping, whose flow is known; axis by axis only where the principal axes
+    are the body's, not ``turned``.
     """
     if type(tag) is Sum:
-        return max(dependence(term) for term in tag.terms)
+        return max(dependence(term, turned=turned) for term in tag.terms)
     if type(tag) is Turned:
-        inner = dependence(tag.torque)
-        return POSITION if inner == POSITION else RATE
-    if type(tag) in (Damping, AxisDamping):
+        return dependence(tag.torque, turned=True)
+    if type(tag) is Damping or (type(tag) is AxisDamping and not turned):
         return DAMPED
-    return RATE if type(tag) in _RATE_DEPENDENT else POSITION
+    return RATE if type(tag) in (*_RATE_DEPENDENT, AxisDamping) else POSITION
 
 
 def pack(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
 import fastatt as fa
+from fastatt import cli
 from fastatt.cli import main
+from fastatt.trade import compare_on_log
 
 
 @pytest.fixture
@@ -28,7 +31,8 @@ def log(tmp_path):
 def test_integrate(log, tmp_path, capsys, suffix):
     path, t, rates = log
     out = tmp_path / f"out{suffix}"
-    assert main(["integrate", str(path), "-o", str(out), "-m", "coning3"]) == 0
+    arguments = ["-o", str(out), "-m", "coning3", "--no-compare"]
+    assert main(["integrate", str(path), *arguments]) == 0
     found = np.load(out) if suffix == ".npy" else np.loadtxt(out, delimiter=",", skiprows=1)
     expected = fa.integrate_rates(rates, np.diff(t), method="coning3")
     assert np.array_equal(found[:, 1:], expected)
@@ -36,8 +40,15 @@ def test_integrate(log, tmp_path, capsys, suffix):
     text = capsys.readouterr().out
     assert "400 samples at 100 Hz (time stamps in Time (s))" in text
     assert "400 attitudes by coning3" in text
-    for method in ("hold", "trapezoid", "previous", "coning2", "picard"):
-        assert method in text
+    assert "half the samples" not in text
+
+
+def test_integrate_compares_methods(log, capsys, monkeypatch):
+    monkeypatch.setattr(cli, "compare_on_log", partial(compare_on_log, methods=[]))
+    assert main(["integrate", str(log[0]), "-m", "coning3"]) == 0
+    text = capsys.readouterr().out
+    for method in ("previous", "coning2", "coning3"):
+        assert f" {method} " in text
     assert "half the samples change coning3 by" in text
 
 
@@ -63,6 +74,9 @@ def test_default_output_stands_beside_the_log(log):
         (["integrate", "."], "directory"),
         (["trade", "--bodies", "0"], "--bodies: found 0"),
         (["trade", "--log", "none.csv"], "No such file"),
+        (["trade", "--scene", "free", "--log", "none.csv"], "accepted: with --scene recordings"),
+        (["trade", "--scene", "free", "--methods", "rk4,magnus4"], "--methods: found 'magnus4'"),
+        (["trade", "--scene", "torqued", "--methods", "srkn4"], "accepted: rk4, cf4, rkmk4, rk8"),
     ],
 )
 def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, arguments, message):
@@ -74,7 +88,15 @@ def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, argument
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["nonsense"], ["integrate"], ["integrate", "a", "-u", "rpm"]]
+    "arguments",
+    [
+        [],
+        ["nonsense"],
+        ["integrate"],
+        ["integrate", "a", "-u", "rpm"],
+        ["trade", "--scene", "moon"],
+        ["methods", "--scene", "moon"],
+    ],
 )
 def test_usage_errors(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
@@ -97,6 +119,35 @@ def test_methods_lists_all(capsys):
     for method in fa.METHODS.values():
         assert f"\n{method.name} " in f"\n{text}"
         assert method.summary in text
+
+
+@pytest.mark.parametrize(
+    ("scene", "own", "other"),
+    [
+        ("rate", "magnus4", "strang2"),
+        ("free", "dmv2", "srkn4"),
+        ("torqued", "srkn4", "dmv2"),
+        ("samples", "coning3_optimal", "rk4"),
+    ],
+)
+def test_methods_of_a_scene(capsys, scene, own, other):
+    assert main(["methods", "--scene", scene]) == 0
+    text = f"\n{capsys.readouterr().out}"
+    assert f"\n{own} " in text
+    assert f"\n{other} " not in text
+
+
+def test_methods_say_what_they_take(capsys):
+    main(["methods"])
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()[::2]}
+    everywhere = "order 4; rate functions, free bodies, torqued bodies: "
+    damped = "order 2; free bodies, torqued bodies (torque free of w but for linear damping): "
+    assert everywhere in lines["rk4"]
+    assert damped in lines["strang2"]
+    assert "order 4; torqued bodies (torque free of w): " in lines["srkn4"]
+    assert "closed form; free bodies: " in lines["exact"]
+    assert "order 1, 2 for increments; samples: " in lines["hold"]
+    assert "order 4; increments: " in lines["coning3_optimal"]
 
 
 def test_as_a_module():

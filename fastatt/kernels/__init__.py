@@ -3,6 +3,34 @@
 Every kernel is pure: tuples in, tuples out, no allocation, no branch, float64 or float32 kept.
 """
 
-from fastatt.kernels import axis_angle, coning, dcm, euler313, quat, so3, trig, vec3
+from fastatt.kernels import (
+    axis_angle,
+    coning,
+    dcm,
+    elliptic,
+    euler313,
+    free_body,
+    moser_veselov,
+    newton,
+    quat,
+    rigid,
+    so3,
+    trig,
+    vec3,
+)
 
-__all__ = ["axis_angle", "coning", "dcm", "euler313", "quat", "so3", "trig", "vec3"]
+__all__ = [
+    "axis_angle",
+    "coning",
+    "dcm",
+    "elliptic",
+    "euler313",
+    "free_body",
+    "moser_veselov",
+    "newton",
+    "quat",
+    "rigid",
+    "so3",
+    "trig",
+    "vec3",
+]

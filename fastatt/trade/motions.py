@@ -1,0 +1,85 @@
+"""Motions for the pictures: polhodes, herpolhodes and the axis of a heavy top."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import exact
+from fastatt.arrays import euler313_to_quat, rotate, rotate_inverse
+from fastatt.energy import angular_momentum, kinetic_energy
+from fastatt.propagate import propagate
+from fastatt.trade.bodies import TOP, TRIAXIAL
+
+if TYPE_CHECKING:
+    from fastatt import plots
+
+_QUAT = (1.0, 0.0, 0.0, 0.0)
+# of the momentum from axis 1 to axis 3, deg; at 45 the energy of TRIAXIAL is that about axis 2
+_LATITUDES = (12.0, 24.0, 36.0, 45.0, 54.0, 66.0, 78.0)
+_SEPARATRIX = 45.0
+_ROLLED = (12.0, 36.0, _SEPARATRIX)
+# rate of precession at the start, rad/s
+_RELEASED = {"loops": -0.3, "cusps": 0.0, "waves": 0.15}
+_TILT, _SPIN = 0.9, 6.0
+
+
+def _momentum(latitude: float) -> NDArray[np.float64]:
+    a = math.radians(latitude)
+    return np.array([math.cos(a), 0.0, math.sin(a)])
+
+
+def _energy(m: NDArray[np.float64]) -> float:
+    return float(kinetic_energy(m / TRIAXIAL, TRIAXIAL))
+
+
+def polhodes() -> list[plots.Polhode]:
+    """Curves of constant energy on the momentum sphere of ``TRIAXIAL``, (T, 3) each."""
+    from fastatt import plots
+
+    t = np.linspace(-20.0, 20.0, 2001)
+    found = []
+    for latitude in _LATITUDES:
+        m = _momentum(latitude)
+        # the mirror images of a start lie on the curve, or on the one about the axis's other end
+        starts = m * np.array(
+            [(1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, -1.0)]
+        )
+        _, w = exact.free_body(_QUAT, starts / TRIAXIAL, TRIAXIAL, t)
+        curves = np.swapaxes(angular_momentum(w, TRIAXIAL), 0, 1)
+        found.append(plots.Polhode(_energy(m), list(curves), latitude == _SEPARATRIX))
+    return found
+
+
+def herpolhodes() -> list[plots.Herpolhode]:
+    """Angular velocity in the plane across the momentum, (T, 2) rad/s, of some polhodes."""
+    from fastatt import plots
+
+    t = np.linspace(0.0, 40.0, 2001)
+    found = []
+    for latitude in _ROLLED:
+        m = _momentum(latitude)
+        q, w = exact.free_body(_QUAT, m / TRIAXIAL, TRIAXIAL, t)
+        # at t = 0 body and inertial axes coincide, and axis 2 lies across the momentum
+        y = np.array([0.0, 1.0, 0.0])
+        plane = np.stack([np.cross(y, m), y], axis=1)
+        found.append(plots.Herpolhode(_energy(m), rotate(q, w) @ plane))
+    return found
+
+
+def nutations() -> list[plots.AxisTrace]:
+    """The symmetry axis of three heavy tops in space, (T, 3), over 17 s."""
+    from fastatt import plots
+
+    q0 = euler313_to_quat([0.0, _TILT, 0.0])
+    found = []
+    for name, precession in _RELEASED.items():
+        w0 = rotate_inverse(q0, [0.0, 0.0, precession])
+        w0[2] = _SPIN
+        run = propagate(TOP, q0, w0, dt=0.01, n_steps=1700, method="rk8", save_every=1)
+        axis = rotate(run.q, np.broadcast_to([0.0, 0.0, 1.0], (run.t.size, 3)))
+        found.append(plots.AxisTrace(f"{name}: {precession:g} rad/s at the start", axis))
+    return found

@@ -1,0 +1,183 @@
+"""Recorded gyro logs: how far the methods differ on them, and what the sample rate costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import gyrolog
+from fastatt.arrays import angle_between
+from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.trade.measure import best_time
+
+if TYPE_CHECKING:
+    from fastatt import plots
+
+DEGREES = 180.0 / math.pi
+# carried by the PyPI package scikit-kinematics: Xsens at 50 and 120 Hz, x-io NGIMU at 50 Hz
+RECORDINGS = (
+    "data_xsens.txt",
+    "walking_xsens_lowerLeg.txt",
+    "walking_xsens_upperLeg.txt",
+    "data_ngimu/sensors.csv",
+)
+REFERENCE = "coning3"
+# the causal method and the others that correct for coning: what a user chooses among
+_RIVALS = ("previous", "coning2")
+
+
+@dataclass(frozen=True)
+class LogRow:
+    """One method on one recording; angles in degrees."""
+
+    recording: str
+    method: str
+    samples: int
+    rate: float
+    nanoseconds_per_sample: float
+    difference_max: float
+    difference_end: float
+    half_rate_difference_max: float
+    maker_difference_max: float | None
+
+
+def find_recordings() -> list[Path]:
+    """The gyro recordings that scikit-kinematics installs.
+
+    Raises ``ImportError`` when the package, or its recordings, are not installed.
+    """
+    try:
+        files = metadata.files("scikit-kinematics") or []
+    except metadata.PackageNotFoundError:
+        files = []
+    found = {
+        name: Path(str(f.locate()))
+        for name in RECORDINGS
+        for f in files
+        if str(f).endswith(f"tests/data/{name}")
+    }
+    if len(found) < len(RECORDINGS):
+        raise ImportError(
+            "trade: needs the recordings of scikit-kinematics; install them with "
+            "pip install 'fastatt[trade]', or name logs with --log"
+        )
+    return [found[name] for name in RECORDINGS]
+
+
+def _start(log: gyrolog.GyroLog) -> NDArray[np.float64]:
+    return np.array([1.0, 0.0, 0.0, 0.0]) if log.attitudes is None else log.attitudes[0]
+
+
+def log_rows(
+    log: gyrolog.GyroLog,
+    repeats: int,
+    max_gap: float | None = None,
+    methods: Sequence[str] | None = None,
+) -> list[LogRow]:
+    """The methods, or every one, on one log.
+
+    The difference of each from the reference, from itself at half the rate, and from the maker's
+    orientation where the log has it.
+    """
+    q0 = _start(log)
+    n = len(log.rates)
+    even = np.arange(0, n, 2)
+    half_dt = np.diff(log.t[even]) if isinstance(log.dt, np.ndarray) else 2.0 * log.dt
+    half_gap = None if max_gap is None else 2.0 * max_gap
+
+    def attitudes(name: str) -> NDArray[Any]:
+        return integrate_rates(log.rates, log.dt, q0, method=name, max_gap=max_gap)
+
+    reference = attitudes(REFERENCE)
+    rows = []
+    for name in methods_for_samples() if methods is None else methods:
+        seconds, q = best_time(lambda name=name: attitudes(name), repeats)  # type: ignore[misc]
+        half = integrate_rates(log.rates[even], half_dt, q0, method=name, max_gap=half_gap)
+        away = angle_between(q, reference) * DEGREES
+        maker = None
+        if log.attitudes is not None:
+            maker = float(angle_between(q, log.attitudes).max() * DEGREES)
+        rows.append(
+            LogRow(
+                recording=log.path.name,
+                method=name,
+                samples=n,
+                rate=log.rate,
+                nanoseconds_per_sample=seconds / n * 1e9,
+                difference_max=float(away.max()),
+                difference_end=float(away[-1]),
+                half_rate_difference_max=float(angle_between(half, q[even]).max() * DEGREES),
+                maker_difference_max=maker,
+            )
+        )
+    return rows
+
+
+def compare_on_log(
+    log: gyrolog.GyroLog,
+    method: str,
+    max_gap: float | None = None,
+    methods: Sequence[str] | None = None,
+) -> str:
+    """Table: how far the methods differ on a log, and what the sample rate itself costs.
+
+    ``methods`` are the others to compare with, None for all.
+    """
+    if methods is not None:
+        methods = list(dict.fromkeys((*methods, method, *_RIVALS)))
+    rows = log_rows(log, repeats=1, max_gap=max_gap, methods=methods)
+    table = log_table(rows)
+    own = next(r for r in rows if r.method == method)
+    spread = max(r.difference_max for r in rows if r.method in _RIVALS)
+    verdict = (
+        "the sample rate is what limits, more than the method"
+        if own.half_rate_difference_max > spread
+        else "the method matters more than the sample rate"
+    )
+    return (
+        f"{table}\nhalf the samples change {method} by {own.half_rate_difference_max:.2g} deg, "
+        f"the choice among {', '.join(_RIVALS)} and {REFERENCE} by {spread:.2g} deg: {verdict}"
+    )
+
+
+def log_table(rows: Iterable[LogRow]) -> str:
+    """The rows of one or more recordings as text."""
+    head = (
+        f"{'recording':26} {'method':16} {'ns/sample':>9} {'max diff':>9} {'end diff':>9} "
+        f"{'half rate':>9} {'maker':>7}   (deg; diff from {REFERENCE})"
+    )
+    lines = [head]
+    for r in rows:
+        maker = "" if r.maker_difference_max is None else f"{r.maker_difference_max:.2f}"
+        lines.append(
+            f"{r.recording:26} {r.method:16} {r.nanoseconds_per_sample:9.1f} "
+            f"{r.difference_max:9.2g} {r.difference_end:9.2g} "
+            f"{r.half_rate_difference_max:9.2g} {maker:>7}"
+        )
+    return "\n".join(lines)
+
+
+def departures(log: gyrolog.GyroLog, methods: Sequence[str] | None = None) -> plots.Departures:
+    """Each method's angle from the reference on a recording, and the maker's orientation's."""
+    from fastatt import plots
+
+    q0 = _start(log)
+
+    def attitudes(name: str) -> NDArray[Any]:
+        return integrate_rates(log.rates, log.dt, q0, method=name)
+
+    base = attitudes(REFERENCE)
+    angles = {
+        name: angle_between(attitudes(name), base)[1:] * DEGREES
+        for name in (methods_for_samples() if methods is None else methods)
+        if name != REFERENCE
+    }
+    maker = None if log.attitudes is None else angle_between(base, log.attitudes)[1:] * DEGREES
+    return plots.Departures(f"{log.path.name}, {log.rate:.4g} Hz", log.t[1:], angles, maker)
