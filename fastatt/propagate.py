@@ -266,7 +266,9 @@ def _run(
 
     pool.run_ensemble(call, run, n, threads, progress)
     unlimited = scene.is_constant and method.exact_for_constant
-    limit = np.inf if unlimited else method.limit(representation)
+    # Euler's equations turn the momentum at up to |w|, as a matrix turns
+    frame = "dcm" if scene.kind != "rate" and representation == "quat" else representation
+    limit = np.inf if unlimited else method.limit(frame)
     ends = np.cumsum([OPERATIONS[type(rep)].stored, *[3 for _ in carried_0]])
     columns = {name: out[..., k : k + 3] for name, k in zip(carried_0, ends, strict=False)}
     return Trajectory(

@@ -39,8 +39,10 @@ class Trajectory:
     """Saved attitudes of one body or of an ensemble, time first.
 
     ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
-    in body axes; ``status`` (N,), one :class:`Status` a body; ``defect`` (S, N), how far the state
-    had left its group before it was brought back for output: |q| − 1, or ‖C Cᵀ − 1‖ of a matrix.
+    in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
+    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``defect``
+    (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
+    ‖C Cᵀ − 1‖ of a matrix.
     """
 
     t: NDArray[np.float64]

@@ -85,11 +85,9 @@ def _coefficients(level: types.BaseNamedTuple, inertia: types.BaseTuple) -> Any:
     )[n]
 
 
-def _add(x, y):
+@helper
+def add_pairs(x, y):
     return x[0] + y[0], x[1] + y[1]
-
-
-add_pairs = helper(_add)
 
 
 @hook(corrections)

@@ -22,9 +22,10 @@ class Method:
     """One method's record: everything that tests, benches, tables and advice are made from.
 
     ``limits`` is the largest |w|h (rad a step) for which the step is trustworthy, by
-    representation; beyond, the body's status says so, but where the rate is constant and the method
-    ``exact_for_constant``. ``rate_calls`` is the number of rate
-    evaluations a step, ``exponentials`` that of exponentials.
+    representation, and of ``dmv`` and ``srkn`` the largest |m|h/I_min; a rigid body on quaternions
+    has that of a matrix. Beyond, the body's status says so, but where the rate is constant and the
+    method ``exact_for_constant``. ``rate_calls`` is the number of evaluations of the rate or the
+    torque a step, ``exponentials`` that of exponentials.
     """
 
     name: str

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fastatt.columns import combine
-from fastatt.methods import rk4
 from fastatt.methods.method import BODIES, Kernels, Method, register
 from fastatt.motion import field, given, turning
 
@@ -155,7 +154,14 @@ METHOD = Method(
     conserves=(),
     rate_calls=12,
     exponentials=0,
-    limits=rk4.METHOD.limits,
+    # edge of the stability region on the imaginary axis, as of rk4
+    limits={
+        "quat": 11.94,
+        "dcm": 5.97,
+        "dcm_rows": 5.97,
+        "euler313": 0.3,
+        "rotation_vector": 0.3,
+    },
     summary="explicit, 12 stages: any torque, tight tolerances",
     source="Dormand and Prince; Hairer, Nørsett, Wanner, Solving ODEs I (1993), §II.5, DOP853",
 )
