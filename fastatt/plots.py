@@ -113,7 +113,7 @@ def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], pat
     """Polhodes on the momentum sphere in body axes; herpolhodes in the plane fixed in space."""
     figure = Figure(figsize=(13.0, 6.8), layout="constrained")
     sphere = figure.add_subplot(1, 2, 1, projection="3d")
-    view = _sphere(sphere, elevation=24.0, azimuth=35.0, zoom=1.15)
+    view = _sphere(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
     tints = _tints([p.energy for p in polhodes])
     styles = {p.energy: {"color": tints[p.energy], "lw": 1.8} for p in polhodes}
     styles |= {p.energy: {"color": "k", "lw": 2.4} for p in polhodes if p.separatrix}
@@ -123,7 +123,7 @@ def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], pat
             _curve(sphere, curve, view, styles[polhode.energy])
     for i, axis in enumerate(np.eye(3)):
         sphere.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
-        sphere.text(*(1.56 * axis), f"$I_{i + 1}$", fontsize=13, ha="center", va="center")
+        sphere.text(*(1.62 * axis), f"$I_{i + 1}$", fontsize=13, ha="center", va="center")
     sphere.set_title("Polhodes: the momentum seen from the body, faint on the far side")
     plane = figure.add_subplot(1, 2, 2)
     for herpolhode in herpolhodes:
