@@ -19,6 +19,7 @@ from fastatt.inertia import (
     principal,
     sort_axes,
 )
+from fastatt.kernels import rigid
 from fastatt.models import Packed, join, numbers
 from fastatt.motion import Body, Moving
 
@@ -170,8 +171,9 @@ class Scene:
         elif callable(model):
             model = torques.Custom(model, self.params)
         acting = torques.pack(model, n_bodies, found.axes)
-        a, b, c = np.moveaxis(found.moments, -1, 0)
-        gyroscopic = np.stack([(b - c) / (b * c), (c - a) / (c * a), (a - b) / (a * b)], axis=-1)
+        columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
+        # the kernel's own formula, on whole columns
+        gyroscopic = np.stack(rigid.gyroscopic_coefficients.py_func(columns_of_moments), axis=-1)
         columns = [0.5 / found.moments, found.moments, gyroscopic]
         if found.axes is not None:
             columns.append(found.axes)

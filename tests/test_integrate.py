@@ -44,8 +44,7 @@ def same(a, b):
 # orders
 
 
-# picard on rates, 20 s of compilation, with uneven intervals only, of which equal ones are a case
-@pytest.mark.parametrize(("method", "increments"), [p for p in SAMPLED if p != ("picard", False)])
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
 def test_observed_order_with_equal_intervals(method, increments):
     """At the end of whole windows: 12 intervals and multiples of 6 hold a whole number of each."""
 
