@@ -11,7 +11,7 @@ PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
 # Numba's disk cache does not see edits in other files: a folder for each state of the source
 CACHED := NUMBA_CACHE_DIR="$$($(BIN)/python tests/numba_cache.py)" && export NUMBA_CACHE_DIR &&
 
-.PHONY: help venv test trade bench bench-smoke lint format types layers readme clean
+.PHONY: help venv test test-slow trade bench leaderboard extremes bench-smoke lint format types layers readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -25,14 +25,21 @@ $(VENV)/.trade: $(VENV)/.made pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[trade]'
 	@touch $@
 
+$(VENV)/.leaderboard: $(VENV)/.made pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[leaderboard]'
+	@touch $@
+
 $(VENV)/.test: $(VENV)/.made pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
 	@touch $@ $(VENV)/.trade
 
 venv: $(VENV)/.test  ## the environment of all other targets, in .venv
 
-test: $(VENV)/.test  ## all tests, the README's examples among them
-	$(CACHED) $(BIN)/pytest -n auto --dist loadfile -p no:benchmark
+test: $(VENV)/.test  ## the tests, the README's examples among them
+	$(CACHED) $(BIN)/pytest -n auto --dist loadfile -p no:benchmark -m "not slow"
+
+test-slow: $(VENV)/.test  ## the other tests: they compile for minutes
+	$(CACHED) $(BIN)/pytest -n auto --dist loadfile -p no:benchmark -m slow
 
 readme: $(VENV)/.test  ## the README's examples only
 	$(CACHED) $(BIN)/pytest tests/test_readme.py
@@ -42,6 +49,12 @@ trade: $(VENV)/.trade  ## every method on the default scene: table, picture and 
 
 bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 	$(CACHED) $(BIN)/pytest bench
+
+leaderboard: $(VENV)/.leaderboard  ## time at equal error beside other libraries, 10 minutes: results/
+	$(CACHED) PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS)
+
+extremes: $(VENV)/.test  ## every method at the extremes, half an hour: bench/EXTREMES.md
+	$(CACHED) $(BIN)/python bench/extremes.py --long
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
 	@if ls bench/bench_*.py >/dev/null 2>&1; \

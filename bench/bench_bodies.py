@@ -142,8 +142,8 @@ def heyoka_points(scene: str) -> list[tuple[float, float, str]]:
     points = []
     for k in (3, 6) if SMOKE else range(2, 16):
         system = peers.Heyoka(bodies(scene), 10.0**-k)
-        seconds = min(system.run().seconds for _ in range(1 if SMOKE else 3))
-        error = median_error(scene, system.run().q)
+        seconds = min(system.propagate().seconds for _ in range(1 if SMOKE else 3))
+        error = median_error(scene, system.propagate().q)
         points.append((seconds / N_BODIES, error, f"tolerance 1e-{k}"))
     return points
 

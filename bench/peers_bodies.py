@@ -1,4 +1,4 @@
-"""Rigid bodies in other programs: RK4 in C, Taylor series by heyoka, the order-8 pair of scipy.
+"""Rigid bodies in other programs: RK4 in C, Taylor series by heyoka.
 
 Each peer runs an ensemble from attitudes q0 (N, 4) and momenta m0 (N, 3), body axes, and gives a
 ``Run``: the same at the end, and the seconds of the propagation on one core, compilation and the
@@ -19,6 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+import equations
 import numpy as np
 
 T_END = 10.0
@@ -44,19 +45,6 @@ class Bodies:
 
     def __len__(self) -> int:
         return len(self.q0)
-
-    def take(self, n: int) -> Bodies:
-        """The first n bodies."""
-        inertia = self.inertia if self.inertia.ndim == 1 else self.inertia[:n]
-        return Bodies(inertia, self.q0[:n], self.m0[:n], self.potential)
-
-
-def error(run: Run, exact: Run) -> np.ndarray:
-    """Angles between the attitudes of two runs, rad, right when tiny."""
-    p, q = exact.q, run.q
-    scalar = (p * q).sum(axis=1)
-    vector = p[:, :1] * q[:, 1:] - q[:, :1] * p[:, 1:] - np.cross(p[:, 1:], q[:, 1:])
-    return 2.0 * np.arctan2(np.linalg.norm(vector, axis=1), np.abs(scalar))
 
 
 def _ensemble(inertia: list, size: float, n_bodies: int, *, potential: bool) -> Bodies:
@@ -228,62 +216,43 @@ def _fastest_group(tol: float) -> int:
     return next((n for n, least in ((8, 1e-3), (4, 1e-6), (2, 1e-8)) if tol >= least), 1)
 
 
-class Heyoka:
-    """heyoka's batch integrator for one scene: compiled once, used for batch after batch.
+class TaylorBatch:
+    """heyoka's batch integrator of many bodies' equations: compiled once, used batch after batch.
 
-    The state is (q, w/2), which has the fewest products; ``group`` bodies are one system of
-    equations with one step size, which spreads the cost of choosing the step and is chosen for the
-    tolerance unless given. Unrolled code (no compact mode) and a batch of one vector are fastest.
-    The library's ensemble functions copy the integrator for every batch, which takes longer than
-    the propagation.
+    ``group`` bodies are one system of equations with one step size, which spreads the cost of
+    choosing the step and is chosen for the tolerance unless given. Unrolled code (no compact mode)
+    and a batch of one vector are fastest. The library's ensemble functions copy the integrator for
+    every batch, which takes longer than the propagation.
     """
 
     def __init__(
         self,
-        bodies: Bodies,
+        kind: str,
+        parameters: np.ndarray,
         tol: float,
         *,
         batch: int | None = None,
         group: int | None = None,
         **options,
     ) -> None:
+        """``parameters`` are (P,), shared and compiled in, or (N, P)."""
         import heyoka as hy
 
-        self.bodies = bodies
+        slope = equations.slope(kind, hy.sin, hy.cos)
+        self.size = equations.N_STATE[kind]
         self.batch = hy.recommended_simd_size() if batch is None else batch
         self.group = group = _fastest_group(tol) if group is None else group
-        self.shared = bodies.inertia.ndim == 1
-        # a torque-free body needs the first three factors only
-        self._n_factors = 5 if bodies.potential else 3
-        equations = []
+        self.parameters = parameters if parameters.ndim == 2 else None
+        n = parameters.shape[-1]
+        system = []
         for k in range(group):
-            first = k * self._n_factors
-            factors = (
-                self._factors(bodies.inertia)
-                if self.shared
-                else [hy.par[first + i] for i in range(self._n_factors)]
-            )
-            variables = hy.make_vars(*(f"{name}{k}" for name in "abcdxyz"))
-            equations += self._equations(variables, factors)
-        state = np.tile(np.eye(7, 1), (group, self.batch))
-        self.integrator = hy.taylor_adaptive_batch(equations, state, tol=tol, **options)
+            own = parameters if parameters.ndim == 1 else [hy.par[k * n + i] for i in range(n)]
+            y = hy.make_vars(*(f"y{i}_{k}" for i in range(self.size)))
+            system += zip(y, slope(hy.time, y, own), strict=True)
+        state = np.tile(np.eye(self.size, 1), (group, self.batch))
+        self.integrator = hy.taylor_adaptive_batch(system, state, tol=tol, **options)
 
-    def _factors(self, inertia: np.ndarray) -> np.ndarray:
-        """Of the products of half rates in Euler's equations; 1/I1 and 1/I2 for the potential."""
-        i1, i2, i3 = np.moveaxis(inertia, -1, 0)
-        products = [2.0 * (i2 - i3) / i1, 2.0 * (i3 - i1) / i2, 2.0 * (i1 - i2) / i3]
-        return np.stack([*products, 1.0 / i1, 1.0 / i2][: self._n_factors], axis=-1)
-
-    def _equations(self, variables: list, factors) -> list:
-        a, b, c, d, x, y, z = variables
-        spin = [factors[0] * (y * z), factors[1] * (z * x), factors[2] * (x * y)]
-        if self.bodies.potential:
-            spin[0] += factors[3] * (a * b + c * d)
-            spin[1] += factors[4] * (a * c - b * d)
-        turn = [-b * x - c * y - d * z, a * x + c * z - d * y, a * y - b * z + d * x]
-        return list(zip(variables, [*turn, a * z + b * y - c * x, *spin], strict=True))
-
-    def _lanes(self, columns: np.ndarray) -> np.ndarray:
+    def lanes(self, columns: np.ndarray) -> np.ndarray:
         """Columns (N, k) of the bodies as (batches, group k, batch), the last body repeated."""
         n, k = columns.shape
         size = self.group * self.batch
@@ -291,58 +260,43 @@ class Heyoka:
         lanes = columns[bodies].reshape(-1, self.group, self.batch, k)
         return np.swapaxes(lanes, 2, 3).reshape(len(lanes), self.group * k, self.batch)
 
-    def run(self, t_end: float = T_END) -> Run:
-        """All bodies, a batch at a time, from t = 0."""
-        n, integrator = len(self.bodies), self.integrator
-        inertia = np.broadcast_to(self.bodies.inertia, self.bodies.m0.shape)
-        starts = self._lanes(
-            np.concatenate([self.bodies.q0, 0.5 * self.bodies.m0 / inertia], axis=1)
-        )
-        factors = None if self.shared else self._lanes(self._factors(inertia))
+    def bodies(self, lanes: np.ndarray, n: int) -> np.ndarray:
+        """The first n bodies' states (n, k) from what ``run`` gives."""
+        y = lanes.reshape(len(lanes), self.group, self.size, self.batch)
+        return np.swapaxes(y, 2, 3).reshape(-1, self.size)[:n]
+
+    def run(self, starts: np.ndarray, parameters: np.ndarray | None, t_end: float) -> np.ndarray:
+        """The states at the end in lanes, a batch at a time, from t = 0."""
         ends = np.empty_like(starts)
-        state, parameters = integrator.state, integrator.pars
-        start = time.perf_counter()
+        integrator = self.integrator
+        state, own = integrator.state, integrator.pars
         for k in range(len(starts)):
             state[:] = starts[k]
-            if factors is not None:
-                parameters[:] = factors[k]
+            if parameters is not None:
+                own[:] = parameters[k]
             integrator.set_time(0.0)
             integrator.propagate_until(t_end)
             ends[k] = state
+        return ends
+
+
+class Heyoka(TaylorBatch):
+    """``TaylorBatch`` for free bodies, or bodies in the potential of a heavy top."""
+
+    def __init__(self, bodies: Bodies, tol: float, **options) -> None:
+        kind = equations.TOP if bodies.potential else equations.FREE
+        parameters = equations.of_body(bodies.inertia, potential=bodies.potential)
+        super().__init__(kind, parameters, tol, **options)
+        self.ensemble = bodies
+
+    def propagate(self, t_end: float = T_END) -> Run:
+        """All bodies; the seconds leave the change of layout out."""
+        q0, m0 = self.ensemble.q0, self.ensemble.m0
+        inertia = np.broadcast_to(self.ensemble.inertia, m0.shape)
+        starts = self.lanes(np.concatenate([q0, 0.5 * m0 / inertia], axis=1))
+        own = None if self.parameters is None else self.lanes(self.parameters)
+        start = time.perf_counter()
+        ends = self.run(starts, own, t_end)
         seconds = time.perf_counter() - start
-        y = ends.reshape(len(ends), self.group, 7, self.batch)
-        y = np.swapaxes(y, 2, 3).reshape(-1, 7)[:n]
+        y = self.bodies(ends, len(m0))
         return Run(y[:, :4].copy(), 2.0 * inertia * y[:, 4:], seconds)
-
-
-# scipy
-
-
-def scipy_dop853(bodies: Bodies, rtol: float, *, t_end: float = T_END) -> Run:
-    """``solve_ivp`` with DOP853, body by body."""
-    from scipy.integrate import solve_ivp
-
-    def slope(_, s, i1, i2, i3):
-        a, b, c, d, m1, m2, m3 = s.tolist()
-        x, y, z = m1 / i1, m2 / i2, m3 / i3
-        u, v = (2.0 * (a * b + c * d), 2.0 * (a * c - b * d)) if bodies.potential else (0.0, 0.0)
-        return (
-            0.5 * (-b * x - c * y - d * z),
-            0.5 * (a * x + c * z - d * y),
-            0.5 * (a * y - b * z + d * x),
-            0.5 * (a * z + b * y - c * x),
-            m2 * z - m3 * y + u,
-            m3 * x - m1 * z + v,
-            m1 * y - m2 * x,
-        )
-
-    inertia = np.broadcast_to(bodies.inertia, bodies.m0.shape).tolist()
-    starts = np.concatenate([bodies.q0, bodies.m0], axis=1)
-    ends = np.empty_like(starts)
-    start = time.perf_counter()
-    for k, y in enumerate(starts):
-        ends[k] = solve_ivp(
-            slope, (0.0, t_end), y, "DOP853", args=inertia[k], rtol=rtol, atol=rtol
-        ).y[:, -1]
-    seconds = time.perf_counter() - start
-    return Run(ends[:, :4].copy(), ends[:, 4:].copy(), seconds)

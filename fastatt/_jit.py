@@ -30,13 +30,13 @@ def _has_integer(ty: types.Type) -> bool:
     return isinstance(ty, (types.Integer, types.IntegerLiteral, types.Boolean))
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
     """Compile a scalar kernel: callable from Python, inlined into any jitted caller.
 
     A kernel takes floats and tuples of floats and keeps their precision (constants are written
     ``type(x)(0.5)``, so an integer would truncate them: it is refused).
     """
-    dispatcher = njit(**_INLINED, cache=True)(function)
+    dispatcher = njit(**_INLINED, cache=cache)(function)
     compile_signature = dispatcher.compile
 
     def compile_floats(sig: Any) -> Any:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.arrays import normalised
 
 
 def angular_velocity(
@@ -21,7 +22,7 @@ def angular_velocity(
     dt^order; noise of size e in q comes out as some e/dt.
 
     Raises ``ValueError`` for fewer than ``order`` + 1 attitudes, other shapes, or intervals that
-    are not positive.
+    are not positive or too short for the rates to be numbers.
     """
     checks.choice("frame", frame, ("body", "inertial"))
     m = checks.whole("order", order, 1) + 1
@@ -29,27 +30,35 @@ def angular_velocity(
     n = found.shape[0]
     if n < m:
         raise ValueError(f"q: has {n} attitudes; accepted with order {m - 1}: at least {m}")
-    if np.ndim(dt) == 0:
-        t = checks.real("dt", dt, zero=False) * np.arange(n)
+    accepted = f"a number or ({n - 1},)"
+    spans = checks.array("dt", dt, accepted, [(), (n - 1,)])
+    if spans.ndim == 0:
+        scale = checks.real("dt", spans, zero=False)
+        t = np.arange(n, dtype=np.float64)
     else:
-        spans = checks.array("dt", dt, f"a number or ({n - 1},)", [(n - 1,)])
         if (spans <= 0.0).any():
             k = int(np.argmax(spans <= 0.0))
             raise ValueError(f"dt[{k}] is {spans[k]}; accepted: intervals above 0")
-        t = np.concatenate([[0.0], np.cumsum(spans)])
+        scale = float(spans.max())
+        t = np.concatenate([[0.0], np.cumsum(spans / scale)])
 
-    unit = found / np.linalg.norm(found, axis=-1, keepdims=True)
+    unit = normalised(found.astype(np.float64))
     turned = (unit[1:] * unit[:-1]).sum(axis=-1, keepdims=True) < 0.0
     sign = np.where(np.logical_xor.accumulate(turned, axis=0), -1.0, 1.0)
     unit[1:] *= sign
     first = np.clip(np.arange(n) - (m - 1) // 2, 0, n - m)
     stencil = first[:, None] + np.arange(m)
-    weights = _derivative_weights(t[stencil], np.arange(n) - first)
-    qdot = np.einsum("sk,sk...->s...", weights, unit[stencil])
-
-    u, v = unit[..., 1:], qdot[..., 1:]
-    cross = np.cross(u, v) if frame == "inertial" else np.cross(v, u)
-    return np.asarray(2.0 * (unit[..., :1] * v - qdot[..., :1] * u + cross))
+    with np.errstate(all="ignore"):
+        weights = _derivative_weights(t[stencil], np.arange(n) - first) / scale
+        qdot = np.einsum("sk,sk...->s...", weights, unit[stencil])
+        u, v = unit[..., 1:], qdot[..., 1:]
+        cross = np.cross(u, v) if frame == "inertial" else np.cross(v, u)
+        w = np.asarray(2.0 * (unit[..., :1] * v - qdot[..., :1] * u + cross))
+    if not np.isfinite(w).all():
+        raise ValueError(
+            f"dt: rates over {scale} s overflow; accepted: longer, more even intervals"
+        )
+    return w
 
 
 def _derivative_weights(t: NDArray[Any], at: NDArray[np.intp]) -> NDArray[np.float64]:

@@ -113,51 +113,61 @@ def _rows(conversion: Any, value: NDArray[Any], axes: int, after: tuple[int, ...
     _, n, m = _CONVERSIONS[type(conversion)]
     lead = value.shape[: value.ndim - axes]
     out = np.empty((math.prod(lead), m), dtype=value.dtype)
-    _convert_rows(conversion, np.ascontiguousarray(value).reshape(-1, n), out)
+    _convert_rows(conversion, _compiled_for(value).reshape(-1, n), out)
     return out.reshape(lead + after)
 
 
-def _floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
-    try:
-        found = np.asarray(value)
-    except ValueError:
-        found = np.asarray(None)
-    if found.dtype.kind not in "fiu":
-        raise TypeError(f"{name}: found {checks.brief(value)}; accepted: real numbers")
+def _compiled_for(value: NDArray[Any]) -> NDArray[Any]:
+    """Contiguous and writable, though only read: a read-only array is compiled for anew."""
+    return np.require(value, requirements=["C", "W"])
+
+
+def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
+    """Float32 or float64 numbers whose last axes are ``tail``.
+
+    Raises ``TypeError`` for something else than real numbers, ``ValueError`` for other shapes.
+    """
+    found = checks.numbers(name, value, "real numbers")
     if found.shape[found.ndim - len(tail) :] != tail:
         accepted = ", ".join(map(str, tail))
         raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., {accepted})")
-    return found if found.dtype == np.float32 else found.astype(np.float64)
+    return found
 
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
     """Direction cosine matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    return _rows(QuatToDcm(), _floats("q", q, (4,)), 1, (3, 3))
+    return _rows(QuatToDcm(), floats("q", q, (4,)), 1, (3, 3))
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method."""
-    return _rows(DcmToQuat(), _floats("C", C, (3, 3)), 2, (4,))
+    return _rows(DcmToQuat(), floats("C", C, (3, 3)), 2, (4,))
 
 
 def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) of 3-1-3 angles (φ, θ, ψ), rad, (..., 3)."""
-    return _rows(Euler313ToQuat(), _floats("angles", angles, (3,)), 1, (4,))
+    return _rows(Euler313ToQuat(), floats("angles", angles, (3,)), 1, (4,))
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
     """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of unit quaternions (..., 4)."""
-    return _rows(QuatToEuler313(), _floats("q", q, (4,)), 1, (3,))
+    return _rows(QuatToEuler313(), floats("q", q, (4,)), 1, (3,))
 
 
 def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) of rotation vectors (..., 3), rad, any angle."""
-    return _rows(RotationVectorToQuat(), _floats("u", u, (3,)), 1, (4,))
+    return _rows(RotationVectorToQuat(), floats("u", u, (3,)), 1, (4,))
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
     """Rotation vectors (..., 3), rad, of at most π, of quaternions (..., 4)."""
-    return _rows(QuatToRotationVector(), _floats("q", q, (4,)), 1, (3,))
+    return _rows(QuatToRotationVector(), floats("q", q, (4,)), 1, (3,))
+
+
+def normalised(q: NDArray[Any]) -> NDArray[Any]:
+    """Unit quaternions of q (..., 4), of any length but zero."""
+    scaled = q / np.abs(q).max(axis=-1, keepdims=True)
+    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
@@ -172,13 +182,23 @@ def rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
 
 def rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """v_b = q*∘v_i∘q: inertial vectors (..., 3) along body axes, by unit q (..., 4)."""
-    return rotate(_floats("q", q, (4,)) * (1.0, -1.0, -1.0, -1.0), v)
+    return rotate(floats("q", q, (4,)) * (1.0, -1.0, -1.0, -1.0), v)
 
 
 def _product(
     product: Any, p_name: str, p: ArrayLike, name: str, value: ArrayLike, length: int
 ) -> NDArray[Any]:
-    left, right = _floats(p_name, p, (4,)), _floats(name, value, (length,))
+    left, right = floats(p_name, p, (4,)), floats(name, value, (length,))
+    lead, left, right = _aligned(p_name, left, name, right)
+    out = np.empty((math.prod(lead), length), dtype=np.result_type(left, right))
+    _combine_rows(product, left, right, out)
+    return out.reshape(*lead, length)
+
+
+def _aligned(
+    p_name: str, left: NDArray[Any], name: str, right: NDArray[Any]
+) -> tuple[tuple[int, ...], NDArray[Any], NDArray[Any]]:
+    """The leading axes of two arrays broadcast against each other, and the rows of both."""
     try:
         lead = np.broadcast_shapes(left.shape[:-1], right.shape[:-1])
     except ValueError:
@@ -186,13 +206,12 @@ def _product(
             f"{name}: has shape {right.shape}, {p_name} {left.shape}; accepted: shapes that "
             "broadcast"
         ) from None
-    out = np.empty((math.prod(lead), length), dtype=np.result_type(left, right))
     left, right = (
-        np.ascontiguousarray(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(-1, x.shape[-1])
+        x if x.shape[:-1] == lead else np.broadcast_to(x, (*lead, x.shape[-1]))
         for x in (left, right)
     )
-    _combine_rows(product, left, right, out)
-    return out.reshape(*lead, length)
+    left, right = (_compiled_for(x).reshape(-1, x.shape[-1]) for x in (left, right))
+    return lead, left, right
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
@@ -205,22 +224,16 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
 
     Raises ``ValueError`` for other shapes, ``TypeError`` for something that is not numbers.
     """
-    p, q = (_as_quat(name, value) for name, value in (("a", a), ("b", b)))
-    try:
-        p, q = np.broadcast_arrays(p, q)
-    except ValueError:
-        raise ValueError(
-            f"b: has shape {np.shape(b)}, a {np.shape(a)}; accepted: shapes that broadcast"
-        ) from None
-    out = np.empty(p.size // 4, dtype=np.result_type(p, q))
-    _angle(np.ascontiguousarray(p).reshape(-1, 4), np.ascontiguousarray(q).reshape(-1, 4), out)
-    return out.reshape(p.shape[:-1]) if p.ndim > 1 else float(out[0])
+    lead, p, q = _aligned("a", _as_quat("a", a), "b", _as_quat("b", b))
+    out = np.empty(math.prod(lead), dtype=np.result_type(p, q))
+    _angle(p, q, out)
+    return out.reshape(lead) if lead else float(out[0])
 
 
 def _as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
-    shape = np.shape(value)
-    if len(shape) >= 2 and shape[-2:] == (3, 3):
-        return dcm_to_quat(value)
-    if not shape or shape[-1] != 4:
-        raise ValueError(f"{name}: has shape {shape}; accepted: (..., 4) and (..., 3, 3)")
-    return _floats(name, value, (4,))
+    found = checks.numbers(name, value, "real numbers")
+    if found.shape[-2:] == (3, 3):
+        return _rows(DcmToQuat(), found, 2, (4,))
+    if found.shape[-1:] != (4,):
+        raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., 4) and (..., 3, 3)")
+    return found

@@ -17,33 +17,43 @@ def choice(name: str, value: object, accepted: Iterable[str]) -> str:
     """One of a few words."""
     words = list(accepted)
     if not isinstance(value, str) or value not in words:
-        raise ValueError(f"{name}: found {value!r}; accepted: {', '.join(words)}")
+        raise ValueError(f"{name}: found {brief(value)}; accepted: {', '.join(words)}")
     return value
 
 
 def whole(name: str, value: Any, least: int) -> int:
-    """A whole number not below ``least``."""
+    """A whole number not below ``least`` that 64 bits hold."""
     try:
         if isinstance(value, (bool, np.bool_)):
             raise TypeError
         number = operator.index(value)
     except TypeError:
-        raise TypeError(f"{name}: found {value!r}; accepted: a whole number") from None
-    if number < least:
-        raise ValueError(f"{name}: found {number}; accepted: a whole number of at least {least}")
+        raise TypeError(f"{name}: found {brief(value)}; accepted: a whole number") from None
+    if not least <= number < 2**63:
+        wanted = f"of at least {least}" if number < least else "below 2**63"
+        raise ValueError(f"{name}: found {brief(number)}; accepted: a whole number {wanted}")
     return number
 
 
 def real(name: str, value: Any, *, zero: bool = True) -> float:
     """A finite number."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name}: found {value!r}; accepted: a finite number") from None
+    number = any_real(name, value, "a finite number")
     if not math.isfinite(number) or (number == 0.0 and not zero):
         kind = "a finite number" if zero else "a finite number other than 0"
         raise ValueError(f"{name}: found {number}; accepted: {kind}")
     return number
+
+
+def any_real(name: str, value: Any, accepted: str) -> float:
+    """A number, finite or not."""
+    try:
+        # text, truth, times and arrays of one number are floats to Python and NumPy
+        kind = np.asarray(value).dtype.kind
+        if kind not in "fiuO" or np.ndim(value) or np.ma.is_masked(value):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}") from None
 
 
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
@@ -53,10 +63,10 @@ def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
         return np.dtype(np.float32) if given == {np.dtype(np.float32)} else np.dtype(np.float64)
     try:
         kind: np.dtype[Any] | None = np.dtype(dtype)
-    except TypeError:
+    except (TypeError, ValueError):
         kind = None
     if kind is None or kind not in (np.dtype(np.float64), np.dtype(np.float32)):
-        raise TypeError(f"dtype: found {dtype!r}; accepted: float64, float32 or None")
+        raise TypeError(f"dtype: found {brief(dtype)}; accepted: float64, float32 or None")
     return kind
 
 
@@ -69,17 +79,25 @@ def array(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, .
 
 def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, ...]]) -> Floats:
     """The same, finite or not."""
-    try:
-        found = np.asarray(value)
-        if found.dtype.kind not in "fiu":
-            raise TypeError
-        found = found if found.dtype.kind == "f" else found.astype(np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"{name}: found {brief(value)}; accepted: real numbers of shape {shapes}"
-        ) from None
+    found = numbers(name, value, f"real numbers of shape {shapes}")
     if not any(_fits(found.shape, tail) for tail in tails):
         raise ValueError(f"{name}: has shape {found.shape}; accepted: {shapes}")
+    return found
+
+
+def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
+    """A float32 or float64 array of what is real numbers and nothing else; masked ones are NaN."""
+    try:
+        found = np.asarray(value)
+    except (TypeError, ValueError):
+        found = np.asarray(None)
+    if found.dtype.kind not in "fiu":
+        raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
+    if found.dtype not in (np.dtype(np.float64), np.dtype(np.float32)):
+        with np.errstate(over="ignore"):
+            found = found.astype(np.float64)
+    if isinstance(value, np.ma.MaskedArray):
+        found = np.where(np.ma.getmaskarray(value), found.dtype.type(np.nan), found)
     return found
 
 
@@ -88,7 +106,8 @@ def finite(name: str, value: Floats) -> None:
     if np.isfinite(value).all():
         return
     where = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
-    raise ValueError(f"{name}{list(where)} is {value[where]}; accepted: finite numbers")
+    place = list(where) if where else ""
+    raise ValueError(f"{name}{place} is {value[where]}; accepted: finite numbers")
 
 
 def attitudes(
@@ -96,10 +115,15 @@ def attitudes(
     value: ArrayLike,
     shapes: str = "(4,) or (N, 4)",
     tails: Iterable[tuple[int, ...]] = ((4,), (-1, 4)),
+    *,
+    flag: bool = False,
 ) -> Floats:
-    """Quaternions, finite and not zero."""
+    """Quaternions, finite and not zero; others pass where the body is to be flagged for them."""
+    if flag:
+        return array_any(name, value, shapes, tails)
     q = array(name, value, shapes, tails)
-    zero = np.abs(q) @ np.ones(4, dtype=q.dtype) == 0.0
+    with np.errstate(over="ignore"):
+        zero = np.abs(q) @ np.ones(4, dtype=q.dtype) == 0.0
     if zero.any():
         where = [int(i) for i in np.argwhere(zero)[0]] if q.ndim > 1 else ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
@@ -113,6 +137,6 @@ def _fits(shape: tuple[int, ...], tail: tuple[int, ...]) -> bool:
 
 
 def brief(value: object) -> str:
-    """A value as it is shown in a message."""
-    text = repr(value)
+    """A value as it is shown in a message, on one line."""
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -6,16 +6,26 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fastatt import __version__, gyrolog
-from fastatt.checks import attitudes
+from fastatt.checks import attitudes, real, whole
 from fastatt.engine.pool import progress_bar
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS, Method
+from fastatt.scene import Scene
 from fastatt.torques import DAMPED, POSITION
-from fastatt.trade import DEFAULT_SCENES, SCENES, compare_on_log, run_trade
+from fastatt.trade import (
+    DEFAULT_SCENES,
+    SCENES,
+    compare_on_log,
+    recommend,
+    run_trade,
+    work_precision,
+)
+from fastatt.trade.scene_file import from_words, read_rows, read_scene
 
 _ALL = "all"
 # how a method's list of scenes is read: name on the command line, in words, as records have it
@@ -93,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
         "trade",
         help="every method's speed against its error",
         description="Run every method that fits on recorded gyro logs and on ensembles with a "
-        "known answer; leave tables, CSV files and pictures.",
+        "known answer, or on a scene of your own; leave tables, CSV files and pictures.",
     )
     trade.add_argument(
         "--scene",
@@ -112,13 +122,64 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         help="a gyro log instead of the recordings of scikit-kinematics (may be repeated)",
     )
-    trade.add_argument("--bodies", type=int, default=4096, help="size of the ensemble")
+    _add_scene(trade)
+    trade.add_argument("--t-end", type=float, help="duration of your own scene, s")
     trade.add_argument(
         "--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only"
     )
     trade.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     trade.set_defaults(run=_trade)
+
+    advice = commands.add_parser(
+        "recommend",
+        help="the cheapest method and step for a scene of your own",
+        description="Measure on a sample of an ensemble which method, step and precision meet a "
+        "tolerance in the shortest time, or come nearest within a time.",
+    )
+    _add_scene(advice)
+    advice.add_argument("--t-end", type=float, required=True, help="duration, s")
+    goal = advice.add_mutually_exclusive_group(required=True)
+    goal.add_argument("--tol", type=float, help="largest error of any body at the end, rad")
+    goal.add_argument("--budget", type=float, help="longest time that the run may take, s")
+    advice.add_argument("--save-interval", type=float, help="s between saves (default: the end)")
+    advice.add_argument("--methods", type=_names, help="only these methods: rk4,magnus4")
+    advice.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
+    advice.set_defaults(run=_recommend)
     return parser
+
+
+def _add_scene(command: argparse.ArgumentParser) -> None:
+    """Options that make a scene and an ensemble."""
+    scene = command.add_argument_group("a scene of your own")
+    scene.add_argument("--scene-file", type=Path, help="a .json or .toml file with the scene")
+    scene.add_argument(
+        "--inertia", type=_floats, help="principal moments, kg·m²: 2,1,0.7; nine numbers: a tensor"
+    )
+    scene.add_argument(
+        "--torque",
+        nargs="+",
+        action="append",
+        metavar=("NAME", "KEY=NUMBERS"),
+        help="a model of fastatt.torques, may be repeated: HeavyTop arm=0,0,0.1 weight=10",
+    )
+    scene.add_argument(
+        "--rate",
+        nargs="+",
+        action="append",
+        metavar=("NAME", "KEY=NUMBERS"),
+        help="a model of fastatt.rates, may be repeated: Coning angle=0.5 frequency=2",
+    )
+    scene.add_argument("--frame", choices=("body", "inertial"), help="axes of the rate")
+    scene.add_argument("--q0", type=Path, help="initial attitudes, .csv or .npy (default: random)")
+    scene.add_argument(
+        "--w0", type=Path, help="initial rates, rad/s, .csv or .npy (default: random)"
+    )
+    scene.add_argument(
+        "--spin", type=float, default=1.0, help="of random rates, rad/s an axis (default: 1)"
+    )
+    command.add_argument(
+        "--bodies", type=int, default=4096, help="size of the ensemble (default: 4096)"
+    )
 
 
 def _names(text: str) -> list[str]:
@@ -129,7 +190,7 @@ def _floats(text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"found {text!r}; accepted: four numbers") from None
+        raise argparse.ArgumentTypeError(f"found {text!r}; accepted: numbers") from None
 
 
 def _bar_wanted(quiet: bool) -> bool:
@@ -211,7 +272,98 @@ def _integrate(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _own_scene(arguments: argparse.Namespace) -> Scene | None:
+    """The scene that the options describe; None where there are none."""
+    words = {
+        name: getattr(arguments, name)
+        for name in ("inertia", "torque", "rate", "frame")
+        if getattr(arguments, name) is not None
+    }
+    if arguments.scene_file is not None:
+        if words:
+            raise ValueError(
+                f"--scene-file: found beside --{next(iter(words))}; accepted: one of them"
+            )
+        return read_scene(arguments.scene_file)
+    for kind in ("torque", "rate"):
+        if kind in words:
+            words[kind] = from_words(kind, words[kind])
+    if "inertia" in words:
+        found = np.array(words["inertia"])
+        if found.size not in (3, 9):
+            raise ValueError(f"--inertia: found {found.size} numbers; accepted: 3 or 9")
+        words["inertia"] = found.reshape((3, 3) if found.size == 9 else 3)
+    return Scene(**words) if words else None
+
+
+def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
+    """Attitudes and, of bodies, angular velocities: from files, else random ones."""
+    generator = np.random.default_rng(0)
+    q0 = None if arguments.q0 is None else read_rows("--q0", arguments.q0, 4)
+    w0 = None if arguments.w0 is None else read_rows("--w0", arguments.w0, 3)
+    rows = {len(x) for x in (q0, w0) if x is not None and x.ndim == 2}
+    n = max(rows) if rows else whole("--bodies", arguments.bodies, 1)
+    if q0 is None:
+        q0 = generator.normal(size=(n, 4))
+    if w0 is None and scene.kind != "rate":
+        w0 = generator.normal(scale=real("--spin", arguments.spin), size=(n, 3))
+    return q0, w0
+
+
+def _recommend(arguments: argparse.Namespace) -> int:
+    scene = _own_scene(arguments)
+    if scene is None:
+        raise ValueError("no scene: accepted: --inertia, --rate or --scene-file")
+    q0, w0 = _ensemble(arguments, scene)
+    advice = recommend(
+        scene,
+        q0,
+        w0,
+        t_end=arguments.t_end,
+        tol=arguments.tol,
+        budget=arguments.budget,
+        save_interval=arguments.save_interval,
+        methods=arguments.methods,
+        progress=_bar_wanted(arguments.quiet),
+    )
+    print(advice)
+    return 0
+
+
+def _trade_own(arguments: argparse.Namespace, scene: Scene) -> int:
+    """Work and precision on a scene of the user's own."""
+    named = {"scene": arguments.scene, "log": arguments.log}
+    for name, value in named.items():
+        if value is not None:
+            raise ValueError(f"--{name}: found with a scene of your own; accepted: one of them")
+    if arguments.t_end is None:
+        raise ValueError("--t-end: is missing; a scene of your own needs its duration, s")
+    q0, w0 = _ensemble(arguments, scene)
+    quick = arguments.quick
+    found = work_precision(
+        scene,
+        q0,
+        w0,
+        t_end=arguments.t_end,
+        methods=arguments.methods,
+        dtypes=("float64",) if quick else ("float64", "float32"),
+        repeats=1 if quick else 3,
+        max_seconds=5.0 if quick else 60.0,
+        progress=_bar_wanted(arguments.quiet),
+    )
+    out: Path = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
+    print(found)
+    for ending, write in ((".csv", found.to_csv), (".json", found.to_json), (".png", found.plot)):
+        write(out / f"work_precision{ending}")
+    print(f"\n{out}: work_precision.csv, work_precision.json, work_precision.png")
+    return 0
+
+
 def _trade(arguments: argparse.Namespace) -> int:
+    own = _own_scene(arguments)
+    if own is not None:
+        return _trade_own(arguments, own)
     scenes = arguments.scene or DEFAULT_SCENES
     run_trade(
         arguments.out,

@@ -40,11 +40,31 @@ def axpy(k: Any, x: Any, y: Any) -> Any:
     return tuple(k * a + b for a, b in zip(x, y, strict=True))
 
 
+def select(condition: Any, x: Any, y: Any) -> Any:
+    """x where the condition holds, else y."""
+    return x if condition else y
+
+
+def scale(k: Any, x: Any) -> Any:
+    """k x."""
+    return tuple(k * a for a in x)
+
+
+def plus(x: Any, y: Any) -> Any:
+    """x + y."""
+    return tuple(a + b for a, b in zip(x, y, strict=True))
+
+
+def weighted(h: Any, weights: Any, ks: Any) -> Any:
+    """h Σ weights[i] ks[i]; a weight is a Python float and takes the type of h."""
+    return tuple(
+        h * sum(w * k[i] for w, k in zip(weights, ks, strict=True)) for i in range(len(ks[0]))
+    )
+
+
 def combine(h: Any, weights: Any, ks: Any, y: Any) -> Any:
     """y + h Σ weights[i] ks[i]; a weight is a Python float and takes the type of h."""
-    return tuple(
-        b + h * sum(w * k[i] for w, k in zip(weights, ks, strict=True)) for i, b in enumerate(y)
-    )
+    return plus(y, weighted(h, weights, ks))
 
 
 @cache
@@ -91,9 +111,29 @@ def _axpy(k: types.Type, x: types.BaseTuple, y: types.BaseTuple) -> Any:
     return _written_out("k, x, y", "k * x[{i}] + y[{i}]", len(x))
 
 
+@hook(select)
+def _select(condition: types.Type, x: types.BaseTuple, y: types.BaseTuple) -> Any:
+    return _written_out("condition, x, y", "x[{i}] if condition else y[{i}]", len(x))
+
+
+@hook(scale)
+def _scale(k: types.Type, x: types.BaseTuple) -> Any:
+    return _written_out("k, x", "k * x[{i}]", len(x))
+
+
+@hook(plus)
+def _plus(x: types.BaseTuple, y: types.BaseTuple) -> Any:
+    return _written_out("x, y", "x[{i}] + y[{i}]", len(x))
+
+
+@hook(weighted)
+def _weighted(h: types.Type, weights: types.BaseTuple, ks: types.BaseTuple) -> Any:
+    terms = " + ".join(f"F(weights[{i}]) * ks[{i}][{{i}}]" for i in range(len(ks)))
+    return _written_out("h, weights, ks", f"h * ({terms})", len(ks[0]), "F = type(h)")
+
+
 @hook(combine)
 def _combine(
     h: types.Type, weights: types.BaseTuple, ks: types.BaseTuple, y: types.BaseTuple
 ) -> Any:
-    terms = " + ".join(f"F(weights[{i}]) * ks[{i}][{{i}}]" for i in range(len(ks)))
-    return _written_out("h, weights, ks, y", f"y[{{i}}] + h * ({terms})", len(y), "F = type(h)")
+    return lambda h, weights, ks, y: plus(y, weighted(h, weights, ks))

@@ -12,7 +12,7 @@ from fastatt.columns import unpack
 from fastatt.kernels import rigid
 from fastatt.motion import Body, Moving
 from fastatt.representations import QUAT
-from fastatt.scene import Scene
+from fastatt.scene import Scene, as_scene
 
 
 def angular_momentum(
@@ -26,15 +26,12 @@ def angular_momentum(
     Raises ``ValueError`` for shapes that do not fit.
     """
     rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", [(3,), (-1, 3), (-1, -1, 3)])
-    given = np.asarray(inertia, dtype=np.float64)
+    shapes = [(3,), (3, 3), (-1, 3), (-1, 3, 3)]
+    given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)", shapes)
     tensor = given.shape == (3, 3) or given.ndim == 3
-    if given.shape[-1:] != (3,) or given.ndim not in (1, 2, 3):
-        raise ValueError(f"inertia: has shape {given.shape}; accepted: that of a scene's inertia")
     try:
-        if tensor:
-            m = np.einsum("...ij,...j->...i", given, rates)
-        else:
-            m = np.broadcast_to(given, np.broadcast_shapes(given.shape, rates.shape)) * rates
+        with np.errstate(over="ignore", invalid="ignore"):
+            m = np.einsum("...ij,...j->...i", given, rates) if tensor else given * rates
         return np.asarray(m if q is None else rotate(q, m))
     except ValueError:
         raise ValueError(
@@ -46,7 +43,8 @@ def angular_momentum(
 def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
     """½ w·I w, J: (), (N,) or (S, N); arguments as of :func:`angular_momentum`."""
     m = angular_momentum(w, inertia)
-    return np.asarray(0.5 * np.einsum("...i,...i->...", np.asarray(w, dtype=np.float64), m))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(0.5 * np.einsum("...i,...i->...", np.asarray(w, dtype=np.float64), m))
 
 
 def kinetic_energy_symmetric(
@@ -59,8 +57,10 @@ def kinetic_energy_symmetric(
 
     Raises ``ValueError`` for other shapes.
     """
-    a = np.asarray(angles, dtype=np.float64)
-    d = np.asarray(rates, dtype=np.float64)
+    a, d = (
+        checks.numbers(name, value, "real numbers (..., 3)").astype(np.float64, copy=False)
+        for name, value in (("angles", angles), ("rates", rates))
+    )
     if a.shape != d.shape or a.shape[-1:] != (3,):
         raise ValueError(f"angles, rates: have shapes {a.shape}, {d.shape}; accepted: (..., 3)")
     moments = checks.array("inertia", inertia, "(2,)", [(2,)])
@@ -74,8 +74,10 @@ def potential_energy(scene: Scene, q: ArrayLike, t: ArrayLike = 0.0) -> NDArray[
 
     ``q`` is (4,), (N, 4) or (S, N, 4), ``t`` a number or (S,), s. Zero where nothing acts.
 
-    Raises ``ValueError`` for a torque that has none: ``fastatt.torques`` says which do.
+    Raises ``ValueError`` for a torque that has none: ``fastatt.torques`` says which do; it and
+    ``TypeError`` for other shapes and things.
     """
+    as_scene(scene)
     attitudes = checks.array("q", q, "(4,), (N, 4) or (S, N, 4)", [(4,), (-1, 4), (-1, -1, 4)])
     found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
     packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
@@ -86,7 +88,8 @@ def potential_energy(scene: Scene, q: ArrayLike, t: ArrayLike = 0.0) -> NDArray[
     axes = len(tag.axes)
     if axes:
         found = quat_multiply(found, params[..., 9:13])
-    times = np.broadcast_to(np.asarray(t, dtype=np.float64), found.shape[:1])
+    times = checks.array("t", t, f"a number or ({len(found)},)", [(), (len(found),)])
+    times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
     table = np.atleast_2d(np.concatenate([params[..., 3:6], params[..., 9 + axes :]], axis=-1))
     table = np.broadcast_to(table, (found.shape[1], table.shape[1]))
     out = np.empty(found.shape[:2])

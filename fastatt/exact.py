@@ -20,6 +20,8 @@ from fastatt.inertia import EQUAL, is_symmetric, principal
 from fastatt.kernels import free_body as kernels
 from fastatt.kernels import quat
 
+#: what is done with numbers of a body that are not finite
+INVALID = ("raise", "flag")
 _PIECE = 1 << 20  # attitudes between two looks at Ctrl-C
 _STEPS = 1 << 12  # times that share one preparation of their bodies
 _SMALL = 1 << 14  # attitudes that are not worth a thread
@@ -175,6 +177,7 @@ def free_body(
     allow_unphysical: bool = False,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
+    invalid: str = "raise",
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitude and angular velocity of bodies without torque, at any times, in closed form.
 
@@ -191,6 +194,8 @@ def free_body(
     dtype : float64 or float32 (errors 1e9 times as large, half the time); None takes float32 when
         ``q0`` and ``w0`` are float32 arrays, else float64.
     n_threads : None takes every processor that this process may use; results do not depend on it.
+    invalid : "raise" refuses ``q0`` and ``w0`` that are not finite, and a zero quaternion; "flag"
+        gives NaN for such bodies alone.
 
     Returns
     -------
@@ -201,7 +206,7 @@ def free_body(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    return _at_times(FreeBody(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads)
+    return _at_times(FreeBody(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads, invalid)
 
 
 def symmetric_top(
@@ -213,6 +218,7 @@ def symmetric_top(
     allow_unphysical: bool = False,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
+    invalid: str = "raise",
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Regular precession of bodies with two equal moments: ``free_body`` with two exponentials.
 
@@ -222,7 +228,9 @@ def symmetric_top(
 
     Raises ``ValueError`` where no two moments are equal, and as ``free_body`` does.
     """
-    return _at_times(SymmetricTop(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads)
+    return _at_times(
+        SymmetricTop(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads, invalid
+    )
 
 
 def _at_times(
@@ -234,10 +242,14 @@ def _at_times(
     allow_unphysical: bool,
     dtype: DTypeLike | None,
     n_threads: int | None,
+    invalid: str,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     kind = checks.precision(dtype, q0, w0)
-    start = checks.attitudes("q0", q0)
-    rates = checks.array("w0", w0, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    flag = checks.choice("invalid", invalid, INVALID) == "flag"
+    start = checks.attitudes("q0", q0, flag=flag)
+    rates = (checks.array_any if flag else checks.array)(
+        "w0", w0, "(3,) or (N, 3)", [(3,), (-1, 3)]
+    )
     times = checks.array("t", t, "a number or (T,)", [(), (-1,)])
     threads = (
         pool.default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
@@ -252,7 +264,7 @@ def _at_times(
     if isinstance(solution, SymmetricTop):
         _check_symmetric(body.moments)
 
-    flat = np.ascontiguousarray(times.reshape(-1), dtype=kind)
+    flat = np.require(times.reshape(-1), kind, ["C", "W"])
     q, w = np.empty((flat.size, n, 4), dtype=kind), np.empty((flat.size, n, 3), dtype=kind)
     rows = (
         np.broadcast_to(start, (n, 4)),
@@ -260,7 +272,8 @@ def _at_times(
         np.atleast_2d(body.moments),
         np.empty((0, 4)) if body.axes is None else np.atleast_2d(body.axes),
     )
-    given = [np.ascontiguousarray(x, dtype=kind) for x in rows]
+    # writable, though only read: a read-only array would be compiled for anew
+    given = [np.require(x, kind, ["C", "W"]) for x in rows]
     span = -(-flat.size // max(1, min(flat.size, WIDTH // n)))
 
     def task(tiles: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:

@@ -18,6 +18,8 @@ _ASYMMETRY = 1e-9
 # A body's largest moment is at most the sum of the others. Moments in use break that: estimates
 # from flight by some per cent, the test body (2, 1, 2/3) of the literature by 20 %.
 TRIANGLE = 1.25
+# kg·m²; beyond, products of moments and momenta leave the range of floats
+_SMALLEST, _LARGEST = 1e-100, 1e100
 
 
 class Principal(NamedTuple):
@@ -48,6 +50,8 @@ def principal(
     if rows is not None and n_bodies not in (None, rows):
         raise ValueError(f"inertia: found {rows} bodies; accepted: one, or {n_bodies}")
     tensor = found.shape[-2:] == (3, 3) and (rows is None or found.ndim == 3)
+    if (np.abs(found) > _LARGEST).any():
+        raise ValueError(f"inertia: found {np.abs(found).max():.6g}; accepted: up to {_LARGEST:g}")
     if not tensor:
         _check_moments(found, allow_unphysical)
         return Principal(found, None)
@@ -69,18 +73,23 @@ def sort_axes(found: Principal) -> Principal:
     m = found.moments
     if is_sorted(m):
         return found
-    order = np.argsort(m, axis=-1)
-    columns = np.swapaxes(np.eye(3)[order], -1, -2)
-    columns[..., 0] *= np.linalg.det(columns)[..., None]  # right-handed
-    turn = dcm_to_quat(columns)
+    # cyclic, and none for a body that is sorted: neither those beside it nor names change a result
+    middle = np.where(_sorted(m), 1, np.argsort(m, axis=-1)[..., 1])
+    order = (middle[..., None] + np.arange(-1, 2)) % 3
+    turn = dcm_to_quat(np.swapaxes(np.eye(3)[order], -1, -2))
     axes = turn if found.axes is None else quat_multiply(found.axes, turn)
     return Principal(np.take_along_axis(m, order, axis=-1), axes)
 
 
 def is_sorted(moments: NDArray[Any]) -> bool:
     """Whether the second of the moments (..., 3) is the intermediate one, of every body."""
+    return bool(_sorted(moments).all())
+
+
+def _sorted(moments: NDArray[Any]) -> NDArray[np.bool_]:
     a, b, c = np.moveaxis(moments, -1, 0)
-    return bool(((b - a) * (c - b) >= 0.0).all())
+    between: NDArray[np.bool_] = ((a <= b) & (b <= c)) | ((a >= b) & (b >= c))
+    return between
 
 
 def is_symmetric(moments: NDArray[Any]) -> NDArray[np.bool_]:
@@ -113,6 +122,8 @@ def _check_symmetry(tensor: NDArray[Any]) -> None:
 
 def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
     a, b, c = moments.reshape(-1, 3).T  # by columns: numpy reduces short rows slowly
+    tiny = [(x != 0.0) & (np.abs(x) < _SMALLEST) for x in (a, b, c)]
+    _refuse(moments, tiny[0] | tiny[1] | tiny[2], "too small", f"from {_SMALLEST:g} kg·m² on")
     if allow_unphysical:
         bad = (a == 0.0) | (b == 0.0) | (c == 0.0)
         _refuse(moments, bad, "a principal moment is 0", "any other")

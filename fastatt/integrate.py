@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
@@ -13,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
+from fastatt.arrays import normalised
 from fastatt.engine import pool
 from fastatt.engine.samples import TILE, chain, sweep, sweep_one
+from fastatt.limits import StepWarning
 from fastatt.methods import METHODS, Method
 from fastatt.methods.sampled import LANES, WINDOWS, Increments, Rates, Window
 
@@ -56,6 +59,10 @@ def integrate_rates(
     ------
     ValueError : a shape that does not fit, a number that is not finite, an interval that is zero,
         negative (a repeated or decreasing time stamp) or a gap; an unknown method.
+
+    Warns
+    -----
+    StepWarning : an interval in which the body turns further than the method can follow.
     """
     kind = Increments() if increments else Rates()
     record = _method(method, increments)
@@ -66,7 +73,7 @@ def integrate_rates(
     data = np.ascontiguousarray(data if not one else data[None], dtype=precision)
     n_logs, n = data.shape[:2]
     count = n if increments else n - 1
-    spans = _intervals(dt, count, max_gap, precision)
+    spans = intervals(dt, count, max_gap, precision)
     if method == "coning3_optimal" and isinstance(spans, np.ndarray):
         raise ValueError(
             'dt: found intervals; accepted with "coning3_optimal": one number, its coefficients '
@@ -82,24 +89,56 @@ def integrate_rates(
     shape = (count + 1, 4) if one else (n_logs, count + 1, 4)
     result = _output(out, shape, precision)
     out = result.reshape(n_logs, count + 1, 4)
-    unit = np.array(np.broadcast_to(_unit(start), (n_logs, 4)), dtype=precision, order="C")
+    unit = np.broadcast_to(normalised(start.astype(np.float64)), (n_logs, 4))
+    unit = np.array(unit, dtype=precision, order="C")
     if count == 0:
         out[:, 0] = unit
         return result
-    before, after = _beyond(data, spans, WINDOWS[type(record.tag)], type(kind))
-    carry = partial(sweep, record.tag, kind, data, before, after, spans)
-    along = partial(sweep_one, record.tag, kind, data, before, after, spans)
+    with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
+        before, after = beyond(data, spans, WINDOWS[type(record.tag)], type(kind))
+    lanes = np.zeros(n_logs, dtype=precision)
+    tiles = np.zeros(count // TILE, dtype=precision)
+    carry = partial(sweep, record.tag, kind, data, before, after, spans, lanes)
+    along = partial(sweep_one, record.tag, kind, data, before, after, spans, tiles)
+    seen = 0.0
     with pool.progress_bar(progress, n_logs * count, "sample") as done:
         if n_logs >= LANES:
             _side_by_side(carry, unit, out, count, threads, done)
         else:
             for b in range(n_logs):
                 _one_log(along, carry, b, unit[b], out, count, threads, done)
+                seen = max(seen, tiles.max(initial=0.0), lanes[0])
+    seen = max(seen, lanes.max())
     # a sample that is not finite stays in every later attitude; the last may not be used
     if not (np.isfinite(out[:, -1]).all() and np.isfinite(data[:, -1]).all()):
         checks.finite(name, data[0] if one else data)
         raise ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
+    limit = record.limit("increments" if increments else "rates")
+    # |w| is at most √3 of its components
+    if float(seen) * math.sqrt(3.0) > limit:
+        _warn(data, spans, limit, record.name, increments)
     return result
+
+
+def _warn(data: NDArray[Any], spans: Any, limit: float, method: str, increments: bool) -> None:
+    """Say where an interval turns further than the method can follow."""
+    n = data.shape[1]
+    longer: Any = 1.0
+    if not increments:
+        around = np.concatenate([[0.0], np.broadcast_to(spans, n - 1), [0.0]])
+        longer = np.maximum(around[1:], around[:-1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        angle = np.sqrt((data * data) @ np.ones(3, dtype=data.dtype)) * longer
+    log, k = np.unravel_index(int(np.nanargmax(angle)), angle.shape)
+    most = float(angle[log, k])
+    if most > limit:
+        warnings.warn(
+            f"dt: interval {k} of log {log} turns by {most:.3g} rad, {method}'s limit is "
+            f"{limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): sample "
+            f"{most / limit:.2g} times as often",
+            StepWarning,
+            stacklevel=3,
+        )
 
 
 def methods_for_samples(increments: bool = False) -> list[str]:
@@ -204,34 +243,30 @@ def _output(
 
 
 def _allowed(max_gap: Any) -> float:
-    try:
-        allowed = float(max_gap)
-    except (TypeError, ValueError):
-        allowed = math.nan
+    allowed = checks.any_real("max_gap", max_gap, "a number above 0, or inf")
     if not allowed > 0.0:
-        raise ValueError(f"max_gap: found {max_gap!r}; accepted: a number above 0, or inf")
+        raise ValueError(f"max_gap: found {allowed}; accepted: a number above 0, or inf")
     return allowed
 
 
-def _unit(q: NDArray[Any]) -> NDArray[Any]:
-    scaled = q / np.abs(q).max(axis=-1, keepdims=True)
-    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
-
-
-def _intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
+def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
-    if np.ndim(dt) == 0:
-        interval = checks.real("dt", dt)
+    accepted = f"a number or ({count},)"
+    spans = checks.array("dt", dt, accepted, [(), (count,)])
+    if spans.ndim == 0:
+        interval = checks.real("dt", spans)
         if interval <= 0.0:
             raise ValueError(f"dt: found {interval}; accepted: an interval above 0")
         return precision.type(interval)
-    spans = checks.array("dt", dt, f"a number or ({count},)", [(count,)])
+    if not count:
+        return spans.astype(precision)
     bad = spans <= 0.0
     if bad.any():
         k = int(np.argmax(bad))
         what = "a repeated" if spans[k] == 0.0 else "a decreasing"
         raise ValueError(f"dt[{k}] is {spans[k]}: {what} time stamp; accepted: intervals above 0")
-    longest = _GAP * float(np.median(spans)) if max_gap is None else _allowed(max_gap)
+    with np.errstate(over="ignore"):
+        longest = _GAP * float(np.median(spans)) if max_gap is None else _allowed(max_gap)
     if spans.max() > longest:
         k = int(np.argmax(spans))
         raise ValueError(
@@ -241,7 +276,7 @@ def _intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.d
     return np.ascontiguousarray(spans, dtype=precision)
 
 
-def _beyond(
+def beyond(
     data: NDArray[Any], spans: Any, window: Window, kind: type
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Samples before and after the log, by the polynomial of the nearest whole window."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Sequence
+from types import FunctionType
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,6 +18,7 @@ from numba import types
 from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
+from fastatt import checks
 from fastatt._jit import recompile
 
 Model = Any  # an instance of a model's class
@@ -57,7 +59,7 @@ def pack_fields(
         array = numbers(label, value)
         one = array.ndim == len(shape)
         tail = array.shape[array.ndim - len(shape) :]
-        fits = one or array.ndim == len(shape) + 1
+        fits = array.size > 0 and (one or array.ndim == len(shape) + 1)
         if not fits or any(n not in (m, -1) for m, n in zip(tail, shape, strict=True)):
             sizes = ["K" if n == -1 else str(n) for n in shape]
             accepted = f"{_tuple(sizes)} and {_tuple(['N', *sizes])}"
@@ -123,9 +125,10 @@ class UserFunctions:
 
         Raises ``TypeError`` when the function does not compile or returns something else.
         """
-        if not callable(function):
+        if not isinstance(getattr(function, "py_func", function), FunctionType):
             raise TypeError(
-                f"{self._argument}: found {function!r}; accepted: a function {self._call}"
+                f"{self._argument}: found {checks.brief(function)}; accepted: a function "
+                f"{self._call}"
             )
         if function not in self._tags:
             # symbols carry the class's name: of two with one name the linker keeps the first
@@ -171,15 +174,9 @@ def count(tag: Any) -> int:
 
 def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """A finite float64 array of any shape."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name}: found {value!r}; accepted are finite numbers") from None
-    bad = ~np.isfinite(array)
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise ValueError(f"{name}{list(where)} is {array[where]}; accepted are finite numbers")
-    return array
+    array = checks.numbers(name, value, "finite numbers")
+    checks.finite(name, array)
+    return array.astype(np.float64, copy=False)
 
 
 def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str) -> Any:
@@ -202,7 +199,7 @@ def params_of(value: ArrayLike | None) -> NDArray[np.float64]:
     Raises ``ValueError`` for other shapes.
     """
     array = np.atleast_1d(np.zeros(0) if value is None else numbers("params", value))
-    if array.ndim > 2:
+    if array.ndim > 2 or (len(array.shape) == 2 and not len(array)):
         raise ValueError(f"params: has shape {array.shape}; accepted are (P,) and (N, P)")
     return array
 

@@ -11,19 +11,26 @@ from typing import Any, NamedTuple
 from numba import types
 
 from fastatt._jit import helper, hook
-from fastatt.kernels import quat, rigid
-from fastatt.kernels.vec3 import add, axpy
+from fastatt.columns import unpack
+from fastatt.kernels import dcm, quat, rigid
+from fastatt.kernels.vec3 import add, axpy, dot
 from fastatt.models import Model, count
 from fastatt.rates import InertialAxes, rate
 from fastatt.representations import (
+    COMPENSATED,
     OPERATIONS,
+    carry,
     compose,
     derivative,
     finish,
     flip,
+    gain,
+    gain_vector,
     half_derivative,
     initial,
+    restore,
     speed_squared,
+    value,
 )
 from fastatt.torques import AxisDamping, Damping, Free, Sum, damping_rates, torque
 
@@ -58,7 +65,7 @@ def _parts(model: Any) -> tuple[type, Any]:
 
 
 def tail(model: Any) -> int:
-    """Numbers of state beside the attitude; ``model`` is a tag or its type."""
+    """Numbers handed out beside the attitude; ``model`` is a tag or its type."""
     cls, fields = _parts(model)
     if cls is Moving:
         return tail(fields[0]) + 3 + len(fields[2])
@@ -67,7 +74,10 @@ def tail(model: Any) -> int:
 
 def carried(rep: type, model: Any) -> int:
     """Numbers of state a body; ``model`` is a tag or its type."""
-    return OPERATIONS[rep].size + tail(model)
+    cls, fields = _parts(model)
+    turning = fields[0] if cls is Moving else model
+    low = 3 if rep in COMPENSATED and _parts(turning)[0] is Body else 0
+    return OPERATIONS[rep].size + low + tail(model)
 
 
 def handed_out(rep: type, model: Any) -> int:
@@ -91,8 +101,26 @@ def start(rep: Any, model: Any, q0: Any, w0: Any, b: Any, p: Any) -> Any:
     raise NotImplementedError(model)
 
 
-def hand_out(rep: Any, model: Any, x: Any, p: Any) -> Any:
-    """(attitude and angular velocity as the trajectory holds them, departure from the group)."""
+def begin(rep: Any, model: Any, a: Any, y: Any, p: Any) -> Any:
+    """The state at attitude a and with y beside it: angular velocity, velocity, position."""
+    raise NotImplementedError(model)
+
+
+def hand_out(rep: Any, model: Any, x: Any, p: Any, raw: Any) -> Any:
+    """(attitude and angular velocity as the trajectory holds them, departure from the group).
+
+    ``raw`` leaves the attitude as it is, else it is brought back to the group.
+    """
+    raise NotImplementedError(model)
+
+
+def restored(rep: Any, model: Any, x: Any) -> Any:
+    """(the state with its attitude nearer to the group, departure from it before)."""
+    raise NotImplementedError(model)
+
+
+def invariants(rep: Any, model: Any, x: Any, p: Any) -> Any:
+    """(|m|², 2T), which a free body keeps; () of all else."""
     raise NotImplementedError(model)
 
 
@@ -111,6 +139,16 @@ def momentum_rate(rep: Any, model: Any, t: Any, a: Any, m: Any, p: Any) -> Any:
     raise NotImplementedError(model)
 
 
+def base(rep: Any, model: Any, x: Any) -> Any:
+    """The state without its low parts, as that of ``plain(rep)``."""
+    raise NotImplementedError(model)
+
+
+def advanced(rep: Any, model: Any, x: Any, d: Any) -> Any:
+    """x + d, d a change of ``base``; what rounding loses is kept where x has room for it."""
+    raise NotImplementedError(model)
+
+
 def turning(rep: Any, model: Any, g: Any, xdot: Any, x: Any, p: Any) -> Any:
     """Square of the rate (rad/s) that limits an explicit step."""
     raise NotImplementedError(model)
@@ -122,7 +160,7 @@ def attitude_of(rep: Any, x: Any) -> Any:
 
 
 def momentum_of(rep: Any, x: Any) -> Any:
-    """The momentum's part of a body's state, along principal axes, N·m·s."""
+    """The momentum's part of a body's state, along principal axes, N·m·s, and its low part."""
     raise NotImplementedError(rep)
 
 
@@ -150,29 +188,37 @@ def _start(
     b: types.Type,
     p: types.BaseTuple,
 ) -> Any:
+    beside = (0.0,) * tail(model)
+    return lambda rep, model, q0, w0, b, p: begin(
+        rep, model, row_attitude(rep, q0, b), row_beside(w0, b, beside), p
+    )
+
+
+@hook(begin)
+def _begin(
+    rep: types.BaseNamedTuple,
+    model: types.BaseNamedTuple,
+    a: types.BaseTuple,
+    y: types.BaseTuple,
+    p: types.BaseTuple,
+) -> Any:
     if model.instance_class is Moving:
         first = tail(model.types[0])
-        if len(model.types[2]):
-            return lambda rep, model, q0, w0, b, p: (
-                start(rep, model.model, q0, w0, b, p)
-                + row_vector(w0, b, first)
-                + row_vector(w0, b, first + 3)
-            )
-        return lambda rep, model, q0, w0, b, p: (
-            start(rep, model.model, q0, w0, b, p) + row_vector(w0, b, first)
-        )
+        return lambda rep, model, a, y, p: begin(rep, model.model, a, y[:first], p) + y[first:]
     if model.instance_class is InertialAxes:
-        return lambda rep, model, q0, w0, b, p: flip(rep, row_attitude(rep, q0, b))
+        return lambda rep, model, a, y, p: flip(rep, a)
     if model.instance_class is not Body:
-        return lambda rep, model, q0, w0, b, p: row_attitude(rep, q0, b)
+        return lambda rep, model, a, y, p: a
 
-    def impl(rep, model, q0, w0, b, p):
-        return row_attitude(rep, q0, b) + rigid.momentum(row_vector(w0, b, 0), p[3:6])
+    def impl(rep, model, a, y, p):
+        return a + carry(rep, rigid.momentum(y, p[3:6]))
 
-    def impl_turned(rep, model, q0, w0, b, p):
+    def impl_turned(rep, model, a, y, p):
         axes = p[9:13]
-        w = quat.rotate_inverse(axes, row_vector(w0, b, 0))
-        return compose(rep, row_attitude(rep, q0, b), axes) + rigid.momentum(w, p[3:6])
+        # by the matrix, whose zeros are exact for a permutation of axes: a needle's spin that leaks
+        # into the other axes would be multiplied by their moments
+        w = dcm.rotate_inverse(dcm.from_quat(axes), y)
+        return compose(rep, a, axes) + carry(rep, rigid.momentum(w, p[3:6]))
 
     return impl_turned if len(model.types[1]) else impl
 
@@ -184,42 +230,77 @@ def row_attitude(rep, q0, b):
 
 
 @helper
-def row_vector(w0, b, i):
-    """Three numbers of body b, from column i on."""
-    k = min(b, w0.shape[0] - 1)
-    return w0[k, i], w0[k, i + 1], w0[k, i + 2]
+def row_beside(w0, b, beside):
+    """What body b carries beside it."""
+    return unpack(w0[min(b, w0.shape[0] - 1)], beside)
 
 
 @hook(hand_out)
 def _hand_out(
-    rep: types.BaseNamedTuple, model: types.BaseNamedTuple, x: types.Type, p: types.Type
+    rep: types.BaseNamedTuple,
+    model: types.BaseNamedTuple,
+    x: types.Type,
+    p: types.Type,
+    raw: types.Type,
 ) -> Any:
     if model.instance_class is Moving:
         n = carried(rep.instance_class, model.types[0])
 
-        def impl_moving(rep, model, x, p):
-            y, d = hand_out(rep, model.model, x[:n], p)
+        def impl_moving(rep, model, x, p, raw):
+            y, d = hand_out(rep, model.model, x[:n], p, raw)
             return y + x[n:], d
 
         return impl_moving
     if model.instance_class is InertialAxes:
-        return lambda rep, model, x, p: finish(rep, flip(rep, x))
+        return lambda rep, model, x, p, raw: finish(rep, flip(rep, x), raw)
     if model.instance_class is not Body:
-        return lambda rep, model, x, p: finish(rep, x)
+        return lambda rep, model, x, p, raw: finish(rep, x, raw)
     turned = len(model.types[1]) > 0
 
-    def impl(rep, model, x, p):
+    def impl(rep, model, x, p, raw):
         w = angular_velocity(momentum_of(rep, x), p)
-        a, d = finish(rep, attitude_of(rep, x))
+        a, d = finish(rep, attitude_of(rep, x), raw)
         return a + w, d
 
-    def impl_turned(rep, model, x, p):
+    def impl_turned(rep, model, x, p, raw):
         axes = p[9:13]
-        w = quat.rotate(axes, angular_velocity(momentum_of(rep, x), p))
-        a, d = finish(rep, compose(rep, attitude_of(rep, x), quat.conj(axes)))
+        w = dcm.rotate(dcm.from_quat(axes), angular_velocity(momentum_of(rep, x), p))
+        a, d = finish(rep, compose(rep, attitude_of(rep, x), quat.conj(axes)), raw)
         return a + w, d
 
     return impl_turned if turned else impl
+
+
+@hook(restored)
+def _restored(rep: types.BaseNamedTuple, model: types.BaseNamedTuple, x: types.BaseTuple) -> Any:
+    n = OPERATIONS[rep.instance_class].size
+
+    def impl(rep, model, x):
+        a, d = restore(rep, x[:n])
+        return a + x[n:], d
+
+    return impl
+
+
+@hook(invariants)
+def _invariants(
+    rep: types.BaseNamedTuple,
+    model: types.BaseNamedTuple,
+    x: types.BaseTuple,
+    p: types.BaseTuple,
+) -> Any:
+    if model.instance_class is Moving:
+        n = carried(rep.instance_class, model.types[0])
+        return lambda rep, model, x, p: invariants(rep, model.model, x[:n], p)
+    if model.instance_class is not Body or model.types[0].instance_class is not Free:
+        return lambda rep, model, x, p: ()
+
+    def impl(rep, model, x, p):
+        m = momentum_of(rep, x)
+        u = (m[0], m[1], m[2])
+        return dot(u, u), dot(u, angular_velocity(m, p))
+
+    return impl
 
 
 @hook(given)
@@ -265,6 +346,26 @@ def _momentum_rate(
     )
 
 
+@hook(base)
+def _base(rep: types.BaseNamedTuple, model: types.BaseNamedTuple, x: types.BaseTuple) -> Any:
+    if rep.instance_class not in COMPENSATED:
+        return lambda rep, model, x: x
+    if model.instance_class is not Body:
+        return lambda rep, model, x: value(rep, x)
+    return lambda rep, model, x: value(rep, attitude_of(rep, x)) + value(rep, momentum_of(rep, x))
+
+
+@hook(advanced)
+def _advanced(
+    rep: types.BaseNamedTuple, model: types.BaseNamedTuple, x: types.BaseTuple, d: types.BaseTuple
+) -> Any:
+    if rep.instance_class not in COMPENSATED or model.instance_class is not Body:
+        return lambda rep, model, x, d: gain(rep, x, d)
+    return lambda rep, model, x, d: (
+        gain(rep, attitude_of(rep, x), d[:4]) + gain_vector(rep, momentum_of(rep, x), d[4:])
+    )
+
+
 @hook(turning)
 def _turning(
     rep: types.BaseNamedTuple,
@@ -290,7 +391,7 @@ def _attitude_of(rep: types.BaseNamedTuple, x: types.BaseTuple) -> Any:
 @hook(momentum_of)
 def _momentum_of(rep: types.BaseNamedTuple, x: types.BaseTuple) -> Any:
     n = OPERATIONS[rep.instance_class].size
-    end = n + 3
+    end = n + (6 if rep.instance_class in COMPENSATED else 3)
     return lambda rep, x: x[n:end]
 
 

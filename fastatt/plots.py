@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 # Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
-_LINES = {"quat": "-", "dcm": ":"}
+_LINES: dict[str, Any] = {"quat": "-", "dcm": ":", "quat in float32": (0, (6, 2))}
+_KINDS = {"quat": "quaternion", "dcm": "matrix", "quat in float32": "quaternion, float32"}
 _ENTRY = 1.2  # inches, the width of a legend's entry below the panels
 
 
@@ -27,7 +28,7 @@ class Ladder:
     """One method's errors (rad) against its times per body (s) over a ladder of steps."""
 
     method: str
-    representation: str
+    kind: str
     seconds: Sequence[float]
     errors: Sequence[float]
 
@@ -89,16 +90,17 @@ def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
         axes.plot(x, best.errors, color="k", lw=7, alpha=0.12, zorder=0)
         for ladder in panel.ladders:
             x = np.array(ladder.seconds) * 1e6
-            line = _LINES[ladder.representation]
-            axes.plot(x, ladder.errors, line, **styles[ladder.method])
+            axes.plot(x, ladder.errors, ls=_LINES[ladder.kind], **styles[ladder.method])
         axes.set(xscale="log", yscale="log", title=panel.title)
         axes.set_xlabel(f"time per body for {panel.t_end:g} s of motion, µs")
         axes.grid(visible=True, alpha=0.3)
     entries = {name: Line2D([], [], **style) for name, style in styles.items()}
     entries["frontier"] = Line2D([], [], color="k", lw=7, alpha=0.12)
-    if any(ladder.representation == "dcm" for panel in panels for ladder in panel.ladders):
-        entries["quaternion"] = Line2D([], [], color="k", ls=_LINES["quat"], lw=1.4)
-        entries["matrix"] = Line2D([], [], color="k", ls=_LINES["dcm"], lw=1.4)
+    kinds = {ladder.kind for panel in panels for ladder in panel.ladders}
+    if len(kinds) > 1:
+        for kind, name in _KINDS.items():
+            if kind in kinds:
+                entries[name] = Line2D([], [], color="k", ls=_LINES[kind], lw=1.4)
     lines = math.ceil(len(entries) * _ENTRY / width)
     columns = math.ceil(len(entries) / lines)
     figure.legend(

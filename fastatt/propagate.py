@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from fastatt import checks, exact
+from fastatt import checks, exact, limits
 from fastatt.arrays import quat_to_dcm
 from fastatt.engine import pool, tiles
 from fastatt.methods import METHODS, Method
+from fastatt.models import Packed
 from fastatt.motion import carried, handed_out
-from fastatt.representations import OPERATIONS, REPRESENTATIONS, Direction
-from fastatt.scene import Scene
+from fastatt.representations import OPERATIONS, REPRESENTATIONS, Direction, QuatCompensated
+from fastatt.scene import Scene, as_scene
 from fastatt.torques import RATE
-from fastatt.trajectory import INVARIANT_BOUND, Status, Trajectory
+from fastatt.trajectory import Status, Trajectory
 
 # in this order, the first that fits the scene and the representation
 _DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
-# coordinates with singularities
-_COORDINATES = ("euler313", "rotation_vector")
+# steps between two looks at the norm of a compensated state
+_RESTORE = 64
+# saves that are kept at a time where all of them are not
+_RING = 16
 
 
 def methods_for(scene: Scene, representation: str | None = None) -> list[str]:
     """Names of the methods that fit a scene and a representation."""
+    as_scene(scene)
     return [
         m.name
         for m in METHODS.values()
@@ -57,6 +63,10 @@ def propagate(
     n_threads: int | None = None,
     progress: bool = False,
     t0: float = 0.0,
+    compensated: bool = False,
+    normalise: str | int = "output",
+    invalid: str = "raise",
+    sink: Callable[[Trajectory], object] | None = None,
 ) -> Trajectory:
     """Propagate one attitude or an ensemble with a fixed step.
 
@@ -78,6 +88,16 @@ def propagate(
     n_threads : None takes every processor that this process may use; results do not depend on it.
     progress : show a bar (needs tqdm).
     t0 : time of ``q0``, s.
+    compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
+        grows with the square root of the number of steps; at about half the speed. Of quaternions,
+        and of methods whose record says ``compensates``.
+    normalise : when the state is brought back to its group: "output" (in what is handed out only),
+        "never", or every so many steps, besides. The status looks at the departure from the group
+        before it is mended. A compensated state is mended every 64 steps unless said otherwise.
+    invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
+        the ensemble and flags those bodies, the others' results being what they are without them.
+    sink : with ``save_every``, is handed each 16 saves after the initial ones as a trajectory,
+        whose arrays are used again; the result then holds the final states only.
 
     Returns
     -------
@@ -86,6 +106,10 @@ def propagate(
     Raises
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+
+    Warns
+    -----
+    StepWarning : steps beyond the method's limits, or too small for the precision.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
@@ -94,8 +118,13 @@ def propagate(
         fitting = methods_for(scene, representation)
         method = next(name for name in _DEFAULTS if name in fitting)
     record = _method(scene, method, representation)
-    start = checks.attitudes("q0", q0)
-    carried = _initial(scene, w0, v0, r0)
+    flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
+    rep = REPRESENTATIONS[representation]()
+    if compensated:
+        rep = _compensated(record, representation)
+    restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
+    start = checks.attitudes("q0", q0, flag=flag)
+    carried = _initial(scene, w0, v0, r0, flag)
     rows = {name: len(value) for name, value in carried.items() if value.ndim == 2}
     if start.ndim == 2:
         rows["q0"] = len(start)
@@ -108,7 +137,7 @@ def propagate(
         carried,
         record,
         representation,
-        REPRESENTATIONS[representation](),
+        rep,
         dt=dt,
         n_steps=n_steps,
         save_every=save_every,
@@ -116,11 +145,38 @@ def propagate(
         n_threads=n_threads,
         progress=progress,
         t0=t0,
+        restore=restore,
+        raw=normalise == "never",
+        invalid=invalid,
+        sink=sink,
     )
 
 
+def _compensated(method: Method, representation: str) -> QuatCompensated:
+    if representation != "quat":
+        raise ValueError(
+            f'compensated: found with representation "{representation}"; accepted with "quat"'
+        )
+    if not method.compensates:
+        able = ", ".join(m.name for m in METHODS.values() if m.compensates)
+        raise ValueError(f"compensated: found with method {method.name}; accepted with {able}")
+    return QuatCompensated()
+
+
+def _restore(normalise: str | int) -> int:
+    """Steps between two returns to the group, 0 for none."""
+    if isinstance(normalise, str):
+        checks.choice("normalise", normalise, ("output", "never"))
+        return 0
+    return checks.whole("normalise", normalise, 1)
+
+
 def _initial(
-    scene: Scene, w0: ArrayLike | None, v0: ArrayLike | None, r0: ArrayLike | None
+    scene: Scene,
+    w0: ArrayLike | None,
+    v0: ArrayLike | None,
+    r0: ArrayLike | None,
+    flag: bool,
 ) -> dict[str, NDArray[Any]]:
     """What is carried beside the attitude, in the order of the state."""
     has_inertia = scene.kind != "rate"
@@ -135,7 +191,8 @@ def _initial(
         if value is None and wanted and needed:
             raise ValueError(f"{name}: is missing; a scene {unit}")
         if value is not None:
-            found[name] = checks.array(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
+            look = checks.array_any if flag else checks.array
+            found[name] = look(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
     return found
 
 
@@ -211,6 +268,10 @@ def _run(
     progress: bool,
     t0: float,
     rows_each: int = 1,
+    restore: int = 0,
+    raw: bool = False,
+    invalid: str = "raise",
+    sink: Callable[[Trajectory], object] | None = None,
 ) -> Trajectory:
     h = checks.real("dt", dt, zero=False)
     begin = checks.real("t0", t0)
@@ -220,69 +281,150 @@ def _run(
         pool.default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
     )
 
+    _check_sink(sink, every)
+
     saved = [steps] if every is None else [*range(0, steps, every), steps]
-    t = begin + np.array(saved, dtype=np.float64) * h
+    t = _times(saved, h, begin)
     if method.tag is None:
-        return _closed_form(
-            scene, start, carried_0["w0"], representation, kind, threads, t, begin, h
-        )
+        at = partial(
+            _closed_form, scene, start, carried_0["w0"], representation, kind, threads, begin, h,
+            invalid,
+        )  # fmt: skip
+        if sink is None:
+            return at(t)
+        for slots in _few(len(saved)):
+            sink(at(t[slots]))
+        return at(t[-1:])
 
     one_body = start.ndim == 1 and all(value.ndim == 1 for value in carried_0.values())
-    q_rows = np.ascontiguousarray(np.atleast_2d(start), dtype=kind)
-    beside = [np.atleast_2d(value) for value in carried_0.values()]
-    n = max(len(q_rows), *map(len, beside), 1)
-    w_rows = np.zeros((1, 0))
-    if beside:
-        most = max(map(len, beside))
-        w_rows = np.hstack([np.broadcast_to(value, (most, 3)) for value in beside])
-    w_rows = np.ascontiguousarray(w_rows, dtype=kind)
+    q_rows, w_rows = _rows(start, carried_0, kind)
+    n = max(len(q_rows), len(w_rows))
     packed = scene.packed(
         n // rows_each, sorted_axes=method.sorted_axes, position="r0" in carried_0
     )
     params = packed.params
-    if params.ndim == 2:
-        params = np.repeat(params.astype(kind), rows_each, axis=0)
-    elif beside:  # a rate is the same for all bodies, a torque is not
-        params = params.astype(kind)
+    if params.ndim == 2 or carried_0:  # a rate is the same for all bodies, a torque is not
+        with np.errstate(over="ignore"):  # a body whose numbers float32 does not hold is flagged
+            params = np.repeat(params.astype(kind), rows_each if params.ndim == 2 else 1, axis=0)
 
-    slot = 0 if every is None else 1
     x = np.empty((n, carried(type(rep), packed.tag)), dtype=kind)
-    out = np.empty((len(saved), n, handed_out(type(rep), packed.tag)), dtype=kind)
+    kept = len(saved) if sink is None else min(len(saved), 1 + _RING)
+    out = np.empty((kept, n, handed_out(type(rep), packed.tag)), dtype=kind)
     defect = np.empty(out.shape[:2], dtype=kind)
-    turn = np.zeros(n, dtype=kind)
-    run = tiles.Run(begin, h, 0, steps, steps, every or max(steps, 1), slot)
+    watch = np.zeros((3, n), dtype=kind)
+    run = tiles.Run(
+        begin, h, 0, steps, steps, every or max(steps, 1), int(every is not None), restore, raw
+    )
+    call = _driver_call(method, rep, packed, params, q_rows, w_rows, x, h, out, defect, watch)
+    limit = limits.turn_limit(scene, method, representation)
+    damped = limits.decay(scene, h)
+    about = (damped, limit, method, h, kind)
+    compensated = type(rep) is QuatCompensated
+    warned = "w0" in carried_0 and limits.warn(
+        limits.first_step(scene, method, carried_0["w0"], h),
+        *about,
+        compensated=compensated,
+        level=4,
+    )
+    ends = np.cumsum([OPERATIONS[type(rep)].stored, *[3 for _ in carried_0]])
+
+    def trajectory(t: NDArray[np.float64], slots: slice) -> Trajectory:
+        rows = out[slots]
+        columns = {name: rows[..., k : k + 3] for name, k in zip(carried_0, ends, strict=False)}
+        return Trajectory(
+            t=t,
+            state=rows[..., : ends[0]],
+            defect=defect[slots],
+            status=limits.status(x, watch, damped, limit, method, representation),
+            method=method.name,
+            representation=representation,
+            dt=h,
+            one_body=one_body,
+            packed=packed,
+            carried={name[0]: value for name, value in columns.items()},
+        )
+
+    if sink is None:
+        pool.run_ensemble(call, run, n, threads, progress)
+        result = trajectory(t, slice(None))
+    else:
+        for slots in _few(len(saved)):
+            before = (slots[1] if len(slots) > 1 else 1) - 1
+            piece = run._replace(first=saved[before], last=saved[slots[-1]], slot=1 - before)
+            pool.run_ensemble(call, piece, n, threads, progress)
+            sink(trajectory(t[slots], slice(len(slots))))
+        result = trajectory(t[-1:], slice(len(slots) - 1, len(slots)))
+    if steps and not warned:
+        limits.warn(np.sqrt(watch[0]), *about, compensated=compensated, level=4)
+    return result
+
+
+def _check_sink(sink: Any, every: int | None) -> None:
+    if sink is not None and not callable(sink):
+        raise TypeError(f"sink: found {checks.brief(sink)}; accepted: a function")
+    if sink is not None and every is None:
+        raise ValueError("sink: found without save_every; accepted: with it")
+
+
+def _times(saved: list[int], h: float, begin: float) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):
+        t = begin + np.array(saved, dtype=np.float64) * h
+    if not np.isfinite(t[-1]):
+        raise ValueError(
+            f"dt: {saved[-1]} steps of {h} s from {begin} s overflow; accepted: shorter"
+        )
+    return t
+
+
+def _driver_call(
+    method: Method,
+    rep: Any,
+    packed: Packed,
+    params: NDArray[Any],
+    q_rows: NDArray[Any],
+    w_rows: NDArray[Any],
+    x: NDArray[Any],
+    h: float,
+    *results: NDArray[Any],
+) -> Callable[[tiles.Run, int, int], None]:
+    """The compiled loop with all that does not change during a run."""
     driver = tiles.cached_run_tiles if packed.cacheable else tiles.uncached_run_tiles
     shape = (0.0,) * params.shape[-1]
     stages = np.array(method.stages) if method.stages else ()
     edge = 0.5 * method.stages[-1][1] * h if method.stages else 0.0
-
     near = tiles.short(rep) if method.exponentials else rep
+    with np.errstate(over="ignore"):
+        step = x.dtype.type(h)
 
     def call(piece: tiles.Run, first: int, last: int) -> None:
         driver(
             method.tag, rep, near, packed.tag, shape, params, q_rows, w_rows, x,
-            kind.type(h), stages, edge, piece, out, defect, turn, first, last,
+            step, stages, edge, piece, *results, first, last,
         )  # fmt: skip
 
-    pool.run_ensemble(call, run, n, threads, progress)
-    unlimited = scene.is_constant and method.exact_for_constant
-    # Euler's equations turn the momentum at up to |w|, as a matrix turns
-    frame = "dcm" if scene.kind != "rate" and representation == "quat" else representation
-    limit = np.inf if unlimited else method.limit(frame)
-    ends = np.cumsum([OPERATIONS[type(rep)].stored, *[3 for _ in carried_0]])
-    columns = {name: out[..., k : k + 3] for name, k in zip(carried_0, ends, strict=False)}
-    return Trajectory(
-        t=t,
-        state=out[..., : ends[0]],
-        defect=defect,
-        status=_status(x, defect, turn, limit, representation),
-        method=method.name,
-        representation=representation,
-        dt=h,
-        one_body=one_body,
-        packed=packed,
-        carried={name[0]: value for name, value in columns.items()},
-    )
+    return call
+
+
+def _rows(
+    start: NDArray[Any], carried_0: dict[str, NDArray[Any]], kind: np.dtype[Any]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Attitudes (N or 1, 4), and what is carried beside them side by side (N or 1, 0 or more)."""
+    beside = [np.atleast_2d(value) for value in carried_0.values()]
+    most = max(map(len, beside), default=1)
+    columns = [np.zeros((most, 0)), *(np.broadcast_to(value, (most, 3)) for value in beside)]
+    with np.errstate(over="ignore"):
+        return (
+            # writable, though only read: a read-only array would be compiled for anew
+            np.require(np.atleast_2d(start), kind, ["C", "W"]),
+            np.ascontiguousarray(np.hstack(columns), dtype=kind),
+        )
+
+
+def _few(saves: int) -> list[list[int]]:
+    """The initial save with each few that follow it."""
+    return [
+        [0, *range(first, min(first + _RING, saves))] for first in range(1, max(saves, 2), _RING)
+    ]
 
 
 def _closed_form(
@@ -292,9 +434,10 @@ def _closed_form(
     representation: str,
     kind: np.dtype[Any],
     threads: int,
-    t: NDArray[np.float64],
     begin: float,
     h: float,
+    invalid: str,
+    t: NDArray[np.float64],
 ) -> Trajectory:
     n = max(len(x) if x.ndim == 2 else 1 for x in (start, w0))
     packed = scene.packed(n)
@@ -306,12 +449,13 @@ def _closed_form(
         allow_unphysical=scene.allow_unphysical,
         dtype=kind,
         n_threads=threads,
+        invalid=invalid,
     )
     one_body = q.ndim == 2
     q, w = (x[:, None] if one_body else x for x in (q, w))
     state = q if representation == "quat" else quat_to_dcm(q).reshape(*q.shape[:2], 9)
     with np.errstate(invalid="ignore"):
-        bad = np.isnan((q @ np.zeros(4, dtype=kind)).sum(axis=0))
+        bad = np.isnan((q @ np.zeros(4, dtype=kind) + w @ np.zeros(3, dtype=kind)).sum(axis=0))
     return Trajectory(
         t=t,
         state=state,
@@ -324,23 +468,3 @@ def _closed_form(
         packed=packed,
         carried={"w": w},
     )
-
-
-def _status(
-    x: NDArray[Any], defect: NDArray[Any], turn: NDArray[Any], limit: float, representation: str
-) -> NDArray[np.uint8]:
-    # 0 times infinity is NaN; a matrix product is 8 times as fast as a reduction of short rows
-    with np.errstate(invalid="ignore"):
-        bad = np.isnan(x @ np.zeros(x.shape[1], dtype=x.dtype))
-    flags = [(bad, Status.NON_FINITE)]
-    far = (np.sqrt(turn) > limit) & np.isfinite(turn)
-    flags.append((np.isinf(turn) & ~bad, Status.NOT_CONVERGED))
-    flags.append(
-        (far, Status.SINGULAR if representation in _COORDINATES else Status.STEP_TOO_LARGE)
-    )
-    if representation != "direction":
-        flags.append((np.abs(defect).max(axis=0) > INVARIANT_BOUND[x.dtype], Status.INVARIANT))
-    status = np.zeros(turn.shape, dtype=np.uint8)
-    for found, flag in flags:
-        status[found] |= np.uint8(flag)
-    return status

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 from numba import types
 
 from fastatt._jit import hook, kernel
-from fastatt.kernels import dcm, euler313, quat, so3
+from fastatt.columns import plus, select
+from fastatt.kernels import compensated, dcm, euler313, quat, so3
 from fastatt.kernels.vec3 import dot, neg
 
 
@@ -25,6 +26,14 @@ class Quat(NamedTuple):
 
 class QuatShort(NamedTuple):
     """As ``Quat``, turns of at most π."""
+
+
+class QuatCompensated(NamedTuple):
+    """Quaternion and what rounding has left out of it, 8 numbers."""
+
+
+class QuatCompensatedShort(NamedTuple):
+    """As ``QuatCompensated``, turns of at most π."""
 
 
 class Dcm(NamedTuple):
@@ -107,8 +116,41 @@ def flip(rep: Tag, x: Any) -> Any:
     raise NotImplementedError(rep)
 
 
-def finish(rep: Tag, x: Any) -> Any:
-    """(what the trajectory holds, departure from the group): the state brought back to it."""
+def plain(rep: Tag) -> Any:
+    """Tag of the same representation without low parts."""
+    raise NotImplementedError(rep)
+
+
+def value(rep: Tag, x: Any) -> Any:
+    """The state without its low parts."""
+    raise NotImplementedError(rep)
+
+
+def gain(rep: Tag, x: Any, d: Any) -> Any:
+    """x + d: what rounding loses is kept in the low parts of x, where it has any."""
+    raise NotImplementedError(rep)
+
+
+def gain_vector(rep: Tag, x: Any, d: Any) -> Any:
+    """x + d of a 3-vector that is carried beside the attitude."""
+    raise NotImplementedError(rep)
+
+
+def carry(rep: Tag, v: Any) -> Any:
+    """A 3-vector as it is carried beside the attitude: with a low part or without."""
+    raise NotImplementedError(rep)
+
+
+def restore(rep: Tag, x: Any) -> Any:
+    """(the state nearer to its group, departure from it before)."""
+    raise NotImplementedError(rep)
+
+
+def finish(rep: Tag, x: Any, raw: Any) -> Any:
+    """(what the trajectory holds, departure from the group).
+
+    The state is brought back to its group, unless ``raw`` wants it as it is.
+    """
     raise NotImplementedError(rep)
 
 
@@ -162,6 +204,33 @@ def _turn_direction(x, u):
 @kernel
 def _turn_direction_short(x, u):
     return quat.rotate_inverse(quat.exp_short(u), x)
+
+
+@kernel
+def _start_compensated(q):
+    o = type(q[0])(0.0)
+    return (*quat.normalise(q), o, o, o, o)
+
+
+@kernel
+def _attitude_compensated(x):
+    return x[0], x[1], x[2], x[3]
+
+
+@kernel
+def _to_body_compensated(x, v):
+    return quat.rotate_inverse((x[0], x[1], x[2], x[3]), v)
+
+
+@kernel
+def _flip_compensated(x):
+    return x[0], -x[1], -x[2], -x[3], x[4], -x[5], -x[6], -x[7]
+
+
+@kernel
+def _carry(v):
+    o = type(v[0])(0.0)
+    return v[0], v[1], v[2], o, o, o
 
 
 @kernel
@@ -261,6 +330,16 @@ def _finish_quat(x):
 
 
 @kernel
+def _finish_compensated(x):
+    F = type(x[0])
+    q = (x[0], x[1], x[2], x[3])
+    # |q|² − 1 of both parts: the squares' own rounding would hide a defect of an ulp
+    low = x[0] * x[4] + x[1] * x[5] + x[2] * x[6] + x[3] * x[7]
+    n = quat.dot(q, q)
+    return quat.normalise(q), F(0.5) * ((n - F(1.0)) + (low + low))
+
+
+@kernel
 def _finish_dcm(x):
     return dcm.orthonormalise(dcm.orthonormalise(x)), dcm.defect(x)
 
@@ -280,13 +359,42 @@ def _finish_direction(x):
 
 
 @kernel
+def _restore_quat(x):
+    F = type(x[0])
+    return quat.renormalise(x), math.sqrt(quat.dot(x, x)) - F(1.0)
+
+
+@kernel
+def _restore_compensated(x):
+    _, d = _finish_compensated(x)
+    return compensated.add_quat(x, (-d * x[0], -d * x[1], -d * x[2], -d * x[3])), d
+
+
+@kernel
+def _restore_dcm(x):
+    return dcm.orthonormalise(x), dcm.defect(x)
+
+
+@kernel
+def _restore_rows(x):
+    p = (x[0], x[1], x[2])
+    r = (x[3], x[4], x[5])
+    a, b = dcm.orthonormalise_rows(p, r)
+    return (*a, *b), dcm.defect(dcm.close_rows(p, r))
+
+
+@kernel
 def _finish_angles(x):
     F = type(x[0])
     return x, F(0.0) * x[0]
 
 
 class Operations(NamedTuple):
-    """The kernels of one representation; ``short`` is its twin for turns of at most π."""
+    """The kernels of one representation; ``short`` is its twin for turns of at most π.
+
+    ``raw`` hands the state out as it is, ``restore`` brings it nearer to its group; None where
+    the state is on no group, or is already what is handed out.
+    """
 
     size: int
     stored: int
@@ -300,6 +408,8 @@ class Operations(NamedTuple):
     flip: Any
     finish: Any
     short: type | None = None
+    restore: Any = None
+    raw: Any = None
 
 
 _QUAT = Operations(
@@ -315,6 +425,23 @@ _QUAT = Operations(
     quat.conj,
     _finish_quat,
     QuatShort,
+    _restore_quat,
+)
+_COMPENSATED = Operations(
+    8,
+    4,
+    _start_compensated,
+    compensated.turn,
+    compensated.compose,
+    _attitude_compensated,
+    _to_body_compensated,
+    None,
+    _body_speed,
+    _flip_compensated,
+    _finish_compensated,
+    QuatCompensatedShort,
+    _restore_compensated,
+    _attitude_compensated,
 )
 _DCM = Operations(
     9,
@@ -329,6 +456,7 @@ _DCM = Operations(
     dcm.transpose,
     _finish_dcm,
     DcmShort,
+    _restore_dcm,
 )
 _ROWS = Operations(
     6,
@@ -343,6 +471,8 @@ _ROWS = Operations(
     _flip_rows,
     _finish_rows,
     DcmRowsShort,
+    _restore_rows,
+    _rows_to_dcm,
 )
 _DIRECTION = Operations(
     3,
@@ -361,6 +491,8 @@ _DIRECTION = Operations(
 OPERATIONS: dict[type, Operations] = {
     Quat: _QUAT,
     QuatShort: _QUAT._replace(turn=_turn_quat_short, short=None),
+    QuatCompensated: _COMPENSATED,
+    QuatCompensatedShort: _COMPENSATED._replace(turn=compensated.turn_short, short=None),
     Dcm: _DCM,
     DcmShort: _DCM._replace(turn=_turn_dcm_short, short=None),
     DcmRows: _ROWS,
@@ -394,6 +526,9 @@ OPERATIONS: dict[type, Operations] = {
         _finish_angles,
     ),
 }
+
+_PLAIN: dict[type, type] = {QuatCompensated: Quat, QuatCompensatedShort: QuatShort}
+COMPENSATED = frozenset(_PLAIN)
 
 QUAT = Quat()
 REPRESENTATIONS: dict[str, type] = {
@@ -464,6 +599,57 @@ def _flip(rep: types.BaseNamedTuple, x: types.Type) -> Any:
 
 
 @hook(finish)
-def _finish(rep: types.BaseNamedTuple, x: types.Type) -> Any:
+def _finish(rep: types.BaseNamedTuple, x: types.Type, raw: types.Type) -> Any:
     operation = OPERATIONS[rep.instance_class].finish
+    as_it_is = OPERATIONS[rep.instance_class].raw or _same
+
+    def impl(rep, x, raw):
+        y, d = operation(x)
+        return select(raw, as_it_is(x), y), d
+
+    return impl
+
+
+@hook(restore)
+def _restore(rep: types.BaseNamedTuple, x: types.Type) -> Any:
+    operation = OPERATIONS[rep.instance_class].restore
+    if operation is None:
+        return lambda rep, x: (x, type(x[0])(0.0))
     return lambda rep, x: operation(x)
+
+
+@hook(plain)
+def _plain(rep: types.BaseNamedTuple) -> Any:
+    if rep.instance_class in _PLAIN:
+        tag = _PLAIN[rep.instance_class]
+        return lambda rep: tag()
+    return lambda rep: rep
+
+
+@hook(value)
+def _value(rep: types.BaseNamedTuple, x: types.BaseTuple) -> Any:
+    if rep.instance_class in _PLAIN:
+        n = len(x) // 2
+        return lambda rep, x: x[:n]
+    return lambda rep, x: x
+
+
+@hook(gain)
+def _gain(rep: types.BaseNamedTuple, x: types.BaseTuple, d: types.BaseTuple) -> Any:
+    if rep.instance_class in _PLAIN:
+        return lambda rep, x, d: compensated.add_quat(x, d)
+    return lambda rep, x, d: plus(x, d)
+
+
+@hook(gain_vector)
+def _gain_vector(rep: types.BaseNamedTuple, x: types.BaseTuple, d: types.BaseTuple) -> Any:
+    if rep.instance_class in _PLAIN:
+        return lambda rep, x, d: compensated.add_vector(x, d)
+    return lambda rep, x, d: plus(x, d)
+
+
+@hook(carry)
+def _carried_vector(rep: types.BaseNamedTuple, v: types.BaseTuple) -> Any:
+    if rep.instance_class in _PLAIN:
+        return lambda rep, v: _carry(v)
+    return lambda rep, v: v

@@ -182,11 +182,19 @@ class Scene:
         return Packed(Body(acting.tag, turned), params, acting.cacheable)
 
 
+def as_scene(scene: object) -> Scene:
+    """A scene, and nothing else."""
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
+    return scene
+
+
 def _masses(value: ArrayLike) -> NDArray[np.float64]:
     mass = numbers("mass", value)
     if mass.ndim > 1:
         raise ValueError(f"mass: has shape {mass.shape}; accepted: a number or (N,), kg")
-    bad = np.atleast_1d(mass) <= 0.0
+    with np.errstate(divide="ignore", over="ignore"):
+        bad = (np.atleast_1d(mass) <= 0.0) | np.isinf(1.0 / np.atleast_1d(mass))
     if bad.any():
         where = f"[{int(np.argmax(bad))}]" if mass.ndim else ""
         raise ValueError(f"mass{where} is {np.atleast_1d(mass)[bad][0]}; accepted: above 0, kg")

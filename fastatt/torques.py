@@ -385,6 +385,20 @@ _POTENTIAL_KERNELS: dict[type, Any] = {
 }
 
 
+def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest c/I of the linear damping in a model, 1/s, of each body or of all: an upper bound."""
+    least = moments.min(axis=-1)
+    if isinstance(model, Sum):
+        return sum((fastest_decay(term, moments) for term in model.terms), np.zeros(()))
+    if isinstance(model, Damping):
+        return np.asarray(np.abs(model.coefficient) / least)
+    if isinstance(model, AxisDamping):
+        return np.asarray(np.abs(np.asarray(model.coefficients)).max(axis=-1) / least)
+    if isinstance(model, QuaternionPD):
+        return np.asarray(np.abs(model.damping) / least)
+    return np.zeros(())
+
+
 def has_potential(tag: Any) -> bool:
     """Whether kinetic plus potential energy stays constant under a torque's tag."""
     if type(tag) is Sum:

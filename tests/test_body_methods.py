@@ -433,7 +433,7 @@ def test_record_is_complete(record):
     assert record.summary
     assert record.source
     assert set(record.scenes) <= {"rate", "spherical", "symmetric", "free", "torqued"}
-    assert set(record.limits) <= {*record.representations, "direction"}
+    assert set(record.limits) <= {*record.representations, "direction", "body"}
     if record.stages:
         free, other, at = np.array(record.stages).T
         assert free.sum() == pytest.approx(1.0, abs=1e-15)

@@ -13,6 +13,7 @@ import fastatt as fa
 from fastatt import cli
 from fastatt.cli import main
 from fastatt.trade import compare_on_log
+from fastatt.trade.scene_file import read_scene
 
 
 @pytest.fixture
@@ -40,16 +41,16 @@ def test_integrate(log, tmp_path, capsys, suffix):
     text = capsys.readouterr().out
     assert "400 samples at 100 Hz (time stamps in Time (s))" in text
     assert "400 attitudes by coning3" in text
-    assert "half the samples" not in text
+    assert "error of" not in text
 
 
 def test_integrate_compares_methods(log, capsys, monkeypatch):
     monkeypatch.setattr(cli, "compare_on_log", partial(compare_on_log, methods=[]))
-    assert main(["integrate", str(log[0]), "-m", "coning3"]) == 0
+    assert main(["integrate", str(log[0]), "-m", "coning3", "-r", "100"]) == 0
     text = capsys.readouterr().out
     for method in ("previous", "coning2", "coning3"):
         assert f" {method} " in text
-    assert "half the samples change coning3 by" in text
+    assert "error of coning3 on 400 samples at 100 Hz, deg:" in text
 
 
 def test_default_output_stands_beside_the_log(log):
@@ -57,6 +58,23 @@ def test_default_output_stands_beside_the_log(log):
     assert main(["integrate", str(path), "--no-compare", "--q0", "0,2,0,0"]) == 0
     found = np.loadtxt(path.with_suffix(".attitudes.csv"), delimiter=",", skiprows=1)
     assert found[0].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+SCENE_FILES = {
+    ".toml": """
+inertia = [2.0, 1.0, 1.5]
+[[torque]]
+model = "Damping"
+coefficient = 0.1
+[[torque]]
+model = "HeavyTop"
+arm = [0.0, 0.0, 0.1]
+weight = 10.0
+""",
+    ".json": """{"inertia": [2.0, 1.0, 1.5], "torque": [{"model": "Damping", "coefficient": 0.1},
+{"model": "HeavyTop", "arm": [0.0, 0.0, 0.1], "weight": 10.0}]}""",
+}
+ADVISE = ("recommend", "--t-end", "5", "--tol", "1e-8")
 
 
 @pytest.mark.parametrize(
@@ -77,6 +95,22 @@ def test_default_output_stands_beside_the_log(log):
         (["trade", "--scene", "free", "--log", "none.csv"], "accepted: with --scene recordings"),
         (["trade", "--scene", "free", "--methods", "rk4,magnus4"], "--methods: found 'magnus4'"),
         (["trade", "--scene", "torqued", "--methods", "srkn4"], "accepted: rk4, cf4, rkmk4, rk8"),
+        (["trade", "--inertia", "1,1,1"], "--t-end: is missing"),
+        (["trade", "--inertia", "1,1,1", "--t-end", "1", "--scene", "free"], "--scene: found with"),
+        ([*ADVISE], "no scene: accepted: --inertia, --rate or --scene-file"),
+        ([*ADVISE, "--inertia", "1,2"], "--inertia: found 2 numbers; accepted: 3 or 9"),
+        ([*ADVISE, "--inertia", "1,1,5"], "no body has one moment above the sum"),
+        ([*ADVISE, "--rate", "Conning"], "rate: found 'Conning'; accepted: Coning, Constant"),
+        ([*ADVISE, "--rate", "Coning"], "rate Coning: angle, frequency is missing"),
+        ([*ADVISE, "--rate", "Coning", "angle"], "--rate: found 'angle'; accepted: name=number"),
+        ([*ADVISE, "--rate", "Coning", "angle=x"], "--rate Coning angle: found 'x'"),
+        ([*ADVISE, "--rate", "Coning", "tilt=1"], "rate Coning: found 'tilt'; accepted: angle"),
+        ([*ADVISE, "--torque", "Damping", "coefficient=1"], "rate, inertia: found neither"),
+        ([*ADVISE, "--scene-file", "none.toml"], "No such file"),
+        ([*ADVISE, "--scene-file", "{log}"], "found the ending '.csv'; accepted: .json and .toml"),
+        ([*ADVISE, "--inertia", "1,1,1", "--q0", "{log}"], "--q0: "),
+        ([*ADVISE, "--inertia", "1,1,1", "--w0", "a.txt"], "--w0: found the ending '.txt'"),
+        ([*ADVISE, "--rate", "Coning", "angle=1", "frequency=1", "--bodies", "0"], "--bodies"),
     ],
 )
 def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, arguments, message):
@@ -96,6 +130,9 @@ def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, argument
         ["integrate", "a", "-u", "rpm"],
         ["trade", "--scene", "moon"],
         ["methods", "--scene", "moon"],
+        ["recommend", "--inertia", "1,1,1", "--t-end", "1"],
+        ["recommend", "--inertia", "1,1,1", "--tol", "1"],
+        ["recommend", "--inertia", "1,1,1", "--t-end", "1", "--tol", "1", "--budget", "1"],
     ],
 )
 def test_usage_errors(arguments, capsys):
@@ -105,12 +142,65 @@ def test_usage_errors(arguments, capsys):
     assert "usage: fastatt" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", [[], ["integrate"], ["trade"], ["methods"]])
+@pytest.mark.parametrize("command", [[], ["integrate"], ["trade"], ["methods"], ["recommend"]])
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as caught:
         main([*command, "--help"])
     assert caught.value.code == 0
     assert "usage: fastatt" in capsys.readouterr().out
+
+
+def test_recommend(capsys, tmp_path):
+    angles = np.random.default_rng(1).normal(size=(40, 4))
+    np.savetxt(tmp_path / "q0.csv", angles, delimiter=",")
+    scene = ["--rate", "Coning", "angle=0.5", "frequency=2", "--q0", str(tmp_path / "q0.csv")]
+    assert main([*ADVISE, *scene, "--methods", "magnus4,rk4"]) == 0
+    text = capsys.readouterr().out
+    assert "(tol 1e-08)" in text
+    assert "from 40 of 40 bodies" in text
+    assert "runner-up" in text
+
+
+def test_a_tolerance_out_of_reach_is_bad_input(capsys):
+    scene = ["--rate", "Coning", "angle=0.5", "frequency=2", "--bodies", "20"]
+    assert main(["recommend", "--t-end", "5", "--tol", "1e-17", *scene]) == 2
+    assert "tol: found 1e-17; accepted: at least" in capsys.readouterr().err
+
+
+def test_trade_of_an_own_scene(capsys, tmp_path):
+    scene = ["--rate", "Coning", "angle=0.5", "frequency=2", "--t-end", "5", "--bodies", "40"]
+    command = ["trade", *scene, "--methods", "magnus4,rk4", "--quick", "-o", str(tmp_path)]
+    assert main(command) == 0
+    names = {f"work_precision.{ending}" for ending in ("csv", "json", "png")}
+    assert {p.name for p in tmp_path.iterdir()} == names
+    assert "reference: the exact coning motion" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_scene_files(tmp_path, suffix):
+    path = tmp_path / f"scene{suffix}"
+    path.write_text(SCENE_FILES[suffix], encoding="utf-8")
+    scene = read_scene(path)
+    assert scene.inertia == [2.0, 1.0, 1.5]
+    damping, top = scene.torque.terms
+    assert damping == fa.torques.Damping(0.1)
+    assert top == fa.torques.HeavyTop(arm=[0.0, 0.0, 0.1], weight=10.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("inertia = [1", "scene.toml: "),
+        ("mass = 1.0", "found 'mass'; accepted: inertia, rate"),
+        ("rate = 1.0", 'rate: found 1.0; accepted: a table with a "model"'),
+        ('torque = { model = "Custom" }', "torque: found 'Custom'"),
+    ],
+)
+def test_bad_scene_files(tmp_path, text, message):
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        read_scene(path)
 
 
 def test_methods_lists_all(capsys):

@@ -45,6 +45,24 @@ PROPAGATE = [
     ({"dt": NAN}, ValueError, "dt: found nan"),
     ({"dt": "fast"}, TypeError, "dt: found 'fast'; accepted: a finite number"),
     ({"dt": [0.1, 0.2]}, TypeError, "dt: found [0.1, 0.2]"),
+    ({"dt": "0.1"}, TypeError, "dt: found '0.1'"),
+    ({"dt": True}, TypeError, "dt: found True"),
+    ({"dt": np.array([0.1])}, TypeError, "dt: found array([0.1])"),
+    ({"dt": np.timedelta64(5, "ms")}, TypeError, "dt: found"),
+    ({"dt": np.ma.masked}, TypeError, "dt: found masked"),
+    ({"dt": 10**400}, TypeError, "dt: found 1000000"),
+    ({"dt": 1e308}, ValueError, "dt: 3 steps of 1e+308 s from 0.0 s overflow"),
+    (
+        {"n_steps": 2**70},
+        ValueError,
+        "n_steps: found 1180591620717411303424; accepted: a whole num",
+    ),
+    ({"q0": np.ma.array([1.0, 0, 0, 0], mask=[0, 0, 1, 0])}, ValueError, "q0[2] is nan"),
+    ({"q0": np.array([list("abcd")] * 9)}, TypeError, "q0: found array([['a', 'b', 'c', 'd'], ["),
+    ({"q0": np.zeros(4, dtype="M8[s]")}, TypeError, "q0: found array(['1970"),
+    ({"q0": np.ones(4, dtype=bool)}, TypeError, "q0: found array([ True"),
+    ({"q0": np.full(4, np.longdouble("1e4000"))}, ValueError, "q0[0] is inf"),
+    ({"sink": 3, "save_every": 1}, TypeError, "sink: found 3; accepted: a function"),
     ({"n_steps": -1}, ValueError, "n_steps: found -1; accepted: a whole number of at least 0"),
     ({"n_steps": 2.0}, TypeError, "n_steps: found 2.0; accepted: a whole number"),
     ({"n_steps": True}, TypeError, "n_steps: found True"),
@@ -57,6 +75,7 @@ PROPAGATE = [
     ({"dtype": np.int32}, TypeError, "dtype: found"),
     ({"dtype": "float16"}, TypeError, "dtype: found 'float16'; accepted: float64, float32 or None"),
     ({"dtype": "nonsense"}, TypeError, "dtype: found 'nonsense'"),
+    ({"dtype": {1: 2}}, TypeError, "dtype: found {1: 2}"),
     (
         {"representation": "matrix"},
         ValueError,
@@ -66,6 +85,7 @@ PROPAGATE = [
     ({"method": "rk5"}, ValueError, "method: found 'rk5'; accepted: " + ", ".join(RATE_METHODS)),
     ({"method": "hold"}, ValueError, "method: found 'hold'; accepted: " + ", ".join(RATE_METHODS)),
     ({"method": 4}, ValueError, "method: found 4"),
+    ({"method": "x" * 5000}, ValueError, "method: found 'xxxx"),
     (
         {"method": "magnus4", "representation": "euler313"},
         ValueError,
@@ -83,8 +103,11 @@ PROPAGATE = [
 
 @pytest.mark.parametrize(("arguments", "error", "message"), PROPAGATE)
 def test_propagate(arguments, error, message):
-    with pytest.raises(error, match=re.escape(message)):
+    with pytest.raises(error, match=re.escape(message)) as caught:
         propagate(**arguments)
+    # one line, whatever was given
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(str(caught.value)) < 400
 
 
 DIRECTIONS = [
@@ -123,6 +146,22 @@ SCENES = [
     ),
     ({"rate": R.Constant([1, NAN, 3])}, ValueError, "rate: Constant.w[1] is nan"),
     ({"rate": R.Constant("x")}, TypeError, "rate: Constant.w: found 'x'"),
+    ({"rate": R.Constant(["1", "2", "3"])}, TypeError, "rate: Constant.w: found ['1', '2', '3']"),
+    ({"rate": R.Constant(np.ones(3) + 1j)}, TypeError, "rate: Constant.w: found array([1.+1.j"),
+    ({"rate": R.Constant(np.ones(3, dtype=bool))}, TypeError, "rate: Constant.w: found array([ T"),
+    ({"rate": R.Constant([10**400, 0, 0])}, TypeError, "rate: Constant.w: found [1000"),
+    ({"rate": R.Constant(np.zeros((0, 3)))}, ValueError, "rate: Constant.w has shape (0, 3)"),
+    ({"rate": R.Polynomial(np.zeros((0, 3)))}, ValueError, "Polynomial.coefficients has shape (0"),
+    ({"rate": len}, TypeError, "rate: found <built-in function len>; accepted: a function rate(t"),
+    ({"rate": dict}, TypeError, "rate: found <class 'dict'>; accepted: a function rate(t, p)"),
+    ({"inertia": [5e-324, 5e-324, 5e-324]}, ValueError, "inertia is (4.94066e-324, 4.94066e-324"),
+    ({"inertia": [1e300, 1e300, 1e300]}, ValueError, "inertia: found 1e+300; accepted: up to"),
+    ({"inertia": np.full((3, 3), 1e308)}, ValueError, "inertia: found 1e+308; accepted: up to"),
+    (
+        {"inertia": [1, 1, 1], "mass": 5e-324, "force": [0, 0, 1]},
+        ValueError,
+        "mass is 5e-324; accepted: above 0",
+    ),
     ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "rate: Polynomial.coefficients has shape (3,)"),
     (
         {"rate": R.Polynomial([[1, 2]])},
@@ -230,6 +269,7 @@ def test_users_function_is_refused_each_time():
             "params: has shape (2, 2, 3); accepted are (P,) and (N, P)",
         ),
         ("ab", TypeError, "params: found 'ab'"),
+        (np.ones((0, 3)), ValueError, "params: has shape (0, 3)"),
     ],
 )
 def test_users_parameters(params, error, message):
@@ -274,7 +314,7 @@ INTEGRATE = [
     ),
     ({"dt": 0.0}, ValueError, "dt: found 0.0"),
     ({"dt": -0.1}, ValueError, "dt: found -0.1"),
-    ({"dt": NAN}, ValueError, "dt: found nan"),
+    ({"dt": NAN}, ValueError, "dt is nan"),
     ({"dt": "fast"}, TypeError, "dt: found 'fast'"),
     ({"dt": SPANS[:-1]}, ValueError, "dt: has shape (18,); accepted: a number or (19,)"),
     ({"dt": np.full(20, 0.1)}, ValueError, "dt: has shape (20,); accepted: a number or (19,)"),
@@ -293,7 +333,10 @@ INTEGRATE = [
         ValueError,
         "dt[9] is 0.3: a gap; accepted: at most 0.2",
     ),
-    ({"dt": SPANS, "max_gap": "no"}, (TypeError, ValueError), "max_gap: found 'no'"),
+    ({"dt": SPANS, "max_gap": "no"}, TypeError, "max_gap: found 'no'"),
+    ({"dt": SPANS, "max_gap": np.ma.masked}, TypeError, "max_gap: found masked"),
+    ({"dt": SPANS, "max_gap": -1}, ValueError, "max_gap: found -1.0"),
+    ({"dt": [[0.1], [0.1, 0.2]]}, TypeError, "dt: found [[0.1], [0.1, 0.2]]"),
     ({"q0": np.zeros(4)}, ValueError, "q0 is the zero quaternion"),
     ({"q0": [Q, Q]}, ValueError, "q0: has shape (2, 4); accepted: (4,) or (1, 4), one a log"),
     ({"q0": [1, 0, 0]}, ValueError, "q0: has shape (3,)"),
@@ -348,6 +391,7 @@ def test_progress_needs_its_package(monkeypatch):
         (np.ones((9, 3)), 0.1, {}, "q: has shape (9, 3)"),
         (np.ones((9, 4)), 0.0, {}, "dt: found 0.0"),
         (np.ones((9, 4)), np.full(9, 0.1), {}, "dt: has shape (9,)"),
+        (np.eye(4)[[0, 1, 2, 3, 0]], 1e-310, {}, "dt: rates over 1e-310 s overflow"),
         (np.ones((9, 4)), np.r_[np.full(7, 0.1), -0.1], {}, "dt[7] is -0.1"),
         (np.ones((9, 4)), 0.1, {"frame": "up"}, "frame: found 'up'"),
         (np.ones((9, 4)), 0.1, {"order": 0}, "order: found 0"),
@@ -358,3 +402,60 @@ def test_progress_needs_its_package(monkeypatch):
 def test_angular_velocity(q, dt, options, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         fa.angular_velocity(q, dt, **options)
+
+
+def test_attitudes_of_any_length_and_interval_have_a_rate():
+    q = generic(2).attitude(0.0, 1.0)[None] * np.ones((9, 1, 1))
+    q[1:] = [generic(2).attitude(0.0, 0.1 * k) for k in range(1, 9)]
+    w = fa.angular_velocity(q, 0.1)
+    for length in (1e-310, 1e300):
+        assert fa.angular_velocity(q * length, 0.1) == pytest.approx(w, rel=1e-9)
+    assert fa.angular_velocity(q, 1e-200) == pytest.approx(w * 1e199, rel=1e-12)
+
+
+def test_a_log_of_one_sample_has_no_intervals():
+    q = fa.integrate_rates(LOG[:1], [], START, method="hold")
+    assert q == pytest.approx(START[None], abs=1e-15)
+
+
+def test_start_in_single_precision_is_unit_in_double():
+    q = fa.integrate_rates(LOG, 0.1, START.astype(np.float32), method="hold", dtype=np.float64)
+    assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < 1e-14
+
+
+TOP = fa.Scene(inertia=(1.0, 1.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: fa.methods_for(None), TypeError, "scene: found None"),
+        (lambda: fa.potential_energy(None, Q), TypeError, "scene: found None"),
+        (lambda: fa.potential_energy(TOP, Q, "now"), TypeError, "t: found 'now'"),
+        (lambda: fa.potential_energy(TOP, Q, [1, 2]), ValueError, "t: has shape (2,)"),
+        (lambda: fa.kinetic_energy([1, 2, 3], [1, NAN, 1]), ValueError, "inertia[1] is nan"),
+        (lambda: fa.kinetic_energy([1, 2, 3], "x"), TypeError, "inertia: found 'x'"),
+        (lambda: fa.kinetic_energy([1, 2, 3], np.ones((2, 2, 3))), ValueError, "inertia: has sh"),
+        (
+            lambda: fa.kinetic_energy_symmetric([1j, 0, 0], [0, 0, 0], [1, 1]),
+            TypeError,
+            "angles: found [1j",
+        ),
+        (lambda: fa.angle_between(np.ones((3, 3), dtype=bool), Q), TypeError, "a: found array("),
+        (lambda: fa.angle_between(Q, np), TypeError, "b: found <module"),
+    ],
+)
+def test_other_functions(call, error, message):
+    with pytest.raises(error, match="^" + re.escape(message)) as caught:
+        call()
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_read_only_and_broadcast_arrays_are_taken():
+    a = np.broadcast_to(START, (3, 4))
+    b = np.full((3, 4), 0.5)
+    b.flags.writeable = False
+    expected = [fa.angle_between(START, b[0])] * 3
+    assert fa.angle_between(a, b).tolist() == expected
+    assert fa.quat_to_dcm(b).tolist() == fa.quat_to_dcm(b.copy()).tolist()
+    assert fa.quat_multiply(a, b).tolist() == fa.quat_multiply(a.copy(), b.copy()).tolist()

@@ -96,7 +96,23 @@ GOOD = "t,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
         (GOOD.replace("2,1,2,3", "2,1,nan,3"), {}, "line 4: wy is 'nan'"),
         (GOOD.replace("2,1,2,3", "2,1,,3"), {}, "line 4: wy is ''"),
         (GOOD.replace("2,1,2,3", "2,1,x,3"), {}, "line 4: wy is 'x'"),
-        (GOOD.replace("2,1,2,3", "2,1"), {}, "line 4: found 2 columns; accepted: at least 3"),
+        (GOOD.replace("2,1,2,3", "2,1"), {}, "line 4: found 2 columns; accepted: 4, as in line 2"),
+        (GOOD.replace("1,1,2,3", "1,2,3"), {}, "line 3: found 3 columns; accepted: 4, as in line"),
+        (GOOD.replace("1,1,2,3", "1,9,1,2,3"), {}, "line 3: found 5 columns; accepted: 4, as in"),
+        (GOOD.replace("t,wx", "wx"), {}, "among 4 columns under 3 names; name them with columns"),
+        (
+            GOOD.replace("2,1,2,3", "1e308,1,2,3").replace("\n0", "\n-1e308"),
+            {},
+            "t overflows in row",
+        ),
+        (GOOD.replace("wx", "x" * 9999), {"columns": ["a", "b", "c"]}, "columns: found 'a'"),
+        (GOOD.replace("wz", "wx"), {"columns": ["wx", "wy", "t"]}, "columns: found 'wx'"),
+        (GOOD, {"columns": ["2", "wx", "wy"]}, "3 different columns"),
+        (GOOD, {"columns": [1, 1, 2]}, "3 different columns"),
+        (GOOD, {"columns": "xyz"}, "columns: found 'xyz'; accepted: 3 different columns"),
+        (GOOD, {"columns": ["1", "2", "9" * 9999]}, "columns: found '999"),
+        (GOOD, {"rate": 1e-320}, "rate: found 1e-320; accepted"),
+        (GOOD, {"rate": 2e-308}, "found 3 samples at the rate 2e-308 Hz; accepted: more"),
         (GOOD.replace("2,1,2,3", "1,1,2,3"), {}, "t is repeated after row 2"),
         (GOOD.replace("2,1,2,3", "0.5,1,2,3"), {}, "t is decreasing after row 2"),
         (GOOD, {"columns": ["wx", "wy", "nope"]}, "columns: found 'nope'"),
@@ -117,7 +133,81 @@ GOOD = "t,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
 def test_refusals(tmp_path, text, options, message):
     with pytest.raises(ValueError, match=message) as caught:
         read_log(write(tmp_path / "a.csv", text), **options)
-    assert "\n" not in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(str(caught.value)) < 600
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"path": None}, "path: found None"),
+        ({"path": "a\0b"}, "path: found"),
+        ({"rate": "9"}, "rate:"),
+    ],
+)
+def test_arguments_of_another_type(tmp_path, options, message):
+    options = {"path": write(tmp_path / "a.csv", GOOD), **options}
+    with pytest.raises(TypeError, match=message):
+        read_log(**options)
+
+
+def test_an_index_without_a_name(tmp_path):
+    """Data frames write one: the names after it belong to the columns after it."""
+    lines = [f"{i},{','.join(map(str, r))}" for i, r in enumerate(RATES)]
+    path = write(tmp_path / "a.csv", "\n".join([",wx,wy,wz", *lines]))
+    assert np.array_equal(read_log(path, rate=1.0).rates, RATES)
+
+
+@pytest.mark.parametrize(
+    "head", ["Time (s) Gyr_X [rad/s] Gyr_Y [rad/s] Gyr_Z [rad/s]", "t wx wy wz"]
+)
+def test_units_in_brackets_between_blanks(tmp_path, head):
+    lines = [f"{t} {' '.join(map(str, r))}" for t, r in zip((0, 1, 3), RATES, strict=True)]
+    log = read_log(write(tmp_path / "a.txt", "\n".join([head, *lines])))
+    assert np.array_equal(log.rates, RATES)
+    assert log.t.tolist() == [0.0, 1.0, 3.0]
+
+
+@pytest.mark.parametrize("unit", ["mdps", "deg/h", "mrad/s", "rpm", "deg per hour", "°/min"])
+def test_units_that_are_not_known_are_not_guessed(tmp_path, unit):
+    path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
+    with pytest.raises(LogError, match="found the unit"):
+        read_log(path, rate=1.0)
+    assert np.array_equal(read_log(path, rate=1.0, unit="rad/s").rates, RATES)
+
+
+@pytest.mark.parametrize("unit", ["dps", "°/s", "deg/sec", "degrees per second", "deg_s"])
+def test_degrees_by_other_names(tmp_path, unit):
+    path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
+    assert read_log(path, rate=1.0).unit == "deg/s"
+
+
+def test_units_that_differ_are_refused(tmp_path):
+    path = write(tmp_path / "a.csv", f"wx (deg/s),wy (rad/s),wz (deg/s)\n{rows(',')}")
+    with pytest.raises(LogError, match="one for all"):
+        read_log(path, rate=1.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "rate"),
+    [("50.0Hz", 50.0), ("1e3 Hz", 1e3), ("100", 100.0)]
+    + [(s, None) for s in ("1,000 Hz", "0.1 kHz", "1..5", ".", "-50 Hz", "50 per min")],
+)
+def test_sample_rates_in_comments(tmp_path, said, rate):
+    path = write(tmp_path / "a.csv", f"# Sample rate: {said}\nwx,wy,wz\n{rows(',')}")
+    if rate is None:
+        with pytest.raises(LogError, match="no time column and no sample rate"):
+            read_log(path)
+    else:
+        assert read_log(path).rate == rate
+
+
+@pytest.mark.parametrize(
+    "text", ["\ufeff" + rows(","), '"' + rows('","').replace("\n", '"\n"')[:-1]]
+)
+def test_byte_order_mark_and_quotes(tmp_path, text):
+    path = write(tmp_path / "a.csv", text)
+    assert np.array_equal(read_log(path, rate=1.0, columns=["1", "2", "3"]).rates, RATES)
 
 
 def test_missing_file(tmp_path):
@@ -134,6 +224,17 @@ def test_blocks_join(tmp_path, monkeypatch):
     assert np.array_equal(read_log(path, rate=1.0, progress=seen.append).rates, numbers)
     assert len(seen) == 3
     assert sum(seen) == path.stat().st_size - len("wx,wy,wz\n")
+
+
+@pytest.mark.parametrize("block", [1, 2, 3, 7])
+def test_no_row_is_lost_after_blank_lines_and_comments(tmp_path, monkeypatch, block):
+    monkeypatch.setattr(gyrolog, "_ROWS", block)
+    numbers = np.arange(60.0).reshape(20, 3)
+    lines = [",".join(map(str, r)) for r in numbers]
+    lines[5:5] = ["", "# a note"]
+    lines[12:12] = ["//"] * 8
+    path = write(tmp_path / "a.csv", "wx,wy,wz\n" + "\n".join(lines))
+    assert np.array_equal(read_log(path, rate=1.0).rates, numbers)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npy"])

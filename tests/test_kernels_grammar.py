@@ -36,6 +36,8 @@ B = (1.1, 0.2, -0.3, 0.4, 0.9, 0.6, -0.2, 0.1, 1.2)
 J = (0.8, 0.5, 1.0)
 K4, K6 = (0.7, -0.4, 0.3, 0.2), (0.7, -0.4, 0.3, 0.2, -0.6, 0.5)
 K8, K10 = (*K4, *K4), (*K6, *K4)
+S6 = (1.4, 0.2, -0.1, 1.1, 0.3, 0.9)
+P6 = (S6, B, (0.9, 0.1, 0.2, 1.2, -0.1, 0.8))
 AXES = (0.0, 2.0, 1.0, -1.0, 1.0)
 THETA = (
     *(0.99, -0.12, 0.01, 0.0, -0.2, 0.01, 0.0, 0.0, 0.9, 0.02, 0.0, 0.0, -0.4, 0.01, 0.0, 0.0),
@@ -45,6 +47,14 @@ THETA = (
 ARGUMENTS = {
     "axis_angle.rate": (E, (0.8, 0.1, -0.6), 1.2, 0.7),
     "axis_angle.derivative": (E, 1.2, W),
+    "compensated.two_sum": (0.7, 1e-17),
+    "compensated.add_vector": ((*U, 1e-17, 0.0, -1e-17), V),
+    "compensated.add_quat": ((*Q, 1e-17, 0.0, -1e-17, 0.0), P),
+    "compensated.cosine_less_one": (0.8, (0.0, 0.6, 0.0)),
+    "compensated.compose": ((*Q, 1e-17, 0.0, -1e-17, 0.0), P),
+    "compensated.turn": ((*Q, 1e-17, 0.0, -1e-17, 0.0), U),
+    "compensated.turn_short": ((*Q, 1e-17, 0.0, -1e-17, 0.0), U),
+    "compensated.turn_parts": ((*Q, 1e-17, 0.0, -1e-17, 0.0), U, 0.49, 0.9, -0.01),
     "coning.rotation_vector": (U, V, W, X, 0.7),
     "coning.rotation_vector_linear": (U, V, 0.7),
     "coning.rotation_vector_quadratic": (U, V, W, 0.7),
@@ -54,6 +64,8 @@ ARGUMENTS = {
     "coning.increments_quadratic": (U, V, W, 0.5, 0.75, 1.0),
     "coning.miller": (U, V, W),
     "dcm.mul": (B, C),
+    "dcm.add": (B, C),
+    "dcm.scale": (0.5, B),
     "dcm.transpose": (B,),
     "dcm.rotate": (C, U),
     "dcm.rotate_inverse": (C, U),
@@ -84,6 +96,15 @@ ARGUMENTS = {
     "elliptic.theta_pair": (1.75, 2.0, 0.8),
     "elliptic.theta_pair_at": (THETA, 0.6),
     "elliptic.jacobi": (1.2, 0.7),
+    "error_state.transition": (U, 0.7),
+    "error_state.noise_at_rest": (0.7, 0.3, 0.2),
+    "error_state.noise": (U, 0.7, 0.3, 0.2),
+    "error_state.predict": (P6, (C, B), P6),
+    "error_state.to_inertial": (C, P6),
+    "error_state.to_body": (C, P6),
+    "error_state.transition_matrix": ((C, B),),
+    "error_state.matrix": (P6,),
+    "error_state.blocks": ((*B, *C, *B, *C),),
     "euler313.to_quat": (U,),
     "euler313.from_quat": (Q,),
     "euler313.to_dcm": (U,),
@@ -167,6 +188,7 @@ ARGUMENTS = {
     "so3.second_order": (0.4, -0.2, U),
     "so3.jacobian_coefficients": (1.3,),
     "so3.second_integral_coefficient": (0.7,),
+    "so3.square_integral_coefficient": (1.3,),
     "so3.inverse_coefficient": (1.3,),
     "so3.right_jacobian": (U,),
     "so3.left_jacobian": (U,),
@@ -176,6 +198,13 @@ ARGUMENTS = {
     "so3.dexpinv_short": (U, W),
     "so3.second_order_apply": (0.5, 0.1, U, W),
     "so3.dexp": (U, W),
+    "sym3.full": (K6,),
+    "sym3.upper": (B,),
+    "sym3.add": (K6, S6),
+    "sym3.scale": (0.5, K6),
+    "sym3.product": (B, C),
+    "sym3.mul": (B, K6),
+    "sym3.congruence": (B, K6),
     "trig.power_of_two": (5.0,),
     "trig.reduce_powers": (3.7,),
     "trig.sinhcosh_short": (0.3,),
@@ -185,6 +214,7 @@ ARGUMENTS = {
     "trig.half_sinc_cos": (1.3,),
     "trig.half_sinc_cos_wide": (30.0,),
     "trig.sin_remainder": (1.3,),
+    "trig.sin_second_remainder": (1.3,),
     "trig.cot_remainder": (1.3,),
     "trig.atan2": (0.4, -0.9),
     "vec3.dot": (U, V),

@@ -156,7 +156,7 @@ def test_rk4_on_a_constant_rate(representation, share, angle_5, norm_6):
     defect = np.sqrt(2.0 * (modulus**2 - 1.0) ** 2 + third**2)
     defect = modulus - 1.0 if representation == "quat" else defect
     assert traj.defect[-1] == pytest.approx(defect, rel=1e-12, abs=30 * n * EPS)
-    left = traj.status & fa.Status.INVARIANT != 0
+    left = traj.status & fa.Status.NORM_LOST != 0
     assert left.tolist() == (np.abs(defect) > 1e-3).tolist()
 
     found = fa.quat_to_rotation_vector(mul(exp(-n * w), traj.q[-1]))[:, 2]
@@ -180,8 +180,8 @@ def test_rk4_on_a_constant_rate(representation, share, angle_5, norm_6):
         ("dcm_rows", 2.0 * math.sqrt(2.0)),
     ],
 )
-def test_rk4_is_stable_up_to_its_limit(representation, limit):
-    """Below, lengths across the axis die out; above, they grow and the status says so."""
+def test_rk4_is_stable_beyond_what_it_is_trusted_with(representation, limit):
+    """Below, lengths across the axis die out; above, they grow; the status says so of both."""
     w = np.outer([0.99 * limit, 1.01 * limit], [0.0, 0.0, 1.0])
     start = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     traj = fa.propagate(
@@ -193,9 +193,8 @@ def test_rk4_is_stable_up_to_its_limit(representation, limit):
     else:
         assert 0.5 < below <= math.sqrt(3.0)  # rows of length 0
     assert above > 1.0
-    assert fa.METHODS["rk4"].limit(representation) == pytest.approx(limit)
-    too_large = traj.status & fa.Status.STEP_TOO_LARGE != 0
-    assert too_large.tolist() == [False, True]
+    assert fa.METHODS["rk4"].limit(representation) < 0.6 * limit
+    assert traj.status.tolist() == [fa.Status.STEP_TOO_LARGE | fa.Status.NORM_LOST] * 2
 
 
 # a constant rate
@@ -206,15 +205,18 @@ AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
 
 @pytest.mark.parametrize(("method", "representation"), EXPONENTIAL)
 def test_exponentials_are_exact_for_a_constant_rate(method, representation):
-    """Up to π an exponential, which is as far as a step is vouched for when the rate may vary."""
-    w = np.outer([0.0, 1e-160, 1e-9, 0.3, 1.0, 2.2], AXIS)
+    """At any angle, though a step is vouched for up to the limit only where the rate may vary."""
+    sizes = np.array([0.0, 1e-160, 1e-9, 0.06, 1.0, 2.2])
+    w = np.outer(sizes, AXIS)
     start = np.broadcast_to(START, (len(w), 4))
     n = 10
     traj = fa.propagate(
         steady(w).scene, start, dt=1.0, n_steps=n, method=method, representation=representation
     )
     expected = mul(START, exp(n * w))
-    assert traj.status.tolist() == [0] * len(w)
+    # cg3's largest turn is longer than the step
+    past = sizes * (24.0 / 17.0 if method == "cg3" else 1.0) > fa.METHODS[method].limit("quat")
+    assert (traj.status == np.where(past, fa.Status.STEP_TOO_LARGE, 0)).all()
     # each step rounds the state and the angle, a few ulps of 1 and of 3 rad
     assert angle(traj.q[-1], expected).max() < n * 12 * EPS
 
@@ -257,7 +259,8 @@ def test_record_is_complete(record):
     assert record.source
     given = {"rate", "sampled rates", "increments"}
     assert set(record.scenes) <= {*given, "spherical", "symmetric", "free", "torqued"}
-    assert set(record.limits) <= {*record.representations, "direction"}
+    kinds = {"direction", "body", "rates", "increments"}
+    assert set(record.limits) <= {*record.representations, *kinds}
     assert record.exact_for_constant <= (record.exponentials > 0)
 
 

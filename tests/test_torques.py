@@ -550,9 +550,9 @@ WRONG = [
     (
         T.Damping("much"),
         TypeError,
-        "torque: Damping.coefficient: found 'much'; accepted are finite",
+        "torque: Damping.coefficient: found 'much'; accepted: finite",
     ),
-    (T.Damping(np.nan), ValueError, "torque: Damping.coefficient[] is nan"),
+    (T.Damping(np.nan), ValueError, "torque: Damping.coefficient is nan"),
     (
         T.Constant([1.0, 2.0]),
         ValueError,

@@ -11,6 +11,7 @@ import pytest
 import fastatt as fa
 from fastatt import gyrolog, trade
 from fastatt.cli import main
+from fastatt.ensemble import Ensemble
 from fastatt.integrate import methods_for_samples
 from fastatt.trade import motions, run
 from fastatt.trade.measure import Rung, ladder_rows, measure
@@ -30,14 +31,19 @@ def coning():
 
 
 @pytest.fixture(scope="module", params=BODIES)
-def bodies(request):
-    return trade.body_scene(request.param, 6)
+def name(request):
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def body_rows(bodies):
-    cases = [trade.Case(name) for name in BODIES[bodies.problem.name]]
-    return trade.body_trade(bodies, (50, 100), repeats=1, bar=False, cases=cases)
+def bodies(name):
+    return trade.body_scene(name, 6)
+
+
+@pytest.fixture(scope="module")
+def body_rows(name, bodies):
+    cases = [trade.Case(method) for method in BODIES[name]]
+    return trade.body_trade(name, bodies, (50, 100), repeats=1, bar=False, cases=cases)
 
 
 def test_all_of_coning_is_planned():
@@ -76,7 +82,7 @@ def test_rows_of_coning(coning):
     for row in coning:
         assert row.rate_error_median is None
         assert row.energy_drift_max is None
-        assert row.flagged == 0
+        assert row.status == ""
         assert row.steps_per_second == pytest.approx(20.0 / row.dt / row.seconds_per_body)
 
 
@@ -89,31 +95,31 @@ def test_orders_of_coning_are_near_the_declared_ones(coning):
 
 
 def test_reference_is_confirmed(bodies):
-    assert bodies.reference_error.shape == (6,)
-    assert bodies.reference_error.max() < 2e-12
+    assert bodies.check.apart.shape == (6,)
+    assert bodies.check.apart.max() < 2e-12
+    assert bodies.known.own_error.max() < 1e-12
     text = bodies.describe()
     assert "6 bodies over 10 s" in text
-    assert f"{bodies.reference_error.max():.1e} rad (worst)" in text
+    assert f"{bodies.check.apart.max():.1e} rad (worst)" in text
 
 
-def test_reference_solves_the_scene(bodies):
+def test_reference_solves_the_scene(name, bodies):
     """The reference's end, run backwards, is the start."""
-    p, method = bodies.problem, BODIES[bodies.problem.name][0]
-    back = fa.propagate(p.scene, p.q_end, p.w_end, dt=-0.05, n_steps=200, method=method, t0=p.t_end)
-    assert fa.angle_between(back.q[-1], p.q0).max() < 1e-10
-    assert np.abs(back.w[-1] - p.w0).max() < 1e-10
+    e, end, t = bodies.problem.ensemble, bodies.known.end, bodies.problem.t_end
+    back = fa.propagate(e.scene, *end, dt=-0.05, n_steps=200, method=BODIES[name][0], t0=t)
+    assert fa.angle_between(back.q[-1], e.q0).max() < 1e-10
+    assert np.abs(back.w[-1] - e.w0).max() < 1e-10
 
 
-def test_rows_of_bodies(bodies, body_rows):
+def test_rows_of_bodies(name, body_rows):
     stepped = [r for r in body_rows if r.method != "exact"]
-    name = bodies.problem.name
     assert [r.method for r in stepped] == [m for m in BODIES[name] if m != "exact" for _ in "12"]
     keeps_momentum, keeps_energy = name == "free", name != "torqued"
     for row in body_rows:
         assert row.input == name
         assert (row.momentum_drift_max is not None) == keeps_momentum
         assert (row.energy_drift_max is not None) == keeps_energy
-        assert row.flagged == 0
+        assert row.status == ""
     for coarse, fine in zip(stepped[::2], stepped[1::2], strict=True):
         assert (coarse.dt, fine.dt) == (0.2, 0.1)
         assert fine.error_median < coarse.error_median / 10.0
@@ -135,24 +141,33 @@ def test_measured_errors_are_those_of_the_library():
     """A problem whose answer is off by a known angle and rate is measured so."""
     start = np.array([[1.0, 0.0, 0.0, 0.0]])
     off = np.array([[np.cos(0.05), np.sin(0.05), 0.0, 0.0]])
-    still = trade.Problem("", trade.BODY_SCENES["free"], start, np.zeros((1, 3)), 1.0, off)
-    shifted = replace(still, w_end=np.array([[0.0, 3.0, 4.0]]))
-    rung = measure(shifted, trade.Case("dmv10"), 2, repeats=1)
+    still = trade.Problem(Ensemble(trade.BODY_SCENES["free"], start, np.zeros((1, 3))), 1.0)
+    end = trade.State(off, np.array([[0.0, 3.0, 4.0]]))
+    rung = measure(still, end, trade.Case("dmv10"), 2, repeats=1)
     assert rung.error == pytest.approx([0.1])
     assert rung.rate_error == pytest.approx([5.0])
-    assert (rung.defect, rung.energy, rung.momentum, rung.flagged) == (0.0, 0.0, 0.0, 0)
+    assert (rung.defect, rung.energy, rung.momentum, rung.status) == (0.0, 0.0, 0.0, "")
+
+
+def rungs(*errors):
+    return [Rung(10 * 2**i, 1.0, np.array([e])) for i, e in enumerate(errors)]
 
 
 def test_orders_stop_at_round_off():
-    def rungs(*errors):
-        return [Rung(10 * 2**i, 1.0, np.array([e])) for i, e in enumerate(errors)]
-
-    rows = ladder_rows("", trade.Case("rk4"), 1.0, rungs(1.6e-3, 1e-4, 1e-15, np.nan))
-    assert [rows[0].order, rows[2].order, rows[3].order] == [None, None, None]
+    rows = ladder_rows("", trade.Case("rk4"), 1.0, rungs(1.6e-3, 1e-4, 1e-15, 2e-15, np.nan))
+    assert [r.order for r in rows[2:4]] == [None, None]
+    assert [r.plateau for r in rows[:4]] == ["", "", "round-off", "round-off"]
     assert rows[1].order == pytest.approx(4.0)
-    single = ladder_rows("", trade.Case("rk4", dtype="float32"), 1.0, rungs(1.6e-3, 1e-4))
-    assert single[1].order is None
-    assert trade.frontier(rows[2:]) == [rows[2]]
+    single = ladder_rows("", trade.Case("rk4", dtype="float32"), 1.0, rungs(1.6e-5, 1.2e-5, 2e-5))
+    assert [r.plateau for r in single] == ["round-off"] * 3
+    assert trade.frontier(rows[4:]) == []
+
+
+def test_a_low_order_is_no_plateau():
+    """Of a broken method the error falls too slowly, far above what rounding makes."""
+    rows = ladder_rows("", trade.Case("rk4"), 1.0, rungs(1e-3, 5e-4, 2.5e-4))
+    assert [r.plateau for r in rows] == ["", "", ""]
+    assert rows[2].order == pytest.approx(1.0)
 
 
 def test_frontier_falls(coning):
@@ -172,7 +187,7 @@ def test_frontier_falls(coning):
 def test_table_leaves_out_what_no_row_has(coning, body_rows):
     head = trade.trade_table(coning).splitlines()[0]
     assert "order" in head
-    for absent in ("energy", "momentum", "w, rad/s", "flagged"):
+    for absent in ("energy", "momentum", "w, rad/s", "status"):
         assert absent not in head
     head, first, *_ = trade.trade_table(body_rows).splitlines()
     assert "w, rad/s" in head
@@ -205,13 +220,13 @@ def test_a_log_is_compared_with_every_method(monkeypatch):
     log = gyrolog.read_log(trade.find_recordings()[0])
     monkeypatch.setattr(trade.recordings, "integrate_rates", still)
     assert [r.method for r in trade.log_rows(log, 1)] == methods_for_samples()
-    chosen = trade.compare_on_log(log, "hold", methods=["trapezoid"]).splitlines()
-    assert [line.split()[1] for line in chosen[1:-1]] == [
-        "trapezoid",
-        "hold",
-        "previous",
-        "coning2",
-    ]
+    monkeypatch.setattr(trade.recordings, "error_budget", lambda *a, **k: k["rivals"])
+    _head, *lines, budget = trade.compare_on_log(log, "hold", methods=["trapezoid"]).splitlines()
+    compared = ["trapezoid", "hold", "previous", "coning2"]
+    assert [line.split()[1] for line in lines] == compared
+    assert budget == str(compared)
+    short = replace(log, rates=log.rates[:20], t=log.t[:20], attitudes=None)
+    assert "20 samples: too few to tell" in trade.compare_on_log(short, "hold")
 
 
 def still(rates, dt, q0, **options):

@@ -69,24 +69,24 @@ def run_ensemble(
     n_threads: int,
     progress: bool,
 ) -> None:
-    """Call the driver for all tiles and steps: ``call(run, tile_first, tile_last)``."""
+    """Call the driver for all tiles and steps of a run: ``call(run, tile_first, tile_last)``."""
     n_tiles = -(-n_bodies // WIDTH)
     pieces = min(n_tiles, 8 * n_threads if n_threads > 1 else max(1, n_tiles // 1024))
     bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
-    with progress_bar(progress, n_bodies * run.n_steps, "step") as done:
+    with progress_bar(progress, n_bodies * (run.last - run.first), "step") as done:
 
         def task(first: int, last: int) -> Callable[[Event], None]:
             bodies = min(last * WIDTH, n_bodies) - first * WIDTH
             steps = max(1, _PIECE // ((last - first) * WIDTH * BLOCK)) * BLOCK
 
             def work(stop: Event) -> None:
-                n = 0
+                n = run.first
                 while not stop.is_set():
-                    until = min(n + steps, run.n_steps)
+                    until = min(n + steps, run.last)
                     call(run._replace(first=n, last=until), first, last)
                     done((until - n) * bodies)
                     n = until
-                    if n == run.n_steps:
+                    if n == run.last:
                         return
 
             return work

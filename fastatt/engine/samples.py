@@ -45,6 +45,7 @@ def _scratch(method: types.BaseNamedTuple, kind: types.BaseNamedTuple, data: typ
             np.empty((4 * CHUNK + 4, LANES), dtype=data.dtype),
             np.empty(LANES, dtype=data.dtype),
             np.empty((work, LANES), dtype=data.dtype),
+            np.zeros(LANES, dtype=data.dtype),
         )
 
     return impl
@@ -139,8 +140,13 @@ def peaks(v, n, work, row):
             work[row, j] = a if a > work[row, j] else work[row, j]
 
 
-def mark_far(method: Any, kind: Any, v: Any, n: Any, spans: Any, h: Any, m: Any, work: Any) -> Any:
-    """Whether any lane has a window that may turn by π; which, as 1 in a row of ``work``."""
+def mark_far(
+    method: Any, kind: Any, v: Any, n: Any, spans: Any, h: Any, m: Any, work: Any, most: Any
+) -> Any:
+    """Whether any lane has a window that may turn by π; which, as 1 in a row of ``work``.
+
+    ``most`` grows to the largest component of each lane's angles over an interval, rad.
+    """
     raise NotImplementedError
 
 
@@ -154,15 +160,15 @@ def _mark_far(
     h: types.Type,
     m: types.Type,
     work: types.Type,
+    most: types.Type,
 ) -> Any:
     window = WINDOWS[method.instance_class]
-    # a polynomial through samples stays below 4 times the largest where it is used
-    limit = 3.0 / (8.0 * (window.span + window.history))
+    limit = window.near
     of_rates = kind.instance_class is Rates
     uneven = of_rates and isinstance(spans, types.Array)
     always = window.tile is not None
 
-    def impl(method, kind, v, n, spans, h, m, work):
+    def impl(method, kind, v, n, spans, h, m, work, most):
         F = type(work[0, 0])
         peaks(v, n, work, 0)
         longest = h[0, 0]
@@ -172,6 +178,7 @@ def _mark_far(
         found = False
         for j in range(LANES):
             angle = work[0, j] * abs(longest) if of_rates else work[0, j]
+            most[j] = angle if angle > most[j] else most[j]
             far = always or not angle < F(limit)
             work[0, j] = F(1.0) if far else F(0.0)
             found |= far
@@ -181,7 +188,7 @@ def _mark_far(
 
 
 @part
-def carry(method, kind, v, spans, h, rows, wide, far, work, windows, need):
+def carry(method, kind, v, spans, h, rows, wide, far, work, most, windows, need):
     """All windows of a chunk: with the short exponential, and with the wide one where it is needed.
 
     A lane's own samples decide: its neighbours change none of its bits.
@@ -193,7 +200,7 @@ def carry(method, kind, v, spans, h, rows, wide, far, work, windows, need):
     for k in range(windows):
         i = k * span
         advance(method, kind, QuatShort(), v, 3 * i, spans, h, i, rows, 4 * i, work)
-    if mark_far(method, kind, v, need + extra, spans, h, need, work):
+    if mark_far(method, kind, v, need + extra, spans, h, need, work, most):
         for j in range(LANES):
             far[j] = work[0, j]
         for k in range(windows):
@@ -241,13 +248,16 @@ def go_on(rows, left):
 
 
 @driver
-def sweep(method, kind, data, before, after, spans, body, start, count, q, out, write, first, last):
+def sweep(
+    method, kind, data, before, after, spans, peak, body, start, count, q, out, write, first, last
+):
     """Carry lanes [first, last) of attitudes ``q (L, 4)`` over ``count`` intervals each.
 
     Lane ℓ begins at interval ``start[ℓ]`` of log ``body[ℓ]`` of ``data (N, n, 3)``; ``write`` puts
-    the attitudes at its instants into ``out (N, m, 4)``.
+    the attitudes at its instants into ``out (N, m, 4)``; ``peak (L,)`` gets the largest component
+    of a lane's angles over an interval, rad.
     """
-    v, h, rows, wide, far, work = scratch(method, kind, data)
+    v, h, rows, wide, far, work, most = scratch(method, kind, data)
     history, span, _ = window_of(method, kind)
     fill_equal_intervals(spans, h)
     flat = data.reshape(-1)
@@ -255,6 +265,7 @@ def sweep(method, kind, data, before, after, spans, body, start, count, q, out, 
     for tile in range(first, last, LANES):
         width = min(LANES, last - tile)
         for j in range(LANES):
+            most[j] = 0.0
             for c in range(4):
                 rows[c, j] = q[min(tile + j, last - 1), c]
         n = 0
@@ -279,12 +290,13 @@ def sweep(method, kind, data, before, after, spans, body, start, count, q, out, 
                 v,
                 h,
             )
-            carry(method, kind, v, spans, h, rows, wide, far, work, windows, need)
+            carry(method, kind, v, spans, h, rows, wide, far, work, most, windows, need)
             if write:
                 scatter(rows, flat_out, out.shape[1], body, start, n, left, tile, width)
             go_on(rows, left)
             n += left
         for j in range(width):
+            peak[tile + j] = most[j]
             for c in range(4):
                 q[tile + j, c] = rows[c, j]
 
@@ -320,15 +332,18 @@ def turn_all(q, rows, left, starts):
 
 
 @driver
-def sweep_one(method, kind, data, before, after, spans, log, q, totals, out, write, first, last):
+def sweep_one(
+    method, kind, data, before, after, spans, peak, log, q, totals, out, write, first, last
+):
     """Tiles [first, last) of one log: LANES stretches of CHUNK intervals in a row are one tile.
 
     Without ``write`` only the turn of each tile is found, ``totals (tiles, 4)``; with it the
     attitudes go to ``out (N, m, 4)``, from q (4,), the attitude at the first tile's start, which is
-    left at the last tile's end.
+    left at the last tile's end. ``peak (tiles,)`` gets the largest component of a tile's angles
+    over an interval, rad.
     """
     F = type(q[0])
-    v, h, rows, wide, far, work = scratch(method, kind, data)
+    v, h, rows, wide, far, work, most = scratch(method, kind, data)
     starts = np.empty((4, LANES), dtype=data.dtype)
     history, span, _ = window_of(method, kind)
     fill_equal_intervals(spans, h)
@@ -341,12 +356,16 @@ def sweep_one(method, kind, data, before, after, spans, log, q, totals, out, wri
     for tile in range(first, last):
         for j in range(LANES):
             start[j] = (tile * LANES + j) * CHUNK
+            most[j] = F(0.0)
             rows[0, j] = F(1.0)
             rows[1, j] = F(0.0)
             rows[2, j] = F(0.0)
             rows[3, j] = F(0.0)
         gather(method, kind, flat, data, before, after, spans, body, start, 0, need, 0, LANES, v, h)
-        carry(method, kind, v, spans, h, rows, wide, far, work, CHUNK // span, need)
+        carry(method, kind, v, spans, h, rows, wide, far, work, most, CHUNK // span, need)
+        peak[tile] = F(0.0)
+        for j in range(LANES):
+            peak[tile] = max(peak[tile], most[j])
         total = connect(rows, CHUNK, starts)
         if write:
             turn_all(a, rows, CHUNK, starts)

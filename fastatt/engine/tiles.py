@@ -23,7 +23,7 @@ from numba import types
 from fastatt._jit import driver, helper, hook
 from fastatt.columns import load, store, unpack
 from fastatt.methods.method import enter, extras, is_staged, leave, prepare
-from fastatt.motion import carried, hand_out, handed_out, start
+from fastatt.motion import carried, hand_out, handed_out, invariants, restored, start
 from fastatt.representations import OPERATIONS
 from fastatt.translation import full_step
 
@@ -35,7 +35,8 @@ class Run(NamedTuple):
     """What one call of the driver does: steps [first, last) of a run.
 
     Saves are every ``save_every`` steps and at the end, the first in slot ``slot`` of the output:
-    1 where slot 0 holds the initial state, else 0.
+    1 where slot 0 holds the initial state, else 0. The state is brought back to its group every
+    ``restore`` steps, or never if that is 0; ``raw`` hands it out as it is.
     """
 
     t0: float
@@ -45,6 +46,8 @@ class Run(NamedTuple):
     n_steps: int
     save_every: int
     slot: int
+    restore: int = 0
+    raw: bool = False
 
 
 def short(rep: Any) -> Any:
@@ -177,7 +180,7 @@ def _scratch(
     size = carried(rep.instance_class, model)
     own = len(shape) if params.ndim == 2 else 0
     all_rows = size + 1 + own + extras(method.instance_class)
-    out = handed_out(rep.instance_class, model) + 1
+    out = handed_out(rep.instance_class, model) + 2
 
     def impl(method, rep, model, shape, params, x):
         return (
@@ -380,8 +383,10 @@ def resume(rows, x, start):
 
 
 @helper
-def save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h):
-    """What is handed out of the states after n steps, brought back to the group."""
+def save(
+    method, model, rep, rows, done, shape, params, shared, q0, w0, first, last, run, n, edge, h
+):
+    """What is handed out of the states after n steps, and how far they left what they keep."""
     F = type(h)
     top = height(rep, model)
     t = clock(params, run.t0 + n * run.h, h)
@@ -390,40 +395,87 @@ def save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h)
         p = parameters(params, shape, shared, rows, top, j)
         e = extras_of(method, params, shape, rows, top, j)
         x = leave(method, rep, model, t, since, F(edge), state(rep, model, rows, j), p, e)
-        y, d = hand_out(rep, model, x, p)
+        y, d = hand_out(rep, model, x, p, run.raw)
         store(done, 0, j, y)
-        done[done.shape[0] - 1, j] = d
+        done[done.shape[0] - 2, j] = d
+        x0 = start(rep, model, q0, w0, min(first + j, last), p)
+        done[done.shape[0] - 1, j] = departure(
+            invariants(rep, model, x0, p), invariants(rep, model, x, p), h
+        )
+
+
+def departure(a: Any, b: Any, like: Any) -> Any:
+    """Largest relative change from the invariants a to b, 0 where there are none."""
+    raise NotImplementedError
+
+
+@hook(departure)
+def _departure(a: types.BaseTuple, b: types.BaseTuple, like: types.Type) -> Any:
+    def none(a, b, like):
+        return type(like)(0.0)
+
+    def larger(a, b, like):
+        F = type(like)
+        one = F(1.0)
+        tiny = F(1e-37)
+        x = abs(b[0] / (a[0] if a[0] > tiny else one) - (one if a[0] > tiny else F(0.0)))
+        y = abs(b[1] / (a[1] if a[1] > tiny else one) - (one if a[1] > tiny else F(0.0)))
+        return x if x > y else y
+
+    return larger if len(a) else none
 
 
 @helper
-def put(done, out, defect, first, width):
+def worse(a, b):
+    """The larger of two numbers, or NaN."""
+    return a if a >= b or a != a else b  # noqa: PLR0124
+
+
+@helper
+def put(done, out, defect, watch, first, width):
     """Copy what is handed out to the ensemble's arrays."""
-    top = done.shape[0] - 1
+    top = done.shape[0] - 2
     for j in range(width):
         for i in range(top):
             out[first + j, i] = done[i, j]
         defect[first + j] = done[top, j]
+        watch[1, first + j] = worse(watch[1, first + j], abs(done[top, j]))
+        watch[2, first + j] = worse(watch[2, first + j], done[top + 1, j])
+
+
+@helper
+def mend(rep, model, rows, watch, first, width):
+    """Bring the states nearer to their group; how far they had left it is not forgotten."""
+    top = height(rep, model)
+    for j in range(WIDTH):
+        x, d = restored(rep, model, state(rep, model, rows, j))
+        store(rows, 0, j, x)
+        rows[top, j] = abs(d)
+    for j in range(width):
+        watch[1, first + j] = worse(watch[1, first + j], rows[top, j])
 
 
 def run_tiles(
-    method, rep, near, model, shape, params, q0, w0, x, h, stages, edge, run, out, defect, turn,
+    method, rep, near, model, shape, params, q0, w0, x, h, stages, edge, run, out, defect, watch,
     tile_first, tile_last,
 ):  # fmt: skip
     """Run steps [run.first, run.last) of the tiles [tile_first, tile_last).
 
     Starts from ``q0`` and ``w0`` or, where run.first > 0, from ``x (N, K)``, in which the states
-    are left; saves to ``out (S, N, K')`` and ``defect (S, N)``; ``turn (N,)`` grows to the largest
-    squared angle of a step. ``near`` is the twin of ``rep`` for turns of at most π; ``stages``
-    (M, 3) are those of the method, or () for one; ``edge`` the s that what is stepped lies ahead.
+    are left; saves to ``out (S, N, K')`` and ``defect (S, N)``. ``watch (3, N)`` grows to the
+    largest squared angle of a step, departure from the group, relative change of an invariant.
+    ``near`` is the twin of ``rep`` for turns of at most π; ``stages`` (M, 3) are those of the
+    method, or () for one; ``edge`` the s that what is stepped lies ahead.
     """
     rows, kept, done = scratch(method, rep, model, shape, params, x)
     size = height(rep, model)
+    end = x.shape[0] - 1
     shared = shared_parameters(params, shape)
     for tile in range(tile_first, tile_last):
         first = tile * WIDTH
         width = min(WIDTH, x.shape[0] - first)
         load_parameters(params, rows, size, first)
-        begin(model, rep, rows, shape, params, shared, q0, w0, first, x.shape[0] - 1)
+        begin(model, rep, rows, shape, params, shared, q0, w0, first, end)
         set_out(method, rep, model, rows, shape, params, shared, run, edge, h)
         if run.first > 0:
             resume(rows, x, first)
@@ -432,17 +484,24 @@ def run_tiles(
         while True:
             if due:
                 slot = (n - 1) // run.save_every + run.slot if n > 0 else 0
-                save(method, model, rep, rows, done, shape, params, shared, run, n, edge, h)
-                put(done, out[slot], defect[slot], first, width)
+                save(
+                    method, model, rep, rows, done, shape, params, shared, q0, w0, first, end,
+                    run, n, edge, h,
+                )  # fmt: skip
+                put(done, out[slot], defect[slot], watch, first, width)
             if n == run.last:
                 break
             stop = min(n + BLOCK, run.last, (n // run.save_every + 1) * run.save_every)
+            if run.restore > 0:
+                stop = min(stop, (n // run.restore + 1) * run.restore)
             block(
                 method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, n, stop
             )
             for j in range(width):
-                turn[first + j] = max(turn[first + j], rows[size, j])
+                watch[0, first + j] = max(watch[0, first + j], rows[size, j])
             n = stop
+            if run.restore > 0 and n % run.restore == 0:
+                mend(rep, model, rows, watch, first, width)
             due = n % run.save_every == 0 or n == run.n_steps
         for j in range(width):
             for i in range(size):

@@ -5,9 +5,11 @@ Every kernel is pure: tuples in, tuples out, no allocation, no branch, float64 o
 
 from fastatt.kernels import (
     axis_angle,
+    compensated,
     coning,
     dcm,
     elliptic,
+    error_state,
     euler313,
     free_body,
     moser_veselov,
@@ -15,15 +17,18 @@ from fastatt.kernels import (
     quat,
     rigid,
     so3,
+    sym3,
     trig,
     vec3,
 )
 
 __all__ = [
     "axis_angle",
+    "compensated",
     "coning",
     "dcm",
     "elliptic",
+    "error_state",
     "euler313",
     "free_body",
     "moser_veselov",
@@ -31,6 +36,7 @@ __all__ = [
     "quat",
     "rigid",
     "so3",
+    "sym3",
     "trig",
     "vec3",
 ]

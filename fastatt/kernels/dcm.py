@@ -30,6 +30,28 @@ def mul(a, b):
 
 
 @kernel
+def add(a, b):
+    """Sum a + b of any two matrices."""
+    return (
+        a[0] + b[0],
+        a[1] + b[1],
+        a[2] + b[2],
+        a[3] + b[3],
+        a[4] + b[4],
+        a[5] + b[5],
+        a[6] + b[6],
+        a[7] + b[7],
+        a[8] + b[8],
+    )
+
+
+@kernel
+def scale(k, a):
+    """Multiple k a of any matrix."""
+    return k * a[0], k * a[1], k * a[2], k * a[3], k * a[4], k * a[5], k * a[6], k * a[7], k * a[8]
+
+
+@kernel
 def transpose(a):
     """Transpose; of a rotation the inverse."""
     return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]

@@ -19,8 +19,9 @@ def to_quat(angles):
     F = type(angles[0])
     h = F(0.5)
     st, ct = sincos(h * angles[1])
-    sp, cp = sincos(h * (angles[0] + angles[2]))
-    sm, cm = sincos(h * (angles[0] - angles[2]))
+    a, b = h * angles[0], h * angles[2]
+    sp, cp = sincos(a + b)
+    sm, cm = sincos(a - b)
     return ct * cp, st * cm, st * sm, ct * sp
 
 

@@ -121,7 +121,9 @@ def log(q):
     y = q[2] / m
     z = q[3] / m
     r = math.sqrt(x * x + y * y + z * z)
-    half = atan2(m * r, abs(q[0]))
+    # in relation to the largest number: m r of subnormal ones would lose its digits
+    most = abs(q[0]) if abs(q[0]) > m else m
+    half = atan2(m / most * r, abs(q[0]) / most)
     f = F(2.0) * half / (r if r != F(0.0) else F(1.0))
     f = -f if q[0] < F(0.0) else f
     return f * x, f * y, f * z

@@ -10,7 +10,12 @@ from __future__ import annotations
 import math
 
 from fastatt._jit import kernel
-from fastatt.kernels.trig import cot_remainder, half_sinc_cos_wide, sin_remainder
+from fastatt.kernels.trig import (
+    cot_remainder,
+    half_sinc_cos_wide,
+    sin_remainder,
+    sin_second_remainder,
+)
 from fastatt.kernels.vec3 import cross, dot
 
 
@@ -86,6 +91,20 @@ def second_integral_coefficient(z):
     s, _ = half_sinc_cos_wide(z)
     _, r = jacobian_coefficients(quarter)
     return F(0.125) * (F(1.0) + s + s) * r
+
+
+@kernel
+def square_integral_coefficient(z):
+    """(θ³/3 − 2θ + 2 sin θ)/θ⁵ of z = θ², any θ, without cancellation.
+
+    ∫₀¹ Jr(sφ) Jr(sφ)ᵀ s² ds is 1/3 + this [φ]². Relative error at most 1e-15 (float64).
+    """
+    F = type(z)
+    past = z > F(math.pi * math.pi)
+    near = sin_second_remainder(F(1.0) if past else z)
+    _, r = jacobian_coefficients(z)
+    far = (F(1.0 / 3.0) - (r + r)) / (z if past else F(1.0))
+    return far if past else near + near
 
 
 @kernel

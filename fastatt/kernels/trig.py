@@ -145,6 +145,25 @@ def sin_remainder(z):
 
 
 @kernel
+def sin_second_remainder(z):
+    """(θ³/6 − θ + sin θ)/θ⁵ of z = θ², 0 ≤ θ ≤ π, where the plain formula loses every digit near 0.
+
+    Relative error at most 3e-16 (float64).
+    """
+    F = type(z)
+    g = F(1.8103850818789028e-20)
+    g = g * z + F(-8.197373496893103e-18)
+    g = g * z + F(2.8112641847069227e-15)
+    g = g * z + F(-7.647154830515165e-13)
+    g = g * z + F(1.605904361365561e-10)
+    g = g * z + F(-2.5052108382691778e-08)
+    g = g * z + F(2.7557319223972975e-06)
+    g = g * z + F(-0.0001984126984126983)
+    g = g * z + F(0.008333333333333333)
+    return g
+
+
+@kernel
 def cot_remainder(z):
     """(1 − (θ/2) cot(θ/2))/θ² of z = θ², 0 ≤ θ ≤ π; the pole at 2π is divided out of the fit.
 

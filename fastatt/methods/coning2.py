@@ -43,6 +43,8 @@ METHOD = sampled_method(
     name="coning2",
     order=4,
     exponentials=1,
+    of_rates=0.9,
+    of_increments=1.0,
     summary="two intervals at a time, (2/3) θ1×θ2 of increments",
     source="Bortz, IEEE Trans. AES 7 (1971); Savage, J. Guidance 21 (1998) 19",
 )

@@ -64,6 +64,8 @@ POLYNOMIAL = sampled_method(
     name="coning3",
     order=4,
     exponentials=1,
+    of_rates=0.7,
+    of_increments=0.8,
     summary="three intervals at a time, 33/80 and 57/80 of increments: right for any smooth motion",
     source="Savage, J. Guidance 21 (1998) 19; coefficients by a parabola through three increments",
 )
@@ -73,6 +75,7 @@ OPTIMAL = sampled_method(
     name="coning3_optimal",
     order=4,
     exponentials=1,
+    of_increments=0.7,
     summary="three equal intervals, 9/20 and 27/40: 200 times less drift in pure small coning",
     source="Miller, J. Guidance 6 (1983) 287",
 )

@@ -18,7 +18,7 @@ from fastatt.kernels import moser_veselov as mv
 from fastatt.kernels.vec3 import dot
 from fastatt.methods.method import FREE, Kernels, Method, register
 from fastatt.motion import attitude_of, momentum_of
-from fastatt.representations import compose
+from fastatt.representations import carry, compose, gain_vector
 
 
 class DMV2(NamedTuple):
@@ -157,12 +157,12 @@ def squared_turn(h, m, p):
 
 
 def enter(method, rep, model, t, s, k, x, p, e):
-    return attitude_of(rep, x) + mv.product(e[:3], momentum_of(rep, x))
+    return attitude_of(rep, x) + carry(rep, mv.product(e[:3], momentum_of(rep, x)))
 
 
 def leave(method, rep, model, t, s, k, x, p, e):
     u = momentum_of(rep, x)
-    return attitude_of(rep, x) + (u[0] / e[0], u[1] / e[1], u[2] / e[2])
+    return attitude_of(rep, x) + carry(rep, (u[0] / e[0], u[1] / e[1], u[2] / e[2]))
 
 
 @helper
@@ -180,12 +180,12 @@ def step(method, rep, model, t, h, k, x, p, e):
     kappa = e[3:6]
     a, c, inverse, z = turned(rep, attitude_of(rep, x), u, kappa, e[6])
     f = F(2.0) * inverse
-    u = (
-        u[0] + f * kappa[0] * (c[1] * c[2]),
-        u[1] + f * kappa[1] * (c[2] * c[0]),
-        u[2] + f * kappa[2] * (c[0] * c[1]),
+    d = (
+        f * kappa[0] * (c[1] * c[2]),
+        f * kappa[1] * (c[2] * c[0]),
+        f * kappa[2] * (c[0] * c[1]),
     )
-    return a + u, z
+    return a + gain_vector(rep, u, d), z
 
 
 def _method(cls: Any) -> Method:
@@ -201,7 +201,9 @@ def _method(cls: Any) -> Method:
         conserves=("norm", "momentum", "energy"),
         rate_calls=1,
         exponentials=0,
-        limits=dict.fromkeys(("quat", "dcm"), 1.0),
+        compensates=True,
+        measure="momentum",
+        limits=dict.fromkeys(("quat", "dcm"), 0.7 if order == 2 else 1.0),
         summary=f"{summary}; near machine precision at moderate steps" if order == 10 else summary,
         source="Hairer and Vilmart, J. Phys. A 39 (2006) 13225",
     )

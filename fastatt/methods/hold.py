@@ -30,6 +30,8 @@ METHOD = sampled_method(
     order=1,
     orders={"increments": 2},
     exponentials=1,
+    of_rates=0.1,
+    of_increments=0.8,
     summary="the rate held, or one increment a turn (then order 2); no coning correction",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), eq. 2.4",
 )

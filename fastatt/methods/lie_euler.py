@@ -26,6 +26,7 @@ METHOD = lie_method(
     order=1,
     rate_calls=1,
     exponentials=1,
+    limit=0.1,
     summary="exponential of the rate at the start; exact for a constant rate",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), eq. 2.4",
 )

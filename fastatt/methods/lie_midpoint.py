@@ -27,6 +27,7 @@ METHOD = lie_method(
     order=2,
     rate_calls=1,
     exponentials=1,
+    limit=0.7,
     summary="exponential of the rate at the middle; exact for a constant rate, reversible",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), §5",
 )

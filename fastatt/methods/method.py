@@ -13,6 +13,8 @@ from fastatt._jit import helper, hook
 from fastatt.motion import Body
 from fastatt.torques import RATE
 
+#: key of the limits of a rigid body
+BODY = "body"
 FREE = ("spherical", "symmetric", "free")
 BODIES = (*FREE, "torqued")
 
@@ -21,11 +23,15 @@ BODIES = (*FREE, "torqued")
 class Method:
     """One method's record: everything that tests, benches, tables and advice are made from.
 
-    ``limits`` is the largest |w|h (rad a step) for which the step is trustworthy, by
-    representation, and of ``dmv`` and ``srkn`` the largest |m|h/I_min; a rigid body on quaternions
-    has that of a matrix. Beyond, the body's status says so, but where the rate is constant and the
-    method ``exact_for_constant``. ``rate_calls`` is the number of evaluations of the rate or the
-    torque a step, ``exponentials`` that of exponentials.
+    ``limits`` is the largest |w|h (rad a step) for which a step is trustworthy, by representation:
+    its error is then at most 0.1 rad a rad turned, for rates that change no faster than the body
+    turns; of ``dmv`` and ``srkn`` the largest |m|h/I_min, of ``strang2`` and its compositions the
+    largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment. That of a rigid body
+    stands under "body", those of samples under "rates" and "increments". Beyond, the body's status
+    says so, but where the rate is constant and the method ``exact_for_constant``.
+    ``damping_limit`` is the largest c h/I of linear damping, whose factor is then right to 0.1.
+    ``rate_calls`` is the number of evaluations of the rate or the torque a step, ``exponentials``
+    that of exponentials.
     """
 
     name: str
@@ -48,6 +54,12 @@ class Method:
     sorted_axes: bool = False
     #: how a torque may depend on w: ``torques.POSITION``, ``DAMPED`` or ``RATE``
     takes: int = RATE
+    #: what ``limits`` hold for: "turn", "momentum" or "asymmetry"
+    measure: str = "turn"
+    #: largest c h/I, of linear damping
+    damping_limit: float = math.inf
+    #: whether it can carry what rounding loses
+    compensates: bool = False
 
     @property
     def translates(self) -> bool:
@@ -58,9 +70,10 @@ class Method:
         """Order on one kind of scene, where it differs from ``order``."""
         return self.orders.get(scene, self.order)
 
-    def limit(self, representation: str) -> float:
+    def limit(self, representation: str, *, body: bool = False) -> float:
         """Largest |w|h, rad."""
-        return self.limits.get(representation, math.inf)
+        own = self.limits.get(representation, math.inf)
+        return min(own, self.limits.get(BODY, math.inf)) if body else own
 
 
 class Kernels(NamedTuple):
@@ -113,6 +126,12 @@ _kernels: dict[type, Kernels] = {}
 def register(cls: type, kernels: Kernels) -> None:
     """Make ``kernels`` those of the tag class ``cls``."""
     _kernels[cls] = kernels
+
+
+@helper
+def larger(a, b):
+    """The larger of two squared turns."""
+    return a if a > b else b
 
 
 def extras(method: type) -> int:
@@ -202,6 +221,9 @@ def lie_method(
     exponentials: int,
     summary: str,
     source: str,
+    limit: float = math.pi,
+    body_limit: float = math.inf,
+    damping_limit: float = math.inf,
     exact_for_constant: bool = True,
 ) -> Method:
     """Record of a method whose state only ever turns: it stays on the group by construction."""
@@ -216,9 +238,10 @@ def lie_method(
         conserves=("norm",),
         rate_calls=rate_calls,
         exponentials=exponentials,
-        # a Magnus series converges below π; an exponential is fine at any angle
-        limits=dict.fromkeys((*representations, "direction"), math.pi),
+        limits={**dict.fromkeys((*representations, "direction"), limit), BODY: body_limit},
         summary=summary,
         source=source,
         exact_for_constant=exact_for_constant,
+        damping_limit=damping_limit,
+        compensates=True,
     )

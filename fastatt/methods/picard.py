@@ -171,6 +171,8 @@ METHOD = sampled_method(
     name="picard",
     order=8,
     exponentials=1,
+    of_rates=1.0,
+    of_increments=1.2,
     summary="six intervals at a time, iterated to round-off; for clean data and large turns",
     source="Wu, IEEE Trans. AES 54 (2018) 735 (RodFIter); Hairer, Lubich, Wanner, §II.1.2",
 )

@@ -37,6 +37,8 @@ METHOD = sampled_method(
     name="previous",
     order=3,
     exponentials=1,
+    of_rates=1.0,
+    of_increments=1.1,
     summary="one interval and the one before: causal, an attitude with every sample",
     source="Ignagni, J. Guidance 13 (1990) 363; Savage, J. Guidance 21 (1998) 19",
 )

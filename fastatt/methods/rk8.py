@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fastatt.columns import combine
+from fastatt.columns import combine, weighted
 from fastatt.methods.method import BODIES, Kernels, Method, register
-from fastatt.motion import field, given, turning
+from fastatt.motion import advanced, base, field, given, turning
+from fastatt.representations import plain
 
 _C = (
     0.0,
@@ -116,31 +117,33 @@ class RK8(NamedTuple):
 def step(method, rep, model, t, h, x, p):
     F = type(h)
     start = given(model, t, p, h)
-    k1 = field(rep, model, start, x, p)
-    y = combine(h, _A2, (k1,), x)
-    k2 = field(rep, model, given(model, t + F(_C[1]) * h, p, h), y, p)
-    y = combine(h, _A3, (k1, k2), x)
-    k3 = field(rep, model, given(model, t + F(_C[2]) * h, p, h), y, p)
-    y = combine(h, _A4, (k1, k3), x)
-    k4 = field(rep, model, given(model, t + F(_C[3]) * h, p, h), y, p)
-    y = combine(h, _A5, (k1, k3, k4), x)
-    k5 = field(rep, model, given(model, t + F(_C[4]) * h, p, h), y, p)
-    y = combine(h, _A6, (k1, k4, k5), x)
-    k6 = field(rep, model, given(model, t + F(_C[5]) * h, p, h), y, p)
-    y = combine(h, _A7, (k1, k4, k5, k6), x)
-    k7 = field(rep, model, given(model, t + F(_C[6]) * h, p, h), y, p)
-    y = combine(h, _A8, (k1, k4, k5, k6, k7), x)
-    k8 = field(rep, model, given(model, t + F(_C[7]) * h, p, h), y, p)
-    y = combine(h, _A9, (k1, k4, k5, k6, k7, k8), x)
-    k9 = field(rep, model, given(model, t + F(_C[8]) * h, p, h), y, p)
-    y = combine(h, _A10, (k1, k4, k5, k6, k7, k8, k9), x)
-    k10 = field(rep, model, given(model, t + F(_C[9]) * h, p, h), y, p)
-    y = combine(h, _A11, (k1, k4, k5, k6, k7, k8, k9, k10), x)
-    k11 = field(rep, model, given(model, t + F(_C[10]) * h, p, h), y, p)
-    end = combine(h, _A12, (k1, k4, k5, k6, k7, k8, k9, k10, k11), x)
-    k12 = field(rep, model, given(model, t + h, p, h), end, p)
-    x = combine(h, _B, (k1, k6, k7, k8, k9, k10, k11, k12), x)
-    return x, h * h * turning(rep, model, start, k1, end, p)
+    bare = plain(rep)
+    x0 = base(rep, model, x)
+    k1 = field(bare, model, start, x0, p)
+    y = combine(h, _A2, (k1,), x0)
+    k2 = field(bare, model, given(model, t + F(_C[1]) * h, p, h), y, p)
+    y = combine(h, _A3, (k1, k2), x0)
+    k3 = field(bare, model, given(model, t + F(_C[2]) * h, p, h), y, p)
+    y = combine(h, _A4, (k1, k3), x0)
+    k4 = field(bare, model, given(model, t + F(_C[3]) * h, p, h), y, p)
+    y = combine(h, _A5, (k1, k3, k4), x0)
+    k5 = field(bare, model, given(model, t + F(_C[4]) * h, p, h), y, p)
+    y = combine(h, _A6, (k1, k4, k5), x0)
+    k6 = field(bare, model, given(model, t + F(_C[5]) * h, p, h), y, p)
+    y = combine(h, _A7, (k1, k4, k5, k6), x0)
+    k7 = field(bare, model, given(model, t + F(_C[6]) * h, p, h), y, p)
+    y = combine(h, _A8, (k1, k4, k5, k6, k7), x0)
+    k8 = field(bare, model, given(model, t + F(_C[7]) * h, p, h), y, p)
+    y = combine(h, _A9, (k1, k4, k5, k6, k7, k8), x0)
+    k9 = field(bare, model, given(model, t + F(_C[8]) * h, p, h), y, p)
+    y = combine(h, _A10, (k1, k4, k5, k6, k7, k8, k9), x0)
+    k10 = field(bare, model, given(model, t + F(_C[9]) * h, p, h), y, p)
+    y = combine(h, _A11, (k1, k4, k5, k6, k7, k8, k9, k10), x0)
+    k11 = field(bare, model, given(model, t + F(_C[10]) * h, p, h), y, p)
+    end = combine(h, _A12, (k1, k4, k5, k6, k7, k8, k9, k10, k11), x0)
+    k12 = field(bare, model, given(model, t + h, p, h), end, p)
+    d = weighted(h, _B, (k1, k6, k7, k8, k9, k10, k11, k12))
+    return advanced(rep, model, x, d), h * h * turning(bare, model, start, k1, end, p)
 
 
 register(RK8, Kernels(body=step))
@@ -154,14 +157,16 @@ METHOD = Method(
     conserves=(),
     rate_calls=12,
     exponentials=0,
-    # edge of the stability region on the imaginary axis, as of rk4
+    compensates=True,
+    # stable up to 5.97
     limits={
-        "quat": 11.94,
-        "dcm": 5.97,
-        "dcm_rows": 5.97,
+        "quat": 3.9,
+        "dcm": 3.9,
+        "dcm_rows": 3.9,
         "euler313": 0.3,
         "rotation_vector": 0.3,
     },
+    damping_limit=5.1,
     summary="explicit, 12 stages: any torque, tight tolerances",
     source="Dormand and Prince; Hairer, Nørsett, Wanner, Solving ODEs I (1993), §II.5, DOP853",
 )

@@ -8,6 +8,7 @@ first and last fit that of the nearest whole window.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -46,6 +47,12 @@ class Window(NamedTuple):
     increments: Callable[..., Any] | None = None
     tile: Callable[..., Any] | None = None
     work_rows: int = 0
+
+    @property
+    def near(self) -> float:
+        """Angle (rad) of the largest component over an interval below which no turn passes π."""
+        # a polynomial through samples stays below 4 times the largest where it is used
+        return 3.0 / (8.0 * (self.span + self.history))
 
     def samples(self, kind: type) -> int:
         """Number of samples in the window."""
@@ -153,8 +160,16 @@ def _products(q: types.BaseTuple, d: types.BaseTuple) -> Any:
     return lambda q, d: quat.mul(q, d[:4]) + products(q, d[4:])
 
 
-def sampled_method(tag: Any, window: Window, *, order: int, **fields: Any) -> Method:
-    """Record of a method for samples."""
+def sampled_method(
+    tag: Any,
+    window: Window,
+    *,
+    order: int,
+    of_rates: float = math.inf,
+    of_increments: float = math.inf,
+    **fields: Any,
+) -> Method:
+    """Record of a method for samples, with its largest |w| over an interval, rad, for each kind."""
     WINDOWS[type(tag)] = window
     kinds = []
     if window.rates or window.tile:
@@ -168,6 +183,6 @@ def sampled_method(tag: Any, window: Window, *, order: int, **fields: Any) -> Me
         representations=("quat",),
         conserves=("norm",),
         rate_calls=1,
-        limits={},
+        limits={"rates": of_rates, "increments": of_increments},
         **fields,
     )

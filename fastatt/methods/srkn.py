@@ -95,6 +95,7 @@ def _method(cls: type, order: int, stages: tuple[tuple[float, float, float], ...
         conserves=("norm",),
         rate_calls=len(stages),
         exponentials=0,
+        measure="momentum",
         limits=dict.fromkeys(("quat", "dcm"), 1.0),
         summary="kicks between steps of free motion; torques that do not depend on w",
         source="Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313, table 3",

@@ -9,30 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import rates
-from fastatt.arrays import angle_between
+from fastatt.arrays import angle_between, quat_multiply
 from fastatt.engine.pool import progress_bar
+from fastatt.ensemble import Ensemble
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.propagate import methods_for
 from fastatt.scene import Scene
 from fastatt.trade.measure import Case, Problem, Row, Rung, best_time, ladder_rows, measure
+from fastatt.trade.reference import coning_attitudes, reference
 
 T_END = 20.0
 RATE, SAMPLES = "rate function", "samples"
 # an inertial frame askew of the cone: about its own axis 3-1-3 angles are exact by accident
 TILT = (0.48, -0.6, 0.64, 0.0)
-
-
-def coning_attitudes(
-    angle: NDArray[Any], frequency: NDArray[Any], t: NDArray[Any]
-) -> NDArray[np.float64]:
-    """Exact attitudes (S, N, 4) of ``rates.Coning`` bodies at times t (S,), in a tilted frame."""
-    phase = frequency * t[:, None]
-    c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
-    x, y = s * np.cos(phase), s * np.sin(phase)
-    a, b, d, _ = TILT
-    columns = [a * c - b * x - d * y, a * x + b * c, a * y + d * c, b * y - d * x]
-    return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 def coning_rates(
@@ -68,16 +58,17 @@ def coning_trade(
     generator = np.random.default_rng(1)
     angle = generator.uniform(0.2, 1.5, n_bodies)
     frequency = generator.uniform(0.5, 2.0, n_bodies)
-    q0 = coning_attitudes(angle, frequency, np.zeros(1))[0]
-    exact = coning_attitudes(angle, frequency, np.array([T_END]))[0]
-    problem = Problem(RATE, Scene(rate=rates.Coning(angle, frequency)), q0, None, T_END, exact)
+    q0 = quat_multiply(TILT, coning_attitudes(angle, frequency, np.zeros(1))[0])
+    scene = Scene(rate=rates.Coning(angle, frequency))
+    problem = Problem(Ensemble(scene, q0), T_END)
+    end = reference(problem).end
 
     def sampled(case: Case, n: int) -> Rung:
         data = coning_rates(angle, frequency, np.linspace(0.0, T_END, n + 1))
         seconds, q = best_time(
             lambda: integrate_rates(data, T_END / n, q0, method=case.method), repeats
         )
-        return Rung(n, seconds, angle_between(q[:, -1], exact))
+        return Rung(n, seconds, angle_between(q[:, -1], end.q))
 
     wanted: Mapping[str, Sequence[Case]] = coning_cases() if cases is None else cases
     rows: list[Row] = []
@@ -85,7 +76,7 @@ def coning_trade(
         for source, of_source in wanted.items():
             for case in of_source:
                 ladder = [
-                    measure(problem, case, n, repeats) if source == RATE else sampled(case, n)
+                    measure(problem, end, case, n, repeats) if source == RATE else sampled(case, n)
                     for n in steps
                 ]
                 rows += ladder_rows(source, case, T_END, ladder)

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import csv
 import math
+import os
+import platform
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from importlib import metadata
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,16 +19,23 @@ from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
 from fastatt.drift import drift
+from fastatt.engine.pool import default_threads
+from fastatt.ensemble import Ensemble
+from fastatt.limits import StepWarning
+from fastatt.methods import METHODS
 from fastatt.propagate import propagate
-from fastatt.scene import Scene
+from fastatt.trajectory import Status, Trajectory
 
 if TYPE_CHECKING:
     from fastatt import plots
 
 _SAVES = 8  # at which the drift is looked at
-# medians below so many units of round-off say nothing of the order
-_ROUND_OFF = 5000.0
-_DRAWN = ("quat", "dcm")
+DRAWN = ("quat", "dcm", "quat in float32")
+PLATEAU = "round-off"
+# units of rounding that any attitude may be off by
+_ROUNDED = 20.0
+# s of runs, among which one is not disturbed
+_ENOUGH = 0.02
 
 
 class Case(NamedTuple):
@@ -34,18 +45,55 @@ class Case(NamedTuple):
     representation: str = "quat"
     dtype: str = "float64"
 
+    def __str__(self) -> str:
+        return f"{self.method} ({self.representation}, {self.dtype})"
+
+
+class State(NamedTuple):
+    """Attitudes (..., 4) and, where the scene carries it, angular velocities (..., 3), rad/s."""
+
+    q: NDArray[Any]
+    w: NDArray[Any] | None = None
+
 
 @dataclass(frozen=True)
 class Problem:
-    """An ensemble and where it is at ``t_end``; rate scenes have no angular velocities."""
+    """An ensemble, with a row for each body, from t0 to t0 + t_end, s."""
 
-    name: str
-    scene: Scene
-    q0: NDArray[np.float64]
-    w0: NDArray[np.float64] | None
+    ensemble: Ensemble
     t_end: float
-    q_end: NDArray[np.float64]
-    w_end: NDArray[np.float64] | None = None
+    t0: float = 0.0
+    n_threads: int | None = None
+
+    def run(self, case: Case, n_steps: int, save_every: int | None = None) -> Trajectory:
+        """Propagate it in ``n_steps`` equal steps, be they too large."""
+        e = self.ensemble
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StepWarning)
+            return propagate(
+                e.scene,
+                e.q0,
+                e.w0,
+                v0=e.v0,
+                r0=e.r0,
+                dt=self.t_end / n_steps,
+                n_steps=n_steps,
+                method=case.method,
+                representation=case.representation,
+                dtype=case.dtype,
+                save_every=save_every,
+                n_threads=self.n_threads,
+                t0=self.t0,
+            )
+
+    def end(self, case: Case, n_steps: int) -> State:
+        """Where it is then."""
+        return last_state(self.run(case, n_steps))
+
+
+def last_state(run: Trajectory) -> State:
+    """The final attitudes, and the angular velocities that are part of the state."""
+    return State(run.q[-1], run.w[-1] if "w" in run.carried else None)
 
 
 @dataclass(frozen=True)
@@ -59,16 +107,18 @@ class Rung:
     rate_error: NDArray[np.float64] | None = None
     energy: float | None = None
     momentum: float | None = None
-    flagged: int = 0
+    status: str = ""
 
 
 @dataclass(frozen=True)
 class Row:
     """One method at one step on an ensemble.
 
-    Errors are those at the end: angles in rad, angular velocities in rad/s. ``defect`` is the
-    largest | |q| − 1 | or ‖C Cᵀ − 1‖ on the way; the drifts of energy and momentum, relative, are
-    empty where the scene keeps neither. ``flagged`` counts the bodies whose status is not 0.
+    Errors are those at the end: angles in rad, angular velocities in rad/s; ``p95`` is what 95 % of
+    the bodies stay below. ``defect`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ on the way; the
+    drifts of energy and momentum, relative, are empty where the scene keeps neither. ``order`` is
+    that from the row before; ``plateau`` says "round-off" where a smaller step gains nothing more,
+    and there is none. ``status`` counts the bodies that carry a flag.
     """
 
     input: str
@@ -77,73 +127,99 @@ class Row:
     dtype: str
     dt: float
     error_median: float
+    error_p95: float
     error_max: float
     rate_error_median: float | None
+    rate_error_max: float | None
     defect_max: float
     energy_drift_max: float | None
     momentum_drift_max: float | None
     seconds_per_body: float
     steps_per_second: float
     order: float | None
-    flagged: int
+    plateau: str
+    status: str
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Shortest of a few runs after a warm-up, and the result."""
+    """Shortest of a few runs after a warm-up, of more where they are short, and the result."""
     result = call()
-    times = []
-    for _ in range(repeats):
+    times: list[float] = []
+    while len(times) < repeats or (sum(times) < _ENOUGH and len(times) < 10 * repeats):
         begin = perf_counter()
         result = call()
         times.append(perf_counter() - begin)
     return min(times), result
 
 
-def measure(problem: Problem, case: Case, n_steps: int, repeats: int) -> Rung:
+def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int) -> Rung:
     """Run a case for its drift, then for its time and error with the final state alone."""
-
-    def run(save_every: int | None = None) -> Any:
-        return propagate(
-            problem.scene,
-            problem.q0,
-            problem.w0,
-            dt=problem.t_end / n_steps,
-            n_steps=n_steps,
-            method=case.method,
-            representation=case.representation,
-            dtype=case.dtype,
-            save_every=save_every,
-        )
-
-    watched = run(max(1, n_steps // _SAVES))
-    kept = drift(watched, problem.scene)
-    seconds, result = best_time(run, repeats)
+    watched = problem.run(case, n_steps, max(1, n_steps // _SAVES))
+    lost = bool((watched.status & Status.NON_FINITE).any())
+    kept = None if lost else drift(watched, problem.ensemble.scene)
+    seconds, result = best_time(lambda: problem.run(case, n_steps), repeats)
+    found = last_state(result)
     rate_error = None
-    if problem.w_end is not None:
-        rate_error = np.linalg.norm(result.w[-1] - problem.w_end, axis=-1)
+    if end.w is not None:
+        rate_error = np.linalg.norm(found.w - end.w, axis=-1)
+    counts = result.status_counts().items()
     return Rung(
         n_steps=n_steps,
         seconds=seconds,
-        error=angle_between(result.q[-1], problem.q_end),
+        error=angle_between(found.q, end.q),
         defect=float(np.abs(watched.defect).max()),
         rate_error=rate_error,
-        energy=None if kept.energy is None else float(kept.energy.max()),
-        momentum=None if kept.momentum is None else float(kept.momentum.max()),
-        flagged=int(np.count_nonzero(result.status)),
+        energy=None if kept is None or kept.energy is None else float(kept.energy.max()),
+        momentum=None if kept is None or kept.momentum is None else float(kept.momentum.max()),
+        status=", ".join(f"{name} {count}" for name, count in counts),
     )
 
 
-def ladder_rows(name: str, case: Case, t_end: float, ladder: Sequence[Rung]) -> list[Row]:
-    """Rows of a ladder of falling steps, with the order from each rung to the next."""
+def round_off(dtype: str, n_steps: int) -> float:
+    """An angle, rad, that rounding may well sum up to: errors below need not be the method's."""
+    return 100.0 * _eps(dtype) * (50.0 + n_steps)
+
+
+def _eps(dtype: str) -> float:
+    return float(np.finfo(dtype).eps)
+
+
+def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int, float]) -> bool:
+    """Whether rounding is what keeps the error from falling; each is (steps, error in rad)."""
+    (n, before), (m, after) = coarse, fine
+    steep = after < before * (n / m) ** (0.75 * order)
+    return (not steep and after < round_off(case.dtype, m)) or after < _ROUNDED * _eps(case.dtype)
+
+
+def _plateau(case: Case, order: int, ladder: Sequence[Rung]) -> list[bool]:
+    """Which rungs of falling steps lie where rounding limits."""
+    points = [(r.n_steps, float(np.median(r.error))) for r in ladder]
+    flat = [False] * len(points)
+    for i in range(1, len(points)):
+        flat[i] = flat[i - 1] or is_flat(case, order, points[i - 1], points[i])
+    # one that is hardly above those that follow is among them
+    for i in range(len(points) - 1):
+        level = max((e for _, e in points[i + 1 :]), default=0.0)
+        flat[i] |= flat[i + 1] and points[i][1] <= 4.0 * level
+    return flat
+
+
+def ladder_rows(
+    name: str, case: Case, t_end: float, ladder: Sequence[Rung], order: int | None = None
+) -> list[Row]:
+    """Rows of a ladder of falling steps, with the order from each rung to the next.
+
+    ``order`` is the one declared, None for that of the method's record.
+    """
     rows = []
-    floor = _ROUND_OFF * float(np.finfo(case.dtype).eps)
+    flat = _plateau(case, METHODS[case.method].order if order is None else order, ladder)
     for i, rung in enumerate(ladder):
         median = float(np.median(rung.error))
-        order = None
-        if i and median > floor:
+        found = None
+        if i and median > 0.0 and not flat[i]:
             before = ladder[i - 1]
             fall = math.log(float(np.median(before.error)) / median)
-            order = fall / math.log(rung.n_steps / before.n_steps)
+            found = fall / math.log(rung.n_steps / before.n_steps)
         rate = rung.rate_error
         rows.append(
             Row(
@@ -153,15 +229,18 @@ def ladder_rows(name: str, case: Case, t_end: float, ladder: Sequence[Rung]) -> 
                 dtype=case.dtype,
                 dt=t_end / rung.n_steps,
                 error_median=median,
+                error_p95=float(np.quantile(rung.error, 0.95)),
                 error_max=float(np.max(rung.error)),
                 rate_error_median=None if rate is None else float(np.median(rate)),
+                rate_error_max=None if rate is None else float(np.max(rate)),
                 defect_max=rung.defect,
                 energy_drift_max=rung.energy,
                 momentum_drift_max=rung.momentum,
                 seconds_per_body=rung.seconds / rung.error.size,
                 steps_per_second=rung.error.size * rung.n_steps / rung.seconds,
-                order=order,
-                flagged=rung.flagged,
+                order=found,
+                plateau=PLATEAU if flat[i] else "",
+                status=rung.status,
             )
         )
     return rows
@@ -172,16 +251,20 @@ _COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("method", "method", str),
     ("rep", "representation", str),
     ("dtype", "dtype", str),
-    ("dt, s", "dt", lambda x: f"{x:.4f}"),
+    ("dt, s", "dt", lambda x: f"{x:.4g}"),
     ("median, rad", "error_median", lambda x: f"{x:.2e}"),
-    ("max, rad", "error_max", lambda x: f"{x:.1e}"),
+    ("95 %", "error_p95", lambda x: f"{x:.1e}"),
+    ("max", "error_max", lambda x: f"{x:.1e}"),
     ("w, rad/s", "rate_error_median", lambda x: f"{x:.1e}"),
+    ("max", "rate_error_max", lambda x: f"{x:.1e}"),
     ("defect", "defect_max", lambda x: f"{x:.1e}"),
     ("energy", "energy_drift_max", lambda x: f"{x:.1e}"),
     ("momentum", "momentum_drift_max", lambda x: f"{x:.1e}"),
     ("order", "order", lambda x: f"{x:.2f}"),
+    ("limit", "plateau", str),
+    ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
     ("M steps/s", "steps_per_second", lambda x: f"{x / 1e6:.3g}"),
-    ("flagged", "flagged", lambda x: str(x) if x else ""),
+    ("status", "status", str),
 )
 
 
@@ -208,23 +291,31 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
     return best
 
 
-def panel(title: str, t_end: float, rows: Sequence[Row]) -> plots.Panel:
-    """A curve for each method on quaternions and on matrices in float64, and their frontier."""
+def panel(
+    title: str, t_end: float, rows: Sequence[Row], kinds: Sequence[str] = DRAWN
+) -> plots.Panel:
+    """A curve for each method and kind of ``DRAWN``, and the frontier of all that is drawn."""
     from fastatt import plots
 
-    drawn = [r for r in rows if r.representation in _DRAWN and r.dtype == "float64"]
+    drawn = [r for r in rows if _curve(r) in kinds]
     groups: dict[tuple[str, str], list[Row]] = {}
     for r in drawn:
-        groups.setdefault((r.method, r.representation), []).append(r)
+        groups.setdefault((r.method, _curve(r)), []).append(r)
     ladders = [_ladder(*key, own) for key, own in groups.items()]
     return plots.Panel(title, t_end, ladders, _ladder("", "", frontier(drawn)))
 
 
-def _ladder(method: str, rep: str, rows: Sequence[Row]) -> plots.Ladder:
+def _curve(row: Row) -> str:
+    """What sort of line a row is on."""
+    single = row.dtype == "float32"
+    return f"{row.representation} in {row.dtype}" if single else row.representation
+
+
+def _ladder(method: str, kind: str, rows: Sequence[Row]) -> plots.Ladder:
     from fastatt import plots
 
     return plots.Ladder(
-        method, rep, [r.seconds_per_body for r in rows], [r.error_median for r in rows]
+        method, kind, [r.seconds_per_body for r in rows], [r.error_median for r in rows]
     )
 
 
@@ -234,3 +325,28 @@ def write_csv(path: Path, rows: Sequence[Any]) -> None:
         writer = csv.DictWriter(file, [f.name for f in fields(rows[0])])
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
+
+
+def machine() -> dict[str, str | int]:
+    """What the figures are measured on."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = info.read_text().splitlines()
+        names = [ln.split(":", 1)[1].strip() for ln in lines if ln.startswith("model name")]
+        model = names[0] if names else model
+    return {
+        "processor": model,
+        "threads": default_threads(),
+        "threads of the machine": os.cpu_count() or 1,
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in ("numba", "numpy")},
+    }
+
+
+def machine_line() -> str:
+    """The same in a line."""
+    m = machine()
+    threads = f"{m['threads']} of {m['threads of the machine']} threads"
+    return f"{m['processor']}, {threads}, Python {m['python']}"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fastatt import gyrolog
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.trade.error_budget import LEAST, error_budget
 from fastatt.trade.measure import best_time
 
 if TYPE_CHECKING:
@@ -126,25 +127,19 @@ def compare_on_log(
     max_gap: float | None = None,
     methods: Sequence[str] | None = None,
 ) -> str:
-    """Table: how far the methods differ on a log, and what the sample rate itself costs.
+    """Table: how far the methods differ on a log, and where the error of one comes from.
 
     ``methods`` are the others to compare with, None for all.
     """
     if methods is not None:
         methods = list(dict.fromkeys((*methods, method, *_RIVALS)))
-    rows = log_rows(log, repeats=1, max_gap=max_gap, methods=methods)
-    table = log_table(rows)
-    own = next(r for r in rows if r.method == method)
-    spread = max(r.difference_max for r in rows if r.method in _RIVALS)
-    verdict = (
-        "the sample rate is what limits, more than the method"
-        if own.half_rate_difference_max > spread
-        else "the method matters more than the sample rate"
+    table = log_table(log_rows(log, repeats=1, max_gap=max_gap, methods=methods))
+    if len(log.rates) < LEAST:
+        return f"{table}\n{len(log.rates)} samples: too few to tell where the error comes from"
+    budget = error_budget(
+        log.rates, log.dt, _start(log), method=method, max_gap=max_gap, rivals=methods
     )
-    return (
-        f"{table}\nhalf the samples change {method} by {own.half_rate_difference_max:.2g} deg, "
-        f"the choice among {', '.join(_RIVALS)} and {REFERENCE} by {spread:.2g} deg: {verdict}"
-    )
+    return f"{table}\n{budget}"
 
 
 def log_table(rows: Iterable[LogRow]) -> str:

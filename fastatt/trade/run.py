@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fastatt import checks, gyrolog
-from fastatt.engine.pool import default_threads
 from fastatt.integrate import methods_for_samples
 from fastatt.trade import recordings
 from fastatt.trade.bodies import BODY_SCENES, body_cases, body_scene, body_trade
 from fastatt.trade.bodies import T_END as BODY_T_END
 from fastatt.trade.coning import RATE, SAMPLES, coning_cases, coning_trade
 from fastatt.trade.coning import T_END as CONING_T_END
-from fastatt.trade.measure import Case, Row, frontier, panel, trade_table, write_csv
+from fastatt.trade.measure import (
+    Case,
+    Row,
+    frontier,
+    machine_line,
+    panel,
+    trade_table,
+    write_csv,
+)
 from fastatt.trade.motions import herpolhodes, nutations, polhodes
 
 RECORDED, CONING = "recordings", "coning"
@@ -24,6 +29,7 @@ DEFAULT_SCENES = (RECORDED, CONING)
 _CONING_STEPS = (50, 100, 200, 400, 800, 1600)
 _BODY_STEPS = (25, 50, 100, 200, 400, 800)
 _QUICK_STEPS = (50, 100)
+_DRAWN = ("quat", "dcm")
 _TITLES = {
     RATE: "rate as a function of time",
     SAMPLES: "rate as samples",
@@ -70,7 +76,7 @@ def run_trade(
         read = [gyrolog.read_log(path) for path in paths]
     out.mkdir(parents=True, exist_ok=True)
     repeats = 1 if quick else 3
-    print(machine())
+    print(machine_line())
     files = []
     if RECORDED in plan:
         files += _run_recordings(out, read, plan[RECORDED], repeats)
@@ -141,7 +147,7 @@ def _run_coning(
     write_csv(out / "trade.csv", rows)
     by_input = {source: [r for r in rows if r.input == source] for source in cases}
     _print_frontiers(by_input)
-    panels = [panel(_TITLES[source], CONING_T_END, own) for source, own in by_input.items()]
+    panels = [panel(_TITLES[source], CONING_T_END, own, _DRAWN) for source, own in by_input.items()]
     plots.work_precision(
         panels, "Ensemble of coning bodies: what accuracy costs", out / "trade.png"
     )
@@ -157,11 +163,11 @@ def _run_bodies(
     for name, of_scene in cases.items():
         bodies = body_scene(name, n_bodies)
         print(f"\n{bodies.describe()}", flush=True)
-        by_input[name] = body_trade(bodies, steps, repeats, progress, of_scene)
+        by_input[name] = body_trade(name, bodies, steps, repeats, progress, of_scene)
         print(trade_table(by_input[name]))
     write_csv(out / "bodies.csv", [row for rows in by_input.values() for row in rows])
     _print_frontiers(by_input)
-    panels = [panel(_TITLES[name], BODY_T_END, rows) for name, rows in by_input.items()]
+    panels = [panel(_TITLES[name], BODY_T_END, rows, _DRAWN) for name, rows in by_input.items()]
     plots.work_precision(
         panels, "Ensembles of rigid bodies: what accuracy costs", out / "bodies.png"
     )
@@ -179,15 +185,3 @@ def _print_frontiers(by_input: Mapping[str, Sequence[Row]]) -> None:
     for source, rows in by_input.items():
         print(f"\nFrontier, {_TITLES[source]}: the cheapest way to each error")
         print(trade_table(frontier(rows)))
-
-
-def machine() -> str:
-    """What the figures were measured on."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = info.read_text().splitlines()
-        names = [ln.split(":", 1)[1].strip() for ln in lines if ln.startswith("model name")]
-        model = names[0] if names else model
-    threads = default_threads()
-    return f"{model}, {threads} of {os.cpu_count()} threads, Python {platform.python_version()}"

@@ -1,0 +1,317 @@
+"""Is the advice any good? Random scenes: what ``fastatt.recommend`` says beside a full sweep.
+
+For each scene of each kind a tolerance and a duration are drawn; what is recommended is run on the
+whole ensemble and measured against a tight reference, and every method and precision is swept for
+the least number of steps that meets the tolerance. Printed are the share of scenes whose true
+error is within the tolerance, and the share whose time is within 1.3 times the best of the sweep.
+
+    python bench/advice.py --scenes 200 --seed 1 --out advice.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numba import njit
+
+import fastatt as fa
+from fastatt.engine.pool import progress_bar
+from fastatt.ensemble import Ensemble
+from fastatt.kernels.trig import sincos
+from fastatt.trade.measure import Case, Problem, machine_line, write_csv
+from fastatt.trade.reference import reference, turns
+from fastatt.trade.work_precision import cases_of
+
+N_BODIES = 4096
+RATIO = 2.0 ** (1.0 / 6.0)  # between the sweep's numbers of steps
+SLOWER = 2.0  # a sweep gives a case up where it takes so many times as long as the best
+
+
+@njit
+def swinging(t, p):
+    s, c = sincos(p[3] * t)
+    return p[0] * s, p[1] * c, p[2] + p[0] * s * c
+
+
+def vectors(rng, n, size):
+    return rng.normal(size=(n, 3)) * size
+
+
+def moments(rng, n):
+    """Of solid bodies: the sums of two of three positive numbers."""
+    a = rng.uniform(0.3, 1.5, (n, 3))
+    return a.sum(axis=1, keepdims=True) - a
+
+
+def torqued(rng, n, torque):
+    return fa.Scene(inertia=moments(rng, n), torque=torque)
+
+
+def several(rng, n):
+    return fa.torques.Sum(
+        (
+            fa.torques.GravityGradient(rng.uniform(0.05, 0.3)),
+            fa.torques.Damping(rng.uniform(0.01, 0.1)),
+            fa.torques.Rotor(rng.normal(size=3) * 0.2),
+        )
+    )
+
+
+KINDS: dict[str, Callable[[np.random.Generator, int], fa.Scene]] = {
+    "constant": lambda r, n: fa.Scene(rate=fa.rates.Constant(vectors(r, n, 1.0))),
+    "polynomial": lambda r, n: fa.Scene(
+        rate=fa.rates.Polynomial(r.normal(size=(n, 4, 3)) * [[1.0], [0.1], [0.01], [1e-3]])
+    ),
+    "coning": lambda r, n: fa.Scene(
+        rate=fa.rates.Coning(r.uniform(0.05, 1.5, n), r.uniform(0.3, 3.0, n))
+    ),
+    "inertial": lambda r, n: fa.Scene(
+        rate=fa.rates.Sinusoidal(
+            vectors(r, n, 0.5), vectors(r, n, 0.5), r.uniform(0.3, 3.0, (n, 3))
+        ),
+        frame="inertial",
+    ),
+    "function": lambda r, n: fa.Scene(rate=swinging, params=r.uniform(0.3, 1.5, (n, 4))),
+    "spherical": lambda r, n: fa.Scene(inertia=np.ones(3) * r.uniform(0.5, 2.0)),
+    "symmetric": lambda r, n: fa.Scene(inertia=(1.0, 1.0, r.uniform(0.3, 1.9))),
+    "free": lambda r, n: fa.Scene(inertia=moments(r, n)),
+    "gravity": lambda r, n: torqued(r, n, fa.torques.GravityGradient(r.uniform(0.05, 0.5))),
+    "damped": lambda r, n: torqued(r, n, fa.torques.Damping(r.uniform(0.01, 0.3))),
+    "top": lambda r, n: fa.Scene(
+        inertia=(1.0, 1.0, r.uniform(0.3, 1.5)),
+        torque=fa.torques.HeavyTop(arm=(0.0, 0.0, 0.1), weight=r.uniform(1.0, 20.0)),
+    ),
+    "dipole": lambda r, n: torqued(
+        r, n, fa.torques.MagneticDipole(r.normal(size=3), r.normal(size=3))
+    ),
+    "controlled": lambda r, n: torqued(
+        r, n, fa.torques.QuaternionPD(r.uniform(0.1, 1.0), r.uniform(0.1, 1.0))
+    ),
+    "rotor": lambda r, n: torqued(r, n, fa.torques.Rotor(r.normal(size=3) * 0.5)),
+    "several": lambda r, n: torqued(r, n, several(r, n)),
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One scene: what was recommended, what was true, and the best that the sweep found."""
+
+    seed: int
+    number: int
+    kind: str
+    tol: float
+    t_end: float
+    recommended: str
+    n_steps: int
+    expected_error: float
+    true_error: float
+    expected_seconds: float
+    seconds: float
+    best: str
+    best_steps: int
+    best_seconds: float
+    advice_seconds: float
+    limited_by: str
+    refused: str
+
+    @property
+    def met(self) -> bool:
+        return self.true_error <= self.tol
+
+    @property
+    def ratio(self) -> float:
+        return self.seconds / self.best_seconds
+
+
+def draw(seed: int, number: int, n: int) -> tuple[str, Problem, float]:
+    """A kind in turn, with a scene, a duration and a tolerance by chance."""
+    rng = np.random.default_rng((seed, number))
+    kind = list(KINDS)[number % len(KINDS)]
+    scene = KINDS[kind](rng, n)
+    q0 = rng.normal(size=(n, 4))
+    w0 = None if scene.kind == "rate" else vectors(rng, n, 10.0 ** rng.uniform(-0.5, 0.5))
+    t_end = 10.0 ** rng.uniform(0.3, 1.7)
+    return kind, Problem(Ensemble(scene, q0, w0), t_end), 10.0 ** rng.uniform(-10.0, -2.0)
+
+
+def error(problem: Problem, case: Case, n: int, exact: np.ndarray) -> float:
+    run = problem.run(case, n)
+    apart = fa.angle_between(run.q[-1], exact).max()
+    return math.inf if run.status.any() or not np.isfinite(apart) else float(apart)
+
+
+def once(problem: Problem, case: Case, n: int) -> float:
+    begin = perf_counter()
+    problem.run(case, n)
+    return perf_counter() - begin
+
+
+def least(
+    problem: Problem, case: Case, tol: float, exact: np.ndarray, best: float
+) -> tuple[int, float] | None:
+    """The least number of steps on a fine ladder that meets the tolerance, and its time."""
+    method = fa.METHODS[case.method]
+    if not method.order:
+        return (1, once(problem, case, 1)) if error(problem, case, 1, exact) <= tol else None
+    turn = turns(problem)
+    constant = problem.ensemble.scene.is_constant and method.exact_for_constant
+    first = 1.0 if constant else max(1.0, turn / 3.0)
+    low, k = -1, 0
+    while True:
+        n = math.ceil(first * RATIO**k)
+        if error(problem, case, n, exact) <= tol:
+            break
+        if min(once(problem, case, n) for _ in range(2)) > SLOWER * best or n > 3e6:
+            return None
+        low, k = k, k + 6
+    high = k
+    while high - low > 1:
+        k = (low + high) // 2
+        good = error(problem, case, math.ceil(first * RATIO**k), exact) <= tol
+        low, high = (low, k) if good else (k, high)
+    n = math.ceil(first * RATIO**high)
+    return n, min(once(problem, case, n) for _ in range(3))
+
+
+def sweep(problem: Problem, tol: float, exact: np.ndarray) -> list[tuple[float, Case, int]]:
+    """The best of every method and precision, fastest first."""
+    found = []
+    best = math.inf
+    cases = cases_of(problem.ensemble.scene, None, ("quat",), ("float64", "float32"))
+    for case in sorted(cases, key=lambda c: -(fa.METHODS[c.method].order or 99)):
+        if case.dtype == "float32" and tol < 1e-7:
+            continue
+        result = least(problem, case, tol, exact, best)
+        if result is not None:
+            found.append((result[1], case, result[0]))
+            best = min(best, result[1])
+    return sorted(found, key=lambda item: item[0])
+
+
+def side_by_side(
+    problem: Problem, runs: list[tuple[Case, int, int | None]], seconds: float
+) -> list[float]:
+    """Shortest times of runs that take turns."""
+    times = [math.inf] * len(runs)
+    begin = perf_counter()
+    while perf_counter() - begin < seconds or math.inf in times:
+        for i, (case, n, threads) in enumerate(runs):
+            p = Problem(problem.ensemble, problem.t_end, n_threads=threads)
+            times[i] = min(times[i], once(p, case, n))
+    return times
+
+
+def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
+    """Draw, ask, run, sweep."""
+    kind, problem, tol = draw(seed, number, n_bodies)
+    e = problem.ensemble
+    known = reference(problem)
+    begin = perf_counter()
+    try:
+        chosen = fa.recommend(e.scene, e.q0, e.w0, t_end=problem.t_end, tol=tol)
+    except ValueError as refusal:
+        return Trial(
+            seed, number, kind, tol, problem.t_end, "", 0, 0.0, math.inf, 0.0, math.inf, "", 0,
+            1.0, perf_counter() - begin, "", str(refusal),
+        )  # fmt: skip
+    took = perf_counter() - begin
+    case = Case(chosen.method, chosen.representation, chosen.dtype)
+    true = error(problem, case, chosen.n_steps, known.end.q)
+    best = sweep(problem, tol, known.end.q)[:3]
+    runs = [(case, chosen.n_steps, chosen.n_threads), *[(c, n, None) for _, c, n in best]]
+    own, *others = side_by_side(problem, runs, seconds)
+    i = int(np.argmin(others)) if others else -1
+    return Trial(
+        seed=seed,
+        number=number,
+        kind=kind,
+        tol=tol,
+        t_end=problem.t_end,
+        recommended=str(case),
+        n_steps=chosen.n_steps,
+        expected_error=chosen.expected_error,
+        true_error=true,
+        expected_seconds=chosen.expected_seconds,
+        seconds=own,
+        best=str(best[i][1]) if others else str(case),
+        best_steps=best[i][2] if others else chosen.n_steps,
+        best_seconds=others[i] if others else own,
+        advice_seconds=took,
+        limited_by=chosen.limited_by,
+        refused="",
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--bodies", type=int, default=N_BODIES)
+    parser.add_argument("--seconds", type=float, default=0.3, help="of timing, a scene")
+    parser.add_argument("--out", type=Path, help="CSV with a row a scene")
+    parser.add_argument("--progress", action="store_true")
+    arguments = parser.parse_args()
+    print(machine_line(), flush=True)
+    trials: list[Trial] = []
+    numbers = range(arguments.first, arguments.first + arguments.scenes)
+    # a process a kind: what was compiled for one kind is of no use to another, and takes memory
+    with (
+        ProcessPoolExecutor(
+            1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1
+        ) as pool,
+        progress_bar(arguments.progress, len(KINDS), "kind") as done,
+    ):
+        for k in range(len(KINDS)):
+            own = [n for n in numbers if n % len(KINDS) == k]
+            trials += pool.submit(
+                trials_of, arguments.seed, own, arguments.bodies, arguments.seconds
+            ).result()
+            done(1)
+            if arguments.out and trials:
+                write_csv(arguments.out, trials)
+    report(trials)
+
+
+def trials_of(seed: int, numbers: list[int], n_bodies: int, seconds: float) -> list[Trial]:
+    warnings.simplefilter("ignore")
+    return [trial(seed, number, n_bodies, seconds) for number in numbers]
+
+
+def report(trials: list[Trial]) -> None:
+    """The two shares, and the scenes that miss them."""
+    asked = [t for t in trials if not t.refused]
+    met = [t for t in asked if t.met]
+    near = [t for t in asked if t.ratio <= 1.3]
+    for t in trials:
+        if t.refused:
+            print(f"refused {t.kind} {t.number} tol {t.tol:.1e}: {t.refused}")
+        elif not t.met or t.ratio > 1.3:
+            print(
+                f"{t.kind} {t.number} tol {t.tol:.1e}: {t.recommended} {t.n_steps} steps, error "
+                f"{t.true_error:.1e}, {t.seconds * 1e3:.3g} ms; {t.best} {t.best_steps} steps "
+                f"{t.best_seconds * 1e3:.3g} ms, {t.ratio:.2f} times"
+            )
+    n = max(1, len(asked))
+    ratios = [t.ratio for t in asked] or [math.nan]
+    took = [t.advice_seconds for t in trials]
+    print(f"{len(trials)} scenes, {len(trials) - len(asked)} refused")
+    print(f"error within tol: {len(met)} of {len(asked)}, {len(met) / n:.1%}")
+    print(
+        f"time within 1.3 of the best: {len(near)} of {len(asked)}, {len(near) / n:.1%}; ratio "
+        f"{np.median(ratios):.2f} (median), {np.quantile(ratios, 0.9):.2f} (90 %)"
+    )
+    print(f"advice took {np.median(took):.2f} s (median), {max(took):.2f} s (longest)")
+
+
+if __name__ == "__main__":
+    main()

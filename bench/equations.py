@@ -1,0 +1,68 @@
+"""The equations of motion that every peer is given, on floats, arrays, tracers and symbols alike.
+
+The state is (q, w/2), which has the fewest products, or q alone where the rate is given. Parameters
+of a body are the factors of Euler's equations and, in the potential of a heavy top, those of its
+torque; of coning, the sizes and the frequency of half the rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+FREE, TOP, CONING = "free", "top", "coning"
+N_STATE = {FREE: 7, TOP: 7, CONING: 4}
+
+
+def turn(q: Any, x: Any, y: Any, z: Any) -> Any:
+    """q∘(0, x, y, z): the derivative of q at the rate 2 (x, y, z)."""
+    return (
+        -q[1] * x - q[2] * y - q[3] * z,
+        q[0] * x + q[2] * z - q[3] * y,
+        q[0] * y - q[1] * z + q[3] * x,
+        q[0] * z + q[1] * y - q[2] * x,
+    )
+
+
+def slope(
+    kind: str,
+    sin: Callable[..., Any],
+    cos: Callable[..., Any],
+    compiled: Callable[..., Any] = lambda function: function,
+) -> Callable[..., Any]:
+    """f(t, y, p), the derivative of y as a tuple; ``compiled`` is applied to every function."""
+    turned = compiled(turn)
+
+    def free(t, y, p):
+        spin = (p[0] * (y[5] * y[6]), p[1] * (y[6] * y[4]), p[2] * (y[4] * y[5]))
+        return turned(y, y[4], y[5], y[6]) + spin  # Numba does not unpack
+
+    def top(t, y, p):
+        spin = (
+            p[0] * (y[5] * y[6]) + p[3] * (y[0] * y[1] + y[2] * y[3]),
+            p[1] * (y[6] * y[4]) + p[4] * (y[0] * y[2] - y[1] * y[3]),
+            p[2] * (y[4] * y[5]),
+        )
+        return turned(y, y[4], y[5], y[6]) + spin
+
+    def coning(t, y, p):
+        return turned(y, -p[0] * sin(p[1] * t), p[0] * cos(p[1] * t), -p[2])
+
+    return compiled({FREE: free, TOP: top, CONING: coning}[kind])
+
+
+def of_body(inertia: np.ndarray, *, potential: bool = False) -> np.ndarray:
+    """Parameters (..., 3), or (..., 5) of the heavy top whose weight times arm is 1 N·m."""
+    i1, i2, i3 = np.moveaxis(np.asarray(inertia, float), -1, 0)
+    factors = [2.0 * (i2 - i3) / i1, 2.0 * (i3 - i1) / i2, 2.0 * (i1 - i2) / i3]
+    return np.stack([*factors, 1.0 / i1, 1.0 / i2] if potential else factors, axis=-1)
+
+
+def of_coning(angle: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+    """Parameters (N, 3) of half angles (rad) and frequencies (rad/s)."""
+    half = 0.5 * angle
+    return np.stack(
+        [0.5 * frequency * np.sin(angle), frequency, frequency * np.sin(half) ** 2], axis=-1
+    )

@@ -1,0 +1,83 @@
+"""Parts of estimators, for arrays and, as kernels, for ``@njit`` code.
+
+Transitions, noise, Jacobians, tangents of steps, preintegration.
+"""
+
+from fastatt.estimation import preintegration
+from fastatt.estimation.covariance import (
+    covariance_to_body,
+    covariance_to_inertial,
+    left_jacobian,
+    left_jacobian_inverse,
+    predict_covariance,
+    process_noise,
+    right_jacobian,
+    right_jacobian_inverse,
+    transition_matrix,
+)
+from fastatt.estimation.derivatives import (
+    BodyTangent,
+    StepTangent,
+    Transition,
+    body_tangent,
+    rate_transition,
+    sample_tangent,
+    sample_transitions,
+    step_tangent,
+)
+from fastatt.estimation.filters import (
+    Motion,
+    attitude_error,
+    gyro_motion,
+    mean_attitude,
+    scene_motion,
+)
+from fastatt.estimation.inertial_logs import Preintegration, Preintegrator, preintegrate
+from fastatt.estimation.mekf import (
+    MEKF,
+    mekf_predict,
+    mekf_update,
+    mekf_update_attitude,
+    mekf_update_vector,
+)
+from fastatt.estimation.particle import ParticleFilter
+from fastatt.estimation.simulation import SimulatedGyro, simulate_gyro
+from fastatt.estimation.ukf import UKF
+
+__all__ = [
+    "MEKF",
+    "UKF",
+    "BodyTangent",
+    "Motion",
+    "ParticleFilter",
+    "Preintegration",
+    "Preintegrator",
+    "SimulatedGyro",
+    "StepTangent",
+    "Transition",
+    "attitude_error",
+    "body_tangent",
+    "covariance_to_body",
+    "covariance_to_inertial",
+    "gyro_motion",
+    "left_jacobian",
+    "left_jacobian_inverse",
+    "mean_attitude",
+    "mekf_predict",
+    "mekf_update",
+    "mekf_update_attitude",
+    "mekf_update_vector",
+    "predict_covariance",
+    "preintegrate",
+    "preintegration",
+    "process_noise",
+    "rate_transition",
+    "right_jacobian",
+    "right_jacobian_inverse",
+    "sample_tangent",
+    "sample_transitions",
+    "scene_motion",
+    "simulate_gyro",
+    "step_tangent",
+    "transition_matrix",
+]

@@ -1,0 +1,136 @@
+"""What the filters share: motions of sigma points and particles, errors, means, measures.
+
+A motion takes an ensemble, attitudes (M, 4) and what is estimated beside them (M, K), a few steps
+on: ``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make them of the tile engine; a
+function of a user's own will do as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks, rates
+from fastatt.arrays import quat_multiply, quat_to_rotation_vector
+from fastatt.propagate import propagate
+from fastatt.scene import Scene
+
+Floats = NDArray[np.float64]
+Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]
+
+
+def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
+    """Attitudes turn by a gyro's rate less their bias, the first three numbers beside them.
+
+    ``gyro`` (3,), rad/s, is held for dt s; (N, 3) are the rates of N filters, whose points follow
+    each other in equal numbers.
+    """
+    sample = checks.array("gyro", gyro, "(3,) or (N, 3)", [(3,), (-1, 3)])
+
+    def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
+        each = np.repeat(sample, len(q) // len(sample), axis=0) if sample.ndim == 2 else sample
+        scene = Scene(rate=rates.Constant(each - y[:, :3]))
+        moved = propagate(scene, q, dt=dt, n_steps=1, method="lie_euler", n_threads=n_threads)
+        return moved.q[-1], y
+
+    return motion
+
+
+def scene_motion(
+    scene: Scene,
+    dt: float,
+    n_steps: int,
+    *,
+    method: str | None = None,
+    t0: float = 0.0,
+    n_threads: int | None = None,
+) -> Motion:
+    """The motion of a scene with inertia, or of one at a given rate, for n_steps of dt s.
+
+    Of a body the first three numbers beside the attitude are its angular velocity, rad/s, along
+    body axes.
+    """
+    carries = scene.kind != "rate"
+
+    def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
+        moved = propagate(
+            scene,
+            q,
+            y[:, :3] if carries else None,
+            dt=dt,
+            n_steps=n_steps,
+            method=method,
+            t0=t0,
+            n_threads=n_threads,
+        )
+        return moved.q[-1], np.hstack([moved.w[-1], y[:, 3:]]) if carries else y
+
+    return motion
+
+
+def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
+    """δθ (..., 3), rad, of q_true = q∘exp(δθ)."""
+    inverse = np.asarray(q, dtype=np.float64) * (1.0, -1.0, -1.0, -1.0)
+    return np.asarray(quat_to_rotation_vector(quat_multiply(inverse, q_true)))
+
+
+def normalised_square(d: Floats, P: Floats) -> Floats:
+    """dᵀ P⁻¹ d of rows d (..., D) and covariances (..., D, D)."""
+    return np.asarray(np.einsum("...i,...i->...", d, np.linalg.solve(P, d[..., None])[..., 0]))
+
+
+def attitude_covariance(sigma: ArrayLike) -> Floats:
+    """(3, 3), rad², of a standard deviation, of three about body axes, or itself."""
+    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)", [(), (3,), (3, 3)])
+    if found.ndim == 2:
+        return np.ascontiguousarray(found, dtype=np.float64)
+    return np.diag(np.broadcast_to(np.square(found, dtype=np.float64), (3,)))
+
+
+def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
+    """Mean of attitudes (..., M, 4), weighted (..., M): the eigenvector of Σ w q qᵀ, (..., 4).
+
+    It minimises the weighted sum of squares of the matrices' distances; q and −q count the same,
+    and of the two means the one with scalar ≥ 0 is given. Markley, Cheng, Crassidis and Oshman, J.
+    Guidance 30 (2007) 1193, eq. 12.
+
+    Raises ``ValueError`` for attitudes that are no quaternions, and weights that do not fit.
+    """
+    rows = np.asarray(q, dtype=np.float64)
+    if rows.ndim < 2 or rows.shape[-1] != 4 or rows.shape[-2] == 0:
+        raise ValueError(f"q: has shape {rows.shape}; accepted: (..., M, 4)")
+    weighted = rows
+    if weights is not None:
+        w = np.asarray(weights, dtype=np.float64)
+        if w.shape[-1:] != rows.shape[-2:-1]:
+            raise ValueError(f"weights: has shape {w.shape}; accepted: (..., {rows.shape[-2]})")
+        weighted = rows * w[..., None]
+    _, vectors = np.linalg.eigh(np.swapaxes(weighted, -1, -2) @ rows)
+    found = vectors[..., -1]
+    return np.asarray(np.where(found[..., :1] < 0.0, -found, found))
+
+
+def unit_rows(value: NDArray[Any], n: int) -> Floats:
+    """n rows of unit quaternions, of one or n of any length but zero."""
+    scaled = value / np.abs(value).max(axis=-1, keepdims=True)
+    return rows_of(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True), (n, 4))
+
+
+def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
+    """An array of its own, of one row or as many as the shape has."""
+    return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
+
+
+def number_of_filters(**arrays: tuple[NDArray[Any], int]) -> int | None:
+    """How many filters arrays with one more dimension than given are for; None for one alone.
+
+    Raises ``ValueError`` where they differ.
+    """
+    rows = {name: len(a) for name, (a, one) in arrays.items() if a.ndim > one}
+    if len(set(rows.values())) > 1:
+        found = ", ".join(f"{name} {n}" for name, n in rows.items())
+        raise ValueError(f"{next(iter(rows))}: found {found}; accepted: one number of filters")
+    return next(iter(rows.values()), None)

@@ -1,0 +1,339 @@
+"""Multiplicative extended Kalman filter: attitude and gyro bias, one filter or an ensemble of them.
+
+The estimate is q, the gyro's bias b and the covariance of the error (δθ, δb) of
+``fastatt.kernels.error_state``: q_true = q∘exp(δθ), b_true = b + δb, δθ in body axes. As kernels,
+``mekf_predict`` and the updates take tuples and are called from ``@njit`` code too; a covariance is
+there (P11, P12, P22) with 6, 9 and 6 numbers. ``MEKF`` is the same on arrays. Lefferts, Markley and
+Shuster, J. Guidance 5 (1982) 417; Markley and Crassidis, *Fundamentals of Spacecraft Attitude
+Determination and Control* (2014), §6.2. The covariance is updated in Joseph's form and symmetric by
+construction; its turn with the correction, of second order, is left out as is usual.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt._jit import driver, helper, kernel
+from fastatt.estimation.filters import (
+    attitude_covariance,
+    attitude_error,
+    normalised_square,
+    number_of_filters,
+    rows_of,
+    unit_rows,
+)
+from fastatt.kernels import dcm, error_state, quat, so3, sym3
+from fastatt.kernels.vec3 import add, axpy, dot, scale, sub
+from fastatt.steps import hold
+
+
+@kernel
+def mekf_predict(q, b, P, gyro, h, angle_variance, bias_variance):
+    """(q, P) one gyro sample (rad/s, held for h s) later; b stays.
+
+    ``angle_variance`` σ_v² (rad²/s) and ``bias_variance`` σ_u² (rad²/s³) are the squares of the
+    angle random walk and of the bias random walk. Exact for a rate that is constant over h.
+    """
+    w = sub(gyro, b)
+    u = scale(h, w)
+    phi = error_state.transition(u, h)
+    noise = error_state.noise(u, h, angle_variance, bias_variance)
+    return hold(q, w, h), error_state.predict(P, phi, noise)
+
+
+@kernel
+def joseph(P, d, z, h, r):
+    """(P, d, NIS) by one number z = h·δθ + noise of variance r, d = (δθ, δb) found so far, flat.
+
+    Joseph's form, (1 − K h) P (1 − K h)ᵀ + K r Kᵀ: positive whatever the rounding of the gain.
+    """
+    p11, p12, p22 = P
+    o = type(r)(0.0)
+    one = type(r)(1.0)
+    c = dcm.rotate(sym3.full(p11), h)
+    e = dcm.rotate_inverse(p12, h)
+    inverse = one / (dot(h, c) + r)
+    k = scale(inverse, c)
+    g = scale(inverse, e)
+    a = dcm.add((one, o, o, o, one, o, o, o, one), outer(scale(-one, k), h))
+    n11 = sym3.add(sym3.congruence(a, p11), sym3.scale(r, square(k)))
+    n12 = dcm.mul(a, dcm.add(p12, outer(scale(-one, c), g)))
+    n12 = dcm.add(n12, outer(scale(r, k), g))
+    n22 = sym3.add(p22, sym3.scale(-inverse, square(e)))
+    x = z - (h[0] * d[0] + h[1] * d[1] + h[2] * d[2])
+    d = add((d[0], d[1], d[2]), scale(x, k)) + add((d[3], d[4], d[5]), scale(x, g))
+    return (n11, n12, n22), d, inverse * x * x
+
+
+@kernel
+def outer(a, b):
+    """a bᵀ, nine numbers."""
+    x = scale(a[0], b)
+    y = scale(a[1], b)
+    z = scale(a[2], b)
+    return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+
+
+@kernel
+def square(a):
+    """a aᵀ, as of ``sym3``."""
+    return a[0] * a[0], a[0] * a[1], a[0] * a[2], a[1] * a[1], a[1] * a[2], a[2] * a[2]
+
+
+@kernel
+def mekf_update(q, b, P, z, H, R):
+    """(q, b, P, NIS) by a residual z (3) = H δθ + noise of covariance R (6, as of ``sym3``).
+
+    H has nine numbers, row by row. The three numbers are used one after the other, with R = L D Lᵀ
+    taken apart, so that nothing is inverted that a precise direction makes singular. NIS, the sum
+    of their normalised innovations squared, is χ² with three degrees of freedom where the filter is
+    right and R of full rank; of a direction, whose length says nothing, about two.
+    """
+    F = type(q[0])
+    o = F(0.0)
+    l1 = R[1] / R[0] if R[0] > o else o
+    l2 = R[2] / R[0] if R[0] > o else o
+    r1 = R[3] - l1 * R[1]
+    m = R[4] - l1 * R[2]
+    l3 = m / r1 if r1 > o else o
+    r2 = R[5] - l2 * R[2] - l3 * m
+    h0 = (H[0], H[1], H[2])
+    h1 = axpy(-l1, h0, (H[3], H[4], H[5]))
+    h2 = axpy(-l3, h1, axpy(-l2, h0, (H[6], H[7], H[8])))
+    z1 = z[1] - l1 * z[0]
+    z2 = z[2] - l2 * z[0] - l3 * z1
+    P, d, n0 = joseph(P, (o, o, o, o, o, o), z[0], h0, R[0])
+    P, d, n1 = joseph(P, d, z1, h1, r1)
+    P, d, n2 = joseph(P, d, z2, h2, r2)
+    q = quat.renormalise(quat.mul(q, quat.exp((d[0], d[1], d[2]))))
+    return q, add(b, (d[3], d[4], d[5])), P, n0 + n1 + n2
+
+
+@kernel
+def mekf_update_vector(q, b, P, measured, reference, variance):
+    """The same by a vector: ``measured`` in body axes, ``reference`` along inertial ones.
+
+    A direction to a star or the Sun, the magnetic field, gravity. ``variance`` is that of each
+    component, in the vector's unit squared.
+    """
+    F = type(q[0])
+    o = F(0.0)
+    expected = quat.rotate_inverse(q, reference)
+    R = (variance, o, o, variance, o, variance)
+    return mekf_update(q, b, P, sub(measured, expected), so3.hat(expected), R)
+
+
+@kernel
+def mekf_update_attitude(q, b, P, measured, R):
+    """The same by a whole attitude, such as a star tracker's; R (6, as of ``sym3``), rad²."""
+    F = type(q[0])
+    o = F(0.0)
+    one = F(1.0)
+    z = quat.log(quat.mul(quat.conj(q), measured))
+    return mekf_update(q, b, P, z, (one, o, o, o, one, o, o, o, one), R)
+
+
+# ensembles
+
+
+@helper
+def _row3(a, i):
+    k = min(i, a.shape[0] - 1)
+    return a[k, 0], a[k, 1], a[k, 2]
+
+
+@helper
+def _row4(a, i):
+    k = min(i, a.shape[0] - 1)
+    return a[k, 0], a[k, 1], a[k, 2], a[k, 3]
+
+
+@helper
+def _six(m):
+    """The upper triangle of a (3, 3) block."""
+    return m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+
+
+@helper
+def _load(P):
+    c = (P[0, 3], P[0, 4], P[0, 5], P[1, 3], P[1, 4], P[1, 5], P[2, 3], P[2, 4], P[2, 5])
+    return _six(P), c, _six(P[3:, 3:])
+
+
+@helper
+def _store(P, blocks):
+    a, c, d = blocks
+    f = sym3.full(a)
+    g = sym3.full(d)
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = f[3 * i + j]
+            P[i, 3 + j] = c[3 * i + j]
+            P[3 + j, i] = c[3 * i + j]
+            P[3 + i, 3 + j] = g[3 * i + j]
+
+
+@helper
+def _put(q, b, i, x, y):
+    for k in range(4):
+        q[i, k] = x[k]
+    for k in range(3):
+        b[i, k] = y[k]
+
+
+@driver
+def _predict(q, b, P, gyro, h, angle_variance, bias_variance):
+    rates = gyro.reshape((-1, 3))
+    for i in range(q.shape[0]):
+        y = _row3(b, i)
+        x, p = mekf_predict(
+            _row4(q, i), y, _load(P[i]), _row3(rates, i), h, angle_variance, bias_variance
+        )
+        _put(q, b, i, x, y)
+        _store(P[i], p)
+
+
+@driver
+def _update_vector(q, b, P, measured, reference, variance, nis):
+    for i in range(q.shape[0]):
+        x, y, p, nis[i] = mekf_update_vector(
+            _row4(q, i), _row3(b, i), _load(P[i]), _row3(measured, i), _row3(reference, i), variance
+        )
+        _put(q, b, i, x, y)
+        _store(P[i], p)
+
+
+@driver
+def _update_attitude(q, b, P, measured, R, nis):
+    for i in range(q.shape[0]):
+        x, y, p, nis[i] = mekf_update_attitude(
+            _row4(q, i), _row3(b, i), _load(P[i]), _row4(measured, i), _six(R)
+        )
+        _put(q, b, i, x, y)
+        _store(P[i], p)
+
+
+class MEKF:
+    """Attitude and gyro bias of one body, or of N at once, each with its own covariance.
+
+    Parameters
+    ----------
+    q : (4,) or (N, 4), attitudes, body to inertial, of any length but zero.
+    covariance : (6, 6) or (N, 6, 6), of (δθ, δb) in rad and rad/s.
+    bias : (3,) or (N, 3), rad/s.
+    angle_noise : σ_v, rad/√s (a noise density of the rate, rad/s/√Hz, is the same number).
+    bias_noise : σ_u, rad/s^1.5.
+
+    Attributes
+    ----------
+    q, bias, covariance : the estimates, with the shapes above.
+
+    Every call changes them in place. Of measurements only the shapes are looked at: one that is not
+    finite makes its filter's estimate NaN, and no other's. A ``predict`` of one filter takes 1 µs
+    from Python, of many 0.15 µs a filter.
+    """
+
+    def __init__(
+        self,
+        q: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        bias: ArrayLike = (0.0, 0.0, 0.0),
+        angle_noise: float,
+        bias_noise: float,
+    ) -> None:
+        start = checks.attitudes("q", q)
+        P = checks.array("covariance", covariance, "(6, 6) or (N, 6, 6)", [(6, 6), (-1, 6, 6)])
+        b = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (-1, 3)])
+        found = number_of_filters(q=(start, 1), covariance=(P, 2), bias=(b, 1))
+        n = found or 1
+        self._one = found is None
+        self._q = unit_rows(start, n)
+        self._b = rows_of(b, (n, 3))
+        self._P = rows_of(P, (n, 6, 6))
+        self._variances = tuple(
+            checks.real(name, value) ** 2
+            for name, value in (
+                ("angle_noise", angle_noise),
+                ("bias_noise", bias_noise),
+            )
+        )
+        self._shapes = {(3,), (n, 3)}
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Attitudes, (4,) or (N, 4)."""
+        return self._q[0] if self._one else self._q
+
+    @property
+    def bias(self) -> NDArray[np.float64]:
+        """Biases, (3,) or (N, 3), rad/s."""
+        return self._b[0] if self._one else self._b
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariances, (6, 6) or (N, 6, 6)."""
+        return self._P[0] if self._one else self._P
+
+    def predict(self, gyro: ArrayLike, dt: float) -> None:
+        """Go dt s on by a gyro sample, (3,) or (N, 3), rad/s; an increment over dt divided by dt.
+
+        Raises ``ValueError`` for another shape.
+        """
+        rates = np.asarray(gyro, dtype=np.float64)
+        if rates.shape not in self._shapes:
+            self._refuse("gyro", rates)
+        _predict(self._q, self._b, self._P, rates, dt, *self._variances)
+
+    def update_vector(self, measured: ArrayLike, reference: ArrayLike, sigma: float) -> Any:
+        """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
+
+        ``sigma`` is the standard deviation of each component, in the vectors' unit. Gives the
+        normalised innovation squared, a number or (N,).
+
+        Raises ``ValueError`` for another shape.
+        """
+        pair = [self._vectors("measured", measured), self._vectors("reference", reference)]
+        nis = np.empty(len(self._q))
+        _update_vector(self._q, self._b, self._P, *pair, float(sigma) ** 2, nis)
+        return float(nis[0]) if self._one else nis
+
+    def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> Any:
+        """Use attitudes, (4,) or (N, 4), unit; such as a star tracker's.
+
+        ``sigma`` is the standard deviation about each body axis, rad, a number or (3,), or their
+        covariance (3, 3). Gives the normalised innovation squared, a number or (N,).
+
+        Raises ``ValueError`` for another shape.
+        """
+        rows = checks.attitudes("measured", measured)
+        if rows.ndim == 2 and len(rows) != len(self._q):
+            self._refuse("measured", rows)
+        nis = np.empty(len(self._q))
+        rows = np.ascontiguousarray(np.atleast_2d(rows), dtype=np.float64)
+        _update_attitude(self._q, self._b, self._P, rows, attitude_covariance(sigma), nis)
+        return float(nis[0]) if self._one else nis
+
+    def nees(self, q: ArrayLike, bias: ArrayLike) -> Any:
+        """Normalised estimation error squared against the truth, χ² with 6 degrees of freedom."""
+        d = np.concatenate(
+            [attitude_error(self._q, q), np.broadcast_to(bias, self._b.shape) - self._b], axis=-1
+        )
+        found = normalised_square(d, self._P)
+        return float(found[0]) if self._one else found
+
+    def _vectors(self, name: str, value: ArrayLike) -> NDArray[np.float64]:
+        rows = np.asarray(value, dtype=np.float64)
+        if rows.shape not in self._shapes:
+            self._refuse(name, rows)
+        return np.ascontiguousarray(rows.reshape(-1, 3))
+
+    def _refuse(self, name: str, found: NDArray[Any]) -> None:
+        k = 4 if found.shape[-1:] == (4,) else 3
+        raise ValueError(
+            f"{name}: has shape {found.shape}; accepted: ({k},) or ({len(self._q)}, {k})"
+        )

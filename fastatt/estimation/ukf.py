@@ -1,0 +1,183 @@
+"""Unscented Kalman filter on the rotation group: all sigma points are moved as one ensemble."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fastatt import checks
+from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
+from fastatt.estimation.filters import (
+    Floats,
+    Motion,
+    attitude_covariance,
+    attitude_error,
+    normalised_square,
+    number_of_filters,
+    rows_of,
+    unit_rows,
+)
+
+
+class UKF:
+    """Attitude and K numbers beside it, of one body or of N at once.
+
+    The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy; its 2D + 1 sigma points (D = 3 + K)
+    lie at the columns of ±√((D + κ) P) about the estimate, with weights ½/(D + κ), and κ/(D + κ)
+    at the centre. All points of all filters are moved in one ensemble. After a motion the mean
+    attitude is where the weighted errors cancel, by two Gauss-Newton steps. Julier and Uhlmann,
+    Proc. IEEE 92 (2004) 401; Crassidis and Markley, J. Guidance 26 (2003) 536; Kraft, Int. Conf.
+    Information Fusion (2003).
+
+    Parameters
+    ----------
+    q : (4,) or (N, 4), attitudes, body to inertial, of any length but zero.
+    y : (K,) or (N, K), what is estimated beside them: a gyro's bias, an angular velocity.
+    covariance : (D, D) or (N, D, D), of (δθ, δy).
+    kappa : κ, above −D; below 0 the covariance may lose its sign.
+
+    Attributes
+    ----------
+    q, y, covariance : the estimates, with the shapes above.
+
+    Raises ``numpy.linalg.LinAlgError`` in a call that meets a covariance that is not positive.
+    """
+
+    def __init__(
+        self, q: ArrayLike, y: ArrayLike, covariance: ArrayLike, *, kappa: float = 1.0
+    ) -> None:
+        start = checks.attitudes("q", q)
+        beside = checks.array("y", y, "(K,) or (N, K)", [(-1,), (-1, -1)])
+        size = 3 + beside.shape[-1]
+        P = checks.array(
+            "covariance",
+            covariance,
+            f"({size}, {size}) or (N, {size}, {size})",
+            [(size, size), (-1, size, size)],
+        )
+        found = number_of_filters(q=(start, 1), y=(beside, 1), covariance=(P, 2))
+        n = found or 1
+        self._one = found is None
+        self._q = unit_rows(start, n)
+        self._y = rows_of(beside, (n, size - 3))
+        self._P = rows_of(P, (n, size, size))
+        self._kappa = checks.real("kappa", kappa)
+        if self._kappa <= -size:
+            raise ValueError(f"kappa: found {kappa}; accepted: above {-size}")
+        self._weights = np.full(2 * size + 1, 0.5 / (size + self._kappa))
+        self._weights[0] = self._kappa / (size + self._kappa)
+
+    @property
+    def q(self) -> Floats:
+        """Attitudes, (4,) or (N, 4)."""
+        return self._q[0] if self._one else self._q
+
+    @property
+    def y(self) -> Floats:
+        """What is estimated beside them, (K,) or (N, K)."""
+        return self._y[0] if self._one else self._y
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariances, (D, D) or (N, D, D)."""
+        return self._P[0] if self._one else self._P
+
+    def sigma_points(self) -> tuple[Floats, Floats]:
+        """Attitudes (N, 2D + 1, 4) and numbers (N, 2D + 1, K), the estimate first."""
+        n, size = self._P.shape[:2]
+        root = np.swapaxes(np.linalg.cholesky(self._P), 1, 2) * math.sqrt(size + self._kappa)
+        d = np.concatenate([np.zeros((n, 1, size)), root, -root], axis=1)
+        q = quat_multiply(self._q[:, None], rotation_vector_to_quat(d[..., :3]))
+        return q, self._y[:, None] + d[..., 3:]
+
+    def predict(self, motion: Motion, noise: ArrayLike) -> None:
+        """Move the sigma points and add the noise's covariance, (D, D) or (N, D, D).
+
+        ``motion(q, y)`` takes and gives the M = N (2D + 1) points, (M, 4) and (M, K), those of one
+        filter in a row: :func:`gyro_motion`, :func:`scene_motion` or a function of your own.
+        """
+        q, y = self.sigma_points()
+        shape = q.shape[:2]
+        q, y = motion(q.reshape(-1, 4), y.reshape(-1, y.shape[-1]))
+        q, y = q.reshape(*shape, 4), y.reshape(*shape, -1)
+        mean = q[:, 0]
+        for _ in range(2):
+            step = self._weights @ attitude_error(mean[:, None], q)
+            mean = quat_multiply(mean, rotation_vector_to_quat(step))
+        centre = self._weights @ y
+        d = np.concatenate([attitude_error(mean[:, None], q), y - centre[:, None]], axis=-1)
+        self._q, self._y = np.asarray(mean), centre
+        spread = np.swapaxes(d, 1, 2) @ (self._weights[:, None] * d)
+        self._P = spread + self._noise(noise, d.shape[-1])
+
+    def update(
+        self, observe: Callable[[Floats, Floats], Floats], measured: ArrayLike, noise: ArrayLike
+    ) -> Any:
+        """Use a measurement (m,) or (N, m) with a noise of covariance (m, m) or (N, m, m).
+
+        ``observe(q, y)`` gives what the points, (M, 4) and (M, K), would measure, (M, m). Gives the
+        normalised innovation squared, a number or (N,).
+        """
+        q, y = self.sigma_points()
+        n, points, size = len(q), q.shape[1], self._P.shape[1]
+        z = observe(q.reshape(-1, 4), y.reshape(-1, size - 3)).reshape(n, points, -1)
+        expected = self._weights @ z
+        away = z - expected[:, None]
+        d = np.concatenate([attitude_error(self._q[:, None], q), y - self._y[:, None]], axis=-1)
+        weighted = self._weights[:, None] * away
+        return self._correct(
+            np.asarray(measured, dtype=np.float64) - expected,
+            np.swapaxes(d, 1, 2) @ weighted,
+            np.swapaxes(away, 1, 2) @ weighted + self._noise(noise, z.shape[-1]),
+        )
+
+    def update_vector(self, measured: ArrayLike, reference: ArrayLike, sigma: float) -> Any:
+        """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
+
+        ``sigma`` is the standard deviation of each component, in the vectors' unit.
+        """
+        fixed = checks.array("reference", reference, "(3,) or (N, 3)", [(3,), (-1, 3)])
+        points = len(self._weights)
+        each = np.repeat(fixed, points, axis=0) if fixed.ndim == 2 else fixed
+
+        def observe(q: Floats, y: Floats) -> Floats:
+            return np.asarray(rotate_inverse(q, each))
+
+        return self.update(observe, measured, float(sigma) ** 2 * np.eye(3))
+
+    def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> Any:
+        """Use attitudes, (4,) or (N, 4), unit; ``sigma`` as for :meth:`MEKF.update_attitude`."""
+        error = attitude_error(self._q, checks.attitudes("measured", measured))
+        P = self._P[:, :, :3]
+        return self._correct(error, P, P[:, :3] + attitude_covariance(sigma))
+
+    def _noise(self, noise: ArrayLike, size: int) -> Floats:
+        found = np.asarray(noise, dtype=np.float64)
+        accepted = (size, size), (len(self._q), size, size)
+        if found.shape not in accepted:
+            raise ValueError(
+                f"noise: has shape {found.shape}; accepted: {accepted[0]} or {accepted[1]}"
+            )
+        return found
+
+    def _correct(self, innovation: Floats, cross: Floats, spread: Floats) -> Any:
+        gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, 1, 2)), 1, 2)
+        d = (gain @ innovation[..., None])[..., 0]
+        self._q = np.asarray(quat_multiply(self._q, rotation_vector_to_quat(d[:, :3])))
+        self._y = self._y + d[:, 3:]
+        P = self._P - gain @ np.swapaxes(cross, 1, 2)
+        self._P = 0.5 * (P + np.swapaxes(P, 1, 2))
+        found = normalised_square(innovation, spread)
+        return float(found[0]) if self._one else found
+
+    def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
+        """Normalised estimation error squared against the truth, χ² with D degrees of freedom."""
+        d = np.concatenate(
+            [attitude_error(self._q, q), np.broadcast_to(y, self._y.shape) - self._y], axis=-1
+        )
+        found = normalised_square(d, self._P)
+        return float(found[0]) if self._one else found

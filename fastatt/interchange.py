@@ -1,0 +1,114 @@
+"""To and from the conventions of others: order of a quaternion's numbers, direction, sense.
+
+Here q is scalar first, Hamilton, body to inertial; every function takes and gives any leading axes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt.arrays import floats, rotate, rotate_inverse
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+
+def to_scalar_last(q: ArrayLike) -> NDArray[Any]:
+    """(x, y, z, w) of scalar-first q (..., 4): what SciPy, ROS and Eigen's ``coeffs()`` hold."""
+    return np.roll(floats("q", q, (4,)), -1, axis=-1)
+
+
+def from_scalar_last(q: ArrayLike) -> NDArray[Any]:
+    """Scalar-first q of (x, y, z, w), (..., 4)."""
+    return np.roll(floats("q", q, (4,)), 1, axis=-1)
+
+
+def to_scipy(q: ArrayLike) -> Rotation:
+    """SciPy's ``Rotation`` of q (4,) or (N, 4): its ``apply`` takes body to inertial components.
+
+    Raises ``ImportError`` without SciPy.
+    """
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(to_scalar_last(q))
+
+
+def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
+    """q (..., 4) of SciPy's ``Rotation`` from body to inertial components.
+
+    Raises ``TypeError`` for something else, such as its ``as_quat()``: see ``from_scalar_last``.
+    """
+    if not hasattr(rotation, "as_quat"):
+        raise TypeError(
+            f"rotation: found {type(rotation).__name__}; accepted: scipy.spatial.transform."
+            "Rotation; for its numbers in scalar-last order, from_scalar_last"
+        )
+    return from_scalar_last(rotation.as_quat())
+
+
+def to_jpl(q: ArrayLike) -> NDArray[Any]:
+    """JPL quaternions (x, y, z, w), inertial to body, of q (..., 4).
+
+    The left-handed product and the opposite direction cancel: the numbers are q's own, scalar last.
+    JPL products are in the opposite order, (p∘q) there being q∘p here. Trawny and Roumeliotis,
+    "Indirect Kalman filter for 3D attitude estimation" (2005), §1; Solà, arXiv:1711.02508, §1.2.
+    """
+    return to_scalar_last(q)
+
+
+def from_jpl(q: ArrayLike) -> NDArray[Any]:
+    """q of JPL quaternions (x, y, z, w), inertial to body, (..., 4)."""
+    return from_scalar_last(q)
+
+
+def to_passive(q: ArrayLike) -> NDArray[Any]:
+    """q*: the same attitude as a Hamilton quaternion from inertial to body components, and back."""
+    return floats("q", q, (4,)) * (1.0, -1.0, -1.0, -1.0)
+
+
+def to_mrp(q: ArrayLike) -> NDArray[Any]:
+    """Modified Rodrigues parameters e tan(φ/4), |σ| ≤ 1, (..., 3), of q (..., 4).
+
+    Basilisk's ``sigma_BN``. Schaub and Junkins, J. Astronaut. Sci. 44 (1996) 1, eq. 4.
+    """
+    p = floats("q", q, (4,))
+    shorter = np.where(p[..., :1] < 0.0, -p, p)
+    return np.asarray(shorter[..., 1:] / (_length(p) + shorter[..., :1]))
+
+
+def from_mrp(sigma: ArrayLike) -> NDArray[Any]:
+    """Unit q (..., 4) of modified Rodrigues parameters (..., 3), the shadow set too."""
+    s = floats("sigma", sigma, (3,))
+    z = (s * s).sum(axis=-1, keepdims=True)
+    return np.asarray(np.concatenate([1.0 - z, s + s], axis=-1) / (1.0 + z))
+
+
+def to_gibbs(q: ArrayLike) -> NDArray[Any]:
+    """Gibbs's vector (Rodrigues parameters) e tan(φ/2), (..., 3); infinite at half a turn."""
+    p = floats("q", q, (4,))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(p[..., 1:] / p[..., :1])
+
+
+def from_gibbs(g: ArrayLike) -> NDArray[Any]:
+    """Unit q (..., 4) of Gibbs's vectors (..., 3)."""
+    v = floats("g", g, (3,))
+    p = np.concatenate([np.ones_like(v[..., :1]), v], axis=-1)
+    return np.asarray(p / _length(p))
+
+
+def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
+    """Body-axes angular velocity (..., 3) of one along inertial axes, at unit q (..., 4)."""
+    return rotate_inverse(q, w)
+
+
+def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
+    """Inertial-axes angular velocity (..., 3) of one along body axes, at unit q (..., 4)."""
+    return rotate(q, w)
+
+
+def _length(q: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(np.linalg.norm(q, axis=-1, keepdims=True))

@@ -1,0 +1,89 @@
+"""Sums that carry what rounding loses: a value and a low part beside it, added to step by step.
+
+x = (x1, …, xk, e1, …, ek) stands for xi + ei. Quaternions turn by q∘(exp(u/2) − 1), whose terms are
+as small as the step, and u/2 itself is exact. Møller, BIT 5 (1965) 37; Knuth, *The Art of Computer
+Programming* 2, §4.2.2; of integrators Hairer, McLachlan, Razakarivony, BIT 48 (2008) 231.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fastatt._jit import kernel
+from fastatt.kernels.quat import mul, mul_vector
+from fastatt.kernels.trig import half_sinc_cos, half_sinc_cos_wide, sin_remainder
+from fastatt.kernels.vec3 import dot
+
+
+@kernel
+def two_sum(a, b):
+    """(s, e): s = a + b rounded, and exactly what rounding lost; a and b of any size."""
+    s = a + b
+    c = s - a
+    return s, (a - (s - c)) + (b - c)
+
+
+@kernel
+def add_vector(x, d):
+    """x + d of a 3-vector x with its low part."""
+    a, i = two_sum(x[0], d[0] + x[3])
+    b, j = two_sum(x[1], d[1] + x[4])
+    c, k = two_sum(x[2], d[2] + x[5])
+    return a, b, c, i, j, k
+
+
+@kernel
+def add_quat(x, d):
+    """x + d of a quaternion x with its low part, as 4-vectors."""
+    a, i = two_sum(x[0], d[0] + x[4])
+    b, j = two_sum(x[1], d[1] + x[5])
+    c, k = two_sum(x[2], d[2] + x[6])
+    f, l = two_sum(x[3], d[3] + x[7])  # noqa: E741
+    return a, b, c, f, i, j, k, l
+
+
+@kernel
+def cosine_less_one(c, v):
+    """cos − 1 of a unit quaternion (c, v), without cancellation."""
+    F = type(c)
+    near = c > F(0.0)
+    return -dot(v, v) / (F(1.0) + c if near else F(1.0)) if near else c - F(1.0)
+
+
+@kernel
+def compose(x, r):
+    """x∘r, r a unit quaternion."""
+    w = cosine_less_one(r[0], (r[1], r[2], r[3]))
+    return add_quat(x, mul((x[0], x[1], x[2], x[3]), (w, r[1], r[2], r[3])))
+
+
+@kernel
+def turn(x, u):
+    """x∘exp(u/2) for a rotation vector u of any angle."""
+    F = type(u[0])
+    z = dot(u, u)
+    past = z > F(math.pi * math.pi)
+    s, c = half_sinc_cos_wide(z)
+    f = F(-0.125) * z * sin_remainder(F(0.25) * (F(0.0) if past else z))
+    f = s - F(0.5) if past else f
+    return turn_parts(x, u, s, c, f)
+
+
+@kernel
+def turn_short(x, u):
+    """``turn`` for a rotation vector of at most π."""
+    F = type(u[0])
+    z = dot(u, u)
+    s, c = half_sinc_cos(z)
+    return turn_parts(x, u, s, c, F(-0.125) * z * sin_remainder(F(0.25) * z))
+
+
+@kernel
+def turn_parts(x, u, s, c, f):
+    """x∘(c, s u); f is s − ½, so that a small turn's s u is the exact u/2 and little more."""
+    F = type(c)
+    q = (x[0], x[1], x[2], x[3])
+    a = mul_vector(q, (F(0.5) * u[0], F(0.5) * u[1], F(0.5) * u[2]))
+    w = cosine_less_one(c, (s * u[0], s * u[1], s * u[2]))
+    b = mul(q, (w, f * u[0], f * u[1], f * u[2]))
+    return add_quat(x, (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]))

@@ -1,0 +1,132 @@
+"""Where a run leaves what its method can do: each body's status, warnings with a remedy."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import torques
+from fastatt.energy import angular_momentum
+from fastatt.methods import Method
+from fastatt.scene import Scene
+from fastatt.trajectory import Status
+
+# |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
+NORM_BOUND = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
+# relative change of the energy or of |m|² of a free body
+INVARIANT_BOUND = 1e-2
+# coordinates with singularities
+_COORDINATES = ("euler313", "rotation_vector")
+
+
+class StepWarning(UserWarning):
+    """A step beyond what the method can do, or too small for the precision."""
+
+
+def turn_limit(scene: Scene, method: Method, representation: str) -> float:
+    """Largest |w|h, rad, of one step; ``inf`` where one exponential is the whole answer."""
+    if scene.is_constant and method.exact_for_constant:
+        return math.inf
+    return method.limit(representation, body=scene.kind != "rate")
+
+
+def first_step(scene: Scene, method: Method, w: NDArray[Any], h: float) -> NDArray[np.float64]:
+    """What the method's limit holds for, of the first step of each body, rad; w (3,) or (N, 3)."""
+    rates = np.nan_to_num(np.atleast_2d(w).astype(np.float64), posinf=0.0, neginf=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if method.measure == "turn":
+            return _length(rates) * abs(h)
+        assert scene.inertia is not None
+        m = _length(angular_momentum(rates, scene.inertia)) * abs(h)
+        least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
+        if method.measure == "momentum":
+            return np.asarray(m / least)
+        between = (1.0 / least - 1.0 / middle) * (1.0 / middle - 1.0 / most)
+        return np.asarray(m * np.sqrt(np.abs(between)))
+
+
+def _length(v: NDArray[Any]) -> NDArray[np.float64]:
+    # numpy reduces short rows slowly
+    return np.asarray(np.sqrt((v * v) @ np.ones(3)))
+
+
+def decay(scene: Scene, h: float) -> NDArray[np.float64]:
+    """Largest c h/I of the damping in a scene, of each body or of all."""
+    if scene.kind != "torqued":
+        return np.zeros(1)
+    with np.errstate(over="ignore"):
+        return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
+
+
+def status(
+    x: NDArray[Any],
+    watch: NDArray[Any],
+    damped: NDArray[np.float64],
+    limit: float,
+    method: Method,
+    representation: str,
+) -> NDArray[np.uint8]:
+    """The flags of each body, from its last state and from what the run watched."""
+    # 0 times infinity is NaN; a matrix product is 8 times as fast as a reduction of short rows
+    with np.errstate(invalid="ignore"):
+        bad = np.isnan(x @ np.zeros(x.shape[1], dtype=x.dtype))
+    turn, norm, invariant = watch
+    large = Status.SINGULAR if representation in _COORDINATES else Status.STEP_TOO_LARGE
+    flags = [
+        (bad, Status.NON_FINITE),
+        (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
+        ((np.sqrt(turn) > limit) & np.isfinite(turn), large),
+        (np.broadcast_to(damped > method.damping_limit, turn.shape), Status.STEP_TOO_LARGE),
+        (~(invariant <= INVARIANT_BOUND) & ~bad, Status.INVARIANT),
+    ]
+    if representation != "direction":
+        flags.append((~(norm <= NORM_BOUND[x.dtype]) & ~bad, Status.NORM_LOST))
+    found = np.zeros(turn.shape, dtype=np.uint8)
+    for where, flag in flags:
+        if where.any():
+            found[where] |= np.uint8(flag)
+    return found
+
+
+def warn(
+    turn: NDArray[Any],
+    damped: NDArray[np.float64],
+    limit: float,
+    method: Method,
+    h: float,
+    kind: np.dtype[Any],
+    *,
+    compensated: bool,
+    level: int,
+) -> bool:
+    """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
+    seen = np.nan_to_num(np.asarray(turn, dtype=np.float64), nan=0.0, posinf=0.0)
+    body = int(np.argmax(seen)) if seen.size else 0
+    most = float(seen[body]) if seen.size else 0.0
+    eps = float(np.finfo(kind).eps)
+    text = ""
+    if most > limit:
+        text = (
+            f"dt: a step of body {body} is {most:.3g} rad, {method.name}'s limit is {limit:.3g} "
+            f"({int((seen > limit).sum())} of {seen.size} bodies are past it): take |dt| <= "
+            f"{abs(h) * limit / most:.3g}"
+        )
+    elif (damped > method.damping_limit).any():
+        worst = float(damped.max())
+        text = (
+            f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
+            f"to {method.damping_limit:.3g}: take |dt| <= "
+            f"{abs(h) * method.damping_limit / worst:.3g}, or strang2, which damps exactly"
+        )
+    elif 0.0 < most < eps and not compensated:
+        text = (
+            f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
+            f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"
+        )
+    if text:
+        warnings.warn(text, StepWarning, stacklevel=level)
+    return bool(text)

@@ -1,0 +1,79 @@
+"""The self-check of a method on a scene."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike, DTypeLike
+
+from fastatt import checks
+from fastatt.ensemble import Ensemble
+from fastatt.methods import METHODS
+from fastatt.propagate import propagate
+from fastatt.scene import Scene
+from fastatt.self_check import SelfCheck, examine
+from fastatt.trajectory import Trajectory
+
+
+def self_check(
+    scene: Scene,
+    q0: ArrayLike,
+    w0: ArrayLike | None = None,
+    *,
+    v0: ArrayLike | None = None,
+    r0: ArrayLike | None = None,
+    dt: float,
+    n_steps: int,
+    method: str | None = None,
+    representation: str = "quat",
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    t0: float = 0.0,
+    sample: int = 64,
+) -> SelfCheck:
+    """Order and error that a run shows of itself, by halving its step on a sample of its bodies.
+
+    Takes 3 to some 100 times as long as the run takes on ``sample`` bodies: the step is halved
+    twice, and again while the order is below the declared one. Arguments are those of
+    :func:`fastatt.propagate`. The check sees any error of the method that lowers its order, such as
+    a wrong weight or sign or a stale rate; it sees none that a method of the same order for other
+    equations would make.
+
+    Returns
+    -------
+    SelfCheck : ``order``, ``declared``, ``error``, ``limited_by``, ``norm``, ``passed``.
+
+    Warns
+    -----
+    OrderWarning : the order observed is below the declared one by more than 0.5: the method is
+        broken, or what acts is not smooth, such as a sampled torque between whose samples a step
+        is no whole fraction.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    """
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
+
+    def run(some: Ensemble, h: float, n: int) -> Trajectory:
+        return propagate(
+            some.scene,
+            some.q0,
+            some.w0,
+            v0=some.v0,
+            r0=some.r0,
+            dt=h,
+            n_steps=n,
+            method=method,
+            representation=representation,
+            dtype=dtype,
+            n_threads=n_threads,
+            t0=t0,
+        )
+
+    return examine(
+        run,
+        ensemble,
+        checks.real("dt", dt, zero=False),
+        checks.whole("n_steps", n_steps, 1),
+        lambda name: METHODS[name].order_of(scene.kind),
+        sample=checks.whole("sample", sample, 1),
+    )

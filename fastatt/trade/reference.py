@@ -1,0 +1,226 @@
+"""What errors are measured against, and how good that is itself.
+
+A closed form where the scene has one; else a method of high order at a step that is halved until
+nothing changes any more. A second method, of another family, confirms either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import exact, rates, torques
+from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
+from fastatt.ensemble import Ensemble
+from fastatt.methods import METHODS
+from fastatt.methods.method import FREE
+from fastatt.propagate import methods_for
+from fastatt.trade.measure import Case, Problem, State
+
+CLOSED_FORM = "exact"
+# of high order; the first that fits is run tight
+_TIGHT = ("magnus6", "rk8", "rkmk4")
+# of other families than those; order 4 is extrapolated from a step and its half
+_CONFIRMING = ("dmv10", "kahan_li8", "rkmk4", "cf4", "rk4")
+_HIGH = 6
+_EPS = float(np.finfo(np.float64).eps)
+_LEAST = 8  # steps
+# body-steps that a tight run may take, about 4 s of the slowest of them on one core
+_WORK = 5e7
+_SETTLED = 1e-6  # rad: nothing above is rounding
+_INSTANTS = 16  # at which a given rate is looked at
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Attitudes (S, N, 4) and angular velocities (S, N, 3) at S even times, the last at the end.
+
+    ``own_error`` (N,) is what it may be off by itself at the end, rad; ``source`` names it.
+    """
+
+    states: State
+    source: str
+    own_error: NDArray[np.float64]
+
+    @property
+    def end(self) -> State:
+        """The last of the states."""
+        q, w = self.states
+        return State(q[-1], None if w is None else w[-1])
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """Where another method ends, and how far that is from a reference: (N,), rad."""
+
+    end: State
+    source: str
+    apart: NDArray[np.float64]
+
+    def __str__(self) -> str:
+        return (
+            f"{self.source} differs from it by {np.median(self.apart):.1e} rad (median), "
+            f"{self.apart.max():.1e} rad (worst)"
+        )
+
+
+def speeds(problem: Problem) -> NDArray[np.float64]:
+    """The largest |w| of each body, rad/s: at the start or, of given rates, at even times."""
+    e = problem.ensemble
+    if e.w0 is not None:
+        return np.broadcast_to(np.linalg.norm(np.atleast_2d(e.w0), axis=-1), (e.size,))
+    if isinstance(e.scene.rate, rates.Constant):
+        w = np.linalg.norm(np.atleast_2d(np.asarray(e.scene.rate.w, dtype=np.float64)), axis=-1)
+        return np.broadcast_to(w, (e.size,))
+    method = next(m for m in ("magnus4", *methods_for(e.scene)) if m in methods_for(e.scene))
+    run = problem.run(Case(method), _INSTANTS, 1)
+    return np.asarray(np.linalg.norm(run.w, axis=-1).max(axis=0))
+
+
+def turns(problem: Problem) -> float:
+    """The angle, rad, that the fastest body goes through, as far as ``speeds`` knows."""
+    return float(speeds(problem).max()) * abs(problem.t_end)
+
+
+def reference(
+    problem: Problem, *, n_saves: int = 1, goal: float = 0.0, method: str | None = None
+) -> Reference:
+    """The closed form, or the tight run of a method, good to ``goal`` rad or to round-off."""
+    if method is None:
+        found = _closed_form(problem, n_saves)
+        if found is not None:
+            return found
+    return _tight(problem, method or _tight_method(problem.ensemble), n_saves, goal)
+
+
+def _closed_form(problem: Problem, n_saves: int) -> Reference | None:
+    e, scene = problem.ensemble, problem.ensemble.scene
+    t = problem.t_end * np.arange(1, n_saves + 1) / n_saves
+    q0 = np.broadcast_to(e.q0, (e.size, 4)).astype(np.float64)
+    w = None
+    if scene.kind in FREE:
+        assert e.w0 is not None
+        w0 = np.broadcast_to(e.w0, (e.size, 3)).astype(np.float64)
+        q, w = exact.free_body(
+            q0, w0, np.asarray(scene.inertia), t, allow_unphysical=scene.allow_unphysical
+        )
+        name = "the closed form"
+    elif isinstance(scene.rate, rates.Constant):
+        turned = rotation_vector_to_quat(t[:, None, None] * np.atleast_2d(scene.rate.w))
+        pair = (q0, turned) if scene.frame == "body" else (turned, q0)
+        q, name = quat_multiply(*pair), "one exponential"
+    elif isinstance(scene.rate, rates.Coning) and scene.frame == "body":
+        at = np.concatenate([[0.0], t]) + problem.t0
+        angle, frequency = map(np.atleast_1d, scene.rate)
+        cone = coning_attitudes(angle, frequency, at)
+        back = cone[:1] * (1.0, -1.0, -1.0, -1.0)
+        q, name = quat_multiply(q0, quat_multiply(back, cone[1:])), "the exact coning motion"
+    else:
+        return None
+    own = 2.0 * _EPS * (1.0 + speeds(problem) * abs(problem.t_end))
+    return Reference(State(q, w), name, own)
+
+
+def coning_attitudes(
+    angle: NDArray[np.float64], frequency: NDArray[np.float64], t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Exact attitudes (S, N, 4) of ``rates.Coning`` bodies at times t (S,)."""
+    phase = frequency * t[:, None]
+    c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
+    columns = [c, s * np.cos(phase), s * np.sin(phase), 0.0 * phase]
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+def _tight_method(ensemble: Ensemble) -> str:
+    fitting = methods_for(ensemble.scene, "quat")
+    return next(m for m in (*_TIGHT, *fitting) if m in fitting)
+
+
+def _ladder(problem: Problem, method: str, n_saves: int) -> Iterator[tuple[int, State]]:
+    """States at even times with steps halved, as long as they may take."""
+    n = max(_LEAST, math.ceil(turns(problem) * 2.0))
+    unit = math.lcm(n_saves, _intervals(problem))
+    n = -(-n // unit) * unit
+    most = max(4 * n, _WORK / max(problem.ensemble.size, 64))
+    while n <= most:
+        run = problem.run(Case(method), n, n // n_saves)
+        yield n, State(run.q[1:], run.w[1:] if "w" in run.carried else None)
+        n *= 2
+
+
+def _intervals(problem: Problem) -> int:
+    """How many intervals of a sampled torque the run spans: its kinks are to lie between steps."""
+    torque = problem.ensemble.scene.torque
+    for term in torque.terms if isinstance(torque, torques.Sum) else (torque,):
+        if isinstance(term, torques.Sampled):
+            n = problem.t_end / term.dt
+            if abs(n - round(n)) < 1e-9 * n and 0 < n < _WORK:
+                return round(n)
+    return 1
+
+
+def _tight(problem: Problem, method: str, n_saves: int, goal: float) -> Reference:
+    """Halve the step until what that changes is no more than the goal, or rounding."""
+    order = METHODS[method].order
+    best: Reference | None = None
+    before: State | None = None
+    change = math.inf
+    for n, state in _ladder(problem, method, n_saves):
+        if before is not None:
+            apart = np.nan_to_num(angle_between(before.q, state.q), nan=np.pi).max(axis=0)
+            worst = float(apart.max())
+            truncated = apart / (2.0**order - 1.0)
+            name = f"{method} at {problem.t_end / n:.4g} s"
+            rounded = worst > 0.25 * change and worst < _SETTLED
+            if best is None or worst < change:
+                best = Reference(state, name, np.where(rounded, apart, truncated) + _EPS)
+                change = worst
+            if rounded or float(truncated.max()) <= goal:
+                break
+        before = state
+    assert best is not None
+    return best
+
+
+def confirm(problem: Problem, known: Reference, method: str | None = None) -> Confirmation:
+    """Run another method tighter and tighter, as long as that brings it nearer the reference."""
+    fitting = methods_for(problem.ensemble.scene, "quat")
+    used = known.source.split()[0]
+    if method is None:
+        method = next((m for m in _CONFIRMING if m in fitting and m != used), fitting[0])
+    order = METHODS[method].order
+    best: Confirmation | None = None
+    before: State | None = None
+    for n, state in _ladder(problem, method, 1):
+        q, w = state
+        name = f"{method} at {problem.t_end / n:.4g} s"
+        if order < _HIGH:
+            if before is None:
+                before = state
+                continue
+            name = f"{method} extrapolated from {2.0 * problem.t_end / n:.4g} and half"
+            q, w = _extrapolated(before, state, order)
+            before = state
+        end = State(q[-1], None if w is None else w[-1])
+        apart = np.nan_to_num(angle_between(end.q, known.end.q), nan=np.pi)
+        if best is not None and apart.max() > 0.5 * best.apart.max() and apart.max() < _SETTLED:
+            break
+        if best is None or apart.max() < best.apart.max():
+            best = Confirmation(end, name, apart)
+    assert best is not None
+    return best
+
+
+def _extrapolated(coarse: State, fine: State, order: int) -> State:
+    """Richardson's extrapolation from a step and its half."""
+    k = 2.0**order
+    same = np.sign(np.einsum("...i,...i->...", coarse.q, fine.q))[..., None]
+    q = (k * fine.q - same * coarse.q) / (k - 1.0)
+    w = None
+    if fine.w is not None and coarse.w is not None:
+        w = (k * fine.w - coarse.w) / (k - 1.0)
+    return State(q / np.linalg.norm(q, axis=-1, keepdims=True), w)

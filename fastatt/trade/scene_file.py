@@ -1,0 +1,114 @@
+"""A scene and its bodies from words: options of a command line, a JSON or a TOML file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks, rates, torques
+from fastatt.scene import Scene
+
+_KEYS = ("inertia", "rate", "torque", "frame", "allow_unphysical")
+_MODULES = {"rate": rates, "torque": torques}
+# take functions or other models, which have no words
+_WORDLESS = ("Custom", "Sum")
+
+
+def read_scene(path: Path) -> Scene:
+    """The scene of a ``.json`` or ``.toml`` file.
+
+    Keys are ``inertia``, ``frame``, ``allow_unphysical``, and ``rate`` or ``torque``: a table, or a
+    list of tables that are summed, with the ``model``'s name and its numbers.
+
+    Raises ``ValueError`` for anything else, naming the key; ``OSError`` of the file itself.
+    """
+    text = path.read_text(encoding="utf-8")
+    if path.suffix not in (".json", ".toml"):
+        raise ValueError(f"{path}: found the ending {path.suffix!r}; accepted: .json and .toml")
+    try:
+        found = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except ValueError as error:  # that of either parser
+        raise ValueError(f"{path}: {error}") from None
+    for key in found if isinstance(found, dict) else [found]:
+        checks.choice(str(path), key, _KEYS)
+    given = {}
+    for key, value in found.items():
+        if key in _MODULES:
+            several = value if isinstance(value, list) else [value]
+            given[key] = _summed(key, [_of_table(key, item) for item in several])
+        else:
+            given[key] = value
+    return Scene(**given)
+
+
+def _of_table(kind: str, table: Any) -> Any:
+    if not isinstance(table, dict) or "model" not in table:
+        raise ValueError(f'{kind}: found {checks.brief(table)}; accepted: a table with a "model"')
+    numbers = {key: value for key, value in table.items() if key != "model"}
+    return model(kind, str(table["model"]), numbers)
+
+
+def _summed(kind: str, models: Sequence[Any]) -> Any:
+    return models[0] if len(models) == 1 else _MODULES[kind].Sum(tuple(models))
+
+
+def from_words(kind: str, words: Sequence[Sequence[str]]) -> Any:
+    """Models from words, summed: ``["Damping", "coefficient=0.02"]``; ``arm=0,0,0.1``."""
+    found = []
+    for name, *settings in words:
+        numbers = {}
+        for setting in settings:
+            key, equals, value = setting.partition("=")
+            if not equals:
+                raise ValueError(f"--{kind}: found {setting!r}; accepted: name=number,number")
+            numbers[key] = _numbers(f"--{kind} {name} {key}", value)
+        found.append(model(kind, name, numbers))
+    return _summed(kind, found)
+
+
+def _numbers(name: str, text: str) -> Any:
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise ValueError(f"{name}: found {text!r}; accepted: numbers") from None
+    return found if len(found) > 1 else found[0]
+
+
+def model(kind: str, name: str, numbers: Mapping[str, Any]) -> Any:
+    """A model of ``fastatt.rates`` or ``fastatt.torques`` by name.
+
+    Raises ``ValueError`` for an unknown name or number, and for one that is missing.
+    """
+    module = _MODULES[kind]
+    names = [n for n in module.__all__ if n not in _WORDLESS]
+    cls = getattr(module, checks.choice(kind, name, names))
+    for key in numbers:
+        checks.choice(f"{kind} {name}", key, cls._fields)
+    missing = [f for f in cls._fields if f not in numbers and f not in cls._field_defaults]
+    if missing:
+        raise ValueError(f"{kind} {name}: {', '.join(missing)} is missing")
+    return cls(**numbers)
+
+
+def read_rows(option: str, path: Path, columns: int) -> NDArray[np.float64]:
+    """Rows of numbers from a ``.npy`` file or a text table with commas.
+
+    Raises ``ValueError`` for another shape; ``OSError`` of the file itself.
+    """
+    if path.suffix == ".npy":
+        found = np.load(path)
+    elif path.suffix == ".csv":
+        try:
+            found = np.loadtxt(path, delimiter=",", ndmin=2)
+        except ValueError as error:
+            raise ValueError(f"{option}: {path}: {error}") from None
+    else:
+        raise ValueError(f"{option}: found the ending {path.suffix!r}; accepted: .csv and .npy")
+    shapes = f"({columns},) or (N, {columns})"
+    return checks.array(option, found, shapes, [(columns,), (-1, columns)]).astype(np.float64)

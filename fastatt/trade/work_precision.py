@@ -1,0 +1,266 @@
+"""Work and precision of every method on a user's own scene."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.engine.pool import progress_bar
+from fastatt.ensemble import Ensemble
+from fastatt.methods import METHODS
+from fastatt.propagate import methods_for
+from fastatt.representations import REPRESENTATIONS
+from fastatt.scene import Scene
+from fastatt.trade.measure import (
+    Case,
+    Problem,
+    Row,
+    Rung,
+    frontier,
+    ladder_rows,
+    machine,
+    machine_line,
+    measure,
+    panel,
+    trade_table,
+    write_csv,
+)
+from fastatt.trade.reference import (
+    CLOSED_FORM,
+    Confirmation,
+    Reference,
+    confirm,
+    reference,
+    speeds,
+    turns,
+)
+
+DTYPES = ("float64", "float32")
+# |w|h of the coarsest step, rad, where the method itself allows it, and how many halvings follow
+_COARSEST = 2.0
+_RUNGS = 14
+
+
+@dataclass(frozen=True)
+class WorkPrecision:
+    """Measured rows, and what they were measured on and against."""
+
+    rows: list[Row]
+    t_end: float
+    n_bodies: int
+    sampled: int
+    reference: str
+    reference_error: float
+    confirmation: str
+
+    @property
+    def frontier(self) -> list[Row]:
+        """The rows that no other beats in both time and median error, fastest first."""
+        return frontier(self.rows)
+
+    def describe(self) -> str:
+        """Bodies, time, and the reference with its own error."""
+        return (
+            f"{self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s; reference: "
+            f"{self.reference}, good to {self.reference_error:.1e} rad; {self.confirmation}"
+        )
+
+    def table(self) -> str:
+        """All rows as text."""
+        return trade_table(self.rows)
+
+    def __str__(self) -> str:
+        best = trade_table(self.frontier)
+        return f"{machine_line()}\n{self.describe()}\n{self.table()}\n\nFrontier\n{best}"
+
+    def plot(self, path: str | Path) -> None:
+        """Draw error against time per body, the frontier behind it (needs matplotlib)."""
+        from fastatt import plots
+
+        title = f"{self.sampled} of {self.n_bodies} bodies"
+        drawn = panel(title, self.t_end, self.rows)
+        plots.work_precision([drawn], "What accuracy costs", Path(path))
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the rows, a line of names first."""
+        write_csv(Path(path), self.rows)
+
+    def to_json(self, path: str | Path) -> None:
+        """Write the rows, the machine and the reference."""
+        found = {"machine": machine(), **asdict(self)}
+        with Path(path).open("w", encoding="utf-8") as file:
+            json.dump(found, file, indent=1)
+            file.write("\n")
+
+
+def work_precision(
+    scene: Scene,
+    q0: ArrayLike,
+    w0: ArrayLike | None = None,
+    *,
+    t_end: float,
+    v0: ArrayLike | None = None,
+    r0: ArrayLike | None = None,
+    t0: float = 0.0,
+    methods: Sequence[str] | None = None,
+    representations: Sequence[str] = ("quat",),
+    dtypes: Sequence[str] = DTYPES,
+    sample: int = 1024,
+    repeats: int = 3,
+    max_seconds: float = 60.0,
+    n_threads: int | None = None,
+    seed: int = 0,
+    progress: bool = False,
+) -> WorkPrecision:
+    """Measure methods on a sample of an ensemble over a ladder of steps.
+
+    Each ladder starts where the fastest body turns by 2 rad a step, or by as much as the method
+    allows, and is halved until rounding limits or the time is used up. Times are those of the
+    sample, compiled and warmed up.
+
+    Parameters
+    ----------
+    scene, q0, w0, v0, r0, t0, n_threads : as of :func:`fastatt.propagate`.
+    t_end : duration, s, above 0.
+    methods, representations, dtypes : what to measure; None takes every method that fits.
+    sample : bodies to measure on: the fastest, the slowest, the others by chance from ``seed``.
+    repeats : runs of which the shortest counts.
+    max_seconds : time for all rows together, s, compilation not counted; each case has its share.
+    progress : show a bar (needs tqdm).
+
+    Returns
+    -------
+    WorkPrecision : ``rows``, ``frontier``, ``table()``, ``plot(path)``, ``to_csv(path)``,
+        ``to_json(path)``. Errors are angles at the end, rad, against ``reference``, whose own
+        error is ``reference_error``, rad, the largest over the sample.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    """
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
+    cases = cases_of(scene, methods, representations, dtypes)
+    whole = Problem(
+        ensemble.take(np.arange(ensemble.size)), duration(t_end), checks.real("t0", t0), n_threads
+    )
+    size = checks.whole("sample", sample, 1)
+    rows = spread(speeds(whole), size, np.random.default_rng(seed))
+    problem = replace(whole, ensemble=whole.ensemble.take(rows))
+    known = reference(problem)
+    check = confirm(problem, known)
+    share = checks.real("max_seconds", max_seconds) / len(cases)
+    found: list[Row] = []
+    with progress_bar(progress, len(cases), "case") as done:
+        for case in cases:
+            found += case_rows(scene.kind, problem, known, check, case, repeats, share)
+            done(1)
+    return WorkPrecision(
+        rows=found,
+        t_end=problem.t_end,
+        n_bodies=ensemble.size,
+        sampled=rows.size,
+        reference=known.source,
+        reference_error=float(np.max(known.own_error)),
+        confirmation=str(check),
+    )
+
+
+def cases_of(
+    scene: Scene,
+    methods: Sequence[str] | None,
+    representations: Sequence[str],
+    dtypes: Sequence[str],
+) -> list[Case]:
+    """The combinations that exist of what is asked for.
+
+    Raises ``ValueError`` for a name that is unknown or does not fit, and where nothing is left.
+    """
+    fitting = methods_for(scene)
+    for name in methods or ():
+        checks.choice("methods", name, fitting)
+    for rep in representations:
+        checks.choice("representations", rep, REPRESENTATIONS)
+    for dtype in dtypes:
+        checks.choice("dtypes", dtype, DTYPES)
+    found = [
+        Case(name, rep, dtype)
+        for name in (fitting if methods is None else methods)
+        for rep in representations
+        for dtype in dtypes
+        if name in methods_for(scene, rep)
+    ]
+    if not found:
+        raise ValueError(
+            f"methods, representations, dtypes: found {methods}, {list(representations)}, "
+            f"{list(dtypes)}, of which nothing fits; accepted: " + ", ".join(fitting)
+        )
+    return found
+
+
+def duration(t_end: float) -> float:
+    """A finite number of seconds above 0."""
+    seconds = checks.real("t_end", t_end)
+    if seconds <= 0.0:
+        raise ValueError(f"t_end: found {seconds}; accepted: a duration above 0, s")
+    return seconds
+
+
+def spread(
+    order_by: NDArray[np.float64], size: int, generator: np.random.Generator
+) -> NDArray[np.intp]:
+    """Rows of the largest (an eighth) and the least (a sixteenth), the others by chance."""
+    n = order_by.size
+    if n <= size:
+        return np.arange(n)
+    ranked = np.argsort(order_by, kind="stable")
+    most, least = ranked[n - max(1, size // 8) :], ranked[: size // 16]
+    between = ranked[least.size : n - most.size]
+    rest = generator.choice(between, size - most.size - least.size, replace=False)
+    return np.sort(np.concatenate([most, least, rest]))
+
+
+def case_rows(
+    name: str,
+    problem: Problem,
+    known: Reference,
+    check: Confirmation,
+    case: Case,
+    repeats: int,
+    seconds: float = math.inf,
+    steps: Sequence[int] | None = None,
+) -> list[Row]:
+    """The ladder of one case.
+
+    The closed form needs no steps: it has one row, and where it is the reference itself, its error
+    is measured against what confirms it.
+    """
+    end = known.end
+    if case.method == CLOSED_FORM:
+        end, steps = check.end, (1,)
+    order = METHODS[case.method].order_of(problem.ensemble.scene.kind)
+    rungs: list[Rung] = []
+    rows: list[Row] = []
+    used = 0.0
+    for n in _steps(problem, case) if steps is None else steps:
+        rungs.append(measure(problem, end, case, n, repeats))
+        rows = ladder_rows(name, case, problem.t_end, rungs, order)
+        used += (repeats + 2) * rungs[-1].seconds
+        # the next takes as long as all before it
+        if steps is None and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):
+            break
+    return rows
+
+
+def _steps(problem: Problem, case: Case) -> Iterator[int]:
+    angle = min(_COARSEST, 0.9 * METHODS[case.method].limit(case.representation))
+    n = max(1, math.ceil(turns(problem) / angle))
+    for _ in range(_RUNGS):
+        yield n
+        n *= 2

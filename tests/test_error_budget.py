@@ -1,0 +1,194 @@
+"""The error budget of a log: each share beside the true one, of motions whose attitude is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+
+import fastatt as fa
+from fastatt.trade import coning_attitudes, coning_rates, error_budget
+from fastatt.trade.error_budget import _Log
+
+pytestmark = pytest.mark.slow
+
+H = 0.02
+T = H * np.arange(601)
+START = np.array([1.0, 0.0, 0.0, 0.0])
+FINE = 20  # instants an interval of what is taken for exact
+
+
+def generic(t):
+    """Smooth rates about all axes, rad/s."""
+    rng = np.random.default_rng(2)
+    a, f, p = rng.normal(size=(4, 3)), rng.uniform(0.3, 3.0, (4, 3)), rng.uniform(0, 6, (4, 3))
+    return (a[:, None] * np.sin(f[:, None] * t[None, :, None] + p[:, None])).sum(axis=0)
+
+
+def between(t):
+    """The instants t with others between them."""
+    h = t[1] / FINE
+    return h * np.arange((len(t) - 1) * FINE + 1)
+
+
+def tight(rates, t):
+    """Attitudes at t from rates at ``between(t)``: 20 times as many, order 4, 1e-5 of the error."""
+    return fa.integrate_rates(rates, t[1] / FINE, method="coning3")[::FINE]
+
+
+def motion(name, t):
+    """Rates at t, and the true attitudes."""
+    if name == "coning":
+        a, f = np.array([0.8]), np.array([2.0])
+        q = coning_attitudes(a, f, t)[:, 0]
+        return coning_rates(a, f, t)[0], fa.quat_multiply(q[0] * (1, -1, -1, -1), q)
+    return generic(t), tight(generic(between(t)), t)
+
+
+def polynomials(method, t, w):
+    """What the method takes for the rates between the samples."""
+    if method == "trapezoid":
+        return np.stack([np.interp(between(t), t, c) for c in w.T], axis=1)
+    history, span, degree = {"previous": (1, 1, 2), "coning3": (0, 3, 3)}[method]
+    out = np.empty((len(between(t)), 3))
+    for k in range(0, len(t) - 1, span):
+        first = min(max(k - history, 0), len(t) - 1 - degree)
+        nodes = slice(first, first + degree + 1)
+        inside = slice(k * FINE, (k + span) * FINE + 1)
+        for axis in range(3):
+            out[inside, axis] = Polynomial.fit(t[nodes], w[nodes, axis], degree)(between(t)[inside])
+    return out
+
+
+@pytest.mark.parametrize("method", ["trapezoid", "previous", "coning3"])
+@pytest.mark.parametrize("name", ["coning", "generic"])
+def test_interpolation_and_truncation_are_the_true_ones(name, method):
+    w, q = motion(name, T)
+    known = tight(polynomials(method, T, w), T)
+    found = fa.integrate_rates(w, H, method=method)
+    log = _Log(w, H, START, None)
+    sampling = log.extrapolated(log.exact, method, 0.0)
+    for share, true in (
+        (sampling.error, fa.angle_between(known, q).max()),
+        (log.truncation(method), fa.angle_between(found, known).max()),
+    ):
+        assert 0.5 < share / true < 2.0
+    assert sampling.order == pytest.approx(fa.METHODS[method].order, abs=0.5)
+    total = log.extrapolated(log.attitudes, method, 0.0)
+    assert total.error == pytest.approx(fa.angle_between(found, q).max(), rel=0.5)
+    assert log.noise_density() == 0.0
+
+
+def test_a_rate_that_is_held_has_no_truncation():
+    w, q = motion("generic", T)
+    log = _Log(w, H, START, None)
+    true = fa.angle_between(fa.integrate_rates(w, H, method="hold"), q).max()
+    assert log.truncation("hold") == 0.0
+    assert log.extrapolated(log.exact, "hold", 0.0).error == pytest.approx(true, rel=0.3)
+
+
+def test_a_better_method_is_named():
+    w, q = motion("generic", T)
+    budget = error_budget(w, H, method="trapezoid", rivals=["coning3"])
+    assert budget.verdict.startswith("coning3 would cut the error")
+    true = [
+        fa.angle_between(fa.integrate_rates(w, H, method=m), q).max()
+        for m in ("trapezoid", "coning3")
+    ]
+    assert budget.total == pytest.approx(true[0], rel=0.5)
+    assert budget.rivals["coning3"] == pytest.approx(true[1], rel=0.5)
+
+
+@pytest.mark.parametrize("density", [1e-4, 1e-2])
+def test_noise_is_the_true_one(density):
+    """Root mean square over 60 logs with different noise of the same density."""
+    w, _ = motion("generic", T)
+    noise = np.random.default_rng(5).normal(scale=density / np.sqrt(H), size=(60, *w.shape))
+    logs = fa.integrate_rates(w + noise, H, method="coning3")[:, -1]
+    end = fa.integrate_rates(w, H, method="coning3")[-1]
+    true = np.sqrt(np.mean(fa.angle_between(logs, end) ** 2))
+    for own in noise[:3]:
+        budget = error_budget(w + own, H, method="coning3", rivals=[])
+        assert 0.5 < budget.noise / true < 2.0
+        assert budget.noise_density == pytest.approx(density, rel=0.15)
+        assert budget.limited_by == "noise"
+        assert "noise limits" in budget.verdict
+        assert "another method will not help" in budget.verdict
+
+
+def longdouble(w):
+    """The mean of two samples a turn, in extended precision."""
+    w = np.asarray(w, dtype=np.longdouble)
+    q = np.array([1, 0, 0, 0], dtype=np.longdouble)
+    for a, b in pairwise(w):
+        u = np.longdouble(H) * (a + b) / 4
+        angle = np.sqrt(u @ u)
+        c, v = np.cos(angle), u * np.sin(angle) / angle
+        q = np.concatenate([[q[0] * c - q[1:] @ v], q[0] * v + c * q[1:] + np.cross(q[1:], v)])
+    return q
+
+
+def test_round_off_is_the_true_one():
+    """Of logs of which each has its own, mean of eight at the end."""
+    shares, true = [], []
+    for k in range(8):
+        w = np.roll(generic(T), k, axis=1) * (1.0 + 0.1 * k)
+        shares.append(error_budget(w, H, method="trapezoid", rivals=[]).round_off)
+        q = fa.integrate_rates(w, H, method="trapezoid")[-1].astype(np.longdouble)
+        exact = longdouble(w)
+        sign = np.sign(q @ exact)
+        apart = q - sign * exact
+        true.append(float(2 * np.linalg.norm(apart - exact * (apart @ exact))))
+    assert 0.5 < np.mean(shares) / np.mean(true) < 2.0
+
+
+def test_single_precision_is_what_limits_clean_data():
+    w = generic(0.1 * T).astype(np.float32)
+    budget = error_budget(w, 0.1 * H, method="coning3", rivals=[])
+    same = fa.integrate_rates(w, 0.1 * H, method="coning3")
+    better = fa.integrate_rates(w.astype(np.float64), 0.1 * H, method="coning3")
+    assert budget.round_off == pytest.approx(fa.angle_between(same, better).max(), rel=0.1)
+    # the samples' own rounding looks like noise, and is
+    assert budget.limited_by in ("round-off", "noise")
+
+
+def test_where_the_sample_rate_limits_no_method_helps():
+    """Rates with kinks between the samples: every polynomial is wrong there."""
+    w = np.abs((generic(T) * 4.0) % 2.0 - 1.0)
+    budget = error_budget(w, H, method="coning3", rivals=["trapezoid"])
+    assert budget.limited_by == "interpolation"
+    assert "a better integrator will not help; a sensor twice as fast would cut" in str(budget)
+
+
+def test_twice_the_rate_cuts_the_error_by_what_is_said():
+    w, q = motion("generic", T[::2])
+    true = fa.angle_between(fa.integrate_rates(w, 2 * H, method="trapezoid"), q).max()
+    faster, q = motion("generic", T)
+    finer = fa.angle_between(fa.integrate_rates(faster, H, method="trapezoid"), q).max()
+    budget = error_budget(w, 2 * H, method="trapezoid", rivals=[])
+    assert budget.total / budget.with_twice_the_rate == pytest.approx(true / finer, rel=0.3)
+
+
+def test_intervals_are_joined_where_samples_are_left_out():
+    log = _Log(np.zeros((9, 3)), np.arange(1.0, 9.0), START, 10.0)
+    rates, joined, gap = log.part(3)
+    assert rates.shape == (3, 3)
+    assert joined.tolist() == [6.0, 15.0]
+    assert gap == 30.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rates": np.zeros((26, 3))}, "rates: found 26 samples; accepted: at least 27"),
+        ({"rates": np.zeros((30, 2))}, "rates: has shape"),
+        ({"method": "rk4"}, "method: found 'rk4'"),
+        ({"rivals": ["rk4"]}, "rivals: found 'rk4'"),
+        ({"dt": -1.0}, "dt: found -1.0"),
+    ],
+)
+def test_bad_input(change, message):
+    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
+        error_budget(**{"rates": np.zeros((30, 3)), "dt": H, **change})

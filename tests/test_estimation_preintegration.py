@@ -1,0 +1,313 @@
+"""Preintegration against matrix exponentials, differences and Forster's own recurrences."""
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+from differences import attitude_errors, derivative, displaced
+from numba import njit, types
+from oracle import EPS, hat, quat_matrix, vec
+
+import fastatt as fa
+from fastatt import estimation
+from fastatt.estimation import preintegration as kernels
+
+pytestmark = pytest.mark.slow
+
+N, H = 6, 0.05
+SIGMA_G, SIGMA_A = 0.02, 0.3
+NOISE = {"gyro_noise": SIGMA_G, "accel_noise": SIGMA_A}
+STEP = 0.02
+
+
+def samples(seed=0, rate=1.0):
+    generator = np.random.default_rng(seed)
+    return rate * generator.normal(size=(N, 3)), 5.0 * generator.normal(size=(N, 3))
+
+
+GYRO, ACCEL = samples()
+
+
+def exact(gyro, accel, h):
+    """(R, v, p) of held samples: X' = X G with X = [[R, v, p], [0, 1, t], [0, 0, 1]]."""
+    x = mp.eye(5)
+    for w, a in zip(gyro, accel, strict=True):
+        g = mp.zeros(5)
+        g[0:3, 0:3] = hat(vec(w))
+        g[0:3, 3] = vec(a)
+        g[3, 4] = 1
+        x = x * mp.expm(g * mp.mpf(h), method="taylor")
+    return x[0:3, 0:3], x[0:3, 3], x[0:3, 4]
+
+
+def largest(a):
+    return float(max(abs(c) for c in a))
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-8, 1.0, 2 * math.pi / H * 0.999, 100.0 / H])
+def test_increments(rate):
+    axis = np.array([[2.0, -1.0, 2.0]]) / 3.0
+    gyro = GYRO if rate == 1.0 else np.repeat(rate * axis, N, axis=0)
+    found = estimation.preintegrate(gyro, ACCEL, H)
+    r, v, p = exact(gyro, ACCEL, H)
+    # each sample's turn is rounded to an ulp of itself
+    bound = N * 2 * EPS * (1 + rate * H)
+    assert largest(quat_matrix(vec(found.rotation)) - r) <= bound
+    assert largest(vec(found.velocity) - v) <= bound * largest(v)
+    assert largest(vec(found.position) - p) <= bound * max(largest(p), largest(v) * H)
+    assert found.duration == pytest.approx(N * H, rel=4 * EPS)
+
+
+@pytest.fixture(scope="module")
+def biased():
+    """A log and its neighbours along both biases, on both threads and on one."""
+    d = np.vstack([np.zeros(6), displaced(6, STEP)])
+    logs = np.broadcast_to(GYRO, (25, N, 3)), np.broadcast_to(ACCEL, (25, N, 3))
+    found = estimation.preintegrate(
+        *logs, H, gyro_bias=d[:, :3], accel_bias=d[:, 3:], n_threads=2, **NOISE
+    )
+    alone = estimation.preintegrate(
+        *logs, H, gyro_bias=d[:, :3], accel_bias=d[:, 3:], n_threads=1, **NOISE
+    )
+    assert (found.rows == alone.rows).all()
+    return found
+
+
+def test_bias_derivatives(biased):
+    found = biased
+    theta = attitude_errors(found.rotation[0], found.rotation[1:])
+    change = np.hstack(
+        [theta, (found.velocity - found.velocity[0])[1:], (found.position - found.position[0])[1:]]
+    )
+    true = derivative(change, STEP)
+    # truncation (STEP N H)⁴/30 of values of some 10, and rounding
+    bound = 10 * (STEP * N * H) ** 4 / 30 / STEP
+    assert np.abs(found.rotation_gyro[0] - true[:3, :3]).max() <= bound
+    assert np.abs(true[:3, 3:]).max() <= bound
+    assert np.abs(found.velocity_gyro[0] - true[3:6, :3]).max() <= bound
+    assert np.abs(found.velocity_accel[0] - true[3:6, 3:]).max() <= bound
+    assert np.abs(found.position_gyro[0] - true[6:, :3]).max() <= bound
+    assert np.abs(found.position_accel[0] - true[6:, 3:]).max() <= bound
+
+
+def test_covariance_of_held_noise(biased):
+    """Σ over samples of (σ²/h) G Gᵀ, G the result's derivative to the sample, by differences."""
+    step = 0.05
+    d = displaced(6 * N, step).reshape(-1, N, 6)
+    found = estimation.preintegrate(GYRO + d[..., :3], ACCEL + d[..., 3:], H)
+    theta = attitude_errors(biased.rotation[0], found.rotation)
+    g = derivative(np.hstack([theta, found.velocity - biased.velocity[0], found.position]), step)
+    weights = np.tile([SIGMA_G**2 / H] * 3 + [SIGMA_A**2 / H] * 3, N)
+    true = g * weights @ g.T
+    covariance = biased.covariance[0]
+    scale = np.sqrt(np.outer(np.diag(true), np.diag(true)))
+    assert (np.abs(covariance - true) <= 1e-9 * scale).all()
+    assert (covariance == covariance.T).all()
+
+
+def test_covariance_is_that_of_simulated_logs(biased):
+    """20000 noisy logs: the sample's own band, 5 sigma."""
+    n = 20_000
+    generator = np.random.default_rng(2)
+    gyro = GYRO + SIGMA_G / math.sqrt(H) * generator.normal(size=(n, N, 3))
+    accel = ACCEL + SIGMA_A / math.sqrt(H) * generator.normal(size=(n, N, 3))
+    found = estimation.preintegrate(gyro, accel, H)
+    # ΔR_true = ΔR exp(δφ): from the noisy to the true one
+    theta = -attitude_errors(biased.rotation[0], found.rotation)
+    errors = np.hstack(
+        [theta, biased.velocity[0] - found.velocity, biased.position[0] - found.position]
+    )
+    q = biased.covariance[0]
+    d = np.diag(q)
+    band = 5 * np.sqrt((np.outer(d, d) + q**2) / n)
+    # beyond first order: |δφ|² of some 4e-3
+    band += 4e-3 * np.sqrt(np.outer(d, d))
+    assert (np.abs(errors.T @ errors / n - q) <= band).all()
+
+
+def user_code(add):
+    @njit
+    def user(gyro, accel, h, g, a):
+        s = kernels.begin(h)
+        for i in range(len(gyro)):
+            w = (gyro[i, 0], gyro[i, 1], gyro[i, 2])
+            f = (accel[i, 0], accel[i, 1], accel[i, 2])
+            s = add(s, w, f, h, g, a)
+        return s
+
+    return user
+
+
+def blocks(s):
+    """Covariance (9, 9) of a state."""
+    full = lambda c: np.reshape([c[i] for i in (0, 1, 2, 1, 3, 4, 2, 4, 5)], (3, 3))  # noqa: E731
+    square = lambda c: np.reshape(c, (3, 3))  # noqa: E731
+    rv, rp, vp = square(s.rv), square(s.rp), square(s.vp)
+    return np.block(
+        [
+            [full(s.rotation.covariance), rv, rp],
+            [rv.T, full(s.vv), vp],
+            [rp.T, vp.T, full(s.pp)],
+        ]
+    )
+
+
+@pytest.mark.parametrize("densities", [(SIGMA_G, 0.0), (0.0, SIGMA_A)])
+def test_white_noise_is_the_limit_of_short_samples(densities):
+    """One slow sample against 40 parts of it, each with noise of its own: 1/40² short of white."""
+    parts = 40
+    gyro, accel = 1e-3 * GYRO[:1], ACCEL[:1]
+    g, a = (x * x for x in densities)
+    found = blocks(white(gyro, accel, H, g, a))
+    true = estimation.preintegrate(
+        np.repeat(gyro, parts, axis=0),
+        np.repeat(accel, parts, axis=0),
+        H / parts,
+        gyro_noise=densities[0],
+        accel_noise=densities[1],
+    ).covariance
+    scale = np.sqrt(np.outer(np.diag(true), np.diag(true)))
+    assert (np.abs(found - true) <= 2 / parts**2 * scale).all()
+
+
+white = user_code(kernels.add_sample_white)
+
+
+def test_forsters_form():
+    """Eqs. 35 to 37, 59, 63 and the appendix's recurrences in numpy."""
+    skew = lambda v: np.array(hat(vec(v)).tolist(), dtype=float)  # noqa: E731
+    r, v, p, cov = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 9))
+    rg, vg, va, pg, pa = (np.zeros((3, 3)) for _ in range(5))
+    one = np.eye(3)
+    for w, f in zip(GYRO, ACCEL, strict=True):
+        d = fa.quat_to_dcm(fa.rotation_vector_to_quat(w * H))
+        jr = estimation.right_jacobian(w * H)
+        a = np.block(
+            [
+                [d.T, 0 * one, 0 * one],
+                [-r @ skew(f) * H, one, 0 * one],
+                [-0.5 * r @ skew(f) * H**2, H * one, one],
+            ]
+        )
+        b = np.block([[jr * H, 0 * one], [0 * one, r * H], [0 * one, 0.5 * r * H**2]])
+        q = np.diag([SIGMA_G**2 / H] * 3 + [SIGMA_A**2 / H] * 3)
+        cov = a @ cov @ a.T + b @ q @ b.T
+        pg = pg + vg * H - 0.5 * r @ skew(f) @ rg * H**2
+        pa = pa + va * H - 0.5 * r * H**2
+        vg = vg - r @ skew(f) @ rg * H
+        va = va - r * H
+        rg = d.T @ rg - jr * H
+        p = p + v * H + 0.5 * r @ f * H**2
+        v = v + r @ f * H
+        r = r @ d
+    s = user_code(kernels.add_sample_forster)(GYRO, ACCEL, H, SIGMA_G**2, SIGMA_A**2)
+    bound = N * 8 * EPS
+    for found, true in (
+        (s.v, v), (s.p, p), (s.rotation.jacobian, rg), (s.vg, vg), (s.va, va), (s.pg, pg),
+        (s.pa, pa),
+    ):  # fmt: skip
+        assert np.abs(np.ravel(found) - true.ravel()).max() <= bound * max(1, np.abs(true).max())
+    assert np.abs(fa.quat_to_dcm(s.rotation.q) - r).max() <= bound
+    scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
+    assert (np.abs(blocks(s) - cov) <= bound * scale).all()
+    # the exact form differs by |ω×a| h²/2 a sample
+    apart = np.linalg.norm(estimation.preintegrate(GYRO, ACCEL, H).velocity - v)
+    assert 1e-3 < apart < N * 0.5 * H**2 * 2.5 * 12
+
+
+def test_users_code_in_single_precision(biased):
+    """The rotation, its Jacobian and covariance; whole samples run in double precision above."""
+
+    @njit
+    def user(gyro, h, g):
+        s = kernels.begin_rotation(h)
+        for i in range(len(gyro)):
+            s = kernels.add_rotation(s, (gyro[i, 0], gyro[i, 1], gyro[i, 2]), h, g)
+        return s
+
+    narrow = np.float32
+    single = user(GYRO.astype(narrow), narrow(H), narrow(SIGMA_G**2))
+    (signature,) = user.nopython_signatures
+    assert leaves(signature.return_type) == {types.float32}
+    bound = 8 * np.finfo(narrow).eps
+    assert np.abs(np.subtract(single.q, biased.rotation[0])).max() <= bound
+    assert np.abs(np.reshape(single.jacobian, (3, 3)) - biased.rotation_gyro[0]).max() <= bound
+    true = biased.covariance[0, :3, :3][np.triu_indices(3)]
+    assert np.abs(np.subtract(single.covariance, true)).max() <= bound * true.max()
+
+
+def test_sample_by_sample(biased):
+    stepwise = estimation.Preintegrator(**NOISE)
+    for w, a in zip(GYRO, ACCEL, strict=True):
+        stepwise.add(w, a, H)
+    row = biased.rows[0]
+    assert np.abs(stepwise.result.rows[0] - row).max() <= 4 * EPS * np.abs(row).max()
+    stepwise.reset()
+    assert stepwise.result.duration == 0.0
+
+
+def leaves(ty):
+    if isinstance(ty, types.BaseTuple):
+        return set().union(*(leaves(part) for part in ty))
+    return {ty}
+
+
+def test_gyro_alone(biased):
+    found = estimation.preintegrate(GYRO, None, H, gyro_noise=SIGMA_G)
+    assert np.abs(found.rotation - biased.rotation[0]).max() <= 2 * EPS
+    assert np.abs(found.rotation_gyro - biased.rotation_gyro[0]).max() <= 2 * EPS
+    rotation = biased.covariance[0, :3, :3]
+    assert np.abs(found.covariance[:3, :3] - rotation).max() <= 4 * EPS * rotation.max()
+    assert not found.covariance[3:].any()
+    # white noise stays the same along all axes, held noise loses |Jr|² < 1 of it
+    even = estimation.preintegrate(GYRO, None, H, gyro_noise=SIGMA_G, model="white").covariance
+    assert np.abs(even[:3, :3] / (N * H * SIGMA_G**2) - np.eye(3)).max() <= N * 4 * EPS
+    assert np.trace(rotation) < np.trace(even)
+
+
+def test_prediction_and_correction():
+    g = np.array([0.3, -0.2, -9.81])
+    found = estimation.preintegrate(GYRO, ACCEL, H)
+    q0 = np.array([0.1, -0.5, 0.7, 0.5])
+    v0, p0 = np.array([1.0, 2.0, -1.0]), np.array([5.0, 0.0, 2.0])
+    q, v, p = found.predict(q0, v0, p0, gravity=g)
+    c, t = fa.quat_to_dcm(q0), N * H
+    assert np.abs(q - fa.quat_multiply(q0, found.rotation)).max() <= 4 * EPS
+    assert np.abs(v - (v0 + g * t + c @ found.velocity)).max() <= 16 * EPS
+    assert np.abs(p - (p0 + v0 * t + g * t * t / 2 + c @ found.position)).max() <= 32 * EPS
+    # corrected to first order: what is left falls with the square of the change
+    left = []
+    for size in (1e-2, 1e-3):
+        bg, ba = size * np.array([1.0, -2.0, 1.0]), size * np.array([3.0, 1.0, -2.0])
+        true = estimation.preintegrate(GYRO, ACCEL, H, gyro_bias=bg, accel_bias=ba)
+        _, v, p = found.corrected(bg, ba)
+        left.append(np.abs(np.hstack([v - true.velocity, p - true.position])).max())
+        q, *_ = found.corrected(bg, ba)
+        assert fa.angle_between(q, true.rotation) <= (4 * size * t) ** 2
+    assert 80 <= left[0] / left[1] <= 125
+    many = found.predict(np.tile(q0, (4, 1)), v0, p0)
+    assert [x.shape for x in many] == [(4, 4), (4, 3), (4, 3)]
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: estimation.preintegrate(GYRO, ACCEL[:3], H), r"accel: has shape \(3, 3\)"),
+        (lambda: estimation.preintegrate(GYRO, ACCEL, -H), "dt: found -0.05; accepted"),
+        (lambda: estimation.preintegrate(GYRO, ACCEL, H, model="exact"), "model: found 'exact'"),
+        (
+            lambda: estimation.preintegrate(GYRO, ACCEL, H, gyro_noise=-1.0),
+            "gyro_noise: found -1.0; accepted: at least 0",
+        ),
+        (
+            lambda: estimation.preintegrate(GYRO, ACCEL, H, gyro_bias=np.zeros((2, 3))),
+            r"gyro_bias: has shape \(2, 3\); accepted: \(3,\) or \(1, 3\)",
+        ),
+        (lambda: estimation.Preintegrator().add((0, 0), (0, 0, 0), H), r"gyro: has shape \(2,\)"),
+        (lambda: estimation.Preintegrator().add((0, 0, 0), (0, 0, 0), 0.0), "dt: found 0.0"),
+    ],
+)
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

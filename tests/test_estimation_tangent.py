@@ -1,0 +1,289 @@
+"""Derivatives of methods' steps against differences of the steps themselves, and identities."""
+
+import math
+
+import numpy as np
+import pytest
+from differences import attitude_errors, derivative, displaced
+from numba import njit
+from oracle import EPS
+
+import fastatt as fa
+from fastatt import estimation
+from fastatt.estimation import derivatives as arrays
+from fastatt.kernels import quat, so3
+
+pytestmark = pytest.mark.slow
+
+H = 0.1
+# one method of each kind; bench_estimation.py measures the error of every one
+RATE_METHODS = ["lie_euler", "rk4", "magnus6"]
+SAMPLED = [("coning2", False), ("coning3_optimal", True)]
+# |ω| h of some 0.3, bending so that the commutators count
+CURVED = fa.Scene(
+    rate=fa.rates.Polynomial([(1.0, -2.0, 2.0), (9.0, 6.0, -9.0), (30.0, -20.0, -10.0)])
+)
+# displaced by 2e-3 rad: truncation (2e-3)⁴/30 times a fifth derivative of some 1, 5e-13 of H, and
+# rounding, 1.5 ulps over 2e-3 for each of some ten operations, 2e-12
+STEP = 0.02
+BOUND = 3e-12
+
+
+def hat(v):
+    return np.reshape(so3.hat(tuple(v)), (3, 3))
+
+
+# given rates
+
+
+@pytest.mark.parametrize("method", RATE_METHODS)
+def test_rate_methods(method):
+    bias = np.vstack([np.zeros(3), displaced(3, STEP)])
+    found = estimation.rate_transition(CURVED, H, t=0.3, method=method, bias=bias)
+    turn = found.turn[0]
+    true = derivative(attitude_errors(turn, found.turn[1:]), STEP)
+    assert np.abs(found.bias[0] - true).max() <= BOUND * H
+    assert np.abs(np.linalg.norm(turn) - 1) <= 2 * EPS
+    assert (found.attitude[0] == fa.quat_to_dcm(turn).T).all()
+
+
+def test_the_step_is_the_methods_own():
+    stepper = fa.single_step(CURVED, method="magnus6")
+    x = stepper.step(0.3, H, (1.0, 0.0, 0.0, 0.0), stepper.params)
+    found = estimation.rate_transition(CURVED, H, t=0.3, method="magnus6")
+    assert np.abs(found.turn - x).max() <= 2 * EPS
+    assert found.matrix.shape == (6, 6)
+    assert (found.matrix[3:] == np.eye(6)[3:]).all()
+
+
+@pytest.mark.parametrize(
+    "theta", [0.0, 1e-300, 1e-8, 0.5, 3.2, 2 * math.pi - 1e-6, 2 * math.pi + 1e-6, 9.0]
+)
+def test_constant_rate_at_any_angle(theta):
+    w = np.array([2.0, -1.0, 2.0]) / 3.0 * theta / H
+    scene = fa.Scene(rate=fa.rates.Polynomial([w, np.zeros(3), np.zeros(3)]))
+    found = estimation.rate_transition(scene, H, method="lie_euler")
+    true = estimation.transition_matrix(w, H)
+    assert np.abs(found.matrix - true).max() <= 4 * EPS * (1 + theta)
+
+
+def test_users_rate_from_users_code():
+    """Through functions of ``math``."""
+
+    @njit
+    def rate(t, p):
+        return p[0] * math.sin(t), p[1] * math.exp(-t), t * t
+
+    scene = fa.Scene(rate=rate, params=(1.0, 2.0))
+    made = estimation.step_tangent(scene, method="magnus4")
+    step = made.step
+
+    @njit
+    def user(t, h, b, p):
+        return step(t, h, b, p)
+
+    b = (0.1, 0.2, 0.3)
+    found = user(0.3, H, b, made.params)
+    nearby = [user(0.3, H, tuple(b + d), made.params)[0] for d in displaced(3, STEP)]
+    true = derivative(attitude_errors(found[0], nearby), STEP)
+    assert np.abs(np.reshape(found[2], (3, 3)) - true).max() <= BOUND * H
+
+
+# samples
+
+
+def log(n):
+    generator = np.random.default_rng(4)
+    return np.cumsum(generator.normal(size=(n, 3)), axis=0)
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_sampled_methods(method, increments):
+    spans = H * (1.0 + 0.3 * np.sin(np.arange(7 + increments)))
+    dt = H if method == "coning3_optimal" else spans
+    samples = log(8) * (H if increments else 1.0)
+    bias = np.vstack([np.zeros(3), displaced(3, STEP)])
+    many = np.broadcast_to(samples, (13, *samples.shape))
+    found = estimation.sample_transitions(many, dt, method=method, increments=increments, bias=bias)
+    for i in range(found.turn.shape[1]):
+        true = derivative(attitude_errors(found.turn[0, i], found.turn[1:, i]), STEP)
+        assert np.abs(found.bias[0, i] - true).max() <= BOUND * H
+    # the bias moves every interval as far as a held rate's, to the commutators
+    assert np.abs(found.bias[0, :, 0, 0] + dt).max() <= 0.1 * H
+
+
+def test_turns_of_a_log_are_those_of_integrate_rates_and_differences_agree():
+    samples = log(10)[None]
+    dt = np.full(9, H)
+    found = estimation.sample_transitions(samples, H, method="previous", bias=(0.1, 0.2, -0.1))
+    q = fa.integrate_rates(samples - (0.1, 0.2, -0.1), H, method="previous")
+    turns = fa.quat_multiply(q[:, :-1] * (1, -1, -1, -1), q[:, 1:])
+    assert np.abs(found.turn - turns).max() <= 8 * EPS
+    # the way of "picard", which has no scalar kernel
+    other = arrays._by_differences(samples - (0.1, 0.2, -0.1), H, dt, "previous", increments=False)
+    assert np.abs(other.bias - found.bias).max() <= 1e-12 * H
+    assert np.abs(other.attitude - found.attitude).max() <= 8 * EPS
+
+
+def test_a_window_in_users_code():
+    window = estimation.sample_tangent("hold", increments=True)
+
+    @njit
+    def user(v, h):
+        return window(v, h)
+
+    u = tuple(H * log(1)[0])
+    ((turn, phi, coupling),) = user(u, (H,))
+    assert np.abs(turn - fa.rotation_vector_to_quat(u)).max() <= 2 * EPS
+    assert np.abs(np.reshape(phi, (3, 3)) - fa.quat_to_dcm(turn).T).max() <= 4 * EPS
+    assert np.abs(np.reshape(coupling, (3, 3)) + H * estimation.right_jacobian(u)).max() <= 4 * EPS
+
+
+# rigid bodies
+
+Q = np.array([0.1, -0.5, 0.7, 0.5])
+M = np.array([0.4, -0.3, 0.9])
+# not in order: "strang2" turns all three axes round, to put the intermediate moment second
+MOMENTS = np.array([2.0, 1.0, 1.4])
+WEIGHT = np.array([0.1, -0.2, 0.9, 1.5])
+# displacements of the state and of parameters, all of size 1: truncation NUDGE⁴/30 times a fifth
+# derivative below 1, or of moments 120 |m| h/I⁶, 4e-13, and rounding some ulps over a nudge
+NUDGE, NUDGE_MOMENTS = 4e-3, 7e-4
+TRUNCATION = NUDGE**4 / 30
+TOP_H = 0.4
+
+
+def omega(m):
+    """The form that a conservative body keeps, of (δθ, δm) in body axes."""
+    return np.block([[-hat(m), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
+
+
+@pytest.fixture(scope="module")
+def top():
+    """A heavy top and its neighbours: 24 states, 12 inertias, 16 torques; then fast ones."""
+    d = np.zeros((61, 6))
+    d[1:25] = displaced(6, NUDGE)
+    moments, weights = np.tile(MOMENTS, (61, 1)), np.tile(WEIGHT, (61, 1))
+    moments[25:37] += displaced(3, NUDGE_MOMENTS)
+    weights[37:53] += displaced(4, NUDGE)
+    q = fa.quat_multiply(Q, fa.rotation_vector_to_quat(d[:, :3]))
+    m = M + d[:, 3:]
+    # |w| h from rest past whole turns
+    turns = [0.0, 1e-8, 3.1, 2 * math.pi - 1e-6, 2 * math.pi + 1e-6, 9.0, 40.0, 1e3]
+    m[53:] = np.outer(turns, np.array([2.0, -1.0, 2.0]) / 3.0 / TOP_H) * MOMENTS
+    torque = fa.torques.HeavyTop(weights[:, :3], weights[:, 3])
+    scene = fa.Scene(inertia=moments, torque=torque)
+    found = estimation.body_tangent(scene, q, m / moments, TOP_H, method="strang2", parameters=True)
+    return found, m, found.w * moments
+
+
+def test_derivatives_of_a_torqued_splitting(top):
+    found, _, m1 = top
+    change = np.hstack([attitude_errors(found.q[0], found.q[1:53]), m1[1:53] - m1[0]])
+    assert np.abs(found.matrix[0] - derivative(change[:24], NUDGE)).max() <= TRUNCATION
+    moments = derivative(change[24:36], NUDGE_MOMENTS)
+    assert np.abs(found.inertia[0] - moments).max() <= 2e-12
+    assert np.abs(found.torque[0] - derivative(change[36:], NUDGE)).max() <= TRUNCATION
+    gradient = found.adjoint(np.ones(6))
+    assert np.abs(gradient - found.matrix.sum(axis=1)).max() <= 8 * EPS * gradient.max()
+
+
+def test_splittings_are_symplectic_at_any_rate(top):
+    found, m0, m1 = top
+    for phi, before, after in zip(found.matrix, m0, m1, strict=True):
+        size = np.linalg.norm(phi, 2) ** 2 * max(1.0, np.linalg.norm(before))
+        assert np.abs(phi.T @ omega(after) @ phi - omega(before)).max() <= 1e-13 * size
+        assert abs(np.linalg.det(phi) - 1) <= 1e-13 * size
+    assert np.abs(found.matrix[0].T @ omega(m1[0]) @ found.matrix[0] - omega(M)).max() <= 1e-13
+
+
+def test_users_torque_from_users_code():
+    """Runge-Kutta under a torque with powers, functions and the attitude, at fixed parameters."""
+
+    @njit
+    def torque(t, q, w, p):
+        down = quat.rotate_inverse(q, (0.0, 0.0, 1.0))
+        s = math.sin(t)
+        return p[0] * down[1] - p[1] * w[0], -p[0] * down[0] - p[1] * w[1], p[2] * s * w[2] ** 2
+
+    scene = fa.Scene(inertia=MOMENTS, torque=torque, params=(1.5, 0.3, 0.7))
+    made = estimation.step_tangent(scene, method="rk4")
+    step = made.step
+
+    @njit
+    def user(t, h, q, m, p):
+        return step(t, h, q, m, p)
+
+    q1, m1, phi = user(0.3, 0.2, tuple(Q), tuple(M), made.params)
+    d = displaced(6, NUDGE)
+    starts = fa.quat_multiply(Q, fa.rotation_vector_to_quat(d[:, :3]))
+    ends = [
+        user(0.3, 0.2, tuple(a), tuple(M + b), made.params)
+        for a, b in zip(starts, d[:, 3:], strict=True)
+    ]
+    theta = attitude_errors(q1, [end[0] for end in ends])
+    true = derivative(np.hstack([theta, np.subtract([end[1] for end in ends], m1)]), NUDGE)
+    assert np.abs(np.reshape(phi, (6, 6)) - true).max() <= TRUNCATION
+
+
+# refusals
+
+BODY = fa.Scene(inertia=MOMENTS)
+
+
+@njit
+def rounded(t, q, w, p):
+    return float(int(1e3 * w[0])), 0.0, 0.0
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: estimation.rate_transition(BODY, H), ValueError, "scene: found one with inertia"),
+        (
+            lambda: estimation.step_tangent(3),
+            TypeError,
+            "scene: found 3; accepted: a fastatt.Scene",
+        ),
+        (
+            lambda: estimation.rate_transition(CURVED, H, bias=np.zeros((2, 4))),
+            ValueError,
+            r"bias: has shape \(2, 4\)",
+        ),
+        (
+            lambda: estimation.rate_transition(CURVED, H, method="hold"),
+            ValueError,
+            "method: found 'hold'; accepted: lie_euler",
+        ),
+        (lambda: estimation.sample_tangent("picard"), ValueError, "method: found 'picard'"),
+        (
+            lambda: estimation.sample_transitions(np.zeros((1, 3)), H),
+            ValueError,
+            "samples: found one rate",
+        ),
+        (
+            lambda: estimation.body_tangent(BODY, Q, np.zeros((3, 3)), H, method="exact"),
+            ValueError,
+            "method: found 'exact'",
+        ),
+        (
+            lambda: estimation.body_tangent(BODY, np.tile(Q, (2, 1)), np.zeros((3, 3)), H),
+            ValueError,
+            "q: found rows q 2, w 3, scene 1",
+        ),
+        (
+            lambda: estimation.body_tangent(CURVED, Q, M, H),
+            ValueError,
+            "scene: found no inertia",
+        ),
+    ],
+)
+def test_refusals(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+def test_a_torque_without_a_derivative_is_refused():
+    scene = fa.Scene(inertia=MOMENTS, torque=rounded)
+    with pytest.raises(TypeError, match=r"scene: torque: has no derivative that compiles: .*Dual"):
+        estimation.body_tangent(scene, Q, M, H, method="rk4")

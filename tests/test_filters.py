@@ -1,0 +1,467 @@
+"""Filters on a simulated spacecraft with star tracker and magnetometer, and on a recording."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from exact import START, Motion, angle, attitude, exp, matrix, mul
+from numba import njit
+from scipy import linalg, stats
+from scipy.spatial.transform import Rotation
+
+import fastatt as fa
+from fastatt import estimation as es
+from fastatt.trade.recordings import find_recordings
+
+pytestmark = pytest.mark.slow
+
+EPS = 2.0**-52
+
+# the spacecraft: coning at 0.6 rad and 0.3 rad/s on top of a slow turn
+N, H, SAMPLES = 200, 0.1, 300
+TRACKER_EVERY, FIELD_EVERY = 10, 5
+ANGLE_NOISE, BIAS_NOISE = 3e-4, 1e-5
+TRACKER, FIELD = 2e-3, 0.02
+START_ERROR, START_BIAS = 0.05, 1e-3
+REFERENCE = np.array([0.6, 0.8, 0.0])
+MOTION = Motion(
+    np.array([0.6]), np.array([0.3]), np.array([[[0.02, -0.03, 0.05], [0, 0, 0], [0, 0, 0]]])
+)
+TIMES = H * np.arange(SAMPLES + 1)
+NOISE = {"angle_noise": ANGLE_NOISE, "bias_noise": BIAS_NOISE}
+P0 = np.diag([START_ERROR**2] * 3 + [START_BIAS**2] * 3)
+
+
+class Spacecraft:
+    """N runs on one motion, each with noise of its own."""
+
+    def __init__(self, n, seed):
+        rng = np.random.default_rng(seed)
+        steps = [START]
+        for t in TIMES[:-1]:
+            steps.append(attitude(MOTION.rate, t, t + H, steps[-1], panels=1)[0])
+        self.q = np.array(steps)
+        true = MOTION.increments(TIMES)[:, 0] / H
+        bias = rng.normal(0.0, START_BIAS, (n, 3))
+        self.gyro = es.simulate_gyro(true, H, bias=bias, runs=n, rng=rng, **NOISE)
+        self.start = mul(START, exp(-rng.normal(0.0, START_ERROR, (n, 3))))
+        tracked = rng.normal(0.0, TRACKER, (SAMPLES + 1, n, 3))
+        self.tracker = mul(self.q[:, None], exp(tracked))
+        field = np.einsum("kji,j->ki", matrix(self.q), REFERENCE)
+        self.field = field[:, None] + rng.normal(0.0, FIELD, (SAMPLES + 1, n, 3))
+
+
+@pytest.fixture(scope="module")
+def spacecraft():
+    return Spacecraft(N, seed=5)
+
+
+def through(craft, predict, filtered):
+    """Mean NEES of the runs after each second, and NIS of the tracker's fixes."""
+    nees, nis = [], []
+    for k in range(1, SAMPLES + 1):
+        predict(np.ascontiguousarray(craft.gyro.samples[:, k - 1]))
+        if k % FIELD_EVERY == 0:
+            filtered.update_vector(craft.field[k], REFERENCE, FIELD)
+        if k % TRACKER_EVERY == 0:
+            nis.append(filtered.update_attitude(craft.tracker[k], TRACKER))
+            nees.append(np.mean(filtered.nees(craft.q[k], craft.gyro.bias[:, k])))
+    return np.array(nees), np.array(nis)
+
+
+def consistent(nees, nis, bias, covariance, craft):
+    """Inside the 95 % bands of χ² over the runs."""
+    low, high = stats.chi2.ppf([0.025, 0.975], 6 * N) / N
+    assert low < nees[-1] < high
+    inside = (nees > low) & (nees < high)
+    assert inside.mean() > 0.8  # 30 correlated means, of which 95 % are expected inside
+    low, high = stats.chi2.ppf([0.025, 0.975], 3 * nis.size) / nis.size
+    assert low < nis.mean() < high
+    # recovered: from 1e-3 to what the covariance says, and that is far below
+    error = bias - craft.gyro.bias[:, -1]
+    told = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:])
+    assert told.max() < 0.2 * START_BIAS
+    low, high = np.sqrt(stats.chi2.ppf([1e-4, 1 - 1e-4], N) / N)
+    assert ((error / told).std(axis=0) > low).all()
+    assert ((error / told).std(axis=0) < high).all()
+
+
+def test_the_mekf_is_consistent(spacecraft):
+    f = es.MEKF(spacecraft.start, P0, **NOISE)
+    nees, nis = through(spacecraft, lambda gyro: f.predict(gyro, H), f)
+    consistent(nees, nis, f.bias, f.covariance, spacecraft)
+
+
+def test_a_mekf_that_is_told_too_little_noise_is_not(spacecraft):
+    f = es.MEKF(spacecraft.start, P0, angle_noise=0.5 * ANGLE_NOISE, bias_noise=BIAS_NOISE)
+    nees, _ = through(spacecraft, lambda gyro: f.predict(gyro, H), f)
+    assert nees[-1] > 1.1 * stats.chi2.ppf(0.975, 6 * N) / N
+
+
+def ukf_predict(f):
+    def predict(gyro):
+        f.predict(es.gyro_motion(gyro, H), es.process_noise(gyro - f.y, H, **NOISE))
+
+    return predict
+
+
+def test_the_ukf_is_consistent(spacecraft):
+    f = es.UKF(spacecraft.start, np.zeros(3), P0)
+    nees, nis = through(spacecraft, ukf_predict(f), f)
+    consistent(nees, nis, f.y, f.covariance, spacecraft)
+
+
+def test_the_particle_filter_finds_what_the_mekf_finds(spacecraft):
+    """One run from a first fix: the means agree to a share of the deviation that it has."""
+    n, first = 20_000, 30
+    P = np.diag([TRACKER**2] * 3 + [START_BIAS**2] * 3)
+    f = es.MEKF(spacecraft.tracker[0, 0], P, **NOISE)
+    p = es.ParticleFilter.around(spacecraft.tracker[0, 0], np.zeros(3), P, n, rng=2)
+    for k in range(1, first + 1):
+        gyro = spacecraft.gyro.samples[0, k - 1]
+        f.predict(gyro, H)
+        p.predict(es.gyro_motion(gyro, H), es.process_noise(gyro - f.bias, H, **NOISE))
+        if k % TRACKER_EVERY == 0:
+            f.update_attitude(spacecraft.tracker[k, 0], TRACKER)
+            p.update_attitude(spacecraft.tracker[k, 0], TRACKER)
+            f.update_vector(spacecraft.field[k, 0], REFERENCE, FIELD)
+            p.update_vector(spacecraft.field[k, 0], REFERENCE, FIELD)
+    q, b = p.mean()
+    sigma = np.sqrt(np.diagonal(f.covariance))
+    error = np.concatenate([es.attitude_error(f.q, q), b - f.bias]) / sigma
+    # some 5000 of the particles are apart from each other: 0.014, of the largest of six twice that
+    assert np.abs(error).max() < 0.1
+    assert np.abs(np.sqrt(np.diagonal(p.covariance())) / sigma - 1.0).max() < 0.1
+    assert p.nees(spacecraft.q[first], spacecraft.gyro.bias[0, first]) < stats.chi2.ppf(0.999, 6)
+
+
+# the parts of the MEKF against dense algebra
+
+
+def dense(P):
+    a, b, d = P
+    full = np.zeros((6, 6))
+    full[np.triu_indices(3)] = a
+    full[3:, 3:][np.triu_indices(3)] = d
+    full[:3, 3:] = np.reshape(b, (3, 3))
+    return np.triu(full) + np.triu(full, 1).T
+
+
+def blocks(P):
+    upper = np.triu_indices(3)
+    parts = P[:3, :3][upper], P[:3, 3:].ravel(), P[3:, 3:][upper]
+    return tuple(tuple(p.tolist()) for p in parts)
+
+
+def some_covariance():
+    root = np.random.default_rng(4).normal(size=(6, 9)) * np.array([[0.1] * 3 + [0.01] * 3]).T
+    return root @ root.T
+
+
+def cross(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+GYRO, BIAS = (0.3, -0.5, 0.7), (0.01, 0.02, -0.03)
+
+
+def continuous(w, P, h, v, u):
+    """Φ P Φᵀ + Q by the matrix exponential of van Loan (1978)."""
+    A = np.zeros((6, 6))
+    A[:3, :3], A[:3, 3:] = -cross(w), -np.eye(3)
+    G = np.diag([v] * 3 + [u] * 3)
+    big = linalg.expm(h * np.block([[-A, G], [np.zeros((6, 6)), A.T]]))
+    phi = big[6:, 6:].T
+    return phi @ P @ phi.T + phi @ big[:6, 6:]
+
+
+def test_predict_against_van_loan():
+    h, v, u = 0.4, 1e-3, 1e-4
+    P = some_covariance()
+    w = np.subtract(GYRO, BIAS)
+    q, found = es.mekf_predict(tuple(START), BIAS, blocks(P), GYRO, h, v, u)
+    expected = continuous(w, P, h, v, u)
+    assert np.abs(dense(found) - expected).max() <= 64 * EPS * np.abs(expected).max()
+    assert angle(q, mul(START, exp(h * w))) <= 8 * EPS
+
+
+def kalman(P, z, H, R):
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    rest = np.eye(6) - K @ H
+    return K @ z, rest @ P @ rest.T + K @ R @ K.T, z @ np.linalg.solve(S, z)
+
+
+@pytest.mark.parametrize("kind", ["vector", "attitude"])
+def test_updates_against_dense_algebra(kind):
+    P = some_covariance()
+    rng = np.random.default_rng(7)
+    H = np.zeros((3, 6))
+    if kind == "vector":
+        r, sigma = np.array([0.3, -0.4, 1.2]), 0.05
+        expected = matrix(START).T @ r
+        measured = expected + rng.normal(0.0, 0.1, 3)
+        H[:, :3], R, z = cross(expected), sigma**2 * np.eye(3), measured - expected
+        found = es.mekf_update_vector(
+            tuple(START), BIAS, blocks(P), tuple(measured), tuple(r), sigma**2
+        )
+    else:
+        z, root = np.array([0.1, -0.2, 0.15]), rng.normal(0.0, 0.1, (3, 3))
+        R = root @ root.T
+        H[:, :3] = np.eye(3)
+        measured = tuple(mul(START, exp(z)))
+        upper = tuple(R[np.triu_indices(3)].tolist())
+        found = es.mekf_update_attitude(tuple(START), BIAS, blocks(P), measured, upper)
+    d, after, nis = kalman(P, z, H, R)
+    q, b, p, normalised = found
+    condition = np.linalg.cond(H @ P @ H.T + R)
+    assert angle(q, mul(START, exp(d[:3]))) <= 32 * EPS * condition
+    assert np.abs(b - (BIAS + d[3:])).max() <= 32 * EPS * condition
+    assert np.abs(dense(p) - after).max() <= 64 * EPS * condition * np.abs(P).max()
+    assert normalised == pytest.approx(nis, rel=64 * EPS * condition)
+
+
+def test_a_vectors_sensitivity_is_its_derivative():
+    """Of a perfect measurement at a small error the correction is that error, off the axis."""
+    d = np.array([3e-6, -2e-6, 1e-6])
+    truth = mul(START, exp(d))
+    q, P = tuple(START), blocks(np.diag([1.0] * 3 + [1e-6] * 3))
+    for r in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        seen = tuple(matrix(truth).T @ r)
+        q, _, P, _ = es.mekf_update_vector(q, (0.0, 0.0, 0.0), P, seen, r, 1e-16)
+    assert angle(q, truth) < 1e-10
+
+
+def test_covariances_stay_positive_under_nearly_perfect_fixes():
+    f = es.MEKF(START, 1e2 * np.eye(6), angle_noise=1e-9, bias_noise=1e-9)
+    for _ in range(200):
+        f.predict((0.1, 0.2, 0.3), 1e-3)
+        f.update_attitude(f.q, 1e-8)
+        size = np.sqrt(np.diagonal(f.covariance))
+        assert np.linalg.eigvalsh(f.covariance / np.outer(size, size)).min() > 0.0
+    assert np.array_equal(f.covariance, f.covariance.T)
+
+
+def test_from_jitted_code_and_from_the_class():
+    predict, update = es.mekf_predict, es.mekf_update_vector
+
+    @njit
+    def run(q, b, P, gyro, field, reference, h, v, u, r):
+        for i in range(gyro.shape[0]):
+            q, P = predict(q, b, P, (gyro[i, 0], gyro[i, 1], gyro[i, 2]), h, v, u)
+            seen = (field[i, 0], field[i, 1], field[i, 2])
+            q, b, P, _ = update(q, b, P, seen, reference, r)
+        return q, b, P
+
+    rng = np.random.default_rng(8)
+    gyro, field = rng.normal(0.0, 0.1, (20, 3)), REFERENCE + rng.normal(0.0, 0.01, (20, 3))
+    found = run(tuple(START), BIAS, blocks(P0), gyro, field, tuple(REFERENCE), H, 1e-6, 1e-10, 1e-4)
+    f = es.MEKF(START, P0, bias=BIAS, angle_noise=1e-3, bias_noise=1e-5)
+    for w, b in zip(gyro, field, strict=True):
+        f.predict(w, H)
+        f.update_vector(b, REFERENCE, 1e-2)
+    assert angle(found[0], f.q) <= 1e-12
+    assert np.abs(found[1] - f.bias).max() <= 1e-12
+    assert np.abs(dense(found[2]) - f.covariance).max() <= 1e-12 * P0.max()
+    for text in run.inspect_llvm().values():
+        assert not any("@NRT_MemInfo_alloc" in ln for ln in text.splitlines() if " call " in ln)
+
+
+def test_filters_side_by_side_are_filters_alone(spacecraft):
+    many = es.MEKF(spacecraft.start[:3], P0, **NOISE)
+    alone = es.MEKF(spacecraft.start[1], P0, **NOISE)
+    many.predict(np.array(spacecraft.gyro.samples[:3, 0]), H)
+    alone.predict(spacecraft.gyro.samples[1, 0], H)
+    nis = many.update_vector(spacecraft.field[1, :3], REFERENCE, FIELD)
+    assert alone.update_vector(spacecraft.field[1, 1], REFERENCE, FIELD) == nis[1]
+    assert np.array_equal(alone.q, many.q[1])
+    assert np.array_equal(alone.covariance, many.covariance[1])
+    assert (alone.q.shape, alone.bias.shape, many.q.shape) == ((4,), (3,), (3, 4))
+
+
+# sigma points
+
+
+def test_sigma_points_have_the_moments_of_the_error():
+    P = some_covariance()
+    f = es.UKF(START, (0.1, 0.2, 0.3), P, kappa=2.0)
+    q, y = f.sigma_points()
+    d = np.concatenate([es.attitude_error(f.q, q[0]), y[0] - f.y], axis=1)
+    weights = np.array([2.0, *[0.5] * 12]) / 8.0
+    assert np.abs(weights @ d).max() <= 1e-15
+    assert np.abs((d.T * weights) @ d - P).max() <= 1e-14
+    assert np.array_equal(q[0, 0], f.q)
+
+
+def test_a_linear_motion_gives_kalmans_covariance():
+    """With a small covariance the UKF's prediction is Φ P Φᵀ, to third order."""
+    P = 1e-8 * some_covariance()
+    f = es.UKF(START, BIAS, P)
+    noise = np.zeros((6, 6))
+    f.predict(es.gyro_motion(GYRO, 0.4), noise)
+    expected = continuous(np.subtract(GYRO, BIAS), P, 0.4, 0.0, 0.0)
+    assert np.abs(f.covariance - expected).max() <= 1e-7 * np.abs(expected).max()
+    assert angle(f.q, mul(START, exp(0.4 * np.subtract(GYRO, BIAS)))) <= 1e-8
+
+
+def test_a_body_without_gyro():
+    """Attitude fixes alone find the angular velocity of a turning body; N = 2 filters at once."""
+    scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+    w0 = np.array([0.1, 0.3, -0.2])
+    truth = fa.propagate(scene, START, w0, dt=0.1, n_steps=60, save_every=10, method="dmv10")
+    P = np.diag([1e-4] * 3 + [0.1] * 3)
+    f = es.UKF(np.tile(START, (2, 1)), np.zeros(3), P)
+    motion = es.scene_motion(scene, 0.1, 10, method="dmv10")
+    for q in truth.q[1:]:
+        f.predict(motion, 1e-12 * np.eye(6))
+        f.update_attitude(q, 1e-5)
+    assert angle(f.q, truth.q[-1]).max() < 1e-4
+    assert np.abs(f.y - truth.w[-1]).max() < 1e-4
+
+
+# particles
+
+
+def test_the_mean_attitude_is_scipys():
+    rng = np.random.default_rng(3)
+    q = mul(START, exp(rng.normal(0.0, 0.7, (50, 3)))) * rng.choice([-1.0, 1.0], (50, 1))
+    weights = rng.uniform(0.0, 1.0, 50)
+    found = es.mean_attitude(q, weights)
+    theirs = fa.from_scipy(Rotation.from_quat(q[:, [1, 2, 3, 0]]).mean(weights))
+    assert angle(found, theirs) <= 32 * EPS
+    assert found[0] >= 0.0
+    assert es.mean_attitude(np.tile(q, (3, 1, 1))).shape == (3, 4)
+
+
+def test_systematic_resampling():
+    """Each particle as often as its weight says, to within one."""
+    n = 1000
+    p = es.ParticleFilter(np.tile(START, (n, 1)), np.arange(n)[:, None], rng=1, threshold=0.0)
+    p.update(np.log(np.arange(1.0, n + 1.0)))
+    expected = n * p.weights
+    p.resample()
+    drawn = np.bincount(p.y[:, 0].astype(int), minlength=n)
+    assert (np.abs(drawn - expected) < 1.0).all()
+    assert np.array_equal(p.weights, np.full(n, 1.0 / n))
+
+
+def test_particles_are_drawn_anew_when_few_count():
+    p = es.ParticleFilter.around(START, [0.0], np.diag([0.1] * 3 + [1.0]), 4000, rng=3)
+    spread = np.cov(np.hstack([es.attitude_error(START, p.q), p.y]).T)
+    assert np.abs(spread - np.diag([0.1] * 3 + [1.0])).max() < 0.1
+    p.update(np.zeros(4000))
+    assert p.effective_number == pytest.approx(4000)
+    p.update(-0.5 * (p.y[:, 0] / 0.1) ** 2)
+    assert len(np.unique(p.y)) < 1000
+    assert p.effective_number == pytest.approx(4000)
+    assert np.abs(p.mean()[1]) < 0.02
+
+
+# gyro
+
+
+def test_a_gyros_noise_has_farrenkopfs_covariance():
+    """Increments and biases of 40 000 runs of one interval beside the exact covariance."""
+    n, h, v, u = 40_000, 0.7, 0.3, 0.5
+    g = es.simulate_gyro(
+        np.zeros((1, 3)), h, angle_noise=v, bias_noise=u, increments=True, runs=n, rng=9
+    )
+    pair = np.stack([g.samples[:, 0], g.bias[:, 1]], axis=-1).reshape(-1, 2)
+    exact = np.array([[v**2 * h + u**2 * h**3 / 3, u**2 * h**2 / 2], [u**2 * h**2 / 2, u**2 * h]])
+    found = pair.T @ pair / len(pair)
+    # Wishart: the standard deviation of an entry
+    sigma = np.sqrt((exact**2 + np.outer(np.diag(exact), np.diag(exact))) / len(pair))
+    assert (np.abs(found - exact) < 4.0 * sigma).all()
+
+
+def test_a_gyro_without_noise_says_the_truth():
+    true = np.random.default_rng(1).normal(size=(2, 5, 3))
+    g = es.simulate_gyro(true, 0.1, bias=(0.1, 0.0, 0.0))
+    assert np.abs(g.samples - (true + np.array([0.1, 0.0, 0.0]))).max() <= 4 * EPS
+    assert (g.bias == [0.1, 0.0, 0.0]).all()
+    assert g.bias.shape == (2, 6, 3)
+    a, b = (es.simulate_gyro(true, 0.1, angle_noise=1.0, rng=4).samples for _ in range(2))
+    assert np.array_equal(a, b)
+    increments = es.simulate_gyro(0.1 * true, 0.1, bias=(0.1, 0.0, 0.0), increments=True)
+    assert np.abs(increments.samples - 0.1 * g.samples).max() <= 4 * EPS
+
+
+# a recording
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Gyro, field and the maker's attitudes of an Xsens sensor at 50 Hz, 19 s."""
+    table = np.genfromtxt(find_recordings()[0], skip_header=5)
+    return table[:, 4:7], table[:, 10:14]
+
+
+def on_recording(gyro, maker, h, sigma):
+    """An MEKF with the maker's attitude once a second, and how far it is from that between."""
+    noise = {"angle_noise": 1e-2, "bias_noise": 1e-4}
+    P = np.diag([sigma**2] * 3 + [1e-2] * 3)
+    f = es.MEKF(maker[0], P, **noise)
+    away = []
+    for k in range(1, len(gyro)):
+        f.predict(0.5 * (gyro[k - 1] + gyro[k]), h)
+        away.append(angle(f.q, maker[k]))
+        if k % 50 == 0:
+            f.update_attitude(maker[k], sigma)
+    return f, np.degrees(away)
+
+
+def test_a_bias_put_on_a_recording_is_found(recording):
+    gyro, maker = recording
+    h, sigma, bias = 0.02, math.radians(1.0), np.array([0.05, -0.03, 0.02])
+    own, away = on_recording(gyro, maker, h, sigma)
+    found, biased_away = on_recording(gyro + bias, maker, h, sigma)
+    told = np.sqrt(np.diagonal(found.covariance)[3:])
+    assert (np.abs(found.bias - own.bias - bias) < 0.1 * told).all()
+    assert told.max() < 0.2 * np.linalg.norm(bias)
+    # the maker's filter used the field and gravity too: that is what the filters differ from it by
+    assert biased_away.max() < away.max() + 0.1
+    alone = angle(fa.integrate_rates(gyro + bias, h, maker[0], method="trapezoid"), maker)
+    assert np.degrees(alone.max()) > 2.0 * biased_away.max()
+
+
+def test_on_a_recording_the_ukf_finds_what_the_mekf_finds(recording):
+    """Five seconds: the errors are small enough for both to be the same to their square."""
+    gyro, maker = (x[:250] for x in recording)
+    h, sigma, noise = 0.02, math.radians(1.0), {"angle_noise": 1e-2, "bias_noise": 1e-4}
+    P = np.diag([sigma**2] * 3 + [1e-2] * 3)
+    f, u = es.MEKF(maker[0], P, **noise), es.UKF(maker[0], np.zeros(3), P)
+    for k in range(1, len(gyro)):
+        f.predict(gyro[k], h)
+        u.predict(es.gyro_motion(gyro[k], h), es.process_noise(gyro[k] - u.y, h, **noise))
+        if k % 50 == 0:
+            f.update_attitude(maker[k], sigma)
+            u.update_attitude(maker[k], sigma)
+    told = np.sqrt(np.diagonal(f.covariance))
+    gaps = np.concatenate([es.attitude_error(f.q, u.q), u.y - f.bias]) / told
+    assert np.abs(gaps).max() < 0.05
+    assert np.abs(np.sqrt(np.diagonal(u.covariance)) / told - 1.0).max() < 0.01
+
+
+# refusals
+
+
+def test_refusals():
+    f = es.MEKF(np.tile(START, (4, 1)), P0, **NOISE)
+    with pytest.raises(ValueError, match=r"gyro: has shape \(2, 3\); accepted: \(3,\) or \(4, 3\)"):
+        f.predict(np.zeros((2, 3)), 0.1)
+    with pytest.raises(ValueError, match=r"measured: has shape \(2,\)"):
+        f.update_vector((1.0, 0.0), REFERENCE, 0.1)
+    with pytest.raises(ValueError, match=r"measured: has shape \(2, 4\)"):
+        f.update_attitude(np.tile(START, (2, 1)), 0.1)
+    with pytest.raises(ValueError, match=r"q: found q 4, bias 2; accepted: one number of filters"):
+        es.MEKF(np.tile(START, (4, 1)), P0, bias=np.zeros((2, 3)), **NOISE)
+    with pytest.raises(ValueError, match=r"kappa: found -6.0; accepted: above -6"):
+        es.UKF(START, np.zeros(3), P0, kappa=-6.0)
+    with pytest.raises(ValueError, match=r"log_likelihood: has shape \(2,\)"):
+        es.ParticleFilter(np.tile(START, (4, 1)), np.zeros((4, 1))).update(np.zeros(2))
+    with pytest.raises(ValueError, match=r"angle_noise: found -1.0; accepted: at least 0"):
+        es.simulate_gyro(np.zeros((2, 3)), 0.1, angle_noise=-1.0)
+    with pytest.raises(ValueError, match=r"weights: has shape \(3,\); accepted: \(..., 2\)"):
+        es.mean_attitude(np.ones((2, 4)), np.ones(3))

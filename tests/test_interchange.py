@@ -1,0 +1,124 @@
+"""Conversions to the conventions of others, beside the libraries that use them."""
+
+from __future__ import annotations
+
+import math
+
+import ahrs
+import numpy as np
+import pytest
+import quaternion
+from exact import EPS, angle, matrix, mul, rotate
+from skinematics import quat as skquat
+from skinematics import vector as skvector
+
+import fastatt as fa
+from fastatt import interchange as ic
+
+RNG = np.random.default_rng(3)
+Q = RNG.normal(size=(50, 4))
+Q /= np.linalg.norm(Q, axis=1, keepdims=True)
+V = RNG.normal(size=(50, 3))
+
+
+def same(p, q, tol=8 * EPS):
+    assert p.shape == q.shape
+    assert angle(p, q).max() <= tol
+
+
+def test_scipy_there_and_back():
+    rotation = fa.to_scipy(Q)
+    assert np.abs(rotation.apply(V) - rotate(Q, V)).max() <= 16 * EPS
+    assert np.abs(rotation.as_matrix() - matrix(Q)).max() <= 8 * EPS
+    same(fa.from_scipy(rotation), Q)
+    same(fa.from_scipy(fa.to_scipy(Q[0])), Q[0])
+    # their product is ours
+    same(fa.from_scipy(rotation * rotation[::-1]), mul(Q, Q[::-1]))
+    assert np.abs(rotation.as_rotvec() - fa.quat_to_rotation_vector(Q)).max() <= 16 * EPS
+
+
+def test_the_scalar_last_trap():
+    last = fa.to_scipy(Q).as_quat()
+    assert np.abs(last - ic.to_scalar_last(Q)).max() <= 2 * EPS
+    assert np.array_equal(ic.from_scalar_last(ic.to_scalar_last(Q)), Q)
+    with pytest.raises(TypeError, match=r"rotation: found ndarray; .* from_scalar_last"):
+        fa.from_scipy(last)
+    # what a transposed order would do
+    assert angle(last, Q).max() > 1.0
+
+
+def test_numpy_quaternion():
+    theirs = quaternion.as_quat_array(Q)
+    assert np.abs(quaternion.as_rotation_matrix(theirs) - matrix(Q)).max() <= 8 * EPS
+    same(quaternion.as_float_array(theirs * theirs[::-1]), mul(Q, Q[::-1]))
+
+
+def test_ahrs():
+    theirs = ahrs.Quaternion(Q[0])
+    assert np.abs(theirs.to_DCM() - matrix(Q[0])).max() <= 8 * EPS
+    same(np.asarray(theirs.product(Q[1])), mul(Q[0], Q[1]))
+
+
+def test_scikit_kinematics():
+    assert np.abs(skvector.rotate_vector(V, Q) - rotate(Q, V)).max() <= 16 * EPS
+    same(skquat.q_mult(Q, Q[::-1]), mul(Q, Q[::-1]))
+
+
+def test_jpl():
+    """C(q) = (2 q4² − 1) − 2 q4 [v×] + 2 v vᵀ takes inertial components to body ones."""
+    v, w = ic.to_jpl(Q)[:, :3], ic.to_jpl(Q)[:, 3, None, None]
+    cross = np.cross(np.eye(3), v[:, None, :])  # rows e_i × v: the cross-product matrix of v
+    c = (2 * w * w - 1) * np.eye(3) - 2 * w * cross + 2 * v[:, :, None] * v[:, None, :]
+    assert np.abs(c - np.swapaxes(matrix(Q), 1, 2)).max() <= 8 * EPS
+    assert np.array_equal(ic.from_jpl(ic.to_jpl(Q)), Q)
+
+
+def test_passive():
+    assert np.abs(matrix(ic.to_passive(Q)) - np.swapaxes(matrix(Q), 1, 2)).max() <= 8 * EPS
+
+
+def test_modified_rodrigues_parameters():
+    """[BN] = 1 + (8 [σ×]² − 4 (1 − σ²) [σ×])/(1 + σ²)²: Schaub and Junkins, eq. 3.147."""
+    s = ic.to_mrp(Q)
+    z = (s * s).sum(1)[:, None, None]
+    assert z.max() <= 1.0 + EPS
+    cross = np.cross(np.eye(3), s[:, None, :])
+    c = np.eye(3) + (8 * cross @ cross - 4 * (1 - z) * cross) / (1 + z) ** 2
+    assert np.abs(c - np.swapaxes(matrix(Q), 1, 2)).max() <= 32 * EPS
+    assert np.abs(s - fa.to_scipy(Q).as_mrp()).max() <= 8 * EPS
+    same(ic.from_mrp(s), Q)
+    same(ic.from_mrp(-s / z[:, 0]), Q)  # the shadow set
+
+
+def test_gibbs():
+    u = fa.quat_to_rotation_vector(Q)
+    half = np.linalg.norm(u, axis=1, keepdims=True) / 2
+    g = ic.to_gibbs(Q)
+    assert np.abs(g / (np.tan(half) / (2 * half) * u) - 1).max() <= 1e-12
+    same(ic.from_gibbs(g), Q)
+    assert np.array_equal(ic.to_gibbs((0.0, 1.0, 0.0, 0.0))[:1], [math.inf])
+
+
+def test_rates_in_inertial_axes():
+    """The same motion by either rate."""
+    w = np.array([0.3, -0.2, 0.5])
+    inertial = ic.rates_to_inertial(Q, w)
+    assert np.abs(ic.rates_to_body(Q, inertial) - w).max() <= 8 * EPS
+    half = np.concatenate([np.zeros((50, 1)), 0.5 * inertial], axis=1)
+    assert np.abs(mul(half, Q) - mul(Q, [0.0, *(0.5 * w)])).max() <= 8 * EPS
+
+
+@pytest.mark.parametrize(
+    ("function", "shape"),
+    [(ic.to_scalar_last, 4), (ic.from_scalar_last, 4), (ic.to_mrp, 4), (ic.from_mrp, 3)],
+)
+def test_refusals(function, shape):
+    with pytest.raises(ValueError, match=rf"has shape \(2, 5\); accepted: \(..., {shape}\)"):
+        function(np.ones((2, 5)))
+    with pytest.raises(TypeError, match="accepted: real numbers"):
+        function("north")
+
+
+def test_float32_stays():
+    assert ic.to_mrp(Q.astype(np.float32)).dtype == np.float32
+    assert ic.from_mrp(ic.to_mrp(Q.astype(np.float32))).dtype == np.float32

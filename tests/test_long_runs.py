@@ -1,0 +1,216 @@
+"""Round-off over many steps: carried along or not, and the return to the group."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from exact import EPS
+from numpy.testing import assert_array_equal
+from rigid_oracle import integrate
+
+import fastatt as fa
+from fastatt.kernels import compensated
+
+pytestmark = pytest.mark.slow
+
+STEP = 1.0 / 128.0  # a power of two: products with it are exact
+N = 64
+TURN = 6e-3
+
+
+def rates(dtype=np.float64):
+    w = np.random.default_rng(1).normal(size=(N, 3))
+    return (w * (TURN / STEP) / np.linalg.norm(w, axis=1, keepdims=True)).astype(dtype)
+
+
+def steady(n_steps, dtype="float64", **options):
+    """Attitude errors (N,) and departures from unit length (N,) of bodies at constant rates."""
+    w = rates(dtype)
+    start = np.zeros((N, 4), dtype=dtype)
+    start[:, 0] = 1.0
+    run = fa.propagate(
+        fa.Scene(rate=fa.rates.Constant(w)), start, dt=STEP, n_steps=n_steps, method="magnus4",
+        dtype=dtype, **options,
+    )  # fmt: skip
+    size = np.linalg.norm(w.astype(np.longdouble), axis=1)
+    half = size * np.longdouble(n_steps * STEP) / 2
+    exact = np.column_stack([np.cos(half), (np.sin(half) / size)[:, None] * w])
+    found = run.q[-1].astype(np.longdouble)
+    across = found[:, :1] * exact[:, 1:] - exact[:, :1] * found[:, 1:]
+    across -= np.cross(found[:, 1:], exact[:, 1:])
+    return 2.0 * np.linalg.norm(across.astype(np.float64), axis=1), run.defect[-1]
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def test_two_sum_is_exact():
+    a, b = np.random.default_rng(3).normal(size=(2, 200)) * 10.0 ** np.arange(-10, 10).repeat(10)
+    for x, y in zip(a, b, strict=True):
+        s, e = compensated.two_sum(float(x), float(y))
+        assert s == x + y
+        assert np.longdouble(s) + np.longdouble(e) == np.longdouble(x) + np.longdouble(y)
+
+
+def test_round_off_grows_with_the_root_of_the_steps_where_it_is_carried():
+    """1e5 steps: biased rounding of the plain mode is 100 times what is left of it."""
+    plain, _ = steady(100_000)
+    few, _ = steady(6250, compensated=True)
+    angle, norm = steady(100_000, compensated=True)
+    # what is handed out is rounded: 1e-16 rad however few the steps
+    growth = (rms(angle) ** 2 - rms(few) ** 2) / (rms(few) ** 2)
+    assert growth < 2.0 * 16.0
+    assert rms(angle) < 5.0 * EPS
+    assert rms(angle) < rms(plain) / 50.0
+    assert np.abs(norm).max() < EPS
+
+
+def test_single_precision_survives_too():
+    eps = float(np.finfo(np.float32).eps)
+    plain, _ = steady(20_000, "float32")
+    angle, norm = steady(20_000, "float32", compensated=True)
+    assert rms(plain) > 50.0 * eps
+    assert rms(angle) < 5.0 * eps
+    assert np.abs(norm).max() < eps
+
+
+def test_steps_that_are_too_small_to_register_are_said_so():
+    scene = fa.Scene(rate=fa.rates.Constant((3e-8, 0.0, 0.0)))
+    start = np.array([0.6, 0.8, 0.0, 0.0], dtype=np.float32)
+    with pytest.warns(fa.StepWarning, match="float32 does not register"):
+        stalled = fa.propagate(scene, start, dt=1.0, n_steps=100_000, method="magnus4")
+    moved = fa.propagate(scene, start, dt=1.0, n_steps=100_000, method="magnus4", compensated=True)
+    exact = fa.propagate(scene, start.astype(float), dt=1e5, n_steps=1, method="magnus4")
+    assert fa.angle_between(stalled.q[-1], start) == 0.0
+    assert fa.angle_between(moved.q[-1], exact.q[-1]) < 3e-7
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return integrate((2.0, 1.0, 0.5), (1, 0, 0, 0), (0.3, 0.5, -0.4), 10.0)
+
+
+@pytest.mark.parametrize("method", ["rk4", "rkmk4", "dmv10"])
+def test_bodies_keep_their_order_and_lose_their_round_off(method, reference):
+    inertia, w0 = (2.0, 1.0, 0.5), np.array([0.3, 0.5, -0.4])
+    scene = fa.Scene(inertia=inertia, allow_unphysical=True)
+    options = {"dt": STEP, "n_steps": 1280, "method": method}
+    plain = fa.propagate(scene, [1, 0, 0, 0], w0, **options)
+    carried = fa.propagate(scene, [1, 0, 0, 0], w0, compensated=True, **options)
+    q, w = np.array(reference.q, dtype=float), np.array(reference.w, dtype=float)
+    # the method's own error is the same, its round-off is not
+    own = 1e-9 if method != "dmv10" else 0.0
+    assert fa.angle_between(carried.q[-1], q) < own + 4.0 * EPS
+    assert np.abs(carried.w[-1] - w).max() < own + 2.0 * EPS
+    assert fa.angle_between(carried.q[-1], plain.q[-1]) < 1280 * EPS
+    assert abs(float(carried.defect[-1, 0])) < (1e-9 if method == "rk4" else EPS)
+
+
+@pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows"])
+def test_the_return_to_the_group(representation):
+    """Every step, now and then, for output only, never: the same attitude, lengths as promised."""
+    scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.6, 0.8)))
+    start = fa.rotation_vector_to_quat([0.3, -0.2, 0.5])
+    runs = {
+        policy: fa.propagate(
+            scene, start, dt=0.3, n_steps=64, method="rk4", representation=representation,
+            normalise=policy,
+        )
+        for policy in ("output", "never", 8, 1)
+    }  # fmt: skip
+    shrunk = {policy: abs(float(run.defect[-1, 0])) for policy, run in runs.items()}
+    assert shrunk["output"] == shrunk["never"]
+    assert shrunk[1] < shrunk[8] < shrunk["never"]
+    if representation == "quat":
+        assert abs(np.linalg.norm(runs["output"].q[-1]) - 1.0) < 2 * EPS
+        assert abs(np.linalg.norm(runs["never"].q[-1]) - 1.0) == pytest.approx(shrunk["never"])
+        # the length of a quaternion does not touch its attitude
+        for run in runs.values():
+            unit = run.q[-1] / np.linalg.norm(run.q[-1])
+            assert fa.angle_between(unit, runs["output"].q[-1]) < 64 * 4 * EPS
+    else:
+        handed = [np.linalg.norm(runs[p].C[-1] @ runs[p].C[-1].T - np.eye(3)) for p in runs]
+        assert handed[1] == pytest.approx(shrunk["never"])
+        # two of Newton's steps to the group leave the square of a square of the departure
+        assert handed[0] < 1e-15 + shrunk["output"] ** 4
+
+
+def test_normalising_hides_no_blow_up():
+    scene = fa.Scene(rate=fa.rates.Polynomial([[0.0, 0.0, 7.0]]))
+    for policy in ("output", "never", 8, 1):
+        run = fa.propagate(scene, [1, 0, 0, 0], dt=1.0, n_steps=200, method="rk4", normalise=policy)
+        assert run.status[0] & fa.Status.STEP_TOO_LARGE
+        assert run.status[0] & (fa.Status.NORM_LOST | fa.Status.NON_FINITE)
+
+
+def test_refusals():
+    scene = fa.Scene(inertia=(2.0, 1.0, 0.9))
+    call = {"dt": 0.1, "n_steps": 1}
+    with pytest.raises(
+        ValueError, match=r"compensated: found with method strang2; accepted with .*rk4"
+    ):
+        fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], method="strang2", compensated=True, **call)
+    with pytest.raises(ValueError, match='compensated: found with representation "dcm"'):
+        fa.propagate(
+            scene, [1, 0, 0, 0], [0, 0, 1], method="rk4", representation="dcm", compensated=True,
+            **call,
+        )  # fmt: skip
+    for wrong in ("always", 0, 1.5, None):
+        with pytest.raises((ValueError, TypeError), match="normalise: found"):
+            fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], normalise=wrong, **call)
+
+
+# drift, watched
+
+
+def test_watched_drift_is_that_of_the_history():
+    generator = np.random.default_rng(0)
+    q0, w0 = generator.normal(size=(70, 4)), generator.normal(size=(70, 3))
+    scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+    call = {"dt": 0.05, "method": "rk4"}
+    for n_steps in (7, 160, 1003):
+        run = fa.propagate(scene, q0, w0, n_steps=n_steps, save_every=10, **call)
+        kept = fa.drift(run, scene)
+        watched = fa.watch_drift(scene, q0, w0, n_steps=n_steps, every=10, **call)
+        assert watched.saves == run.t.size - 1
+        assert_array_equal(watched.trajectory.q, run.q[-1:])
+        assert_array_equal(watched.norm.maximum, kept.norm[1:].max(axis=0))
+        for name in ("energy", "momentum"):
+            stored, online = getattr(kept, name)[1:], getattr(watched, name)
+            # in relation to the largest energy of a few saves, not of all: RK4 loses some
+            assert online.maximum == pytest.approx(stored.max(axis=0), rel=1e-4)
+            for percent in (50.0, 95.0):
+                exact = np.percentile(stored, percent, axis=0, method="inverted_cdf")
+                ratio = online.percentile(percent) / exact
+                assert ((ratio > 0.999) & (ratio < 2.001)).all()
+
+
+@pytest.mark.parametrize("method", ["rk4", "exact"])
+def test_sink_gets_every_save_once(method):
+    scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+    options = {"dt": 0.05, "n_steps": 333, "save_every": 10, "method": method}
+    stored = fa.propagate(scene, [1, 0, 0, 0], [0.1, 1.0, 0.2], **options)
+    times, found = [], []
+
+    def keep(piece):
+        times.append(piece.t[1:].copy())
+        found.append(piece.q[1:].copy())
+        assert_array_equal(piece.q[0], stored.q[0])
+
+    last = fa.propagate(scene, [1, 0, 0, 0], [0.1, 1.0, 0.2], sink=keep, **options)
+    assert_array_equal(np.concatenate(times), stored.t[1:])
+    assert_array_equal(np.concatenate(found), stored.q[1:])
+    assert_array_equal(last.q, stored.q[-1:])
+
+
+def test_watch_refusals():
+    scene = fa.Scene(inertia=(2.0, 1.0, 0.9))
+    call = {"dt": 0.1, "n_steps": 1}
+    with pytest.raises(TypeError, match="save_every: found; accepted: every"):
+        fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, save_every=1, **call)
+    with pytest.raises(ValueError, match="sink: found without save_every"):
+        fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], sink=print, **call)
+    watched = fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)
+    with pytest.raises(ValueError, match="percent: found 101"):
+        watched.norm.percentile(101)

@@ -1,0 +1,196 @@
+"""Advice: what is recommended meets the tolerance on all bodies, and says what is true of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.trade import Case, advice
+from fastatt.trade.advice import Point
+
+pytestmark = pytest.mark.slow
+
+RNG = np.random.default_rng(6)
+N = 700
+Q0 = RNG.normal(size=(N, 4))
+W0 = RNG.normal(size=(N, 3))
+CONING = fa.Scene(rate=fa.rates.Coning(RNG.uniform(0.2, 1.2, N), RNG.uniform(0.5, 2.0, N)))
+FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+INERTIA = RNG.uniform(1.0, 1.4, (N, 3))
+GRADIENT = fa.Scene(inertia=INERTIA, torque=fa.torques.GravityGradient(mean_motion=0.3))
+T_END = 6.0
+# few, as compiling is what takes the time
+RATES = ["rk4", "magnus4", "magnus6"]
+DOUBLE = {"dtypes": ["float64"]}
+
+
+def coning_end():
+    angle, frequency = CONING.rate
+    c, s = np.cos(angle / 2), np.sin(angle / 2)
+    first, last = (
+        np.stack([c, s * np.cos(frequency * t), s * np.sin(frequency * t), 0 * c], axis=1)
+        for t in (0.0, T_END)
+    )
+    q0 = Q0 / np.linalg.norm(Q0, axis=1, keepdims=True)
+    return fa.quat_multiply(q0, fa.quat_multiply(first * (1, -1, -1, -1), last))
+
+
+def found_error(scene, w0, chosen, exact):
+    run = fa.propagate(scene, Q0, w0, **chosen.arguments)
+    assert not run.status.any()
+    return fa.angle_between(run.q[-1], exact).max()
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_the_tolerance_is_met_by_all_bodies_and_not_by_far(tol):
+    """The sample is a fifth of the bodies; the step may be a seventh too small."""
+    chosen = fa.recommend(CONING, Q0, t_end=T_END, tol=tol, methods=RATES, **DOUBLE)
+    true = found_error(CONING, None, chosen, coning_end())
+    order = fa.METHODS[chosen.method].order
+    assert true <= tol
+    assert true >= tol / 1.17 ** (2 * order) / chosen.safety
+    assert true <= chosen.expected_error <= tol
+    assert (chosen.sampled, chosen.n_bodies) == (128, N)
+    assert chosen.dt * chosen.n_steps == pytest.approx(T_END, rel=1e-15)
+    assert chosen.expected_seconds > 0.0
+    assert chosen.limited_by == "truncation"
+
+
+def test_hard_bodies_that_are_few_are_found():
+    """Three bodies among 700 spin ten times as fast as the others."""
+    w0 = 0.1 * W0
+    w0[[50, 333, 699]] *= 30.0
+    chosen = fa.recommend(GRADIENT, Q0, w0, t_end=T_END, tol=1e-6, methods=["rk8"], sample=64)
+    fine = fa.propagate(GRADIENT, Q0, w0, dt=T_END / 2000, n_steps=2000, method="rk8")
+    assert found_error(GRADIENT, w0, chosen, fine.q[-1]) <= 1e-6
+
+
+def test_a_sample_of_easy_bodies_is_corrected_by_the_others(monkeypatch):
+    """What the step and its half change on the others shows how much harder they are."""
+    w0 = W0 * np.linspace(0.1, 1.0, N)[:, None]
+    rows = np.arange(64), np.arange(N - 1, 63, -1)
+    monkeypatch.setattr(advice._Search, "_choose", lambda *a: rows)
+    chosen = fa.recommend(GRADIENT, Q0, w0, t_end=T_END, tol=1e-6, methods=["rk8"])
+    fine = fa.propagate(GRADIENT, Q0, w0, dt=T_END / 2000, n_steps=2000, method="rk8")
+    assert chosen.safety > 10.0
+    assert 1e-7 < found_error(GRADIENT, w0, chosen, fine.q[-1]) <= 1e-6
+
+
+def test_the_closed_form_needs_no_steps():
+    chosen = fa.recommend(FREE, Q0, W0, t_end=T_END, tol=1e-9, methods=["rk4", "exact"], **DOUBLE)
+    assert (chosen.method, chosen.n_steps, chosen.limited_by) == ("exact", 1, "round-off")
+    assert chosen.expected_error < 1e-12
+    exact, _ = fa.exact.free_body(Q0, W0, FREE.inertia, T_END)
+    assert found_error(FREE, W0, chosen, exact) < 1e-12
+
+
+def test_saves_fall_on_the_times_asked_for():
+    chosen = fa.recommend(
+        CONING, Q0, t_end=T_END, tol=1e-6, save_interval=0.6, methods=RATES, **DOUBLE
+    )
+    run = fa.propagate(CONING, Q0, **chosen.arguments)
+    assert run.t == pytest.approx(np.linspace(0.0, T_END, 11), abs=1e-12)
+    assert chosen.n_steps == 10 * chosen.save_every
+
+
+def test_a_budget_is_kept_and_used():
+    small, large = (
+        fa.recommend(CONING, Q0, t_end=T_END, budget=t, methods=RATES, **DOUBLE)
+        for t in (5e-3, 0.1)
+    )
+    assert large.expected_seconds <= 0.1
+    assert large.expected_error < small.expected_error
+    assert found_error(CONING, None, large, coning_end()) < 1e-12
+    assert large.limited_by == "round-off"
+    assert large.tol is None
+
+
+def test_out_of_reach():
+    with pytest.raises(ValueError, match=r"tol: found 1e-16; accepted: at least \d"):
+        fa.recommend(CONING, Q0, t_end=T_END, tol=1e-16)
+    with pytest.raises(ValueError, match=r"tol: found 1e-09; accepted: what can be reached, \d"):
+        fa.recommend(CONING, Q0, t_end=T_END, tol=1e-9, methods=["rk4"], dtypes=["float32"])
+    with pytest.raises(ValueError, match=r"budget: found 1e-07 s; accepted: at least the "):
+        fa.recommend(CONING, Q0, t_end=T_END, budget=1e-7, methods=["rk4"], **DOUBLE)
+
+
+def test_long_runs_are_measured_over_a_part(monkeypatch):
+    """What a part of the time shows, carried on, is right within a few tens of percent."""
+    monkeypatch.setattr(advice, "_LONG", 1e-12)
+    long = 1600.0
+    bodies = slice(0, 64)
+    scene = fa.Scene(rate=fa.rates.Coning(*(x[bodies] for x in CONING.rate)))
+    chosen = fa.recommend(scene, Q0[bodies], t_end=long, tol=1e-5, methods=["magnus4"], **DOUBLE)
+    assert chosen.extrapolated_from < 0.3 * long
+    run = fa.propagate(scene, Q0[bodies], **chosen.arguments)
+    half = fa.propagate(scene, Q0[bodies], dt=chosen.dt / 2, n_steps=2 * chosen.n_steps)
+    true = fa.angle_between(run.q[-1], half.q[-1]).max() * 16.0 / 15.0
+    assert 0.2e-5 < true <= 1e-5
+
+
+def pushed(n):
+    """A sine as torque, n samples over the time."""
+    t = np.linspace(0.0, T_END, n)
+    torque = 0.3 * np.sin(2.0 * t)[:, None] * (1.0, 0.5, 0.2)
+    return fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(torque, t[1]))
+
+
+@pytest.mark.parametrize("n", [25, 26])
+def test_the_interval_of_a_history_may_limit(n):
+    """What the line between samples costs is what a hundred times as many samples change."""
+    chosen = fa.recommend(
+        pushed(n), Q0[:64], W0[:64], t_end=T_END, tol=1e-3, methods=["rk4"], **DOUBLE
+    )
+    ends = [
+        fa.propagate(pushed(m), Q0[:64], W0[:64], dt=T_END / k, n_steps=k, method="rk4").q[-1]
+        for m, k in ((n, 50 * (n - 1)), (100 * (n - 1) + 1, 50 * (n - 1)))
+    ]
+    assert chosen.limited_by == "sampling"
+    assert chosen.sampling_error == pytest.approx(fa.angle_between(*ends).max(), rel=0.5)
+    assert "the torque's interval costs" in str(chosen)
+
+
+def test_text_names_what_matters():
+    chosen = fa.recommend(CONING, Q0, t_end=T_END, tol=1e-6, methods=RATES, **DOUBLE)
+    up = Point(Case("rk4"), 100, 1e-7, 2.0 * chosen.expected_seconds)
+    text = str(replace(chosen, runner_up=up, margin=2.0))
+    for part in (
+        f"{chosen.method} (quat, float64): {chosen.n_steps} steps",
+        "tol 1e-06",
+        "from 128 of 700 bodies",
+        "limited by truncation",
+        "runner-up  rk4 (quat, float64), 100 steps: 2.00 times as long",
+        "reference  the exact coning motion",
+    ):
+        assert part in text
+    assert {p.case.method for p in chosen.curve} == set(RATES)
+    for p in chosen.curve:
+        assert p.seconds > 0.0
+
+
+def test_cases_far_from_the_tolerance_are_not_looked_at():
+    cases = [Case(m, dtype=d) for m in ("strang2", "rk4", "rk8") for d in ("float64", "float32")]
+    assert advice._hopeful(cases, 1e-2) == cases
+    assert {c.method for c in advice._hopeful(cases, 1e-9)} == {"rk4", "rk8"}
+    assert {c.dtype for c in advice._hopeful(cases, 1e-9)} == {"float64"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({}, "tol, budget: found neither"),
+        ({"tol": 1e-3, "budget": 1.0}, "tol, budget: found both"),
+        ({"tol": 0.0}, "tol: found 0.0; accepted: a number above 0"),
+        ({"budget": -1.0}, "budget: found -1.0"),
+        ({"tol": 1e-3, "t_end": -1.0}, "t_end: found -1.0"),
+        ({"tol": 1e-3, "save_interval": 0.7}, "save_interval: found 0.7; accepted: t_end, 6.0,"),
+        ({"tol": 1e-3, "methods": ["rk8"]}, "methods: found 'rk8'"),
+        ({"tol": 1e-3, "sample": 0}, "sample: found 0"),
+    ],
+)
+def test_bad_input(change, message):
+    with pytest.raises(ValueError, match=message):
+        fa.recommend(CONING, Q0, **{"t_end": T_END, **change})

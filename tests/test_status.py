@@ -1,0 +1,146 @@
+"""What a run says of each body: flags, counts, a summary, warnings; neighbours never feel it."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import fastatt as fa
+
+FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+N = 300
+GENERATOR = np.random.default_rng(5)
+Q0, W0 = GENERATOR.normal(size=(N, 4)), GENERATOR.normal(size=(N, 3))
+BAD = {3: "nan q", 64: "zero q", 65: "inf w", 130: "nan w", 131: "runaway", 299: "inf q"}
+
+
+def spoilt():
+    q, w = Q0.copy(), W0.copy()
+    q[3, 1] = np.nan
+    q[64] = 0.0
+    w[65, 0] = np.inf
+    w[130] = np.nan
+    w[131] = 1e9
+    q[299, 3] = -np.inf
+    return q, w
+
+
+@pytest.mark.parametrize("method", ["rk4", "dmv10", "strang2", "exact"])
+def test_bad_bodies_harm_no_neighbour(method):
+    options = {"dt": 0.01, "n_steps": 100, "method": method, "save_every": 50}
+    alone = fa.propagate(FREE, Q0, W0, **options)
+    q, w = spoilt()
+    together = fa.propagate(FREE, q, w, invalid="flag", **options)
+    bad = np.isin(np.arange(N), list(BAD))
+    assert_array_equal(together.q[:, ~bad], alone.q[:, ~bad])
+    assert_array_equal(together.w[:, ~bad], alone.w[:, ~bad])
+    assert_array_equal(together.status[~bad], alone.status[~bad])
+    for body, what in BAD.items():
+        if what != "runaway":
+            assert together.status[body] & fa.Status.NON_FINITE, what
+        elif method != "exact":  # which is right at any rate
+            assert together.status[body] & (fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE), what
+    assert together.status_counts()["NON_FINITE"] >= 5
+
+
+def test_invalid_bodies_are_refused_unless_asked_for():
+    q, w = spoilt()
+    for arguments in ((q, W0), (Q0, w)):
+        with pytest.raises(ValueError, match=r"\[(3|65)"):
+            fa.propagate(FREE, *arguments, dt=0.01, n_steps=1)
+    with pytest.raises(ValueError, match="invalid: found 'ignore'; accepted: raise, flag"):
+        fa.propagate(FREE, Q0, W0, dt=0.01, n_steps=1, invalid="ignore")
+
+
+def test_summary_names_what_went_wrong():
+    q, w = spoilt()
+    run = fa.propagate(FREE, q, w, dt=0.01, n_steps=10, method="rk4", invalid="flag")
+    lines = run.summary().splitlines()
+    assert lines[0].startswith("rk4 on quat, float64: 300 bodies to t = 0.1 s by 0.01 s, 1 saves")
+    assert lines[1] == "NON_FINITE (1): 6 of 300, body 3, 64, 65, 130, 131, …"
+    fine = fa.propagate(FREE, Q0[0], W0[0], dt=0.01, n_steps=10, method="rk4")
+    assert fine.summary().count("\n") == 0
+    assert "1 body" in fine.summary()
+
+
+def test_energy_that_leaves_its_bound_is_flagged():
+    """RK4 at 1.4 rad a step, which it may still take, loses energy; dmv10 keeps it."""
+    w0 = np.array([0.9, 1.0, 0.5])
+    lossy = fa.propagate(FREE, [1, 0, 0, 0], w0, dt=1.0, n_steps=200, method="rk4")
+    assert lossy.status[0] & fa.Status.INVARIANT
+    energy = fa.kinetic_energy(lossy.w[-1], (2.0, 1.0, 2.0 / 3.0))
+    assert energy < 0.99 * fa.kinetic_energy(w0, (2.0, 1.0, 2.0 / 3.0))
+    kept = fa.propagate(FREE, [1, 0, 0, 0], w0, dt=0.3, n_steps=1000, method="dmv10")
+    assert not kept.status[0] & fa.Status.INVARIANT
+
+
+# warnings, with a number and a remedy
+
+
+def remedy(text):
+    return float(text.split("<= ")[1].split(",")[0])
+
+
+@pytest.mark.parametrize("method", ["rk4", "strang2", "dmv10"])
+def test_steps_past_the_limit_are_warned_of_with_a_step_that_is_not(method):
+    w0 = np.array([[0.1, 0.0, 0.0], [8.0, 5.0, -7.0]])
+    with pytest.warns(fa.StepWarning, match=r"a step of body 1 is .*\(1 of 2 bodies") as found:
+        run = fa.propagate(FREE, [1, 0, 0, 0], w0, dt=1.0, n_steps=2, method=method)
+    assert run.status[0] == 0
+    assert run.status[1] & ~fa.Status.INVARIANT
+    assert found[0].filename == __file__
+    enough = 0.95 * remedy(str(found[0].message))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", fa.StepWarning)
+        run = fa.propagate(FREE, [1, 0, 0, 0], w0, dt=enough, n_steps=2, method=method)
+    assert not (run.status & (fa.Status.STEP_TOO_LARGE | fa.Status.NOT_CONVERGED)).any()
+
+
+def test_strong_damping_is_warned_of():
+    inertia = (2.0, 1.0, 2.0 / 3.0)
+    scene = fa.Scene(inertia=inertia, torque=fa.torques.Damping(2.0))
+    call = {"n_steps": 10, "q0": [1, 0, 0, 0], "w0": [0.01, 0.01, 0.01]}
+    with pytest.warns(fa.StepWarning, match=r"damping takes 3 of the rate a step; rk4") as found:
+        run = fa.propagate(scene, dt=1.0, method="rk4", **call)
+    assert run.status[0] & fa.Status.STEP_TOO_LARGE
+    fine = fa.propagate(scene, dt=0.99 * remedy(str(found[0].message)), method="rk4", **call)
+    assert fine.status[0] == 0
+    damped = fa.propagate(scene, dt=1.0, method="strang2", **call)
+    assert damped.status[0] == 0
+    # c/I exactly, whatever the step; little turns, so that axes hardly mix
+    assert damped.w[-1] == pytest.approx(0.01 * np.exp(-10.0 * 2.0 / np.array(inertia)), rel=0.03)
+
+
+def test_fastest_decay_of_every_damping():
+    moments = np.array([[2.0, 1.0, 0.5], [1.0, 1.0, 4.0]])
+    t = fa.torques
+    for model, expected in (
+        (t.Free(), 0.0),
+        (t.Damping(3.0), [6.0, 3.0]),
+        (t.Damping([3.0, 1.0]), [6.0, 1.0]),
+        (t.AxisDamping((0.1, 0.2, 0.3)), [0.6, 0.3]),
+        (t.QuaternionPD(1.0, 2.0), [4.0, 2.0]),
+        (t.Sum((t.Damping(1.0), t.AxisDamping((1.0, 0.0, 0.0)))), [4.0, 2.0]),
+    ):
+        found = np.broadcast_to(t.fastest_decay(model, moments), 2)
+        assert found == pytest.approx(np.broadcast_to(expected, 2))
+
+
+@pytest.mark.parametrize(
+    "method", ["hold", "trapezoid", "previous", "coning2", "coning3", "picard"]
+)
+def test_samples_too_far_apart_are_warned_of(method):
+    limit = fa.METHODS[method].limit("rates")
+    rates = np.zeros((3, 500, 3))
+    rates[:, :, 2] = 0.9 * limit
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", fa.StepWarning)
+        fa.integrate_rates(rates, 1.0, method=method)
+    rates[1, 77, 0] = 2.0 * limit
+    with pytest.warns(fa.StepWarning, match=f"interval 77 of log 1 .* {method}'s limit is"):
+        fa.integrate_rates(rates, 1.0, method=method)
+    with pytest.warns(fa.StepWarning, match="interval 77 of log 0"):
+        fa.integrate_rates(rates[1], 1.0, method=method)

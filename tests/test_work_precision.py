@@ -1,0 +1,239 @@
+"""Work and precision on a user's scene: its rows, its reference, its files."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.ensemble import Ensemble
+from fastatt.trade import Case, Problem, confirm, reference
+from fastatt.trade.measure import measure
+from fastatt.trade.work_precision import cases_of, spread
+
+pytestmark = pytest.mark.slow
+
+N = 48
+RNG = np.random.default_rng(4)
+Q0 = RNG.normal(size=(N, 4))
+W0 = RNG.normal(size=(N, 3))
+CONING = fa.Scene(rate=fa.rates.Coning(RNG.uniform(0.2, 1.2, N), RNG.uniform(0.5, 2.0, N)))
+FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+GRADIENT = fa.Scene(
+    inertia=RNG.uniform(1.0, 1.4, (N, 3)), torque=fa.torques.GravityGradient(mean_motion=0.3)
+)
+T_END = 5.0
+
+
+@pytest.fixture(scope="module")
+def coning():
+    methods = ["lie_midpoint", "rk4", "magnus4", "magnus6"]
+    return fa.work_precision(
+        CONING, Q0, t_end=T_END, methods=methods, dtypes=["float64"], repeats=1, max_seconds=10.0
+    )
+
+
+@pytest.fixture(scope="module")
+def free():
+    return fa.work_precision(
+        FREE,
+        Q0,
+        W0,
+        t_end=T_END,
+        methods=["rk4", "exact"],
+        dtypes=["float64"],
+        repeats=1,
+        sample=32,
+        max_seconds=10.0,
+    )
+
+
+@pytest.mark.parametrize("method", ["lie_midpoint", "rk4", "magnus4", "magnus6"])
+def test_orders_are_the_declared_ones_and_plateaus_are_named(coning, method):
+    rows = [r for r in coning.rows if r.method == method]
+    orders = [r.order for r in rows if r.order is not None and r.error_max < 1e-2]
+    assert np.median(orders) == pytest.approx(fa.METHODS[method].order, abs=0.2)
+    named = [r.plateau for r in rows]
+    assert named == sorted(named)
+    for row in rows:
+        assert (row.order is None) == (row is rows[0] or row.plateau == "round-off")
+        assert row.error_median <= row.error_p95 <= row.error_max
+    if method == "magnus6":
+        assert named[-1] == "round-off"
+        assert rows[-1].error_max < 1e-13
+
+
+def test_errors_are_those_of_the_library(coning):
+    row = next(r for r in coning.rows if r.method == "rk4" and r.error_max < 1e-6)
+    n = round(T_END / row.dt)
+    end = fa.propagate(CONING, Q0, dt=row.dt, n_steps=n, method="rk4").q[-1]
+    finer = fa.propagate(CONING, Q0, dt=row.dt / 64, n_steps=64 * n, method="rk4").q[-1]
+    assert row.error_max == pytest.approx(fa.angle_between(end, finer).max(), rel=1e-4)
+
+
+def test_frontier_is_monotone(coning):
+    best = coning.frontier
+    times, errors = [r.seconds_per_body for r in best], [r.error_median for r in best]
+    assert times == sorted(times)
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_free_bodies_keep_what_they_keep(free):
+    (exact,) = [r for r in free.rows if r.method == "exact"]
+    assert 0.0 < exact.error_max < 1e-12
+    for row in free.rows:
+        assert row.rate_error_median is not None
+        assert row.rate_error_median <= row.rate_error_max
+        assert None not in (row.energy_drift_max, row.momentum_drift_max)
+    assert (free.sampled, free.n_bodies) == (32, N)
+    assert free.reference == "the closed form"
+
+
+def test_the_files_hold_the_rows(free, tmp_path):
+    free.to_csv(tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(r["error_max"]) for r in rows] == [r.error_max for r in free.rows]
+    free.to_json(tmp_path / "a.json")
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert {"processor", "threads", "python", "numba", "numpy"} <= set(found["machine"])
+    assert found["reference"] == free.reference
+    assert len(found["rows"]) == len(rows)
+    free.plot(tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert "Frontier" in str(free)
+    assert "µs/body" in free.table()
+
+
+# references
+
+
+def problem(scene, w0):
+    return Problem(Ensemble(scene, Q0 / np.linalg.norm(Q0, axis=1, keepdims=True), w0), T_END)
+
+
+@pytest.mark.parametrize(
+    ("scene", "w0", "method"),
+    [(CONING, None, "magnus6"), (FREE, W0, "rk4"), (GRADIENT, W0, "rk8")],
+    ids=["coning", "free", "gradient"],
+)
+def test_the_reference_is_as_good_as_it_says(scene, w0, method):
+    """Another method comes as near as both may be off, and the tight run meets the closed form."""
+    known = reference(problem(scene, w0))
+    check = confirm(problem(scene, w0), known, "rk4")
+    assert known.own_error.max() < 1e-12
+    assert check.apart.max() < known.own_error.max() + 1e-12
+    tight = reference(problem(scene, w0), method=method)
+    apart = fa.angle_between(tight.end.q, known.end.q)
+    assert apart.max() < 1.5 * (tight.own_error.max() + known.own_error.max())
+
+
+def test_the_reference_stops_at_its_goal():
+    loose = reference(problem(GRADIENT, W0), goal=1e-5, method="rk4")
+    known = reference(problem(GRADIENT, W0))
+    true = fa.angle_between(loose.end.q, known.end.q)
+    assert 1e-8 < true.max() < 1e-5
+    assert true == pytest.approx(loose.own_error, rel=0.5)
+
+
+@pytest.mark.parametrize("frame", ["body", "inertial"])
+def test_one_exponential(frame):
+    """Of a constant rate, at three times, in either frame."""
+    w = RNG.normal(size=(N, 3))
+    scene = fa.Scene(rate=fa.rates.Constant(w), frame=frame)
+    known = reference(problem(scene, None), n_saves=3)
+    assert known.source == "one exponential"
+    q = fa.quat_to_dcm(known.states.q)
+    start = fa.quat_to_dcm(Q0 / np.linalg.norm(Q0, axis=1, keepdims=True))
+    for k in range(3):
+        angle = np.linalg.norm(w, axis=1) * T_END * (k + 1) / 3
+        back = np.swapaxes(start, 1, 2)
+        turn = back @ q[k] if frame == "body" else q[k] @ back
+        assert np.trace(turn, axis1=1, axis2=2) == pytest.approx(1 + 2 * np.cos(angle), abs=1e-12)
+        axis = np.einsum("nij,nj->ni", turn, w)
+        assert axis == pytest.approx(w, abs=1e-12)
+
+
+def test_cases_are_those_that_exist():
+    found = cases_of(CONING, ["magnus4", "rk4"], ["quat", "euler313"], ["float64", "float32"])
+    assert found == [
+        *[Case("magnus4", dtype=d) for d in ("float64", "float32")],
+        *[Case("rk4", rep, d) for rep in ("quat", "euler313") for d in ("float64", "float32")],
+    ]
+    every = {c.method for c in cases_of(GRADIENT, None, ["quat"], ["float64"])}
+    assert every == set(fa.methods_for(GRADIENT))
+
+
+# samples
+
+
+def test_the_extremes_are_in_the_sample():
+    speeds = np.random.default_rng(1).normal(size=1000)
+    rows = spread(speeds, 64, np.random.default_rng(2))
+    assert rows.size == np.unique(rows).size == 64
+    assert {int(speeds.argmax()), int(speeds.argmin())} <= set(rows.tolist())
+    assert spread(speeds, 1000, np.random.default_rng(2)).size == 1000
+
+
+MODELS = {
+    "inertia": GRADIENT,
+    "tensors": fa.Scene(inertia=np.eye(3) * RNG.uniform(1, 2, (N, 1, 1))),
+    "shared tensor": fa.Scene(inertia=np.diag([2.0, 1.5, 1.0])),
+    "sum": fa.Scene(
+        inertia=(2.0, 1.0, 1.5),
+        torque=fa.torques.Sum(
+            (fa.torques.Damping(RNG.uniform(0, 1, N)), fa.torques.Constant((0.1, 0.2, 0.3)))
+        ),
+    ),
+    "history": fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(np.ones((N, 3)), 0.1)),
+    "polynomial": fa.Scene(rate=fa.rates.Polynomial(RNG.normal(size=(N, 4, 3)))),
+    "shared polynomial": fa.Scene(rate=fa.rates.Polynomial(RNG.normal(size=(4, 3)))),
+    "sinusoidal": fa.Scene(
+        rate=fa.rates.Sinusoidal(RNG.normal(size=(N, 3)), (1.0, 1.0, 1.0), (1.0, 2.0, 3.0)),
+        frame="inertial",
+    ),
+    "moving": fa.Scene(
+        inertia=RNG.uniform(1, 1.2, (N, 3)),
+        mass=RNG.uniform(1, 2, N),
+        force=RNG.normal(size=(N, 3)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_chosen_bodies_keep_their_own_numbers(name):
+    """The parameters that the engine gets are the rows of those of all."""
+    scene = MODELS[name]
+    w0 = None if scene.kind == "rate" else W0
+    rows = np.array([5, 0, 41])
+    few = Ensemble(scene, Q0, w0).take(rows)
+    whole, packed = scene.packed(N), few.scene.packed(3)
+    expected = whole.params[rows] if whole.params.ndim == 2 else whole.params
+    assert type(packed.tag) is type(whole.tag)
+    assert np.array_equal(packed.params, expected)
+    assert np.array_equal(few.q0, Q0[rows])
+
+
+def test_status_is_counted():
+    fast = Problem(Ensemble(FREE, Q0, 20.0 * W0), T_END)
+    rung = measure(fast, reference(fast).end, Case("rk4"), 20, repeats=1)
+    assert "STEP_TOO_LARGE" in rung.status
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"t_end": 0.0}, "t_end: found 0.0"),
+        ({"methods": ["exact"]}, "methods: found 'exact'; accepted: lie_euler"),
+        ({"representations": ["mrp"]}, "representations: found 'mrp'"),
+        ({"dtypes": ["float16"]}, "dtypes: found 'float16'"),
+        ({"methods": ["magnus4"], "representations": ["euler313"]}, "of which nothing fits"),
+        ({"sample": 0}, "sample: found 0"),
+    ],
+)
+def test_bad_input(change, message):
+    with pytest.raises(ValueError, match=message):
+        fa.work_precision(CONING, Q0, **{"t_end": T_END, **change})
