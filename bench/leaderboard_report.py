@@ -201,9 +201,7 @@ def picture(rows: Sequence[Row], heading: str, path: Path) -> None:
                 axes.plot([t * 1e6 for t in seconds], [max(e, 1e-16) for e in errors], **style)
         for k, r in enumerate(sorted(own, key=lambda row: row.seconds) if log else []):
             at, (side, shift) = (r.seconds * 1e6, r.error), (("right", -5), ("left", 5))[k % 2]
-            axes.annotate(
-                r.method, at, (shift, 3), textcoords="offset points", fontsize=7, ha=side
-            )
+            axes.annotate(r.method, at, (shift, 3), textcoords="offset points", fontsize=7, ha=side)
         if log:
             axes.margins(x=0.3)
         unit = "sample" if log else "body"
