@@ -1,0 +1,178 @@
+"""The stability suite, reduced: with status 0 no method is wrong anywhere.
+
+Scenes are of the types that the tests of methods use, for which all is compiled already.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from bench import extremes
+from bench.extremes import Case, Column, Outcome
+
+SINGLE = ("rk4", "strang2", "dmv10")
+# whose scenes are of another type, or take seconds
+ELSEWHERE = ("A constant rate", "Many steps")
+CONSTANT = [
+    Column(f"constant {name}", extremes.constant(theta, known=False))
+    for name, theta in extremes.THETAS.items()
+]
+
+
+def of(scene):
+    return [m.name for m in fa.METHODS.values() if m.tag is not None and scene in m.scenes]
+
+
+def cells(case, scene):
+    """(title, outcome) of all columns for one kind of scene."""
+    columns = [
+        (table.title, column)
+        for table in extremes.TABLES
+        if table.scene == scene and not table.title.startswith(ELSEWHERE)
+        for column in table.columns
+    ]
+    if scene == "rate":
+        columns += [("constant", column) for column in CONSTANT]
+    found = [(f"{t}: {c.name}", c.run(case)) for t, c in columns if c.fits(case)]
+    assert found
+    return found
+
+
+def complaints(found):
+    return [
+        f"{name}: {cell.error[cell.wrong]} where {cell.allowed[cell.wrong]} is allowed"
+        for name, cell in found
+        if cell.wrong.any()
+    ]
+
+
+# the rule
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("method", of("rate"))
+def test_given_rates(method, dtype, request):
+    """On all representations in float64, whose poles angles pass; on quaternions in float32."""
+    known(request, "rk4", method, dtype)
+    for representation in fa.METHODS[method].representations[: None if dtype == "float64" else 1]:
+        assert complaints(cells(Case(method, representation, dtype), "rate")) == []
+
+
+def known(request, wrong, method, dtype):
+    """Cells that are known to be wrong."""
+    if method in wrong.split() and dtype == "float64":
+        request.applymarker(pytest.mark.xfail(strict=True, reason="wrong with status 0"))
+
+
+@pytest.mark.parametrize(
+    ("method", "dtype"), [(m, "float64") for m in of("free")] + [(m, "float32") for m in SINGLE]
+)
+def test_free_bodies(method, dtype, request):
+    known(request, "suzuki4 dmv10", method, dtype)
+    assert complaints(cells(Case(method, dtype=dtype), "free")) == []
+
+
+@pytest.mark.parametrize("method", of("torqued"))
+def test_torques(method):
+    """Damping of any strength and a pendulum of any frequency."""
+    assert complaints(cells(Case(method), "torqued")) == []
+
+
+@pytest.mark.parametrize("scene", ["sampled rates", "increments"])
+@pytest.mark.parametrize("method", [m for m in fa.METHODS if not set(of("rate")) & {m}])
+def test_samples(method, scene):
+    if scene in fa.METHODS[method].scenes:
+        assert complaints(cells(Case(method), scene)) == []
+
+
+@pytest.mark.parametrize("method", ["lie_euler", "rkmk4"])
+def test_a_rate_that_is_known_to_be_constant(method):
+    """One exponential is the whole answer at any angle, but of a method whose equation is not."""
+    record = fa.METHODS[method]
+    for theta in extremes.THETAS.values():
+        found = extremes.constant(theta)(Case(method))
+        assert not found.wrong.any()
+        assert found.status.any() == (theta > 2.0 and not record.exact_for_constant)
+
+
+# that the rule can be broken
+
+
+@pytest.mark.parametrize("method", of("rate"))
+def test_cones_past_the_limit_are_wrong_but_for_their_status(method):
+    """The flags hide nothing that would do without them."""
+    for theta in (3.6, 4.5, 5.5):
+        found = extremes.coning(theta, n_steps=1)(Case(method))
+        assert found.status.all()
+        assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
+
+
+@pytest.mark.parametrize("method", of("free"))
+def test_bodies_past_the_limit_are_wrong_but_for_their_status(method):
+    inertia = np.array(extremes.SHAPES["1, 2, 2.9"])
+    w0 = np.vstack([theta * extremes.spins(inertia)[:8] for theta in (4.0, 6.0, 7.0, 8.0)])
+    found = extremes.free(inertia, w0, 1.0, 1)(Case(method))
+    assert not found.wrong.any()
+    assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
+
+
+def test_what_is_allowed_is_small_where_a_method_is_good():
+    """Else the rule would say nothing."""
+    free = extremes.free(np.array(extremes.V), 0.1 * extremes.spins(np.array(extremes.V)), 1.0, 16)
+    for case, run, most in (
+        (Case("lie_midpoint"), extremes.coning(0.1), 0.01),
+        (Case("magnus6"), extremes.coning(0.1), 1e-8),
+        (Case("rk4"), free, 1e-4),
+        (Case("kahan_li8"), free, 1e-10),
+        (Case("dmv10"), free, 1e-11),
+    ):
+        found = run(case)
+        assert not found.status.any()
+        assert found.allowed.max() < most
+
+
+# bodies in other units, backwards, and for long
+
+
+@pytest.mark.parametrize("method", of("free"))
+def test_inertia_by_a_power_of_two_changes_no_bit(method):
+    for column in (extremes.scaled("", 2.0**-40), extremes.scaled("", 2.0**40)):
+        assert column.run(Case(method)).error.max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("method", "stated"), [("strang2", 6e-15), ("dmv10", 1.5e-15), ("rk4", 3e-9), ("rkmk4", 3e-9)]
+)
+def test_reversal(method, stated):
+    """200 steps of 0.05 s and back: at round-off, within a few of its units, or far from it."""
+    error = extremes.reversal_bodies(Case(method)).error.max()
+    symmetric = extremes.is_symmetric(fa.METHODS[method], "free")
+    assert symmetric == (stated < 1e-12)
+    assert 0.2 < error / stated < (5.0 if symmetric else 1.5)
+
+
+@pytest.mark.parametrize(
+    "method", ["rk4", *[m.name for m in fa.METHODS.values() if extremes.is_symplectic(m)]]
+)
+def test_energy_has_no_secular_drift(method):
+    """Mean slope over 64 bodies within its uncertainty, of RK4 far from it."""
+    n = 20_000
+    drift = extremes.energy(Case(method), n)
+    assert drift.largest < (1e-2 if fa.METHODS[method].order < 4 else 1e-4)
+    lost = abs(drift.slope)
+    if method == "rk4":
+        assert lost > 5.0 * drift.uncertainty
+    else:
+        # rounding of the moments' powers has a sign: 1 ulp in 100 steps at most
+        assert lost < 4.0 * drift.uncertainty + 0.01 * extremes.Case(method).eps
+
+
+def test_cells_say_what_happened():
+    fine, far = np.uint8(0), np.uint8(fa.Status.STEP_TOO_LARGE)
+    one = np.ones(2)
+    assert Outcome(one * 1e-3, one, np.array([fine, fine])).text == "1e-03"
+    assert Outcome(one * [1e-3, 9.0], one, np.array([fine, far])).text == "1e-03 STEP_TOO_LARGE"
+    assert Outcome(one * np.nan, one, np.array([fine, far])).text == "nan STEP_TOO_LARGE **wrong**"
+    assert Outcome(one * 0.0, one, np.array([fine, fine])).text == "0"
