@@ -55,6 +55,11 @@ def plus(x: Any, y: Any) -> Any:
     return tuple(a + b for a, b in zip(x, y, strict=True))
 
 
+def largest(x: Any, y: Any) -> Any:
+    """Of each two numbers the larger in size."""
+    return tuple(a if abs(a) > abs(b) else b for a, b in zip(x, y, strict=True))
+
+
 def weighted(h: Any, weights: Any, ks: Any) -> Any:
     """h Σ weights[i] ks[i]; a weight is a Python float and takes the type of h."""
     return tuple(
@@ -124,6 +129,11 @@ def _scale(k: types.Type, x: types.BaseTuple) -> Any:
 @hook(plus)
 def _plus(x: types.BaseTuple, y: types.BaseTuple) -> Any:
     return _written_out("x, y", "x[{i}] + y[{i}]", len(x))
+
+
+@hook(largest)
+def _largest(x: types.BaseTuple, y: types.BaseTuple) -> Any:
+    return _written_out("x, y", "x[{i}] if abs(x[{i}]) > abs(y[{i}]) else y[{i}]", len(x))
 
 
 @hook(weighted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,11 +13,13 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks, exact, limits
 from fastatt.arrays import quat_to_dcm
 from fastatt.engine import pool, tiles
+from fastatt.ensemble import Ensemble
 from fastatt.methods import METHODS, Method
 from fastatt.models import Packed
 from fastatt.motion import carried, handed_out
 from fastatt.representations import OPERATIONS, REPRESENTATIONS, Direction, QuatCompensated
 from fastatt.scene import Scene, as_scene
+from fastatt.self_check import SelfCheck, examine
 from fastatt.torques import RATE
 from fastatt.trajectory import Status, Trajectory
 
@@ -67,6 +70,7 @@ def propagate(
     normalise: str | int = "output",
     invalid: str = "raise",
     sink: Callable[[Trajectory], object] | None = None,
+    check: int = 0,
 ) -> Trajectory:
     """Propagate one attitude or an ensemble with a fixed step.
 
@@ -98,6 +102,8 @@ def propagate(
         the ensemble and flags those bodies, the others' results being what they are without them.
     sink : with ``save_every``, is handed each 16 saves after the initial ones as a trajectory,
         whose arrays are used again; the result then holds the final states only.
+    check : bodies on which the order of the method is looked for besides, by halving the step as
+        :func:`fastatt.self_check` does; the trajectory's ``check`` is what was found.
 
     Returns
     -------
@@ -110,6 +116,7 @@ def propagate(
     Warns
     -----
     StepWarning : steps beyond the method's limits, or too small for the precision.
+    OrderWarning : with ``check``, an order below the declared one by more than 0.5.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
@@ -131,7 +138,10 @@ def propagate(
     if len(set(rows.values()) - {1}) > 1:
         found = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of bodies")
-    return _run(
+    sample = checks.whole("check", check, 0)
+    if sample and flag:
+        raise ValueError('check: found with invalid "flag"; accepted with "raise"')
+    result = _run(
         scene,
         start,
         carried,
@@ -149,6 +159,43 @@ def propagate(
         raw=normalise == "never",
         invalid=invalid,
         sink=sink,
+    )
+    if not sample:
+        return result
+    found = check_order(
+        Ensemble.of(scene, q0, w0, v0, r0),
+        dt,
+        n_steps,
+        sample,
+        method=method,
+        representation=representation,
+        dtype=dtype,
+        n_threads=n_threads,
+        t0=t0,
+        compensated=compensated,
+        normalise=normalise,
+    )
+    return replace(result, check=found)
+
+
+def check_order(
+    ensemble: Ensemble, dt: float, n_steps: int, sample: int, **options: Any
+) -> SelfCheck:
+    """What the runs of a sample by ``propagate``, with its options, show of their order."""
+
+    def run(some: Ensemble, h: float, n: int) -> Trajectory:
+        return propagate(
+            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n, **options
+        )
+
+    kind = ensemble.scene.kind
+    return examine(
+        run,
+        ensemble,
+        checks.real("dt", dt, zero=False),
+        checks.whole("n_steps", n_steps, 1),
+        lambda name: METHODS[name].order_of(kind),
+        sample=sample,
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from fastatt.columns import unpack
 from fastatt.models import Packed, count
 from fastatt.motion import Moving
 from fastatt.rates import InertialAxes, evaluate
+
+if TYPE_CHECKING:
+    from fastatt.self_check import SelfCheck
 
 
 class Status(IntFlag):
@@ -39,7 +42,7 @@ class Trajectory:
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
     ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``defect``
     (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
-    ‖C Cᵀ − 1‖ of a matrix.
+    ‖C Cᵀ − 1‖ of a matrix; ``check`` the order observed, where ``propagate`` was asked for it.
     """
 
     t: NDArray[np.float64]
@@ -53,6 +56,7 @@ class Trajectory:
     packed: Packed = field(repr=False)
     #: w, v and r where the scene carries them, each (S, N, 3)
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    check: SelfCheck | None = None
 
     @cached_property
     def q(self) -> NDArray[Any]:
@@ -136,6 +140,8 @@ class Trajectory:
             if where.size:
                 shown = ", ".join(str(b) for b in where[:5]) + (", …" if where.size > 5 else "")
                 lines.append(f"{flag.name} ({int(flag)}): {where.size} of {n}, body {shown}")
+        if self.check is not None:
+            lines.append(str(self.check))
         return "\n".join(lines)
 
     def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:

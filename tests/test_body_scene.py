@@ -16,6 +16,8 @@ import fastatt as fa
 from fastatt._jit import driver
 from fastatt.engine import tiles
 
+pytestmark = pytest.mark.slow
+
 MOMENTS = np.array([0.6, 0.8, 1.0])
 ORDERS = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])
 SPIN = np.array([0.9, -0.4, 1.2])

@@ -53,24 +53,16 @@ def complaints(found):
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("method", of("rate"))
-def test_given_rates(method, dtype, request):
+def test_given_rates(method, dtype):
     """On all representations in float64, whose poles angles pass; on quaternions in float32."""
-    known(request, "rk4", method, dtype)
     for representation in fa.METHODS[method].representations[: None if dtype == "float64" else 1]:
         assert complaints(cells(Case(method, representation, dtype), "rate")) == []
-
-
-def known(request, wrong, method, dtype):
-    """Cells that are known to be wrong."""
-    if method in wrong.split() and dtype == "float64":
-        request.applymarker(pytest.mark.xfail(strict=True, reason="wrong with status 0"))
 
 
 @pytest.mark.parametrize(
     ("method", "dtype"), [(m, "float64") for m in of("free")] + [(m, "float32") for m in SINGLE]
 )
-def test_free_bodies(method, dtype, request):
-    known(request, "suzuki4 dmv10", method, dtype)
+def test_free_bodies(method, dtype):
     assert complaints(cells(Case(method, dtype=dtype), "free")) == []
 
 

@@ -20,7 +20,6 @@ from fastatt.motion import field, given, turning
 from fastatt.rates import rate
 from fastatt.representations import turn
 from fastatt.self_check import OrderWarning
-from fastatt.trade import order
 
 pytestmark = pytest.mark.slow
 
@@ -86,13 +85,16 @@ def test_a_broken_method_is_caught(monkeypatch, case):
     register(type(tag), kernels)
     records = {**fa.METHODS, "new": replace(fa.METHODS[name], name="new", tag=tag)}
     monkeypatch.setattr(importlib.import_module("fastatt.propagate"), "METHODS", records)
-    monkeypatch.setattr(order, "METHODS", records)
     monkeypatch.setattr(tiles, "cached_run_tiles", tiles.uncached_run_tiles)
     with pytest.warns(OrderWarning, match=r"new: order [0-3]\.\d\d, declared 4"):
         check = fa.self_check(scene, Q40, w0, dt=0.05, n_steps=100, method="new")
     assert not check.passed
     assert check.order < 2.5
     assert check.limited_by == "truncation"
+    with pytest.warns(OrderWarning) as caught:
+        run = fa.propagate(scene, Q40, w0, dt=0.05, n_steps=100, method="new", check=64)
+    assert caught[0].filename == __file__
+    assert run.check == check
 
 
 RIGHT = [("coning", m) for m in ("lie_midpoint", "rk4", "magnus4", "magnus6")]
@@ -105,6 +107,9 @@ def test_a_right_method_passes(scene, method):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check = fa.self_check(acting, Q40, w0, dt=0.05, n_steps=100, method=method)
+        run = fa.propagate(acting, Q40, w0, dt=0.05, n_steps=100, method=method, check=64)
+    assert run.check == check
+    assert str(check) in run.summary()
     assert check.passed
     assert check.order > fa.METHODS[method].order - 0.5
     assert (check.n_bodies, check.method, check.limited_by) == (40, method, "truncation")

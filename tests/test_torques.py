@@ -23,6 +23,8 @@ from fastatt.models import Sum
 from fastatt.representations import REPRESENTATIONS
 from fastatt.torques import torque
 
+pytestmark = pytest.mark.slow
+
 INERTIA = np.array([0.6, 0.8, 1.0])
 AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
 SPIN = np.array([0.9, -0.4, 1.2])

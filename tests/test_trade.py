@@ -16,6 +16,8 @@ from fastatt.integrate import methods_for_samples
 from fastatt.trade import motions, run
 from fastatt.trade.measure import Rung, ladder_rows, measure
 
+pytestmark = pytest.mark.slow
+
 # few, as compiling is what takes the time: a step that turns, one that does not, one for samples
 CONING = {
     "rate function": [trade.Case("lie_midpoint"), trade.Case("rk4")],

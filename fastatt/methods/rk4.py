@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fastatt.columns import axpy, plus, scale
+from fastatt.columns import axpy, largest, plus, scale
 from fastatt.methods.method import BODIES, Kernels, Method, register
 from fastatt.motion import advanced, base, field, given, turning
 from fastatt.representations import plain
@@ -28,7 +28,9 @@ def step(method, rep, model, t, h, x, p):
     k = axpy(F(2.0), k2, k1)
     k = axpy(F(2.0), k3, k)
     d = scale(F(1.0 / 6.0) * h, plus(k, k4))
-    return advanced(rep, model, x, d), h * h * turning(bare, model, start, k1, y, p)
+    # of coordinates, which a stage may bring nearer to their pole than the start is
+    most = largest(largest(k1, k2), largest(k3, k4))
+    return advanced(rep, model, x, d), h * h * turning(bare, model, start, most, y, p)
 
 
 register(RK4, Kernels(rate=step, body=step))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fastatt.columns import combine, weighted
+from fastatt.columns import combine, largest, weighted
 from fastatt.methods.method import BODIES, Kernels, Method, register
 from fastatt.motion import advanced, base, field, given, turning
 from fastatt.representations import plain
@@ -143,7 +143,9 @@ def step(method, rep, model, t, h, x, p):
     end = combine(h, _A12, (k1, k4, k5, k6, k7, k8, k9, k10, k11), x0)
     k12 = field(bare, model, given(model, t + h, p, h), end, p)
     d = weighted(h, _B, (k1, k6, k7, k8, k9, k10, k11, k12))
-    return advanced(rep, model, x, d), h * h * turning(bare, model, start, k1, end, p)
+    # of coordinates, which a stage may bring nearer to their pole than the start is
+    most = largest(largest(largest(k1, k3), largest(k5, k7)), largest(largest(k9, k10), k12))
+    return advanced(rep, model, x, d), h * h * turning(bare, model, start, most, end, p)
 
 
 register(RK8, Kernels(body=step))

@@ -6,11 +6,9 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
 from fastatt.ensemble import Ensemble
-from fastatt.methods import METHODS
-from fastatt.propagate import propagate
+from fastatt.propagate import check_order
 from fastatt.scene import Scene
-from fastatt.self_check import SelfCheck, examine
-from fastatt.trajectory import Trajectory
+from fastatt.self_check import SelfCheck
 
 
 def self_check(
@@ -51,29 +49,14 @@ def self_check(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
-
-    def run(some: Ensemble, h: float, n: int) -> Trajectory:
-        return propagate(
-            some.scene,
-            some.q0,
-            some.w0,
-            v0=some.v0,
-            r0=some.r0,
-            dt=h,
-            n_steps=n,
-            method=method,
-            representation=representation,
-            dtype=dtype,
-            n_threads=n_threads,
-            t0=t0,
-        )
-
-    return examine(
-        run,
-        ensemble,
-        checks.real("dt", dt, zero=False),
-        checks.whole("n_steps", n_steps, 1),
-        lambda name: METHODS[name].order_of(scene.kind),
-        sample=checks.whole("sample", sample, 1),
+    return check_order(
+        Ensemble.of(scene, q0, w0, v0, r0),
+        dt,
+        n_steps,
+        checks.whole("sample", sample, 1),
+        method=method,
+        representation=representation,
+        dtype=dtype,
+        n_threads=n_threads,
+        t0=t0,
     )
