@@ -29,6 +29,12 @@ _INTERVALS = [round(12 * 2 ** (k / 2)) for k in range(15)]
 _EXPONENTS = range(3, 14)
 # what is worth its compilation in single precision: short calls for errors of 1e-3 to 1e-6
 _SINGLE = ("magnus4", "magnus6", "rk8", "exact", "trapezoid", "previous", "coning2")
+# worth a loop of the user's own, where a call to propagate would outweigh its steps
+_LOOPS = {
+    equations.CONING: ("magnus4", "magnus6"),
+    equations.FREE: ("rk8", "dmv8", "dmv10"),
+    equations.TOP: ("rk8",),
+}
 _QUICK = {
     "steps": [32, 128], "intervals": [96, 192], "exponents": [6, 12],
     "methods": {
@@ -83,6 +89,40 @@ def _ours(problem: Problem, quick: bool) -> Iterator[Contestant]:
             else:
                 ladder = _our_steps(problem, name, dtype, quick)
             yield Contestant(OURS, label, ladder)
+
+    for name in () if problem.sampled else _LOOPS[problem.kind][: 1 if quick else None]:
+        yield Contestant(OURS, f"{name} in a loop", _our_loop(problem, name, quick))
+
+
+def _our_loop(problem: Problem, name: str, quick: bool):
+    """``fa.single_step`` in a user's ``@njit`` loop, a call a body."""
+    stepper = fa.single_step(problem.scene, method=name)
+    start, enter, advance = stepper.start, stepper.enter, stepper.advance
+    leave, read = stepper.leave, stepper.read
+
+    @numba.njit
+    def run(q, w, t_end, n, p):
+        h = t_end / n
+        y, e = enter(0.0, h, start(q, w, p), p)
+        for i in range(n):
+            y = advance(i * h, h, y, p, e)
+        return read(leave(t_end, t_end, h, y, p, e), p)[0]
+
+    def ladder(mode: str) -> Iterator[Run]:
+        rows = range(problem.n_exact)
+        starts = [tuple(problem.q0[k].tolist()) for k in rows]
+        rates = [() if problem.w0 is None else tuple(problem.w0[k].tolist()) for k in rows]
+        shared = isinstance(stepper.params, tuple)
+        own = [stepper.params if shared else stepper.params[k] for k in rows]
+        for n in (_QUICK["steps"] if quick else _STEPS) if mode == ONE else ():
+
+            def call(n=n) -> list[np.ndarray]:
+                bodies = zip(starts, rates, own, strict=True)
+                return [run(q, w, problem.t_end, n, p) for q, w, p in bodies]
+
+            yield Run(f"{n} steps", call, np.asarray)
+
+    return ladder
 
 
 def _our_steps(problem: Problem, name: str, dtype: str, quick: bool):

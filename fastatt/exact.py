@@ -190,7 +190,7 @@ def free_body(
     w0 : (3,) or (N, 3), angular velocities at t = 0, body axes, rad/s.
     inertia : principal moments (3,) or (N, 3) in any order, or tensors (3, 3) or (N, 3, 3), kg·m².
     t : time or times (T,), s, in any order and of either sign.
-    allow_unphysical : admit inertia that no body has.
+    allow_unphysical : admit inertia that no body has, of moments above 0.
     dtype : float64 or float32 (errors 1e9 times as large, half the time); None takes float32 when
         ``q0`` and ``w0`` are float32 arrays, else float64.
     n_threads : None takes every processor that this process may use; results do not depend on it.
@@ -261,6 +261,11 @@ def _at_times(
     body = principal(inertia, None if one_body else n, allow_unphysical=allow_unphysical)
     if one_body and body.moments.ndim == 2:
         one_body, n = False, len(body.moments)
+    if (body.moments < 0.0).any():
+        raise ValueError(
+            f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
+            "form: above 0, though allow_unphysical lets it pass elsewhere"
+        )
     if isinstance(solution, SymmetricTop):
         _check_symmetric(body.moments)
 

@@ -162,7 +162,7 @@ def propagate(
     )
     if not sample:
         return result
-    found = check_order(
+    seen = check_order(
         Ensemble.of(scene, q0, w0, v0, r0),
         dt,
         n_steps,
@@ -175,7 +175,7 @@ def propagate(
         compensated=compensated,
         normalise=normalise,
     )
-    return replace(result, check=found)
+    return replace(result, check=seen)
 
 
 def check_order(

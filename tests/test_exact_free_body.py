@@ -451,6 +451,8 @@ def test_refusals_of_numbers_of_bodies():
         exact.free_body(*GOOD[:3], "now")
     with pytest.raises(ValueError, match=r"n_threads: found 0; accepted: .* at least 1"):
         exact.free_body(*GOOD, n_threads=0)
+    with pytest.raises(ValueError, match="inertia: found the principal moment -1; accepted by the"):
+        exact.free_body(*GOOD[:2], (2.0, -1.0, 1.5), 1.0, allow_unphysical=True)
 
 
 def test_symmetric_top_refuses_other_bodies():

@@ -46,6 +46,22 @@ def test_bad_bodies_harm_no_neighbour(method):
     assert together.status_counts()["NON_FINITE"] >= 5
 
 
+@pytest.mark.parametrize("method", ["rk4", "dmv10"])
+def test_three_bad_bodies_in_a_hundred_thousand(method):
+    """The others are, to the last bit, what they are in an ensemble without them."""
+    n, bad = 100_000, [12_345, 54_321, 99_999]
+    generator = np.random.default_rng(6)
+    q, w = generator.normal(size=(n, 4)), generator.normal(size=(n, 3))
+    q[bad[0], 2], w[bad[1], 1], w[bad[2]] = np.nan, np.inf, 1e9
+    options = {"dt": 0.01, "n_steps": 50, "method": method}
+    together = fa.propagate(FREE, q, w, invalid="flag", **options)
+    without = fa.propagate(FREE, np.delete(q, bad, 0), np.delete(w, bad, 0), **options)
+    assert_array_equal(np.delete(together.q[-1], bad, 0), without.q[-1])
+    assert_array_equal(np.delete(together.w[-1], bad, 0), without.w[-1])
+    assert_array_equal(np.flatnonzero(together.status), bad)
+    assert not without.status.any()
+
+
 def test_invalid_bodies_are_refused_unless_asked_for():
     q, w = spoilt()
     for arguments in ((q, W0), (Q0, w)):

@@ -37,6 +37,7 @@ _WORTH = 4.0  # a guessed time this much over the best known is not looked into
 _CLOSE = 0.06  # of a number of steps: near enough to the least
 _LOOKS = 10  # at numbers of steps, a case
 _SCREENING = 0.3  # s to find the bodies with the largest errors
+_LOOKED_AT = 65536  # bodies, for the fastest at a given rate
 _VERIFYING = 0.5  # s to see whether there are larger ones
 _MORE = 1.5  # times the steps: what a run is compared with there
 _LONG = 0.04  # s that the sample's steps of 1 rad may take; beyond, errors are extrapolated in time
@@ -323,7 +324,7 @@ class _Search:
     def _choose(
         self, size: int, generator: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The hardest bodies and some by chance; others, the hardest of them first."""
+        """The hardest and fastest bodies and some by chance; others, the hardest first."""
         n = self.whole.ensemble.size
         if n <= size:
             return np.arange(n), np.arange(0)
@@ -333,8 +334,8 @@ class _Search:
         steps = max(8, math.ceil(turn / 0.5))
         pace = _pace(some) / size
         pool = generator.permutation(n)[: max(size, int(_SCREENING / (3 * steps * pace)))]
-        if pool.size < n and self.whole.ensemble.w0 is not None:
-            fastest = np.argsort(speeds(self.whole))[-(pool.size // 2) :]
+        if pool.size < n:
+            fastest = self._fastest(generator, pool.size // 2)
             pool = np.unique(np.concatenate([fastest, pool[: pool.size - fastest.size]]))
         problem = replace(self.whole, ensemble=self.whole.ensemble.take(pool))
         if pool.size >= 4 * size:
@@ -343,25 +344,38 @@ class _Search:
         else:
             hardness = speeds(problem)
         ranked = np.argsort(hardness, kind="stable")[::-1]
+        quick = np.argsort(speeds(problem), kind="stable")[::-1][: size // 8]
+        ranked = np.concatenate([quick, ranked[~np.isin(ranked, quick)]])
         hard, rest = np.split(ranked, [size // 4])
         chosen = generator.choice(rest.size, size - hard.size, replace=False)
         rows = np.concatenate([hard, rest[chosen]])
         return pool[rows], pool[np.delete(rest, chosen)]
 
+    def _fastest(self, generator: np.random.Generator, count: int) -> NDArray[np.intp]:
+        """The fastest bodies of all, or, at a given rate, of as many as are looked at."""
+        if self.whole.ensemble.w0 is not None:
+            return np.argsort(speeds(self.whole))[-count:]
+        some = generator.permutation(self.whole.ensemble.size)[:_LOOKED_AT]
+        found = speeds(replace(self.whole, ensemble=self.whole.ensemble.take(some)))
+        return np.asarray(some[np.argsort(found)[-count:]])
+
     def _safety(self, look: _Look, n: int) -> float:
         """How much larger than the sample's the largest error of all bodies is; inf with a flag.
 
         As many of the others as a fraction of a second allows, most of them the hardest, are run
-        with this step and a smaller one: what that changes is compared with that in the sample.
+        with this step and a smaller one, or by a closed form in double precision as well: what that
+        changes is compared with that in the sample.
         Bodies not looked at continue the tail of those that were (Hill, Ann. Stat. 3 (1975) 1163),
         but where those by chance change half as much as the hardest at most.
         """
         if self.sampled == self.whole.ensemble.size:
             return 1.0
         steps = n // self.divide
-        body_step = look.slope / self.whole.ensemble.size
-        more = math.ceil(_MORE * steps)
-        count = int(_VERIFYING / ((steps + more) * body_step)) if look.order else 0
+        better, more = look.case, math.ceil(_MORE * steps)
+        if not look.order:
+            better, more = look.case._replace(dtype="float64"), steps
+        each = (look.fixed + (steps + more) * look.slope) / self.whole.ensemble.size
+        count = int(_VERIFYING / max(each, 1e-12)) if (better, more) != (look.case, steps) else 0
         if not self._others.size or count < min(self._others.size, self.sampled):
             return _UNSEEN
         hardest, easier = np.split(self._others, [3 * count // 4])
@@ -370,7 +384,7 @@ class _Search:
         problem = replace(self.problem, ensemble=self.whole.ensemble.take(seen))
         changed = []
         for some in (self.problem, problem):
-            runs = [some.run(look.case, k) for k in (steps, more)]
+            runs = [some.run(look.case, steps), some.run(better, more)]
             if runs[0].status.any():
                 return math.inf
             apart = angle_between(runs[0].q[-1], runs[1].q[-1])
