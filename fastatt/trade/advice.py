@@ -36,6 +36,8 @@ _FINER = 30.0  # how much better than the tolerance the reference must be
 _WORTH = 4.0  # a guessed time this much over the best known is not looked into
 _CLOSE = 0.06  # of a number of steps: near enough to the least
 _LOOKS = 10  # at numbers of steps, a case
+_AHEAD = 16.0  # times the steps, from one look to the next: the order may not show yet
+_MOST = 3e7  # body-steps of a look, 1 or 2 s
 _SCREENING = 0.3  # s to find the bodies with the largest errors
 _LOOKED_AT = 65536  # bodies, for the fastest at a given rate
 _VERIFYING = 0.5  # s to see whether there are larger ones
@@ -470,10 +472,14 @@ class _Search:
             ):
                 return good
             n_next = self._next(look, tol, bad, good)
-            if n_next is None or look.seconds(n_next) > _WORTH * best:
+            if n_next is None or look.seconds(n_next) > _WORTH * best or self._too_long(n_next):
                 return good
             self.error(look, n_next)
         return good
+
+    def _too_long(self, n: int) -> bool:
+        """Whether n steps of the sample are more than any look may take."""
+        return n / self.divide * self.sampled > _MOST
 
     def _next(self, look: _Look, tol: float, bad: int, good: int | None) -> int | None:
         """The next number of steps to look at."""
@@ -489,7 +495,7 @@ class _Search:
                 return None
             if eb > 0.5:
                 return self.rounded(2.0 * b)
-            ahead = self.rounded(1.02 * b * (eb / tol) ** (1.0 / p))
+            ahead = self.rounded(1.02 * b * min((eb / tol) ** (1.0 / p), _AHEAD))
             return max(ahead, b + self.unit)
         error = look.errors[good]
         back = 1.02 * good * (error / tol) ** (1.0 / p)
@@ -547,7 +553,9 @@ class _Search:
             if not look.order:
                 return None
             more = 1.3 if error == math.inf else 1.01 * (error / tol) ** (1.0 / look.order)
-            further = max(self.rounded(more * n), n + self.unit)
+            further = max(self.rounded(min(more, _AHEAD) * n), n + self.unit)
+            if self._too_long(further):
+                return None
             before = (n, look.errors[n])
             n = further
             if is_flat(look.case, look.order, before, (n, self.error(look, n))):
