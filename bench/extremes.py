@@ -9,6 +9,7 @@ method, the rounding of its precision and the conditioning of its motion allow.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import multiprocessing
 import os
@@ -540,7 +541,11 @@ def pendulum(x: float) -> Column:
             speed[np.arange(n), axis] = 2.0 * modulus * frequency * cn
             off = np.linalg.norm(np.asarray(got.w[s], float) - speed, axis=1) / turn
             error = np.maximum(error, np.maximum(off, angle(got.q[s], exp(turned))))
-        step = share(OF_PENDULA, case.method, case.record.order_of("torqued"), turn)
+        order = case.record.order_of("torqued")
+        step = share(OF_PENDULA, case.method, order, turn)
+        if case.representation.startswith("dcm") and not case.record.exponentials:
+            # a matrix turns by the angle, a quaternion by half of it
+            step = np.minimum(PROMISE, 2.0**order * step)
         # an error of the frequency grows with time: the phase's with its square
         along = 1.0 + TORQUED_STEPS * frequency
         own = rounding(case, TORQUED_STEPS, TORQUED_STEPS * turn)
@@ -707,13 +712,15 @@ def sampled(theta: float, a: float, *, increments: bool) -> Callable[[Case], Out
             data = np.tile(theta * AXES[1], (n if increments else n + 1, 1))
             first = START
             truth = mul(START, exp(np.arange(n + 1.0)[:, None] * data[0]))
-        with warnings.catch_warnings(record=True) as heard:
+        q = np.full((n + 1, 4), np.nan)
+        with warnings.catch_warnings(record=True) as heard, contextlib.suppress(ValueError):
             warnings.simplefilter("always")
             q = fa.integrate_rates(
                 data, 1.0, first, method=case.method, increments=increments, dtype=case.dtype,
                 n_threads=1,
             )  # fmt: skip
-        said = any(issubclass(w.category, UserWarning) for w in heard)
+        refused = not np.isfinite(q).all()  # angles that float32 does not hold
+        said = refused or any(issubclass(w.category, UserWarning) for w in heard)
         order = case.record.order_of("increments" if increments else "sampled rates")
         known = OF_INCREMENTS if increments else OF_RATES
         iterated = case.method == "picard"  # the others are exact
@@ -873,7 +880,7 @@ TABLES = (
         Table(
             f"Sampled {'increments' if increments else 'rates'}, {name}",
             "Columns: |w|h between samples; 6 intervals. Error, rad. A log has no status: "
-            "STEP_TOO_LARGE stands for a warning.",
+            "STEP_TOO_LARGE stands for a warning, or for a refusal.",
             "increments" if increments else "sampled rates",
             [Column(k, sampled(theta, a, increments=increments)) for k, theta in THETAS.items()],
         )

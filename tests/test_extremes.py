@@ -168,3 +168,11 @@ def test_cells_say_what_happened():
     assert Outcome(one * [1e-3, 9.0], one, np.array([fine, far])).text == "1e-03 STEP_TOO_LARGE"
     assert Outcome(one * np.nan, one, np.array([fine, far])).text == "nan STEP_TOO_LARGE **wrong**"
     assert Outcome(one * 0.0, one, np.array([fine, fine])).text == "0"
+
+
+def test_the_page_is_of_all_methods_and_nothing_in_it_is_wrong():
+    page = extremes.OUT.read_text(encoding="utf-8")
+    assert "There are 0 in" in page
+    assert "Energy over 1e7 steps" in page
+    assert [name for name in fa.METHODS if f"| {name} |" not in page] == []
+    assert [table.title for table in extremes.TABLES if f"## {table.title}" not in page] == []

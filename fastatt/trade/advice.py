@@ -47,6 +47,7 @@ _HOPELESS = 6.0  # times the guessed work of the best: not even looked at
 _TIMED = 8192  # bodies
 _STEPS = 640
 _SHORT = 0.05  # s: a run that is timed as a whole
+_WHY = "whose motion magnifies rounding, or where what acts jumps"
 _UNSEEN = 1.5  # factor for bodies that nothing was seen of
 
 
@@ -619,16 +620,15 @@ class _Search:
         own = float(self.known.own_error.max()) * self.divide
         if own > 0.25 * tol:
             raise ValueError(
-                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: rounding alone makes "
-                f"{own:.1e} rad of the motion of some body, by {self.known.source}"
+                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.known.source}, the "
+                f"reference, is good to {own:.1e} rad of some body, {_WHY}"
             )
 
     def _reachable(self, looks: Sequence[_Look]) -> str:
         tried = [(e, n, look) for look in looks for n, e in look.errors.items()]
         error, n, look = min(tried, key=lambda found: found[0])
         return (
-            f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, "
-            "where rounding limits"
+            f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, {_WHY}"
         )
 
     def _advise(
