@@ -366,17 +366,16 @@ class _Search:
         """How much larger than the sample's the largest error of all bodies is; inf with a flag.
 
         As many of the others as a fraction of a second allows, most of them the hardest, are run
-        with this step and a smaller one, or by a closed form in double precision as well: what that
-        changes is compared with that in the sample.
+        with this step and with a smaller one in double precision: what that changes is compared
+        with that in the sample.
         Bodies not looked at continue the tail of those that were (Hill, Ann. Stat. 3 (1975) 1163),
         but where those by chance change half as much as the hardest at most.
         """
         if self.sampled == self.whole.ensemble.size:
             return 1.0
         steps = n // self.divide
-        better, more = look.case, math.ceil(_MORE * steps)
-        if not look.order:
-            better, more = look.case._replace(dtype="float64"), steps
+        better = look.case._replace(dtype="float64")
+        more = math.ceil(_MORE * steps) if look.order else steps
         each = (look.fixed + (steps + more) * look.slope) / self.whole.ensemble.size
         count = int(_VERIFYING / max(each, 1e-12)) if (better, more) != (look.case, steps) else 0
         if not self._others.size or count < min(self._others.size, self.sampled):
