@@ -626,9 +626,7 @@ class _Search:
     def _reachable(self, looks: Sequence[_Look]) -> str:
         tried = [(e, n, look) for look in looks for n, e in look.errors.items()]
         error, n, look = min(tried, key=lambda found: found[0])
-        return (
-            f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, {_WHY}"
-        )
+        return f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, {_WHY}"
 
     def _advise(
         self,
