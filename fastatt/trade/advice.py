@@ -34,6 +34,7 @@ _BASELINE = Case("rk4")  # which fits every scene
 _SINGLE = 1e-6  # rad: nothing is that exact in float32
 _FINER = 30.0  # how much better than the tolerance the reference must be
 _WORTH = 4.0  # a guessed time this much over the best known is not looked into
+_NEAR = 1.5  # times as long as the best: timed again beside it
 _CLOSE = 0.06  # of a number of steps: near enough to the least
 _LOOKS = 10  # at numbers of steps, a case
 _AHEAD = 16.0  # times the steps, from one look to the next: the order may not show yet
@@ -324,6 +325,10 @@ class _Search:
     def sampled(self) -> int:
         return self.problem.ensemble.size
 
+    @property
+    def _unseen(self) -> float:
+        return 1.0 if self.sampled == self.whole.ensemble.size else _UNSEEN
+
     def _choose(
         self, size: int, generator: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -372,14 +377,14 @@ class _Search:
         but where those by chance change half as much as the hardest at most.
         """
         if self.sampled == self.whole.ensemble.size:
-            return 1.0
+            return self._unseen
         steps = n // self.divide
         better = look.case._replace(dtype="float64")
         more = math.ceil(_MORE * steps) if look.order else steps
         each = (look.fixed + (steps + more) * look.slope) / self.whole.ensemble.size
         count = int(_VERIFYING / max(each, 1e-12)) if (better, more) != (look.case, steps) else 0
         if not self._others.size or count < min(self._others.size, self.sampled):
-            return _UNSEEN
+            return self._unseen
         hardest, easier = np.split(self._others, [3 * count // 4])
         every = max(1, -(-easier.size // max(1, count - hardest.size)))
         seen = np.concatenate([hardest, easier[::every]])
@@ -538,7 +543,12 @@ class _Search:
                     met.append((look, n))
                     best = min(best, look.seconds(n))
         met.sort(key=lambda found: found[0].seconds(found[1]))
-        sure = [found for look, n in met[:3] if (found := self._sure(look, n, tol))]
+        sure: list[tuple[_Look, int, float]] = []
+        for look, n in met[:3]:
+            if sure and look.seconds(n) > _NEAR * sure[0][0].seconds(sure[0][1]):
+                sure.append((look, n, self._unseen))  # which is not what will be run
+            elif found := self._sure(look, n, tol):
+                sure.append(found)
         if not sure:
             raise ValueError(f"tol: found {tol:g}; {self._reachable(looks)}")
         return self._advise(sure, tol=tol)
@@ -636,7 +646,7 @@ class _Search:
     ) -> Recommendation:
         """Time the best again, side by side, and say what limits the first of them."""
         met.sort(key=lambda found: found[0].seconds(found[1]))
-        close = [f for f in met if f[0].seconds(f[1]) < 1.5 * met[0][0].seconds(met[0][1])]
+        close = [f for f in met if f[0].seconds(f[1]) < _NEAR * met[0][0].seconds(met[0][1])]
         threads = self.whole.n_threads or default_threads()
         threads = max(1, min(threads, -(-self.whole.ensemble.size // WIDTH)))
         timed = {id(look): math.inf for look, _, _ in close}
