@@ -484,7 +484,7 @@ class _Search:
 
     def _too_long(self, n: int) -> bool:
         """Whether n steps of the sample are more than any look may take."""
-        return n / self.divide * self.sampled > _MOST
+        return bool(n / self.divide * self.sampled > _MOST)
 
     def _next(self, look: _Look, tol: float, bad: int, good: int | None) -> int | None:
         """The next number of steps to look at."""
