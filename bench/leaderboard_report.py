@@ -203,7 +203,7 @@ def picture(rows: Sequence[Row], heading: str, path: Path) -> None:
             at, (side, shift) = (r.seconds * 1e6, r.error), (("right", -5), ("left", 5))[k % 2]
             axes.annotate(r.method, at, (shift, 3), textcoords="offset points", fontsize=7, ha=side)
         if log:
-            axes.margins(x=0.3)
+            axes.margins(x=0.45, y=0.12)
         unit = "sample" if log else "body"
         axes.set(xscale="log", yscale="log", xlabel=f"time per {unit}, µs", ylabel="error, rad")
         axes.set_title(title, fontsize=10)
@@ -221,4 +221,4 @@ def picture(rows: Sequence[Row], heading: str, path: Path) -> None:
     )
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=5)
     figure.suptitle(heading, fontsize=11)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=100)
