@@ -93,8 +93,8 @@ def propagate(
     progress : show a bar (needs tqdm).
     t0 : time of ``q0``, s.
     compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
-        grows with the square root of the number of steps; at 0.5 to 0.9 of the speed. Of quaternions,
-        and of methods whose record says ``compensates``.
+        grows with the square root of the number of steps; at 0.5 to 0.9 of the speed. Of
+        quaternions, and of methods whose record says ``compensates``.
     normalise : when the state is brought back to its group: "output" (in what is handed out only),
         "never", or every so many steps, besides. The status looks at the departure from the group
         before it is mended. A compensated state is mended every 64 steps unless said otherwise.
