@@ -64,10 +64,10 @@ def pack_fields(
             sizes = ["K" if n == -1 else str(n) for n in shape]
             accepted = f"{_tuple(sizes)} and {_tuple(['N', *sizes])}"
             raise ValueError(f"{label} has shape {array.shape}; accepted are {accepted}")
-        bad = np.argwhere(np.atleast_1d(array) <= 0.0)
-        if above_zero and bad.size:
-            where = f"[{bad[0, 0]}]" if array.ndim else ""
-            found = np.atleast_1d(array)[bad[0, 0]]
+        if above_zero and (array <= 0.0).any():
+            first = np.argwhere(np.atleast_1d(array) <= 0.0)[0, 0]
+            where = f"[{first}]" if array.ndim else ""
+            found = np.atleast_1d(array)[first]
             raise ValueError(f"{label}{where} is {found}; accepted: above 0")
         zeros.append(_zeros(tail))
         columns.append(array.reshape((*array.shape[: array.ndim - len(shape)], -1)))

@@ -102,7 +102,8 @@ def test_a_budget_is_kept_and_used():
         for t in (5e-3, 0.1)
     )
     assert large.expected_seconds <= 0.1
-    assert large.expected_error < small.expected_error
+    # on a fast machine the smaller reaches round-off too
+    assert large.expected_error < small.expected_error or small.expected_error < 1e-13
     assert found_error(CONING, None, large, coning_end()) < 1e-12
     assert large.limited_by == "round-off"
     assert large.tol is None

@@ -48,6 +48,7 @@ _HOPELESS = 6.0  # times the guessed work of the best: not even looked at
 _TIMED = 8192  # bodies
 _STEPS = 640
 _SHORT = 0.05  # s: a run that is timed as a whole
+_WHOLE = 1.0  # s: a run beside which a call does not count
 _WHY = "whose motion magnifies rounding, or where what acts jumps"
 _UNSEEN = 1.5  # factor for bodies that nothing was seen of
 
@@ -650,7 +651,8 @@ class _Search:
         threads = self.whole.n_threads or default_threads()
         threads = max(1, min(threads, -(-self.whole.ensemble.size // WIDTH)))
         timed = {id(look): math.inf for look, _, _ in close}
-        for _ in range(2):  # they take turns
+        long = met[0][0].seconds(met[0][1]) > _WHOLE
+        for _ in range(1 if long else 2):  # they take turns
             for look, n, _ in close:
                 timed[id(look)] = min(timed[id(look)], self._clock(look, n))
         met.sort(key=lambda found: timed.get(id(found[0]), found[0].seconds(found[1])))
