@@ -6,6 +6,7 @@ the least number of steps that meets the tolerance. Printed are the share of sce
 error is within the tolerance, and the share whose time is within 1.3 times the best of the sweep.
 
     python bench/advice.py --scenes 200 --seed 1 --out advice.csv
+    python bench/advice.py --large     # how long advice on 10^6 bodies takes
 """
 
 from __future__ import annotations
@@ -253,6 +254,20 @@ def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
     )
 
 
+def large(n: int = 1_000_000) -> None:
+    """Seconds of advice on large ensembles, of a second call: the first compiles."""
+    for kind in ("coning", "polynomial", "free", "gravity", "top", "damped", "several"):
+        rng = np.random.default_rng(5)
+        scene, q0 = KINDS[kind](rng, n), rng.normal(size=(n, 4))
+        w0 = None if scene.kind == "rate" else rng.normal(size=(n, 3))
+        for tol in (1e-4, 1e-9):
+            for _ in range(2):
+                begin = perf_counter()
+                chosen = fa.recommend(scene, q0, w0, t_end=20.0, tol=tol)
+                took = perf_counter() - begin
+            print(f"{kind} {tol:g}: {chosen.method} {chosen.dtype}, {took:.2f} s", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--scenes", type=int, default=200)
@@ -262,8 +277,12 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=0.3, help="of timing, a scene")
     parser.add_argument("--out", type=Path, help="CSV with a row a scene")
     parser.add_argument("--progress", action="store_true")
+    parser.add_argument("--large", action="store_true", help="only advice on 10^6 bodies, timed")
     arguments = parser.parse_args()
     print(machine_line(), flush=True)
+    if arguments.large:
+        large()
+        return
     trials: list[Trial] = []
     numbers = range(arguments.first, arguments.first + arguments.scenes)
     # a process a kind: what was compiled for one kind is of no use to another, and takes memory

@@ -49,6 +49,8 @@ OF_PENDULA = {
     "rk4": 3e-4, "cf4": 3e-4, "rkmk4": 3e-4, "rk8": 1.2e-8, "strang2": 1.5e-3, "suzuki4": 4e-5,
     "kahan_li6": 2e-6, "kahan_li8": 8e-9, "srkn4": 1.2e-7, "srkn6": 2e-9,
 }  # fmt: skip
+# a matrix turns by the angle, a quaternion by half of it
+OF_PENDULA_IN_MATRICES = {"rk8": 2.8e-7}
 OF_RATES = {
     "hold": 2.0, "trapezoid": 0.8, "previous": 0.5, "coning2": 6.0, "coning3": 3.0,
     "picard": 500.0,
@@ -541,11 +543,10 @@ def pendulum(x: float) -> Column:
             speed[np.arange(n), axis] = 2.0 * modulus * frequency * cn
             off = np.linalg.norm(np.asarray(got.w[s], float) - speed, axis=1) / turn
             error = np.maximum(error, np.maximum(off, angle(got.q[s], exp(turned))))
-        order = case.record.order_of("torqued")
-        step = share(OF_PENDULA, case.method, order, turn)
-        if case.representation.startswith("dcm") and not case.record.exponentials:
-            # a matrix turns by the angle, a quaternion by half of it
-            step = np.minimum(PROMISE, 2.0**order * step)
+        known = OF_PENDULA
+        if case.representation.startswith("dcm"):
+            known = OF_PENDULA | OF_PENDULA_IN_MATRICES
+        step = share(known, case.method, case.record.order_of("torqued"), turn)
         # an error of the frequency grows with time: the phase's with its square
         along = 1.0 + TORQUED_STEPS * frequency
         own = rounding(case, TORQUED_STEPS, TORQUED_STEPS * turn)
