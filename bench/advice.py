@@ -47,6 +47,11 @@ def vectors(rng, n, size):
     return rng.normal(size=(n, 3)) * size
 
 
+def directions(rng, n):
+    v = rng.normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
 def moments(rng, n):
     """Of solid bodies: the sums of two of three positive numbers."""
     a = rng.uniform(0.3, 1.5, (n, 3))
@@ -97,6 +102,9 @@ KINDS: dict[str, Callable[[np.random.Generator, int], fa.Scene]] = {
     "controlled": lambda r, n: torqued(
         r, n, fa.torques.QuaternionPD(r.uniform(0.1, 1.0), r.uniform(0.1, 1.0))
     ),
+    "pointing": lambda r, n: torqued(
+        r, n, fa.torques.QuaternionPD(r.uniform(0.1, 1.0), r.uniform(0.1, 1.0))
+    ),
     "rotor": lambda r, n: torqued(r, n, fa.torques.Rotor(r.normal(size=3) * 0.5)),
     "several": lambda r, n: torqued(r, n, several(r, n)),
 }
@@ -140,6 +148,9 @@ def draw(seed: int, number: int, n: int) -> tuple[str, Problem, float]:
     scene = KINDS[kind](rng, n)
     q0 = rng.normal(size=(n, 4))
     w0 = None if scene.kind == "rate" else vectors(rng, n, 10.0 ** rng.uniform(-0.5, 0.5))
+    if kind == "pointing":  # energy too low for half a turn, where the controller's torque jumps
+        q0 = fa.rotation_vector_to_quat(directions(rng, n) * rng.uniform(0.0, 1.5, (n, 1)))
+        w0 = directions(rng, n) * rng.uniform(0.0, 0.25, (n, 1))
     t_end = 10.0 ** rng.uniform(0.3, 1.7)
     return kind, Problem(Ensemble(scene, q0, w0), t_end), 10.0 ** rng.uniform(-10.0, -2.0)
 

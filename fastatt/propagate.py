@@ -354,16 +354,29 @@ def _run(
         with np.errstate(over="ignore"):  # a body whose numbers float32 does not hold is flagged
             params = np.repeat(params.astype(kind), rows_each if params.ndim == 2 else 1, axis=0)
 
+    beyond = (np.abs(packed.params) > np.finfo(kind).max).any(axis=-1)
+    lost = np.where(beyond, np.uint8(Status.NON_FINITE), np.uint8(0))
+    lost = np.repeat(lost, rows_each) if lost.ndim else lost
+
     x = np.empty((n, carried(type(rep), packed.tag)), dtype=kind)
     kept = len(saved) if sink is None else min(len(saved), 1 + _RING)
     out = np.empty((kept, n, handed_out(type(rep), packed.tag)), dtype=kind)
     defect = np.empty(out.shape[:2], dtype=kind)
     watch = np.zeros((3, n), dtype=kind)
+    limit = limits.turn_limit(scene, method, representation)
+    quiet = _quiet(
+        limits.known_turns(
+            scene, method, representation, packed, carried_0.get("w0"), h,
+            max(abs(begin), abs(begin + steps * h)),
+        ),
+        limits.quiet_up_to(scene, method, limit), watch, rows_each,
+    )  # fmt: skip
     run = tiles.Run(
         begin, h, 0, steps, steps, every or max(steps, 1), int(every is not None), restore, raw
     )
-    call = _driver_call(method, rep, packed, params, q_rows, w_rows, x, h, out, defect, watch)
-    limit = limits.turn_limit(scene, method, representation)
+    call = _driver_call(
+        method, rep, packed, params, q_rows, w_rows, x, h, quiet, out, defect, watch
+    )
     damped = limits.decay(scene, h)
     about = (damped, limit, method, h, kind)
     compensated = type(rep) is QuatCompensated
@@ -382,7 +395,7 @@ def _run(
             t=t,
             state=rows[..., : ends[0]],
             defect=defect[slots],
-            status=limits.status(x, watch, damped, limit, method, representation),
+            status=limits.status(x, watch, damped, limit, method, representation) | lost,
             method=method.name,
             representation=representation,
             dt=h,
@@ -432,6 +445,7 @@ def _driver_call(
     w_rows: NDArray[Any],
     x: NDArray[Any],
     h: float,
+    quiet: Any,
     *results: NDArray[Any],
 ) -> Callable[[tiles.Run, int, int], None]:
     """The compiled loop with all that does not change during a run."""
@@ -446,10 +460,23 @@ def _driver_call(
     def call(piece: tiles.Run, first: int, last: int) -> None:
         driver(
             method.tag, rep, near, packed.tag, shape, params, q_rows, w_rows, x,
-            step, stages, edge, piece, *results, first, last,
+            step, stages, edge, quiet, piece, *results, first, last,
         )  # fmt: skip
 
     return call
+
+
+def _quiet(
+    turns: NDArray[np.float64] | None, most: float, watch: NDArray[Any], rows_each: int
+) -> Any:
+    """Which bodies' turns are known to need no look, (N,), and these into ``watch``; () if none."""
+    if turns is None:
+        return ()
+    n = watch.shape[1]
+    each = np.repeat(turns, rows_each) if turns.size > 1 else np.broadcast_to(turns, n)
+    quiet = each <= most
+    watch[0] = np.where(quiet, np.square(each, where=quiet, out=np.zeros(n)), 0.0)
+    return np.ascontiguousarray(quiet)
 
 
 def _rows(

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import types
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fastatt._jit import hook, kernel
 from fastatt.columns import axpy
@@ -151,6 +152,52 @@ class InertialAxes(NamedTuple):
     """Tag: the model's rates are along inertial axes; the flipped attitude turns at −w."""
 
     model: Model
+
+
+def is_constant(tag: Any) -> bool:
+    """Whether a tag's type, as the compiler sees it, is that of a rate which never changes."""
+    cls = tag.instance_class
+    return cls is Constant or (cls is InertialAxes and is_constant(tag.types[0]))
+
+
+def bound(tag: Any, params: NDArray[np.float64], longest: float) -> NDArray[np.float64] | None:
+    """No less than |w| (rad/s) of each body for |t| <= longest; None of a user's function.
+
+    ``params`` are flat, (P,) or (N, P).
+    """
+    cls = type(tag)
+    if cls is InertialAxes:
+        return bound(tag.model, params, longest)
+    p = np.atleast_2d(params)
+    if cls is Sum:
+        ends = np.cumsum([0, *(count(term) for term in tag.terms)])
+        parts = [
+            bound(term, p[:, a:b], longest)
+            for term, a, b in zip(tag.terms, ends, ends[1:], strict=False)
+        ]
+        known = [part for part in parts if part is not None]
+        return np.sum(known, axis=0) if len(known) == len(parts) else None
+    return _BOUNDS[cls](p, longest) if cls in _BOUNDS else None
+
+
+def _length(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt((v * v) @ np.ones(3)))
+
+
+def _longest_polynomial(p: NDArray[np.float64], longest: float) -> Any:
+    powers = np.float64(longest) ** np.arange(p.shape[1] // 3)
+    return sum(_length(p[:, 3 * k : 3 * k + 3]) * power for k, power in enumerate(powers))
+
+
+# model class: what |w| of parameters (N, P) is not above for |t| <= T
+_BOUNDS: dict[type, Callable[[NDArray[np.float64], float], Any]] = {
+    Constant: lambda p, T: _length(p),
+    Polynomial: _longest_polynomial,
+    Sinusoidal: lambda p, T: _length(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
+    Coning: lambda p, T: np.abs(2.0 * p[:, 1] * np.sin(0.5 * p[:, 0])),
+    Precession: lambda p, T: np.hypot(p[:, 0], p[:, 1]),
+    Slew: lambda p, T: 2.0 * _length(p[:, :3]) / p[:, 3],
+}
 
 
 def horner(t: Any, p: Any) -> Any:

@@ -21,6 +21,7 @@ from exact import (
     observed_order,
     steady,
 )
+from numpy.testing import assert_array_equal
 
 import fastatt as fa
 from fastatt.engine import tiles
@@ -246,6 +247,24 @@ def test_negative_step_retraces(method, representation):
 def test_reversible_methods_are_those_that_are_symmetric():
     found = {m.name for m in METHODS if "reversible" in m.summary}
     assert found == {"lie_midpoint", "magnus4", "magnus6", "cf4"}
+
+
+@pytest.mark.parametrize("frame", ["body", "inertial"])
+def test_a_constant_rate_is_one_exponential_in_every_exact_method(frame):
+    w = np.random.default_rng(3).normal(size=(70, 3))
+    scene = fa.Scene(rate=fa.rates.Constant(w), frame=frame)
+    q0 = np.random.default_rng(4).normal(size=(70, 4))
+    ends = {
+        m: fa.propagate(scene, q0, dt=0.3, n_steps=9, method=m).q[-1]
+        for m in fa.methods_for(scene, "quat")
+        if fa.METHODS[m].exact_for_constant
+    }
+    assert set(ends) == {"lie_euler", "lie_midpoint", "magnus4", "magnus6", "cf4", "cg3"}
+    turn = fa.rotation_vector_to_quat(2.7 * w)
+    whole = fa.quat_multiply(*((q0, turn) if frame == "body" else (turn, q0)))
+    for end in ends.values():
+        assert_array_equal(end, ends["cg3"])
+        assert angle(end, whole).max() < 1e-14
 
 
 # the records

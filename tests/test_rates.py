@@ -9,7 +9,7 @@ from numba import njit
 
 import fastatt as fa
 from fastatt import rates
-from fastatt.rates import evaluate, pack
+from fastatt.rates import evaluate, pack, pack_user
 
 TIMES = [0.0, 0.3, 1.7, -2.4, 60.0]
 A, B, C, D = np.array([[0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2.0, -1.0]])
@@ -83,6 +83,35 @@ def test_polynomial_of_any_degree(degree):
         size = sum(np.abs(c[k]) * abs(t) ** k for k in range(degree + 1))
         error = np.abs(at(rates.Polynomial(c), t) - expected)
         assert (error <= (degree + 1) * 2 * EPS * size).all()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bound_is_no_less_than_the_rate_and_no_more_than_needed(name):
+    model, formula = CASES[name]
+    packed = pack(model, None)
+    most = max(np.linalg.norm(formula(t)) for t in np.linspace(-2.4, 2.4, 481))
+    (bound,) = rates.bound(packed.tag, packed.params, 2.4)
+    assert most * (1.0 - 4 * EPS) <= bound <= 2.0 * most
+    inertial = rates.bound(rates.InertialAxes(packed.tag), packed.params, 2.4)
+    assert inertial.tolist() == [bound]
+
+
+@pytest.mark.parametrize("degree", range(6))
+def test_bound_of_any_polynomial(degree):
+    c = np.random.default_rng(degree).normal(size=(50, degree + 1, 3))
+    packed = pack(rates.Polynomial(c), 50)
+    bound = rates.bound(packed.tag, packed.params, 1.7)
+    for t in np.linspace(-1.7, 1.7, 35):
+        w = np.einsum("nki,k->ni", c, t ** np.arange(degree + 1))
+        assert (np.linalg.norm(w, axis=1) <= bound * (1.0 + 4 * EPS)).all()
+
+
+def test_no_bound_is_known_of_a_users_function():
+    given = pack_user(njit(lambda t, p: (p[0], 0.0, t)), [0.3], None)
+    assert rates.bound(given.tag, given.params, 1.0) is None
+    constant = pack(rates.Constant(A), None)
+    both = rates.Sum((constant.tag, given.tag))
+    assert rates.bound(both, np.concatenate([A, [0.3]]), 1.0) is None
 
 
 # attitudes in closed form

@@ -6,9 +6,11 @@ import warnings
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.testing import assert_array_equal
 
 import fastatt as fa
+from fastatt.rates import coning as kernels_of_rates
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
 N = 300
@@ -60,6 +62,35 @@ def test_three_bad_bodies_in_a_hundred_thousand(method):
     assert_array_equal(np.delete(together.w[-1], bad, 0), without.w[-1])
     assert_array_equal(np.flatnonzero(together.status), bad)
     assert not without.status.any()
+
+
+@njit
+def coning(t, p):
+    return kernels_of_rates(t, p)
+
+
+@pytest.mark.parametrize("method", ["rk4", "magnus4", "cf4"])
+def test_turns_known_beforehand_are_judged_as_those_that_are_watched(method):
+    """Steps of 0.01 to 10 rad: of a model, whose bound is known, and of a user's function."""
+    generator = np.random.default_rng(7)
+    p = np.stack([generator.uniform(0.2, 1.5, N), 10.0 ** generator.uniform(0.0, 3.0, N)], axis=1)
+    options = {"dt": 0.01, "n_steps": 130, "method": method}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fa.StepWarning)
+        known = fa.propagate(fa.Scene(rate=fa.rates.Coning(*p.T)), Q0, **options)
+        watched = fa.propagate(fa.Scene(rate=coning, params=p), Q0, **options)
+    assert_array_equal(known.status, watched.status)
+    good = known.status == 0
+    assert 0.2 * N < good.sum() < 0.9 * N
+    assert fa.angle_between(known.q[-1], watched.q[-1])[good].max() < 1e-13
+    alone = fa.propagate(fa.Scene(rate=fa.rates.Coning(*p[good].T)), Q0[good], **options)
+    assert_array_equal(known.q[:, good], alone.q)
+
+
+def test_rates_that_single_precision_does_not_hold_are_flagged_without_a_step():
+    scene = fa.Scene(rate=fa.rates.Constant([(1e300, 0.0, 0.0), (1.0, 0.0, 0.0)]))
+    run = fa.propagate(scene, np.eye(4)[:2], dt=0.1, n_steps=0, dtype=np.float32)
+    assert run.status.tolist() == [fa.Status.NON_FINITE, 0]
 
 
 def test_invalid_bodies_are_refused_unless_asked_for():

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fastatt.kernels.vec3 import dot, scale
-from fastatt.methods.method import lie_method
-from fastatt.rates import rate
-from fastatt.representations import turn
+from fastatt.methods.method import lie_method, one_exponential
 
 
 class LieMidpoint(NamedTuple):
     """Tag."""
 
 
-def step(method, rep, model, t, h, x, p):
-    F = type(h)
-    u = scale(h, rate(model, t + F(0.5) * h, p, h))
-    return turn(rep, x, u), dot(u, u)
-
-
 METHOD = lie_method(
     LieMidpoint(),
-    step,
+    one_exponential,
     name="lie_midpoint",
     order=2,
     rate_calls=1,

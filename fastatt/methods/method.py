@@ -10,7 +10,10 @@ from typing import Any, NamedTuple
 from numba import types
 
 from fastatt._jit import helper, hook
+from fastatt.kernels.vec3 import dot, scale
 from fastatt.motion import Body
+from fastatt.rates import is_constant, rate
+from fastatt.representations import turn
 from fastatt.torques import RATE
 
 #: key of the limits of a rigid body
@@ -79,7 +82,8 @@ class Method:
 class Kernels(NamedTuple):
     """What a driver compiles of a method, chosen by its tag and by the kind of model.
 
-    ``rate`` and ``body`` are steps ``f(method, rep, model, t, h, x, p)``; ``stage`` is one stage of
+    ``rate`` and ``body`` are steps ``f(method, rep, model, t, h, x, p)``, ``constant`` is that of a
+    rate which never changes, where it is another one; ``stage`` is one stage of
     a splitting, ``f(method, rep, model, t, h, k, x, p, e)``. ``prepare(method, rep, model, h, x,
     p)`` gives the ``extras`` numbers e that a run needs of each body, from its initial state.
     ``enter`` and ``leave`` change between the state and the one that is stepped:
@@ -87,6 +91,7 @@ class Kernels(NamedTuple):
     """
 
     rate: Callable[..., Any] | None = None
+    constant: Callable[..., Any] | None = None
     body: Callable[..., Any] | None = None
     stage: Callable[..., Any] | None = None
     extras: int = 0
@@ -134,6 +139,14 @@ def larger(a, b):
     return a if a > b else b
 
 
+@helper
+def one_exponential(method, rep, model, t, h, x, p):
+    """The exponential of the rate at the middle of the step."""
+    F = type(h)
+    u = scale(h, rate(model, t + F(0.5) * h, p, h))
+    return turn(rep, x, u), dot(u, u)
+
+
 def extras(method: type) -> int:
     """How many numbers ``prepare`` gives."""
     return _kernels[method].extras
@@ -159,7 +172,10 @@ def _step(
     found = _kernels[method.instance_class]
     if found.stage is not None:
         return found.stage
-    function: Any = helper(found.body if model.instance_class is Body else found.rate)
+    chosen = found.body if model.instance_class is Body else found.rate
+    if found.constant is not None and is_constant(model):
+        chosen = found.constant
+    function: Any = helper(chosen)
     return lambda method, rep, model, t, h, k, x, p, e: function(method, rep, model, t, h, x, p)
 
 
@@ -227,7 +243,9 @@ def lie_method(
     exact_for_constant: bool = True,
 ) -> Method:
     """Record of a method whose state only ever turns: it stays on the group by construction."""
-    register(type(tag), Kernels(rate=function, body=body))
+    # of a constant rate every such method is this one
+    constant = one_exponential if exact_for_constant else None
+    register(type(tag), Kernels(rate=function, constant=constant, body=body))
     representations = ("quat", "dcm", "dcm_rows")
     return Method(
         tag=tag,
