@@ -354,10 +354,7 @@ def _run(
         with np.errstate(over="ignore"):  # a body whose numbers float32 does not hold is flagged
             params = np.repeat(params.astype(kind), rows_each if params.ndim == 2 else 1, axis=0)
 
-    beyond = (np.abs(packed.params) > np.finfo(kind).max).any(axis=-1)
-    lost = np.where(beyond, np.uint8(Status.NON_FINITE), np.uint8(0))
-    lost = np.repeat(lost, rows_each) if lost.ndim else lost
-
+    lost = _not_held(packed.params, kind, rows_each)
     x = np.empty((n, carried(type(rep), packed.tag)), dtype=kind)
     kept = len(saved) if sink is None else min(len(saved), 1 + _RING)
     out = np.empty((kept, n, handed_out(type(rep), packed.tag)), dtype=kind)
@@ -464,6 +461,13 @@ def _driver_call(
         )  # fmt: skip
 
     return call
+
+
+def _not_held(params: NDArray[np.float64], kind: np.dtype[Any], rows_each: int) -> NDArray[Any]:
+    """Flags of the bodies with parameters beyond the precision's range: one for all, or (N,)."""
+    beyond = (np.abs(params) > np.finfo(kind).max).any(axis=-1)
+    flags = np.where(beyond, np.uint8(Status.NON_FINITE), np.uint8(0))
+    return np.repeat(flags, rows_each) if flags.ndim else flags
 
 
 def _quiet(
