@@ -27,6 +27,7 @@ from fastatt import limits
 from fastatt._jit import helper, hook
 from fastatt.columns import store
 from fastatt.engine import tiles
+from fastatt.kernels.trig import sincos
 from fastatt.translation import full_step
 
 BODIES = 4096
@@ -40,6 +41,13 @@ def linear_rate(t, p):
     return p[0] + t * p[3], p[1] + t * p[4], p[2] + t * p[5]
 
 
+@numba.njit
+def swinging_rate(t, p):
+    """A sine and a cosine."""
+    s, c = sincos(p[3] * t)
+    return p[0] * s, p[1] * c, p[2] + p[0] * s * c
+
+
 def scenes():
     generator = np.random.default_rng(0)
     w0 = generator.normal(size=(BODIES, 3))
@@ -48,7 +56,8 @@ def scenes():
     gravity = fa.torques.GravityGradient(mean_motion=0.1)
     return {
         "constant rate": (fa.Scene(rate=fa.rates.Constant(w0)), None),
-        "a user's rate": (fa.Scene(rate=linear_rate, params=line), None),
+        "a user's line": (fa.Scene(rate=linear_rate, params=line), None),
+        "a user's sines": (fa.Scene(rate=swinging_rate, params=line[:, :4]), None),
         "coning": (fa.Scene(rate=fa.rates.Coning(angle, frequency)), None),
         "free": (fa.Scene(inertia=INERTIA), w0),
         "gravity gradient": (fa.Scene(inertia=INERTIA, torque=gravity), w0),
