@@ -62,6 +62,10 @@ def torqued(rng, n, torque):
     return fa.Scene(inertia=moments(rng, n), torque=torque)
 
 
+def controlled(rng, n):
+    return torqued(rng, n, fa.torques.QuaternionPD(rng.uniform(0.1, 1.0), rng.uniform(0.1, 1.0)))
+
+
 def several(rng, n):
     return fa.torques.Sum(
         (
@@ -99,12 +103,8 @@ KINDS: dict[str, Callable[[np.random.Generator, int], fa.Scene]] = {
     "dipole": lambda r, n: torqued(
         r, n, fa.torques.MagneticDipole(r.normal(size=3), r.normal(size=3))
     ),
-    "controlled": lambda r, n: torqued(
-        r, n, fa.torques.QuaternionPD(r.uniform(0.1, 1.0), r.uniform(0.1, 1.0))
-    ),
-    "pointing": lambda r, n: torqued(
-        r, n, fa.torques.QuaternionPD(r.uniform(0.1, 1.0), r.uniform(0.1, 1.0))
-    ),
+    "controlled": controlled,
+    "pointing": controlled,
     "rotor": lambda r, n: torqued(r, n, fa.torques.Rotor(r.normal(size=3) * 0.5)),
     "several": lambda r, n: torqued(r, n, several(r, n)),
 }

@@ -159,7 +159,7 @@ def main():
     with tempfile.TemporaryDirectory() as bare:
         workers = (
             worker("--worker", "with"),
-            worker("--worker", "without", NUMBA_CACHE_DIR=os.environ.get("BARE", bare)),
+            worker("--worker", "without", NUMBA_CACHE_DIR=bare),
         )
         for name in names():
             if arguments.only not in name:

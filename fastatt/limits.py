@@ -13,7 +13,7 @@ from fastatt import torques
 from fastatt.energy import angular_momentum
 from fastatt.methods import Method
 from fastatt.models import Packed, count
-from fastatt.rates import bound
+from fastatt.rates import bound, lengths
 from fastatt.scene import Scene
 from fastatt.trajectory import Status
 
@@ -42,7 +42,7 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: float) -> NDArr
     """What the method's limit holds for, of the first step of each body, rad; w (3,) or (N, 3)."""
     with np.errstate(over="ignore", invalid="ignore"):
         if method.measure == "turn":
-            return _length(_finite(w)) * abs(h)
+            return lengths(_finite(w)) * abs(h)
         m = _momentum(scene, w) * abs(h)
         least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
         if method.measure == "momentum":
@@ -60,12 +60,7 @@ def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
 
 def _momentum(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
     assert scene.inertia is not None
-    return _length(angular_momentum(_finite(w), scene.inertia))
-
-
-def _length(v: NDArray[Any]) -> NDArray[np.float64]:
-    # numpy reduces short rows slowly
-    return np.asarray(np.sqrt((v * v) @ np.ones(3)))
+    return lengths(angular_momentum(_finite(w), scene.inertia))
 
 
 def known_turns(

@@ -180,23 +180,24 @@ def bound(tag: Any, params: NDArray[np.float64], longest: float) -> NDArray[np.f
     return _BOUNDS[cls](p, longest) if cls in _BOUNDS else None
 
 
-def _length(v: NDArray[np.float64]) -> NDArray[np.float64]:
+def lengths(v: NDArray[Any]) -> NDArray[np.float64]:
+    """Of rows (N, 3); a matrix product, since numpy reduces short rows slowly."""
     return np.asarray(np.sqrt((v * v) @ np.ones(3)))
 
 
 def _longest_polynomial(p: NDArray[np.float64], longest: float) -> Any:
     powers = np.float64(longest) ** np.arange(p.shape[1] // 3)
-    return sum(_length(p[:, 3 * k : 3 * k + 3]) * power for k, power in enumerate(powers))
+    return sum(lengths(p[:, 3 * k : 3 * k + 3]) * power for k, power in enumerate(powers))
 
 
 # model class: what |w| of parameters (N, P) is not above for |t| <= T
 _BOUNDS: dict[type, Callable[[NDArray[np.float64], float], Any]] = {
-    Constant: lambda p, T: _length(p),
+    Constant: lambda p, T: lengths(p),
     Polynomial: _longest_polynomial,
-    Sinusoidal: lambda p, T: _length(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
+    Sinusoidal: lambda p, T: lengths(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
     Coning: lambda p, T: np.abs(2.0 * p[:, 1] * np.sin(0.5 * p[:, 0])),
     Precession: lambda p, T: np.hypot(p[:, 0], p[:, 1]),
-    Slew: lambda p, T: 2.0 * _length(p[:, :3]) / p[:, 3],
+    Slew: lambda p, T: 2.0 * lengths(p[:, :3]) / p[:, 3],
 }
 
 

@@ -83,9 +83,9 @@ class Kernels(NamedTuple):
     """What a driver compiles of a method, chosen by its tag and by the kind of model.
 
     ``rate`` and ``body`` are steps ``f(method, rep, model, t, h, x, p)``, ``constant`` is that of a
-    rate which never changes, where it is another one; ``stage`` is one stage of
-    a splitting, ``f(method, rep, model, t, h, k, x, p, e)``. ``prepare(method, rep, model, h, x,
-    p)`` gives the ``extras`` numbers e that a run needs of each body, from its initial state.
+    rate which never changes, where it is another one; ``stage`` is one stage of a splitting,
+    ``f(method, rep, model, t, h, k, x, p, e)``. ``prepare(method, rep, model, h, x, p)`` gives the
+    ``extras`` numbers e that a run needs of each body, from its initial state.
     ``enter`` and ``leave`` change between the state and the one that is stepped:
     ``f(method, rep, model, t, s, k, x, p, e)`` at time t, s after the start.
     """
