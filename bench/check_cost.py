@@ -5,7 +5,8 @@
 
 Two processes take turns, the second with an engine that looks at no turn, no invariant and no
 state: nothing would be flagged there. The runs are on one thread; the cost is the median of paired
-ratios of time, less 1, and its standard error that of a median of normal numbers.
+ratios of time, less 1, and its standard error that of a median of normal numbers. As one process
+may be slower than another of the same code for as long as it lives, a few pairs share the rounds.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import sys
 import tempfile
 import time
 import warnings
+from itertools import chain
 
 import numba
 import numpy as np
@@ -32,6 +34,7 @@ from fastatt.translation import full_step
 
 BODIES = 4096
 SHORT = 200
+PAIRS = 3
 INERTIA = (2.0, 1.0, 2 / 3)
 
 
@@ -132,11 +135,12 @@ def ask(process, name, steps):
     return float(process.stdout.readline())
 
 
-def paired(workers, name, steps, rounds):
-    """(cost, its standard error) of the first worker's checks."""
+def paired(pairs, name, steps, rounds):
+    """(cost, its standard error) of the checks of each pair's first worker."""
     ratios = []
     for i in range(rounds):
-        order = (0, 1) if i % 2 else (1, 0)
+        workers = pairs[i % len(pairs)]
+        order = (0, 1) if i // len(pairs) % 2 else (1, 0)
         taken = {k: ask(workers[k], name, steps) for k in order}
         ratios.append(taken[0] / taken[1])
     spread = np.subtract(*np.percentile(ratios, [75, 25])) / 1.349
@@ -157,23 +161,23 @@ def main():
     print(f"| case | steps | cost | | {SHORT} steps | |")
     print("| --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as bare:
-        workers = (
-            worker("--worker", "with"),
-            worker("--worker", "without", NUMBA_CACHE_DIR=bare),
-        )
+        pairs = [
+            (worker("--worker", "with"), worker("--worker", "without", NUMBA_CACHE_DIR=bare))
+            for _ in range(PAIRS)
+        ]
         for name in names():
             if arguments.only not in name:
                 continue
-            for process in workers:
+            for process in chain(*pairs):
                 ask(process, name, SHORT)
-            steps = max(SHORT, int(SHORT * 0.05 / ask(workers[0], name, SHORT)))
-            long, error = paired(workers, name, steps, arguments.rounds)
-            short, other = paired(workers, name, SHORT, arguments.rounds)
+            steps = max(SHORT, int(SHORT * 0.05 / ask(pairs[0][0], name, SHORT)))
+            long, error = paired(pairs, name, steps, arguments.rounds)
+            short, other = paired(pairs, name, SHORT, arguments.rounds)
             print(
                 f"| {name} | {steps} | {long:.1%} | ± {error:.1%} | {short:.1%} | ± {other:.1%} |",
                 flush=True,
             )
-        for process in workers:
+        for process in chain(*pairs):
             process.stdin.close()
             process.wait()
 

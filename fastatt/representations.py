@@ -572,6 +572,11 @@ def _half_derivative(rep: types.BaseNamedTuple, x: types.Type, v: types.Type) ->
     return lambda rep, x, v: operation(x, (v[0] + v[0], v[1] + v[1], v[2] + v[2]))
 
 
+def has_poles(rep: type) -> bool:
+    """Whether its numbers turn faster than the body does, at a pole without bound."""
+    return OPERATIONS[rep].speed_squared is not _body_speed
+
+
 @hook(speed_squared)
 def _speed_squared(rep: types.BaseNamedTuple, xdot: types.Type, w: types.Type) -> Any:
     operation = OPERATIONS[rep.instance_class].speed_squared

@@ -87,6 +87,41 @@ def test_turns_known_beforehand_are_judged_as_those_that_are_watched(method):
     assert_array_equal(known.q[:, good], alone.q)
 
 
+@njit
+def burst(t, p):
+    """p[2] rad/s from p[0] to p[1], once around the clock in a second; else 0.1."""
+    speed = p[2] * np.cos(2.0 * np.pi * (t - p[3])) if p[0] <= t < p[1] else 0.1
+    return speed, 0.0, 0.0
+
+
+@pytest.mark.parametrize("first", [0, 5, 61, 92])
+@pytest.mark.parametrize("method", ["rk4", "magnus4", "magnus6", "rkmk4"])
+def test_bursts_of_eight_steps_do_not_pass_unseen(method, first):
+    """Of steps of 1 s; from node to node the rate changes its sign, so that little turn is left."""
+    phase = 0.0 if method in ("rk4", "rkmk4") else 0.25
+    p = np.array([first, first + 8, 5.0, phase])
+    run = fa.propagate(fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=100, method=method)
+    assert run.status[0] & fa.Status.STEP_TOO_LARGE
+
+
+@pytest.mark.parametrize("method", ["magnus4", "magnus6"])
+def test_the_last_step_before_a_save_is_looked_at(method):
+    p = np.array([10.0, 11.0, 5.0, 0.25])
+    for n_steps, seen in ((11, True), (13, False)):
+        run = fa.propagate(
+            fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=n_steps, method=method
+        )
+        assert bool(run.status[0]) == seen
+
+
+def test_one_step_beyond_its_limit_shows_in_the_norm_of_rk4():
+    limit = fa.METHODS["rk4"].limits["quat"]
+    for first in range(8):
+        p = np.array([first, first + 1.01, 1.02 * limit, 0.0])
+        run = fa.propagate(fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=16, method="rk4")
+        assert run.status[0]
+
+
 def test_rates_that_single_precision_does_not_hold_are_flagged_without_a_step():
     scene = fa.Scene(rate=fa.rates.Constant([(1e300, 0.0, 0.0), (1.0, 0.0, 0.0)]))
     run = fa.propagate(scene, np.eye(4)[:2], dt=0.1, n_steps=0, dtype=np.float32)

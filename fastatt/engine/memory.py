@@ -1,4 +1,4 @@
-"""Two instructions that NumPy code has no word for: a store past the cache, and a prefetch.
+"""Instructions that NumPy code has no word for: a store past the cache, a prefetch, a maximum.
 
 Attitudes are written once and not read again here. An ordinary store first fetches the line that
 it overwrites; a non-temporal one does not: 1.4 instead of 3.8 ns an attitude out of the cache.
@@ -49,3 +49,22 @@ def prefetch(typingctx: Any, array: types.Array, index: types.Type) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.intp), codegen
+
+
+@intrinsic
+def larger(typingctx: Any, a: types.Type, b: types.Type) -> Any:
+    """The larger of two floats that are not negative.
+
+    They are compared as integers. Of ``a if a > b else b`` with one in memory LLVM makes a
+    comparison and a masked store, which cost 2 % of a step more than a maximum and a store.
+    """
+    if not isinstance(a, types.Float) or a != b:
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = ir.IntType(a.bitwidth)
+        x, y = (builder.bitcast(v, bits) for v in arguments)
+        most = builder.select(builder.icmp_signed(">", x, y), x, y)
+        return builder.bitcast(most, arguments[0].type)
+
+    return a(a, a), codegen

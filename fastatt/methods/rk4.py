@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fastatt.columns import axpy, largest, plus, scale
-from fastatt.methods.method import BODIES, Kernels, Method, register
+from fastatt.methods.method import BODIES, Kernels, Method, costly, register
 from fastatt.motion import advanced, base, field, given, turning
 from fastatt.representations import plain
 
@@ -30,10 +30,11 @@ def step(method, rep, model, t, h, x, p):
     d = scale(F(1.0 / 6.0) * h, plus(k, k4))
     # of coordinates, which a stage may bring nearer to their pole than the start is
     most = largest(largest(k1, k2), largest(k3, k4))
-    return advanced(rep, model, x, d), h * h * turning(bare, model, start, most, y, p)
+    z = h * h * turning(bare, model, start, most, y, p)
+    return advanced(rep, model, x, d), costly(rep, model, z)
 
 
-register(RK4, Kernels(rate=step, body=step))
+register(RK4, Kernels(rate=step, body=step, costly=True))
 
 METHOD = Method(
     tag=RK4(),
