@@ -11,7 +11,7 @@ from leaderboard_contestants import SAMPLED
 from leaderboard_problems import MANY, ONE, coning_large
 from leaderboard_report import Row, envelope, ranking, read_rows, table, time_at, verdict
 
-LIBRARIES = ("fastatt", "scipy", *SAMPLED)
+PACKAGES = ("fastatt", "scipy", *SAMPLED)
 # the others have the equations of these
 PROBLEMS = ("coning-large", "coning-large-sampled", "free", "log")
 
@@ -25,8 +25,8 @@ def test_time_at_equal_error():
 
 
 def test_winners():
-    def row(library: str, error: float, seconds: float) -> Row:
-        return Row("p", "P", ONE, library, "m", "s", error, seconds)
+    def row(package: str, error: float, seconds: float) -> Row:
+        return Row("p", "P", ONE, package, "m", "s", error, seconds)
 
     rows = [row("fastatt", 1e-7, 3.0), row("scipy", 1e-4, 6.0), row("scipy", 1e-10, 600.0)]
     assert verdict(ranking(rows, 1e-3)) == "`m` 2.0× scipy"
@@ -37,17 +37,17 @@ def test_winners():
 
 
 def test_quick_run(tmp_path):
-    chosen = [f"--library={name}" for name in LIBRARIES] + [f"--problem={p}" for p in PROBLEMS]
+    chosen = [f"--package={name}" for name in PACKAGES] + [f"--problem={p}" for p in PROBLEMS]
     leaderboard.main(["--quick", f"--out={tmp_path}", *chosen])
     rows = read_rows(tmp_path / "leaderboard.csv")
     assert {row.problem for row in rows} == set(PROBLEMS)
-    assert {row.library for row in rows} == set(LIBRARIES)
+    assert {row.package for row in rows} == set(PACKAGES)
     assert all(row.seconds > 0.0 and np.isfinite(row.error) for row in rows)
     # the reference is nobody's: each comes near it by itself
     for problem in ("coning-large", "free"):
-        for library in ("fastatt", "scipy", "numpy-quaternion"):
-            own = [r.error for r in rows if (r.problem, r.library) == (problem, library)]
-            assert min(own) < 1e-9, (problem, library)
+        for package in ("fastatt", "scipy", "numpy-quaternion"):
+            own = [r.error for r in rows if (r.problem, r.package) == (problem, package)]
+            assert min(own) < 1e-9, (problem, package)
     assert (tmp_path / "leaderboard.md").read_text(encoding="utf-8").startswith(table(rows))
     assert (tmp_path / "leaderboard.png").stat().st_size > 10_000
 

@@ -24,7 +24,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from leaderboard_contestants import LIBRARIES, Contestant, Run, contestants, missing
+from leaderboard_contestants import PACKAGES, Contestant, Run, contestants, missing
 from leaderboard_problems import MANY, ONE, PROBLEMS, Log, Problem
 from leaderboard_report import Row, picture, read_rows, table, times, write_rows
 
@@ -68,7 +68,7 @@ def climb(
     exact = [
         rival.seconds
         for rival in rivals
-        if rival.contestant.library == contestant.library
+        if rival.contestant.package == contestant.package
         and rival.mode == mode
         and rival.error < _ROUND_OFF
     ]
@@ -96,7 +96,7 @@ def check_claims(problem: Problem, found: Sequence[Timed]) -> None:
             if timed.mode == mode:
                 ladders.setdefault(timed.contestant, []).append(timed)
         for who, ladder in ladders.items():
-            name = f"{problem.name}, {who.library} {who.method}, {mode}"
+            name = f"{problem.name}, {who.package} {who.method}, {mode}"
             for timed in ladder if who.claim is not None else []:
                 allowed = who.claim * problem.growth * max(timed.run.tol, _ROUND_OFF)
                 if timed.error > allowed:
@@ -116,7 +116,7 @@ def worth_timing(found: Sequence[Timed]) -> list[Timed]:
         rivals = [
             other.seconds
             for other in found
-            if other.contestant.library == timed.contestant.library
+            if other.contestant.package == timed.contestant.package
             and other.mode == timed.mode
             and other.error <= timed.error
         ]
@@ -166,13 +166,13 @@ def one_core() -> Iterator[None]:
 
 
 def measure(
-    problem: Problem | Log, libraries: Iterable[str], *, quick: bool, budget: float
+    problem: Problem | Log, packages: Iterable[str], *, quick: bool, budget: float
 ) -> list[Row]:
     """All rows of a problem."""
     begin = perf_counter()
     found: list[Timed] = []
-    for library in libraries:
-        for contestant in contestants(problem, library, quick):
+    for package in packages:
+        for contestant in contestants(problem, package, quick):
             for mode in (ONE, MANY):
                 found += climb(problem, contestant, mode, found)
     if isinstance(problem, Problem):
@@ -193,7 +193,7 @@ def measure(
             problem=problem.name,
             title=problem.title,
             mode=timed.mode,
-            library=timed.contestant.library,
+            package=timed.contestant.package,
             method=timed.contestant.method,
             setting=timed.run.setting,
             error=timed.error,
@@ -203,10 +203,10 @@ def measure(
     ]
 
 
-def versions(libraries: Iterable[str]) -> str:
+def versions(packages: Iterable[str]) -> str:
     """The libraries and their versions in a line."""
     told = []
-    for name in libraries:
+    for name in packages:
         try:
             told.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
@@ -218,7 +218,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, and leave leaderboard.csv, .md and .png in a folder."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--problem", action="append", choices=PROBLEMS, help="default: all")
-    parser.add_argument("--library", action="append", choices=LIBRARIES, help="default: all")
+    parser.add_argument("--package", action="append", choices=PACKAGES, help="default: all")
     parser.add_argument("--out", type=Path, default=Path("results"), help="folder")
     parser.add_argument("--budget", type=float, default=10.0, help="timing of each problem, s")
     parser.add_argument("--quick", action="store_true", help="few bodies and settings, one round")
@@ -228,9 +228,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--draw", action="store_true", help="only draw the CSV that is there")
     options = parser.parse_args(arguments)
 
-    libraries = options.library or list(LIBRARIES)
-    absent = [name for name in missing() if name in libraries]
-    libraries = [name for name in libraries if name not in absent]
+    packages = options.package or list(PACKAGES)
+    absent = [name for name in missing() if name in packages]
+    packages = [name for name in packages if name not in absent]
     if absent:
         print("not installed, left out: " + ", ".join(absent))
     path = options.out / "leaderboard.csv"
@@ -239,12 +239,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with one_core():
         for name in [] if options.draw else options.problem or PROBLEMS:
             problem = PROBLEMS[name](options.quick)
-            new = measure(problem, libraries, quick=options.quick, budget=options.budget)
+            new = measure(problem, packages, quick=options.quick, budget=options.budget)
             rows = [row for row in rows if row.problem != problem.name] + new
             rows.sort(key=lambda row: list(PROBLEMS).index(row.problem))
             write_rows(path, rows)
     where = f"one core of {machine()['processor']}"
-    lines = [table(rows), "", f"{where}; {versions(libraries)}"]
+    lines = [table(rows), "", f"{where}; {versions(packages)}"]
     (options.out / "leaderboard.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     picture(rows, f"Time at equal error, {where}", options.out / "leaderboard.png")
     print(times(rows), *lines, sep="\n")

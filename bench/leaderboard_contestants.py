@@ -64,7 +64,7 @@ class Contestant(NamedTuple):
     ``order``: that with which it falls with the number of samples.
     """
 
-    library: str
+    package: str
     method: str
     ladder: Callable[[str], Iterable[Run]]
     claim: float | None = None
@@ -572,19 +572,19 @@ class Sampler(NamedTuple):
     order: float | None = None
 
 
-def _samplers(library: str, tol: float) -> list[Sampler]:
+def _samplers(package: str, tol: float) -> list[Sampler]:
     """``tol`` is for what integrates to a tolerance."""
-    if library == "numpy-quaternion":
+    if package == "numpy-quaternion":
         return [
             Sampler("exp, accumulate", _accumulate, order=2.0),
             Sampler("integrate_angular_velocity", _spline(tol)),
         ]
-    if library == "ahrs":
+    if package == "ahrs":
         return [Sampler("closed", _ahrs("closed"), order=2.0), Sampler("series", _ahrs("series"))]
     return [Sampler("calc_quat", _skinematics(), order=2.0)]
 
 
-def _sampled_peer(library: str, problem: Problem, quick: bool) -> Iterator[Contestant]:
+def _sampled_peer(package: str, problem: Problem, quick: bool) -> Iterator[Contestant]:
     def ladder_of(solve: _Solver):
         def ladder(mode: str) -> Iterator[Run]:
             if mode == MANY and solve is not _accumulate:
@@ -603,9 +603,9 @@ def _sampled_peer(library: str, problem: Problem, quick: bool) -> Iterator[Conte
 
         return ladder
 
-    for method, solve, order in _samplers(library, tol=1e-9):
+    for method, solve, order in _samplers(package, tol=1e-9):
         if not quick or order is not None:
-            yield Contestant(library, method, ladder_of(solve), order=order)
+            yield Contestant(package, method, ladder_of(solve), order=order)
 
 
 # by problem
@@ -621,7 +621,7 @@ _PEERS: dict[str, tuple[str, Callable[..., Iterator[Contestant]] | None]] = {
     "scikit-kinematics": ("skinematics", None),
 }
 SAMPLED = ("numpy-quaternion", "ahrs", "scikit-kinematics")
-LIBRARIES = (OURS, *_PEERS)
+PACKAGES = (OURS, *_PEERS)
 
 
 def missing() -> list[str]:
@@ -629,25 +629,25 @@ def missing() -> list[str]:
     return [name for name, (module, _) in _PEERS.items() if find_spec(module) is None]
 
 
-def contestants(problem: Problem | Log, library: str, quick: bool) -> Iterable[Contestant]:
+def contestants(problem: Problem | Log, package: str, quick: bool) -> Iterable[Contestant]:
     """Those of a library that fit a problem."""
     if isinstance(problem, Log):
-        return list(_on_log(problem, library, quick))
-    if library == OURS:
+        return list(_on_log(problem, package, quick))
+    if package == OURS:
         return _ours(problem, quick)
     if problem.sampled:
-        return _sampled_peer(library, problem, quick) if library in SAMPLED else ()
-    build = _PEERS[library][1]
+        return _sampled_peer(package, problem, quick) if package in SAMPLED else ()
+    build = _PEERS[package][1]
     return () if build is None else build(problem, quick)
 
 
-def _on_log(log: Log, library: str, quick: bool) -> Iterator[Contestant]:
+def _on_log(log: Log, package: str, quick: bool) -> Iterator[Contestant]:
     start = np.array([1.0, 0.0, 0.0, 0.0])
 
     def once(call: Callable[[], Any]):
         return lambda mode: [Run("", call, _components)] if mode == ONE else []
 
-    if library == OURS:
+    if package == OURS:
         for name in ("trapezoid",) if quick else methods_for_samples():
             yield Contestant(
                 OURS,
@@ -658,8 +658,8 @@ def _on_log(log: Log, library: str, quick: bool) -> Iterator[Contestant]:
                     )
                 ),
             )
-    elif library in SAMPLED:
-        for method, solve, _ in _samplers(library, tol=1e-6):
+    elif package in SAMPLED:
+        for method, solve, _ in _samplers(package, tol=1e-6):
             yield Contestant(
-                library, method, once(lambda solve=solve: solve(log.rates, log.dt, start))
+                package, method, once(lambda solve=solve: solve(log.rates, log.dt, start))
             )

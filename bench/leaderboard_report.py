@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-from leaderboard_contestants import LIBRARIES, OURS
+from leaderboard_contestants import OURS, PACKAGES
 from leaderboard_problems import MANY, ONE
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -25,7 +25,7 @@ class Row:
     problem: str
     title: str
     mode: str
-    library: str
+    package: str
     method: str
     setting: str
     error: float
@@ -36,7 +36,7 @@ class Row:
 class Best:
     """The shortest time of a library at an error, and the method."""
 
-    library: str
+    package: str
     method: str
     seconds: float
 
@@ -85,12 +85,12 @@ def ranking(rows: Sequence[Row], target: float) -> list[Best]:
     """Each library's best method at an error, the fastest first."""
     curves: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for row in rows:
-        curves.setdefault((row.library, row.method), []).append((row.error, row.seconds))
+        curves.setdefault((row.package, row.method), []).append((row.error, row.seconds))
     found: dict[str, Best] = {}
-    for (library, method), points in curves.items():
+    for (package, method), points in curves.items():
         seconds = time_at(points, target)
-        if seconds is not None and (library not in found or seconds < found[library].seconds):
-            found[library] = Best(library, method, seconds)
+        if seconds is not None and (package not in found or seconds < found[package].seconds):
+            found[package] = Best(package, method, seconds)
     return sorted(found.values(), key=lambda best: best.seconds)
 
 
@@ -105,17 +105,17 @@ def ratio(x: float) -> str:
 
 def verdict(ranked: Sequence[Best]) -> str:
     """Ours against the best peer: who wins by which ratio, in bold where we lose."""
-    ours = next((best for best in ranked if best.library == OURS), None)
-    peer = next((best for best in ranked if best.library != OURS), None)
+    ours = next((best for best in ranked if best.package == OURS), None)
+    peer = next((best for best in ranked if best.package != OURS), None)
     if ours is None and peer is None:
         return "none"
     if ours is None:
-        return f"**{peer.library} alone**"
+        return f"**{peer.package} alone**"
     if peer is None:
         return f"`{ours.method}` alone"
     if ours.seconds <= peer.seconds:
-        return f"`{ours.method}` {ratio(peer.seconds / ours.seconds)}× {peer.library}"
-    return f"**{peer.library} {ratio(ours.seconds / peer.seconds)}×** `{ours.method}`"
+        return f"`{ours.method}` {ratio(peer.seconds / ours.seconds)}× {peer.package}"
+    return f"**{peer.package} {ratio(ours.seconds / peer.seconds)}×** `{ours.method}`"
 
 
 def _problems(rows: Sequence[Row]) -> dict[str, str]:
@@ -144,7 +144,7 @@ def table(rows: Sequence[Row]) -> str:
         own = sorted((row for row in rows if row.problem == name), key=lambda row: row.error)
         lines += ["", f"| {own[0].title} | error, rad | ns/sample |", "| --- | --- | --- |"]
         lines += [
-            f"| {r.library} `{r.method}` | {r.error:.2e} | {r.seconds * 1e9:.0f} |" for r in own
+            f"| {r.package} `{r.method}` | {r.error:.2e} | {r.seconds * 1e9:.0f} |" for r in own
         ]
     return "\n".join(lines)
 
@@ -160,7 +160,7 @@ def times(rows: Sequence[Row]) -> str:
             lines.append(f"{title}, {label}: µs a body")
             for target in TARGETS:
                 ranked = ranking(own, target)
-                told = [f"{b.library} {b.method} {b.seconds * 1e6:.3g}" for b in ranked]
+                told = [f"{b.package} {b.method} {b.seconds * 1e6:.3g}" for b in ranked]
                 lines.append(f"  {target:.0e}  " + ("; ".join(told) or "none"))
     return "\n".join(lines)
 
@@ -179,20 +179,20 @@ def picture(rows: Sequence[Row], heading: str, path: Path) -> None:
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     looks = {
         name: {"color": _COLOURS[i], "marker": _MARKERS[i], "ms": 4.5, "lw": 1.3}
-        for i, name in enumerate(LIBRARIES)
+        for i, name in enumerate(PACKAGES)
     }
     drawn = set()
     for axes, (name, title) in zip(panels, problems.items(), strict=False):
         own = [row for row in rows if row.problem == name]
         log = _is_log(own)
         for mode in MODES:
-            for library, look in looks.items():
+            for package, look in looks.items():
                 points = [
-                    (r.error, r.seconds) for r in own if (r.library, r.mode) == (library, mode)
+                    (r.error, r.seconds) for r in own if (r.package, r.mode) == (package, mode)
                 ]
                 if not points:
                     continue
-                drawn.add(library)
+                drawn.add(package)
                 curve = sorted(points) if log else envelope(points)
                 style = dict(look, ls="none") if log else dict(look)
                 if mode == ONE and not log:
@@ -214,7 +214,7 @@ def picture(rows: Sequence[Row], heading: str, path: Path) -> None:
                 axes.axhline(target, color="0.5", lw=0.8, ls=":", zorder=0)
     for axes in panels[len(problems) :]:
         axes.remove()
-    entries = {name: Line2D([], [], **looks[name]) for name in LIBRARIES if name in drawn}
+    entries = {name: Line2D([], [], **looks[name]) for name in PACKAGES if name in drawn}
     entries["ensemble in one call"] = Line2D([], [], color="0.3", marker="o", ms=4.5)
     entries["one body a call"] = Line2D(
         [], [], color="0.3", ls="--", marker="o", ms=4.5, markerfacecolor="white"

@@ -13,7 +13,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import rigid_oracle as ro
-from exact import EPS, START, angle, observed_order
+from exact import EPS, START, angle, matrices_slow, observed_order
 from oracle import floats
 
 import fastatt as fa
@@ -73,7 +73,6 @@ SYMMETRIC = [
     if m.tag is not None and (m.takes < RATE or "energy" in m.conserves)
 ]
 on_free = pytest.mark.parametrize(("method", "representation"), OF_FREE)
-on_torqued = pytest.mark.parametrize(("method", "representation"), OF_TORQUED)
 
 
 def run(scene, method, n, t=SPAN, q0=Q0, w0=W0, representation="quat", **options):
@@ -123,7 +122,7 @@ def test_order_on_free_bodies(method, representation):
     assert order(FREE, END, method, representation) == pytest.approx(declared, abs=0.25)
 
 
-@on_torqued
+@pytest.mark.parametrize(("method", "representation"), matrices_slow(OF_TORQUED))
 def test_order_under_torque(method, representation):
     """Gravity gradient, which depends on time, and a weight."""
     declared = fa.METHODS[method].order_of("torqued")
@@ -140,6 +139,7 @@ def test_order_with_damping(method):
     assert order(scene, END_DAMPED, method) == pytest.approx(declared, abs=0.25)
 
 
+@pytest.mark.slow
 def test_damping_axis_by_axis():
     """A splitting takes it where the intermediate axis is the second, as its own axes are then."""
     drag = (0.1, 0.2, 0.3)

@@ -62,6 +62,7 @@ def test_observed_order_with_equal_intervals(method, increments):
 UNEVEN = {"coning2": 3, "picard": 7}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", ["alternate", "random"])
 @pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
 def test_observed_order_with_uneven_intervals(method, increments, pattern):

@@ -264,6 +264,7 @@ def test_the_list_of_arguments_is_complete():
     assert sorted(ARGUMENTS) == sorted(KERNELS)
 
 
+@pytest.mark.slow
 @every_kernel
 def test_from_jitted_code_in_both_precisions(name):
     kernel, arguments = KERNELS[name], ARGUMENTS[name]

@@ -16,6 +16,7 @@ from exact import (
     coning,
     exp,
     generic,
+    matrices_slow,
     matrix,
     mul,
     steady,
@@ -47,7 +48,7 @@ def same(a, b):
 # an ensemble is its bodies
 
 
-@pytest.mark.parametrize(("method", "representation"), combinations())
+@pytest.mark.parametrize(("method", "representation"), matrices_slow(combinations()))
 def test_ensemble_is_single_runs_bit_for_bit(method, representation):
     """With parameters of their own."""
     options = {"method": method, "representation": representation, "save_every": 32}
