@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import START, combinations, generic
+from exact import START, combinations, generic, matrices_slow
 from llvmlite import binding
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
@@ -101,7 +101,7 @@ def assembly(monkeypatch, scene, method, representation, dtype="float64"):
 needs_avx = pytest.mark.skipif(
     not binding.get_host_cpu_features().get("avx"), reason="no AVX: nothing to pack into"
 )
-TILES = [(m, r) for m, r in combinations() if r in ("quat", "dcm")]
+TILES = [pair for pair in combinations() if pair[1] in ("quat", "dcm")]
 ROWS = {
     "constant": fa.rates.Constant(BODIES.c[:, 0]),
     "polynomial": fa.rates.Polynomial(BODIES.c),
@@ -110,7 +110,7 @@ ROWS = {
 
 
 @needs_avx
-@pytest.mark.parametrize(("method", "representation"), TILES)
+@pytest.mark.parametrize(("method", "representation"), matrices_slow(TILES))
 def test_step_is_packed(monkeypatch, method, representation):
     """With coning, a parabola and each body's own parameters: sines, products and loads.
 
@@ -128,6 +128,7 @@ def test_step_is_packed_with_every_model(monkeypatch, model):
     assert len(packed_steps(text)) >= 2
 
 
+@pytest.mark.slow
 @needs_avx
 @pytest.mark.parametrize("method", ["rk4", "magnus4", "magnus6", "cg3"])
 def test_float32_step_is_packed_without_conversions(monkeypatch, method):

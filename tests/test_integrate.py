@@ -21,6 +21,11 @@ SAMPLED = [
 # of increments hold needs no intervals, and Picard fits both kinds of samples by one routine
 LEFT_OUT = [("coning3_optimal", True), ("hold", True), ("picard", True)]
 ANY_INTERVALS = [pair for pair in SAMPLED if pair not in LEFT_OUT]
+# each of picard's loops compiles for 10 to 30 s
+on_samples = pytest.mark.parametrize(
+    ("method", "increments"),
+    [pytest.param(*p, marks=pytest.mark.slow if p[0] == "picard" else ()) for p in SAMPLED],
+)
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 SPAN = 2.0
@@ -44,7 +49,7 @@ def same(a, b):
 # orders
 
 
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@on_samples
 def test_observed_order_with_equal_intervals(method, increments):
     """At the end of whole windows: 12 intervals and multiples of 6 hold a whole number of each."""
 
@@ -88,7 +93,7 @@ def test_observed_order_with_uneven_intervals(method, increments, pattern):
     assert found < expected + (0.25 if pattern == "alternate" else 1.25)
 
 
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@on_samples
 def test_observed_order_when_the_log_ends_within_a_window(method, increments):
     """6k + 1 intervals: the last window borrows from extrapolated samples."""
 
@@ -195,7 +200,7 @@ def test_one_log_is_the_plain_product_of_its_turns(n, increments):
     assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 24 * 6 * EPS
 
 
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@on_samples
 def test_threads_change_no_bit(method, increments):
     """Of one log, of a few, and of more than a tile of 16."""
     dt = 0.1
@@ -211,7 +216,7 @@ def test_threads_change_no_bit(method, increments):
         assert same(one, three)
 
 
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@on_samples
 @pytest.mark.parametrize("n_logs", [1, 3, 16, 40])
 def test_batch_is_its_logs(method, increments, n_logs):
     n = 500
@@ -233,7 +238,7 @@ def inner(method, turn):
     return (0.5 * turn) ** 7 / 20160.0 if method == "picard" else 0.0
 
 
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@on_samples
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7, 25])
 def test_short_logs_and_rests_of_windows(method, increments, n):
     """A constant rate is exact whatever the number of samples, fewer than a window too."""
@@ -283,7 +288,7 @@ def test_constant_rate_is_exact_at_any_angle(method, increments, theta):
     assert angle(q, mul(START, exp(t * w))).max() < n * (4 * np.spacing(span * theta) + 12 * EPS)
 
 
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@on_samples
 def test_fast_log_changes_no_bit_of_its_neighbours(method, increments):
     """Nor does its fast stretch change the slow one before it."""
     data = 0.01 * LOG.reshape(40, 500, 3)

@@ -190,6 +190,7 @@ def test_float32_keeps_the_phase_of_shared_rates(t0):
     assert error < n * 2.0**-24 * 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rk4", "magnus4", "magnus6", "cg3"])
 def test_float32_results_and_their_floor(method):
     n = 1000

@@ -59,6 +59,15 @@ def test_the_tolerance_is_met_by_all_bodies_and_not_by_far(tol):
     assert chosen.limited_by == "truncation"
 
 
+def test_a_busy_machine_does_not_bring_up_what_was_not_made_sure_of(monkeypatch):
+    """Though every timing of the last round is a thousand times as long as the guess."""
+    monkeypatch.setattr(
+        advice._Search, "_clock", lambda self, look, n, threads=None: 1e3 * look.seconds(n)
+    )
+    chosen = fa.recommend(CONING, Q0, t_end=T_END, tol=1e-3, methods=RATES, **DOUBLE)
+    assert found_error(CONING, None, chosen, coning_end()) <= chosen.expected_error <= 1e-3
+
+
 def test_hard_bodies_that_are_few_are_found():
     """Three bodies among 700 spin ten times as fast as the others."""
     w0 = 0.1 * W0

@@ -655,7 +655,13 @@ class _Search:
         for _ in range(1 if long else 2):  # they take turns
             for look, n, _ in close:
                 timed[id(look)] = min(timed[id(look)], self._clock(look, n))
-        met.sort(key=lambda found: timed.get(id(found[0]), found[0].seconds(found[1])))
+        # what was not timed beside the best was not made sure of either
+        met.sort(
+            key=lambda found: (
+                id(found[0]) not in timed,
+                timed.get(id(found[0]), found[0].seconds(found[1])),
+            )
+        )
         look, n, safety = met[0]
         seconds = timed.get(id(look), look.seconds(n))
         while budget is not None and seconds > budget and look.order:
