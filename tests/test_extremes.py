@@ -60,7 +60,9 @@ def test_given_rates(method, dtype):
 
 
 @pytest.mark.parametrize(
-    ("method", "dtype"), [(m, "float64") for m in of("free")] + [(m, "float32") for m in SINGLE]
+    ("method", "dtype"),
+    [(m, "float64") for m in of("free")]
+    + [pytest.param(m, "float32", marks=pytest.mark.slow) for m in SINGLE],
 )
 def test_free_bodies(method, dtype):
     assert complaints(cells(Case(method, dtype=dtype), "free")) == []

@@ -249,7 +249,7 @@ def test_reversible_methods_are_those_that_are_symmetric():
     assert found == {"lie_midpoint", "magnus4", "magnus6", "cf4"}
 
 
-@pytest.mark.parametrize("frame", ["body", "inertial"])
+@pytest.mark.parametrize("frame", ["body", pytest.param("inertial", marks=pytest.mark.slow)])
 def test_a_constant_rate_is_one_exponential_in_every_exact_method(frame):
     w = np.random.default_rng(3).normal(size=(70, 3))
     scene = fa.Scene(rate=fa.rates.Constant(w), frame=frame)
