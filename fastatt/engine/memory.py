@@ -52,7 +52,7 @@ def prefetch(typingctx: Any, array: types.Array, index: types.Type) -> Any:
 
 
 @intrinsic
-def larger(typingctx: Any, a: types.Type, b: types.Type) -> Any:
+def maximum(typingctx: Any, a: types.Type, b: types.Type) -> Any:
     """The larger of two floats that are not negative.
 
     They are compared as integers. Of ``a if a > b else b`` with one in memory LLVM makes a

@@ -27,7 +27,7 @@ from numba import types
 
 from fastatt._jit import driver, helper, hook
 from fastatt.columns import load, store, unpack
-from fastatt.engine.memory import larger
+from fastatt.engine.memory import maximum
 from fastatt.methods.method import enter, extras, is_costly, is_staged, leave, prepare, worst
 from fastatt.motion import carried, hand_out, handed_out, invariants, restored, start
 from fastatt.representations import OPERATIONS
@@ -82,13 +82,13 @@ def _note(
         pass
 
     def one(look, rows, top, j, z):
-        rows[top, j] = larger(rows[top, j], z)
+        rows[top, j] = maximum(rows[top, j], z)
 
     def first(look, rows, top, j, z):
-        rows[top, j] = larger(rows[top, j], z[0])
+        rows[top, j] = maximum(rows[top, j], z[0])
 
     def all_parts(look, rows, top, j, z):
-        rows[top, j] = larger(rows[top, j], worst(z))
+        rows[top, j] = maximum(rows[top, j], worst(z))
 
     if look.instance_class is Unwatched:
         return nothing
