@@ -43,11 +43,11 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: float) -> NDArr
     with np.errstate(over="ignore", invalid="ignore"):
         if method.measure == "turn":
             return lengths(_finite(w)) * abs(h)
-        m = _momentum(scene, w) * abs(h)
-        least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
+        m = _fastest(scene, w) * abs(h)
         if method.measure == "momentum":
-            return np.asarray(m / least)
-        between = (1.0 / least - 1.0 / middle) * (1.0 / middle - 1.0 / most)
+            return m
+        least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
+        between = (1.0 - least / middle) * (least / middle - least / most)
         return np.asarray(m * np.sqrt(np.abs(between)))
 
 
@@ -58,9 +58,14 @@ def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
     return np.nan_to_num(rates, posinf=0.0, neginf=0.0)
 
 
-def _momentum(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
-    assert scene.inertia is not None
-    return lengths(angular_momentum(_finite(w), scene.inertia))
+def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
+    """|m|/I_min of each body, rad/s: a free one never turns faster."""
+    given = np.asarray(scene.inertia)
+    least = scene.principal.moments.min(axis=-1)
+    rates = _finite(w)
+    if given.shape == (3,):  # a fifth of the time
+        return np.asarray(np.sqrt(np.square(rates) @ np.square(given / least)))
+    return np.asarray(lengths(angular_momentum(rates, given)) / least)
 
 
 def known_turns(
@@ -69,14 +74,15 @@ def known_turns(
     representation: str,
     packed: Packed,
     w: NDArray[Any] | None,
+    first: NDArray[np.float64] | None,
     h: float,
     end: float,
 ) -> NDArray[np.float64] | None:
     """No less than what the method's limit holds for, rad a step, of each body; None if unknown.
 
-    Known are rates by their model and free bodies by their momentum, ``end`` being the largest |t|
-    of a run. Coordinates have poles; of rk8's twelve stages the look is 1 %, and a second
-    compilation 10 s.
+    Known are rates by their model and free bodies by their momentum; ``first`` is the first step's,
+    ``end`` the largest |t| of a run. Coordinates have poles; of rk8's twelve stages the look is
+    1 %, and a second compilation 10 s.
     """
     if representation in _COORDINATES or (method.rate_calls > _STAGES and not method.stages):
         return None
@@ -91,8 +97,8 @@ def known_turns(
         if scene.kind == "torqued" or w is None:
             return None
         if method.measure != "turn":
-            return first_step(scene, method, w, h)
-        return np.asarray(_momentum(scene, w) * abs(h) / scene.principal.moments.min(axis=-1))
+            return first
+        return _fastest(scene, w) * abs(h)
 
 
 def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
@@ -122,25 +128,38 @@ def status(
     representation: str,
 ) -> NDArray[np.uint8]:
     """The flags of each body, from its last state and from what the run watched."""
+    bound = math.inf if representation == "direction" else NORM_BOUND[x.dtype]
+    turn, norm, invariant = watch
+    found = np.zeros(turn.shape, dtype=np.uint8)
+    if _all_well(x, watch, limit, bound) and not (damped > method.damping_limit).any():
+        return found
     # 0 times infinity is NaN; a matrix product is 8 times as fast as a reduction of short rows
     with np.errstate(invalid="ignore"):
         bad = np.isnan(x @ np.zeros(x.shape[1], dtype=x.dtype))
-    turn, norm, invariant = watch
     large = Status.SINGULAR if representation in _COORDINATES else Status.STEP_TOO_LARGE
-    flags = [
+    for where, flag in (
         (bad, Status.NON_FINITE),
         (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
         ((np.sqrt(turn) > limit) & np.isfinite(turn), large),
         (np.broadcast_to(damped > method.damping_limit, turn.shape), Status.STEP_TOO_LARGE),
         (~(invariant <= INVARIANT_BOUND) & ~bad, Status.INVARIANT),
-    ]
-    if representation != "direction":
-        flags.append((~(norm <= NORM_BOUND[x.dtype]) & ~bad, Status.NORM_LOST))
-    found = np.zeros(turn.shape, dtype=np.uint8)
-    for where, flag in flags:
-        if where.any():
-            found[where] |= np.uint8(flag)
+        (~(norm <= bound) & ~bad, Status.NORM_LOST),
+    ):
+        found[where] |= np.uint8(flag)
     return found
+
+
+def _all_well(x: NDArray[Any], watch: NDArray[Any], limit: float, bound: float) -> bool:
+    """Whether no body has a flag of its own: a third of the time of asking for each flag."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        turn, norm, invariant = watch.max(axis=-1) if watch.size else np.zeros(3, watch.dtype)
+        return bool(
+            np.isfinite(x.sum())
+            and np.isfinite(turn)
+            and np.sqrt(turn) <= limit
+            and norm <= bound
+            and invariant <= INVARIANT_BOUND
+        )
 
 
 def warn(
@@ -155,16 +174,18 @@ def warn(
     level: int,
 ) -> bool:
     """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
-    seen = np.nan_to_num(np.asarray(turn, dtype=np.float64), nan=0.0, posinf=0.0)
-    body = int(np.argmax(seen)) if seen.size else 0
-    most = float(seen[body]) if seen.size else 0.0
+    seen = np.asarray(turn)
+    most = float(seen.max()) if seen.size else 0.0
+    if not math.isfinite(most):
+        seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
+        most = float(seen.max())
     eps = float(np.finfo(kind).eps)
     text = ""
     if most > limit:
         text = (
-            f"dt: a step of body {body} is {most:.3g} rad, {method.name}'s limit is {limit:.3g} "
-            f"({int((seen > limit).sum())} of {seen.size} bodies are past it): take |dt| <= "
-            f"{abs(h) * limit / most:.3g}"
+            f"dt: a step of body {seen.argmax()} is {most:.3g} rad, {method.name}'s limit is "
+            f"{limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
+            f"|dt| <= {abs(h) * limit / most:.3g}"
         )
     elif (damped > method.damping_limit).any():
         worst = float(damped.max())

@@ -361,9 +361,10 @@ def _run(
     defect = np.empty(out.shape[:2], dtype=kind)
     watch = np.zeros((3, n), dtype=kind)
     limit = limits.turn_limit(scene, method, representation)
+    first = limits.first_step(scene, method, carried_0["w0"], h) if "w0" in carried_0 else None
     quiet = _quiet(
         limits.known_turns(
-            scene, method, representation, packed, carried_0.get("w0"), h,
+            scene, method, representation, packed, carried_0.get("w0"), first, h,
             max(abs(begin), abs(begin + steps * h)),
         ),
         limits.quiet_up_to(scene, method, limit), watch, rows_each,
@@ -377,12 +378,7 @@ def _run(
     damped = limits.decay(scene, h)
     about = (damped, limit, method, h, kind)
     compensated = type(rep) is QuatCompensated
-    warned = "w0" in carried_0 and limits.warn(
-        limits.first_step(scene, method, carried_0["w0"], h),
-        *about,
-        compensated=compensated,
-        level=4,
-    )
+    warned = first is not None and limits.warn(first, *about, compensated=compensated, level=4)
     ends = np.cumsum([OPERATIONS[type(rep)].stored, *[3 for _ in carried_0]])
 
     def trajectory(t: NDArray[np.float64], slots: slice) -> Trajectory:
@@ -476,11 +472,10 @@ def _quiet(
     """Which bodies' turns are known to need no look, (N,), and these into ``watch``; () if none."""
     if turns is None:
         return ()
-    n = watch.shape[1]
-    each = np.repeat(turns, rows_each) if turns.size > 1 else np.broadcast_to(turns, n)
-    quiet = each <= most
-    watch[0] = np.where(quiet, np.square(each, where=quiet, out=np.zeros(n)), 0.0)
-    return np.ascontiguousarray(quiet)
+    each = np.repeat(turns, rows_each) if turns.size > 1 and rows_each > 1 else turns
+    quiet = np.broadcast_to(each <= most, watch.shape[1])
+    np.square(each, where=quiet, out=watch[0], casting="same_kind")
+    return np.array(quiet)
 
 
 def _rows(

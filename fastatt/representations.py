@@ -577,6 +577,14 @@ def has_poles(rep: type) -> bool:
     return OPERATIONS[rep].speed_squared is not _body_speed
 
 
+def bears_witness(rep: type) -> bool:
+    """Whether what spoils an exponential shows in the state's length: of a quaternion it does.
+
+    A matrix made of a bad quaternion near ±1 is a good one, of a wrong angle.
+    """
+    return OPERATIONS[rep].derivative is quat.derivative or rep in COMPENSATED
+
+
 @hook(speed_squared)
 def _speed_squared(rep: types.BaseNamedTuple, xdot: types.Type, w: types.Type) -> Any:
     operation = OPERATIONS[rep.instance_class].speed_squared

@@ -25,7 +25,7 @@ from fastatt.methods import METHODS
 from fastatt.methods.coning2 import Coning2
 from fastatt.methods.coning3 import Coning3, Coning3Optimal
 from fastatt.methods.hold import Hold
-from fastatt.methods.method import enter, leave, prepare, worst
+from fastatt.methods.method import enter, leave, prepare
 from fastatt.methods.previous import Previous
 from fastatt.methods.sampled import WINDOWS, Increments, Rates, products
 from fastatt.methods.trapezoid import Trapezoid
@@ -86,15 +86,15 @@ def _through(
     def whole(method, rep, near, model, stages, t, h, y, p, e):
         k = type(y[0])(h)
         x, z = full_step(method, rep, model, t, k, k, y, p, e)
-        return x, worst(z)
+        return x, z
 
     def twice(method, rep, near, model, stages, t, h, y, p, e):
         F = type(y[0])
         k = F(h)
         x, z = full_step(method, near, model, t, k, k, y, p, e)
-        if worst(z) > F(_HALF_TURN):
+        if z > F(_HALF_TURN):
             x, z = full_step(method, rep, model, t, k, k, y, p, e)
-        return x, worst(z)
+        return x, z
 
     def staged(method, rep, near, model, stages, t, h, y, p, e):
         F = type(y[0])

@@ -89,35 +89,83 @@ def test_turns_known_beforehand_are_judged_as_those_that_are_watched(method):
 
 @njit
 def burst(t, p):
-    """p[2] rad/s from p[0] to p[1], once around the clock in a second; else 0.1."""
-    speed = p[2] * np.cos(2.0 * np.pi * (t - p[3])) if p[0] <= t < p[1] else 0.1
+    """p[2] rad/s from p[0] to p[1] of every p[4] s, once around the clock in a second; else 0.1."""
+    since = t % p[4]
+    speed = p[2] * np.cos(2.0 * np.pi * (t - p[3])) if p[0] <= since < p[1] else 0.1
     return speed, 0.0, 0.0
 
 
-@pytest.mark.parametrize("first", [0, 5, 61, 92])
-@pytest.mark.parametrize("method", ["rk4", "magnus4", "magnus6", "rkmk4"])
-def test_bursts_of_eight_steps_do_not_pass_unseen(method, first):
-    """Of steps of 1 s; from node to node the rate changes its sign, so that little turn is left."""
-    phase = 0.0 if method in ("rk4", "rkmk4") else 0.25
-    p = np.array([first, first + 8, 5.0, phase])
-    run = fa.propagate(fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=100, method=method)
-    assert run.status[0] & fa.Status.STEP_TOO_LARGE
+def bursts(method, first, last, n_steps, *, period=1e9, **options):
+    """Bursts of whole steps of 1 s: from node to node the rate changes its sign."""
+    phase = 0.0 if method in ("lie_euler", "lie_midpoint", "rk4", "rkmk4") else 0.25
+    scene = fa.Scene(rate=burst, params=[first, last, 5.0, phase, period])
+    return fa.propagate(scene, Q0[:1], dt=1.0, n_steps=n_steps, method=method, **options)
+
+
+@pytest.mark.parametrize(
+    "method", ["lie_euler", "lie_midpoint", "rk4", "magnus4", "magnus6", "rkmk4", "cf4", "cg3"]
+)
+def test_bursts_of_seven_steps_do_not_pass_unseen(method):
+    for first in (0, 5, 61, 92, 250, 256, 293):
+        run = bursts(method, first, first + 7, 300)
+        assert run.status[0] & fa.Status.STEP_TOO_LARGE, first
+
+
+@pytest.mark.parametrize("period", [2, 7, 8, 10, 16, 32, 64])
+def test_a_pulse_of_one_step_in_many_is_seen_before_long(period):
+    for phase in range(0, period, max(1, period // 8)):
+        run = bursts("magnus4", phase, phase + 1, 4000, period=period)
+        assert run.status[0] & fa.Status.STEP_TOO_LARGE, phase
 
 
 @pytest.mark.parametrize("method", ["magnus4", "magnus6"])
 def test_the_last_step_before_a_save_is_looked_at(method):
-    p = np.array([10.0, 11.0, 5.0, 0.25])
-    for n_steps, seen in ((11, True), (13, False)):
-        run = fa.propagate(
-            fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=n_steps, method=method
-        )
-        assert bool(run.status[0]) == seen
+    """And all steps of runs of up to six between saves."""
+    for first, n_steps, options in (
+        (10, 11, {}),
+        (10, 100, {"save_every": 11}),
+        (43, 100, {"save_every": 11}),
+        *((k, 12, {"save_every": 6}) for k in range(12)),
+    ):
+        assert bursts(method, first, first + 1, n_steps, **options).status[0]
+
+
+@njit
+def slew(t, p):
+    """p rad/s in the third step, 0.1 else."""
+    speed = p[0] if 2.0 <= t < 3.0 else 0.1
+    return 0.6 * speed, 0.0, -0.8 * speed
+
+
+# in float32 an exponential is spoilt by 1e-3 before its length says so
+@pytest.mark.parametrize(("dtype", "bound"), [(np.float64, 2e-12), (np.float32, 1e-3)])
+@pytest.mark.parametrize(
+    ("representation", "compensated"),
+    [("quat", False), ("quat", True), ("dcm", False), ("dcm_rows", False)],
+)
+def test_what_a_short_exponential_spoilt_is_run_again(representation, compensated, dtype, bound):
+    """One step of up to 1000 rad, at which nobody looks, in a hundred of 0.1."""
+    angles = np.concatenate([np.linspace(3.0, 30.0, 2000), np.geomspace(30.0, 1000.0, 200)])
+    run = fa.propagate(
+        fa.Scene(rate=slew, params=angles[:, None]),
+        np.tile(np.eye(4)[0], (angles.size, 1)),
+        dt=1.0,
+        n_steps=100,
+        method="lie_midpoint",
+        representation=representation,
+        dtype=dtype,
+        compensated=compensated,
+    )
+    half = 0.5 * (angles.astype(dtype).astype(np.float64) + 0.1 * 99)
+    expected = [np.cos(half), 0.6 * np.sin(half), 0.0 * half, -0.8 * np.sin(half)]
+    off = fa.angle_between(run.q[-1].astype(np.float64), np.stack(expected, axis=-1))
+    assert off.max() < bound
 
 
 def test_one_step_beyond_its_limit_shows_in_the_norm_of_rk4():
     limit = fa.METHODS["rk4"].limits["quat"]
     for first in range(8):
-        p = np.array([first, first + 1.01, 1.02 * limit, 0.0])
+        p = np.array([first, first + 1.01, 1.02 * limit, 0.0, 1e9])
         run = fa.propagate(fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=16, method="rk4")
         assert run.status[0] & fa.Status.NORM_LOST
 

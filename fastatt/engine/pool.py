@@ -71,7 +71,7 @@ def run_ensemble(
 ) -> None:
     """Call the driver for all tiles and steps of a run: ``call(run, tile_first, tile_last)``."""
     n_tiles = -(-n_bodies // WIDTH)
-    pieces = min(n_tiles, 8 * n_threads if n_threads > 1 else max(1, n_tiles // 1024))
+    pieces = min(n_tiles, max(8 * n_threads if n_threads > 1 else 1, n_tiles // 1024))
     bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
     with progress_bar(progress, n_bodies * (run.last - run.first), "step") as done:
 

@@ -12,9 +12,9 @@ short form gave them, since the compiler may fuse the two differently: a fast ne
 never a bit.
 
 Looking at every turn costs the cheapest steps 3 to 9 %. Bodies whose turns are known beforehand to
-be within the method's limit are stepped without it (``quiet``). Of the others, the turn of the
-exponential is looked at in every step, and the part of a look that costs arithmetic of its own in
-every 8th.
+be within the method's limit are stepped without it (``quiet``). Of other rates that are given, one
+step of six or seven is looked at, and the length of a quaternion at the end of the block: beyond π
+the short exponential is not of unit length, and what it spoilt is run again.
 """
 
 from __future__ import annotations
@@ -28,14 +28,18 @@ from numba import types
 from fastatt._jit import driver, helper, hook
 from fastatt.columns import load, store, unpack
 from fastatt.engine.memory import maximum
-from fastatt.methods.method import enter, extras, is_costly, is_staged, leave, prepare, worst
+from fastatt.kernels.quat import dot
+from fastatt.methods.method import enter, extras, is_staged, leave, prepare, seen_at_times
 from fastatt.motion import carried, hand_out, handed_out, invariants, restored, start
 from fastatt.representations import OPERATIONS
 from fastatt.translation import full_step
 
 WIDTH = 64
-BLOCK = 64
-SELDOM = 8
+BLOCK = 256
+# φ⁴ steps from one look to the next: pulses of any period meet one before long
+PACE = 6.854101966249685
+# ulps a step by which |q|² may change unsuspected: good exponentials bring 2.7 at most
+ROUNDING = 4.0
 
 
 class Run(NamedTuple):
@@ -61,8 +65,8 @@ class Watched(NamedTuple):
     """Tag of steps whose turns are looked at."""
 
 
-class Seldom(NamedTuple):
-    """Tag of steps of which what costs is looked at only at times."""
+class AtTimes(NamedTuple):
+    """Tag of steps of which some are looked at, and the last; of few, all."""
 
 
 class Unwatched(NamedTuple):
@@ -78,25 +82,13 @@ def note(look: Any, rows: Any, top: Any, j: Any, z: Any) -> None:
 def _note(
     look: types.BaseNamedTuple, rows: types.Type, top: types.Type, j: types.Type, z: types.Type
 ) -> Any:
-    def nothing(look, rows, top, j, z):
-        pass
+    if look.instance_class is Unwatched:
+        return lambda look, rows, top, j, z: None
 
-    def one(look, rows, top, j, z):
+    def impl(look, rows, top, j, z):
         rows[top, j] = maximum(rows[top, j], z)
 
-    def first(look, rows, top, j, z):
-        rows[top, j] = maximum(rows[top, j], z[0])
-
-    def all_parts(look, rows, top, j, z):
-        rows[top, j] = maximum(rows[top, j], worst(z))
-
-    if look.instance_class is Unwatched:
-        return nothing
-    if not isinstance(z, types.BaseTuple):
-        return one
-    if look.instance_class is Watched:
-        return all_parts
-    return first if len(z) > 1 else nothing
+    return impl
 
 
 def short(rep: Any) -> Any:
@@ -210,9 +202,9 @@ def _load_parameters(
 def scratch(method: Any, rep: Any, model: Any, shape: Any, params: Any, x: Any) -> Any:
     """Empty tiles: the state with all that a step touches, a copy of it, what is handed out.
 
-    Below the state lie the squared turns, the parameters, what the method prepared. One array for
-    all that a step touches: between two, LLVM would need an aliasing check a pair of rows, and
-    gives up at 19 rows.
+    Below the state lie the squared turns, the parameters, what the method prepared, and |q|² at the
+    start of a block. One array for all that is touched: between two, LLVM would need an aliasing
+    check a pair of rows, and gives up at 19 rows.
     """
     raise NotImplementedError
 
@@ -228,7 +220,7 @@ def _scratch(
 ) -> Any:
     size = carried(rep.instance_class, model)
     own = len(shape) if params.ndim == 2 else 0
-    all_rows = size + 1 + own + extras(method.instance_class)
+    all_rows = size + 1 + own + extras(method.instance_class) + 1
     out = handed_out(rep.instance_class, model) + 2
 
     def impl(method, rep, model, shape, params, x):
@@ -297,15 +289,20 @@ def _steps(
     last: types.Type,
 ) -> Any:  # fmt: skip
     every = Watched()
+    none = Unwatched()
 
-    def seldom(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
-        for unseen in range(first, last, SELDOM):
-            end = min(unseen + SELDOM, last) - 1
-            for n in range(unseen, end):
+    def some(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
+        # counted from the run's start: a block is a multiple of many periods
+        few = last - first <= PACE
+        begun = first
+        while begun < last:
+            seen = begun if few else min(int(PACE * (int((begun + 1) / PACE) + 1)), last) - 1
+            for n in range(begun, seen):
                 t = clock(params, run.t0 + n * run.h, h)
-                lanes(look, method, rep, model, rows, shape, params, shared, t, h, h)
-            t = clock(params, run.t0 + end * run.h, h)
+                lanes(none, method, rep, model, rows, shape, params, shared, t, h, h)
+            t = clock(params, run.t0 + seen * run.h, h)
             lanes(every, method, rep, model, rows, shape, params, shared, t, h, h)
+            begun = seen + 1
 
     def whole(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
         for n in range(first, last):
@@ -323,18 +320,76 @@ def _steps(
 
     if isinstance(stages, types.Array):
         return staged
-    apart = look.instance_class is Seldom and is_costly(method.instance_class, rep, model)
-    return seldom if apart else whole
+    at_times = look.instance_class is AtTimes and seen_at_times(method.instance_class, rep, model)
+    return some if at_times else whole
 
 
 @helper
 def advance(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
-    """Run steps [first, last) on one tile; true if any lane turned by more than π in a step."""
+    """Run steps [first, last) on one tile."""
     F = type(h)
     top = height(rep, model)
     for j in range(WIDTH):
         rows[top, j] = F(0.0)
     steps(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last)
+
+
+def remember(method: Any, rep: Any, model: Any, rows: Any) -> None:
+    """|q|² of every lane, in the last row."""
+    raise NotImplementedError(method)
+
+
+@hook(remember)
+def _remember(
+    method: types.BaseNamedTuple, rep: types.BaseNamedTuple, model: types.BaseNamedTuple,
+    rows: types.Array,
+) -> Any:  # fmt: skip
+    if not seen_at_times(method.instance_class, rep, model):
+        return lambda method, rep, model, rows: None
+
+    def impl(method, rep, model, rows):
+        for j in range(WIDTH):
+            q = state(rep, model, rows, j)
+            rows[rows.shape[0] - 1, j] = dot(q, q)
+
+    return impl
+
+
+def doubt(method: Any, rep: Any, model: Any, rows: Any, n: Any) -> None:
+    """Infinity in place of the squared turns of lanes whose |q|² n steps have changed.
+
+    Not where it was no number before: another run would not mend it.
+    """
+    raise NotImplementedError(method)
+
+
+@hook(doubt)
+def _doubt(
+    method: types.BaseNamedTuple, rep: types.BaseNamedTuple, model: types.BaseNamedTuple,
+    rows: types.Array, n: types.Type,
+) -> Any:  # fmt: skip
+    if not seen_at_times(method.instance_class, rep, model):
+        return lambda method, rep, model, rows, n: None
+    rounding = ROUNDING * float(np.finfo(str(rows.dtype)).eps)
+
+    def impl(method, rep, model, rows, n):
+        F = type(rows[0, 0])
+        top = height(rep, model)
+        bound = F(rounding * n)
+        for j in range(WIDTH):
+            before = rows[rows.shape[0] - 1, j]
+            q = state(rep, model, rows, j)
+            after = dot(q, q)
+            kept = abs(after - before) <= bound * before or before != before  # noqa: PLR0124
+            rows[top, j] = maximum(rows[top, j], F(0.0) if kept else F(math.inf))
+
+    return impl
+
+
+@helper
+def any_far(rows, top):
+    """Whether any lane turned by more than π in a step."""
+    F = type(rows[top, 0])
     far = False
     for j in range(WIDTH):
         far |= rows[top, j] > F(math.pi * math.pi)
@@ -413,7 +468,7 @@ def _block(
     body: types.Type, end: types.Type, first: types.Type, last: types.Type,
 ) -> Any:  # fmt: skip
     look = Watched()
-    at_times = Seldom()
+    at_times = AtTimes()
     no_look = Unwatched()
 
     def plain(
@@ -428,15 +483,19 @@ def _block(
         method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, quiet, calm,
         body, end, first, last,
     ):  # fmt: skip
+        top = height(rep, model)
         copy(rows, kept)
-        if advance(
+        remember(method, near, model, rows)
+        advance(
             at_times, method, near, model, rows, shape, params, shared, run, stages, h, first, last
-        ):
+        )
+        doubt(method, near, model, rows, last - first)
+        if any_far(rows, top):
             swap(rows, kept)
             advance(
                 look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last
             )
-            take_slow(kept, rows, height(rep, model))
+            take_slow(kept, rows, top)
 
     def known(
         method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, quiet, calm,

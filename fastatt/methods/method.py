@@ -13,7 +13,7 @@ from fastatt._jit import helper, hook
 from fastatt.kernels.vec3 import dot, scale
 from fastatt.motion import Body, Moving
 from fastatt.rates import is_constant, rate
-from fastatt.representations import has_poles, turn
+from fastatt.representations import bears_witness, has_poles, turn
 from fastatt.torques import RATE
 
 #: key of the limits of a rigid body
@@ -83,9 +83,9 @@ class Kernels(NamedTuple):
     """What a driver compiles of a method, chosen by its tag and by the kind of model.
 
     ``rate`` and ``body`` are steps ``f(method, rep, model, t, h, x, p)``, ``constant`` is that of a
-    rate which never changes, where it is another one. ``costly`` says that ``rate`` gives the
-    squared turn in parts, the last of which the step needs for nothing else. ``stage`` is one stage
-    of a splitting, ``f(method, rep, model, t, h, k, x, p, e)``.
+    rate which never changes, where it is another one. ``at_times`` says that a look at some steps
+    of ``rate`` will do, since its z is never infinite; ``exponentials`` that it only turns the
+    state. ``stage`` is one stage of a splitting, ``f(method, rep, model, t, h, k, x, p, e)``.
     ``prepare(method, rep, model, h, x, p)`` gives the ``extras`` numbers e that a run needs of each
     body, from its initial state.
     ``enter`` and ``leave`` change between the state and the one that is stepped:
@@ -100,7 +100,8 @@ class Kernels(NamedTuple):
     prepare: Callable[..., Any] | None = None
     enter: Callable[..., Any] | None = None
     leave: Callable[..., Any] | None = None
-    costly: bool = False
+    at_times: bool = False
+    exponentials: bool = False
 
 
 def step(method: Any, rep: Any, model: Any, t: Any, h: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
@@ -108,8 +109,7 @@ def step(method: Any, rep: Any, model: Any, t: Any, h: Any, k: Any, x: Any, p: A
 
     ``method``, ``rep`` and ``model`` are tags; x and h share a type; p are flat parameters. Of a
     splitting it is a stage: h s of free motion, then k s of the other flow. z is infinite where an
-    iteration did not converge, and a tuple of parts of which the largest counts where the last
-    costs arithmetic of its own.
+    iteration did not converge.
     """
     raise NotImplementedError(method)
 
@@ -143,37 +143,6 @@ def larger(a, b):
     return a if a > b else b
 
 
-def worst(z: Any) -> Any:
-    """The squared turn of a step that gives it in parts."""
-    raise NotImplementedError
-
-
-@hook(worst)
-def _worst(z: types.Type) -> Any:
-    if not isinstance(z, types.BaseTuple):
-        return lambda z: z
-    if len(z) == 1:
-        return lambda z: z[0]
-    return lambda z: larger(z[0], z[1])
-
-
-def costly(rep: Any, model: Any, z: Any) -> Any:
-    """(z,), a squared turn that the step needs for nothing else, where it is looked at at times."""
-    raise NotImplementedError
-
-
-@hook(costly)
-def _costly(rep: types.BaseNamedTuple, model: types.BaseNamedTuple, z: types.Type) -> Any:
-    if _looked_at_seldom(rep, model):
-        return lambda rep, model, z: (z,)
-    return lambda rep, model, z: z
-
-
-def _looked_at_seldom(rep: types.BaseNamedTuple, model: types.BaseNamedTuple) -> bool:
-    """Whether a look in every 8th step will do: not near a pole, which is passed in one."""
-    return model.instance_class is not Body and not has_poles(rep.instance_class)
-
-
 @helper
 def one_exponential(method, rep, model, t, h, x, p):
     """The exponential of the rate at the middle of the step."""
@@ -187,10 +156,18 @@ def extras(method: type) -> int:
     return _kernels[method].extras
 
 
-def is_costly(method: type, rep: types.BaseNamedTuple, model: types.BaseNamedTuple) -> bool:
-    """Whether a part of the squared turn costs arithmetic that the step needs for nothing else."""
+def seen_at_times(method: type, rep: types.BaseNamedTuple, model: types.BaseNamedTuple) -> bool:
+    """Whether a look at some steps will do.
+
+    Not near a pole, which is passed in one; of exponentials where the state's length bears them
+    witness.
+    """
+    found = _kernels[method]
     turning = model.types[0] if model.instance_class is Moving else model
-    return _kernels[method].costly and _looked_at_seldom(rep, turning)
+    if turning.instance_class is Body or not found.at_times:
+        return False
+    kind = rep.instance_class
+    return bears_witness(kind) if found.exponentials else not has_poles(kind)
 
 
 def is_staged(method: type) -> bool:
@@ -282,12 +259,12 @@ def lie_method(
     body_limit: float = math.inf,
     damping_limit: float = math.inf,
     exact_for_constant: bool = True,
-    costly: bool = False,
 ) -> Method:
     """Record of a method whose state only ever turns: it stays on the group by construction."""
     # of a constant rate every such method is this one
     constant = one_exponential if exact_for_constant else None
-    register(type(tag), Kernels(rate=function, constant=constant, body=body, costly=costly))
+    kernels = Kernels(rate=function, constant=constant, body=body, at_times=True, exponentials=True)
+    register(type(tag), kernels)
     representations = ("quat", "dcm", "dcm_rows")
     return Method(
         tag=tag,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fastatt.columns import axpy, largest, plus, scale
-from fastatt.methods.method import BODIES, Kernels, Method, costly, register
+from fastatt.methods.method import BODIES, Kernels, Method, register
 from fastatt.motion import advanced, base, field, given, turning
 from fastatt.representations import plain
 
@@ -31,10 +31,10 @@ def step(method, rep, model, t, h, x, p):
     # of coordinates, which a stage may bring nearer to their pole than the start is
     most = largest(largest(k1, k2), largest(k3, k4))
     z = h * h * turning(bare, model, start, most, y, p)
-    return advanced(rep, model, x, d), costly(rep, model, z)
+    return advanced(rep, model, x, d), z
 
 
-register(RK4, Kernels(rate=step, body=step, costly=True))
+register(RK4, Kernels(rate=step, body=step, at_times=True))
 
 METHOD = Method(
     tag=RK4(),

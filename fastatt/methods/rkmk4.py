@@ -26,7 +26,7 @@ def step(method, rep, model, t, h, x, p):
     k3 = dexpinv_short(scale(half, k2), middle)
     k4 = dexpinv_short(scale(h, k3), rate(model, t + h, p, h))
     u = scale(F(1.0 / 6.0) * h, add(axpy(F(2.0), add(k2, k3), k1), k4))
-    return turn(rep, x, u), (dot(u, u), h * h * dot(k1, k1))
+    return turn(rep, x, u), larger(dot(u, u), h * h * dot(k1, k1))
 
 
 @helper
@@ -64,7 +64,6 @@ METHOD = lie_method(
     order=4,
     rate_calls=3,
     exponentials=1,
-    costly=True,
     limit=1.8,
     body_limit=1.9,
     damping_limit=1.7,
