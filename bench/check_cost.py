@@ -2,6 +2,7 @@
 
     python bench/check_cost.py                  # every method: 15 minutes on an empty cache
     python bench/check_cost.py --only magnus4   # the cases with magnus4 in their name
+    python bench/check_cost.py --representation dcm
 
 Two processes take turns, the second with an engine that looks at no turn, no invariant and no
 state: nothing would be flagged there. The runs are on one thread; the cost is the median of paired
@@ -67,11 +68,11 @@ def scenes():
     }
 
 
-def names():
+def names(representation):
     return [
         f"{scene}, {method}"
         for scene, (what, _) in scenes().items()
-        for method in fa.methods_for(what, "quat")
+        for method in fa.methods_for(what, representation)
         if method != "exact"
     ]
 
@@ -107,7 +108,7 @@ def remove_checks():
     limits.warn = lambda *seen, **options: False
 
 
-def work():
+def work(representation):
     """Answer each line, a case and a number of steps, with the seconds that it took."""
     what = scenes()
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (BODIES, 1))
@@ -116,7 +117,10 @@ def work():
         name, method, steps = line.strip().split(", ")
         scene, w0 = what[name]
         start = time.perf_counter()
-        fa.propagate(scene, q0, w0, dt=0.01, n_steps=int(steps), method=method, n_threads=1)
+        fa.propagate(
+            scene, q0, w0, dt=0.01, n_steps=int(steps), method=method, n_threads=1,
+            representation=representation,
+        )  # fmt: skip
         print(time.perf_counter() - start, flush=True)
 
 
@@ -152,21 +156,26 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="cases with this in their name")
     parser.add_argument("--rounds", type=int, default=31)
+    parser.add_argument("--representation", default="quat")
     parser.add_argument("--worker", choices=("with", "without"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
         if arguments.worker == "without":
             remove_checks()
-        work()
+        work(arguments.representation)
         return
+    kind = ("--representation", arguments.representation)
     print(f"| case | steps | cost | | {SHORT} steps | |")
     print("| --- | --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as bare:
         pairs = [
-            (worker("--worker", "with"), worker("--worker", "without", NUMBA_CACHE_DIR=bare))
+            (
+                worker("--worker", "with", *kind),
+                worker("--worker", "without", *kind, NUMBA_CACHE_DIR=bare),
+            )
             for _ in range(PAIRS)
         ]
-        for name in names():
+        for name in names(arguments.representation):
             if arguments.only not in name:
                 continue
             for process in chain(*pairs):
