@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 
 class Status(IntFlag):
-    """What went wrong with one body; 0 where nothing did."""
+    """What went wrong with one body; 0 where nothing did.
+
+    Of a user's rate function on quaternions one step in seven is looked at: a single burst that is
+    shorter may pass without ``STEP_TOO_LARGE``.
+    """
 
     OK = 0
     NON_FINITE = 1  #: the state holds NaN or infinity
