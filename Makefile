@@ -8,10 +8,11 @@ PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
 	"$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' \
 		2>/dev/null && echo "$$python" && break; done)
 
-# Numba's disk cache does not see edits in other files: a folder for each state of the source
-CACHED := NUMBA_CACHE_DIR="$$($(BIN)/python tests/numba_cache.py)" && export NUMBA_CACHE_DIR &&
+# what is compiled stays in the checkout
+export FASTATT_CACHE ?= $(CURDIR)/.fastatt_cache
+export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: help venv test test-slow trade bench leaderboard extremes bench-smoke lint format types layers readme clean
+.PHONY: help venv test trade bench leaderboard extremes bench-smoke lint format types layers readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -36,29 +37,26 @@ $(VENV)/.test: $(VENV)/.made pyproject.toml
 venv: $(VENV)/.test  ## the environment of all other targets, in .venv
 
 test: $(VENV)/.test  ## the tests, the README's examples among them
-	$(CACHED) $(BIN)/pytest -n auto --dist loadfile -p no:benchmark -m "not slow"
-
-test-slow: $(VENV)/.test  ## the other tests: they compile for minutes
-	$(CACHED) $(BIN)/pytest -n auto --dist loadfile -p no:benchmark -m slow
+	$(BIN)/pytest -n auto --dist worksteal -p no:benchmark
 
 readme: $(VENV)/.test  ## the README's examples only
-	$(CACHED) $(BIN)/pytest tests/test_readme.py
+	$(BIN)/pytest tests/test_readme.py
 
 trade: $(VENV)/.trade  ## every method on the default scene: table, picture and CSV in results/
-	$(CACHED) $(BIN)/fastatt trade --out $(RESULTS)
+	$(BIN)/fastatt trade --out $(RESULTS)
 
 bench: $(VENV)/.test  ## speed and error, side by side with other libraries
-	$(CACHED) $(BIN)/pytest bench
+	$(BIN)/pytest bench
 
 leaderboard: $(VENV)/.leaderboard  ## time at equal error beside other libraries, 10 minutes: results/
-	$(CACHED) PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS)
+	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS)
 
 extremes: $(VENV)/.test  ## every method at the extremes, half an hour: bench/EXTREMES.md
-	$(CACHED) $(BIN)/python bench/extremes.py --long
+	PYTHONPATH=tests $(BIN)/python -m extremes --long
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
 	@if ls bench/bench_*.py >/dev/null 2>&1; \
-	then $(CACHED) FASTATT_SMOKE=1 $(BIN)/pytest bench --benchmark-disable; \
+	then FASTATT_SMOKE=1 $(BIN)/pytest bench --benchmark-disable; \
 	else echo "bench-smoke: bench/ has no bench_*.py"; fi
 
 lint: $(VENV)/.test  ## ruff: rules and format
@@ -76,6 +74,6 @@ layers: $(VENV)/.test  ## which module may import which
 	$(BIN)/lint-imports
 
 clean:  ## remove the environment, caches and results
-	rm -rf $(VENV) .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
+	rm -rf $(VENV) .fastatt_cache .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \
 		.hypothesis .benchmarks build dist $(RESULTS)
 	find fastatt tests $(wildcard bench) -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -22,12 +22,11 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numba import njit
 
 import fastatt as fa
-from fastatt.engine.pool import progress_bar
-from fastatt.ensemble import Ensemble
 from fastatt.kernels.trig import sincos
+from fastatt.running.ensemble import Ensemble
+from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, machine_line, write_csv
 from fastatt.trade.reference import reference, turns
 from fastatt.trade.work_precision import cases_of
@@ -37,7 +36,6 @@ RATIO = 2.0 ** (1.0 / 6.0)  # between the sweep's numbers of steps
 SLOWER = 2.0  # a sweep gives a case up where it takes so many times as long as the best
 
 
-@njit
 def swinging(t, p):
     s, c = sincos(p[3] * t)
     return p[0] * s, p[1] * c, p[2] + p[0] * s * c
@@ -171,7 +169,7 @@ def least(
     problem: Problem, case: Case, tol: float, exact: np.ndarray, best: float
 ) -> tuple[int, float] | None:
     """The least number of steps on a fine ladder that meets the tolerance, and its time."""
-    method = fa.METHODS[case.method]
+    method = case.record
     if not method.order:
         return (1, once(problem, case, 1)) if error(problem, case, 1, exact) <= tol else None
     turn = turns(problem)
@@ -200,7 +198,7 @@ def sweep(
     """The best of every method and precision that is not far slower than ``best`` s."""
     found = []
     cases = cases_of(problem.ensemble.scene, None, ("quat",), ("float64", "float32"))
-    for case in sorted(cases, key=lambda c: -(fa.METHODS[c.method].order or 99)):
+    for case in sorted(cases, key=lambda c: -(c.record.order or 99)):
         if case.dtype == "float32" and tol < 1e-7:
             continue
         result = least(problem, case, tol, exact, best)
@@ -239,7 +237,7 @@ def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
             1.0, perf_counter() - begin, "", str(refusal),
         )  # fmt: skip
     took = perf_counter() - begin
-    case = Case(chosen.method, chosen.representation, chosen.dtype)
+    case = chosen.case
     true = error(problem, case, chosen.n_steps, known.end.q)
     # a scene that needs 10^6 steps would be swept for hours
     bound = min(once(problem, case, chosen.n_steps) for _ in range(2)) if true <= tol else math.inf

@@ -22,7 +22,7 @@ from differences import attitude_errors, derivative, displaced
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 N = 100 if SMOKE else 20_000
-FEW = 1 if SMOKE else None  # methods: each compiles for a second or two
+FEW = 1 if SMOKE else None  # methods
 H = 0.01
 SIGMA_V, SIGMA_U = 1e-3, 1e-4
 GENERATOR = np.random.default_rng(0)
@@ -214,7 +214,7 @@ def test_sample_transitions(benchmark, method, increments):
 BODIES = [
     name
     for name in fa.methods_for(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), "quat")
-    if fa.METHODS[name].tag is not None
+    if fa.METHODS[name].is_stepped
 ][:FEW]
 
 

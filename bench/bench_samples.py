@@ -11,6 +11,7 @@ import quaternion
 from problems import Coning
 
 import fastatt as fa
+from fastatt.integrate import methods_for_samples
 from fastatt.trade import coning_rates
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
@@ -53,9 +54,7 @@ def _report(benchmark, samples: int, reference: float, name: str, error: float) 
 @pytest.mark.benchmark(group="many logs")
 @pytest.mark.parametrize("memory", ["new", "used"])
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize(
-    "method", [m.name for m in fa.METHODS.values() if "sampled rates" in m.scenes]
-)
+@pytest.mark.parametrize("method", methods_for_samples())
 def test_many_logs(benchmark, logs, method, dtype, memory):
     """Beside it: numpy copying as many bytes as come in and go out, to new or to used memory."""
     problem, rates = logs
@@ -84,7 +83,7 @@ def _peer(rates: np.ndarray) -> np.ndarray:
 
 @pytest.mark.benchmark(group="one long log")
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize("method", ["trapezoid", "previous", "coning3", "picard"])
+@pytest.mark.parametrize("method", methods_for_samples())
 def test_one_long_log(benchmark, long_log, method, dtype):
     """Beside it: numpy-quaternion's exp and accumulate on a tenth of the log."""
     data = long_log.astype(dtype)

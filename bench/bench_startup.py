@@ -20,9 +20,10 @@ print(imported - begin, perf_counter() - imported)
 
 
 def _start(cache) -> tuple[float, float]:
+    cache.chmod(0o700)
     result = subprocess.run(
         [sys.executable, "-c", SCRIPT],
-        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        env={**os.environ, "FASTATT_CACHE": str(cache), "NUMBA_CACHE_DIR": str(cache / "numba")},
         capture_output=True,
         text=True,
         check=True,

@@ -17,9 +17,16 @@ CALLS, LOOP = (10, 1000) if SMOKE else (2000, 1_000_000)
 H = 0.01
 W = (0.3, -0.5, 0.7)
 START = (1.0, 0.0, 0.0, 0.0)
-RATE = fa.single_step(fa.Scene(rate=fa.rates.Constant(W)), method="magnus4")
-BODY = fa.single_step(fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0)), method="rk4")
-FREE = fa.single_step(fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0)), method="dmv10")
+CONSTANT = fa.Scene(rate=fa.rates.Constant(W))
+TRIAXIAL = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+RATE = fa.single_step(CONSTANT, method="magnus4")
+BODY = fa.single_step(TRIAXIAL, method="rk4")
+FREE = fa.single_step(TRIAXIAL, method="dmv10")
+STEPPERS = {
+    "magnus4": (RATE, CONSTANT),
+    "rk4 of a body": (BODY, TRIAXIAL),
+    "dmv10 of a body": (FREE, TRIAXIAL),
+}
 RATE_STATE = RATE.state(START)
 BODY_STATE = BODY.state(START, W)
 ARRAY = np.array(BODY_STATE)
@@ -117,8 +124,27 @@ def test_in_a_loop(benchmark, name):
     found = benchmark.pedantic(call, rounds=1 if SMOKE else 10, warmup_rounds=1)
     if benchmark.stats is not None:
         benchmark.extra_info["ns a step"] = round(benchmark.stats.stats.min / n * 1e9, 2)
+    if name in STEPPERS:
+        stepper, scene = STEPPERS[name]
+        w = () if scene.kind == "rate" else (W,)
+        traj = fa.propagate(scene, START, *w, dt=H, n_steps=n, method=stepper.method)
+        apart = fa.angle_between(stepper.attitude(found), traj.q[-1])
+        benchmark.extra_info["from the engine, rad"] = apart
     if name in ("hold", "numpy"):
         exact = fa.integrate_rates(
             np.concatenate([LOG[:n], LOG[n - 1 : n]]), H, START, method="hold"
         )[-1]
         benchmark.extra_info["from the engine, rad"] = fa.angle_between(np.array(found), exact)
+
+
+@pytest.mark.benchmark(group="first call of a step: compiled now, s")
+@pytest.mark.parametrize("method", ["magnus4", "rk4", "rk8", "srkn6"])
+def test_first_call(benchmark, method):
+    """Of a scene's own formulas, once the process has compiled another step."""
+    RATE(0.0, H, RATE_STATE)
+    model = fa.rates.Coning(1.0, 1.0) if method == "magnus4" else None
+    top = fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0)
+    scene = fa.Scene(rate=model) if model else fa.Scene(inertia=(2.0, 1.0, 0.7), torque=top)
+    stepper = fa.single_step(scene, method=method)
+    x = stepper.state(START, *(() if model else (W,)))
+    benchmark.pedantic(stepper, args=(0.0, H, x), rounds=1)

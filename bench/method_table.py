@@ -11,6 +11,7 @@ from pathlib import Path
 
 from fastatt import METHODS
 from fastatt.trade import BODY_SCENES
+from fastatt.trade.measure import machine_line
 
 # what the rows of an input are called
 NAMES = {
@@ -41,8 +42,11 @@ def at(ladder: list[dict[str, str]], dt: float) -> dict[str, str] | None:
 def main(path: Path) -> None:
     """Print one line a method and input: error at two steps, speed at the smaller, summary once."""
     coarse, fine = STEPS
-    print(f"| method | for | order | error, dt={coarse:g} s | error, dt={fine:g} s | M steps/s | |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
+    print(
+        f"| method | for | order | error, dt={coarse:g} s | error, dt={fine:g} s | M steps/s "
+        "| operations a step | % of the peak | |"
+    )
+    print("| --- " * 9 + "|")
     summaries = {name: method.summary for name, method in METHODS.items()}
     for (name, source), ladder in ladders(path).items():
         method = METHODS[name]
@@ -51,13 +55,15 @@ def main(path: Path) -> None:
         if first is None or last is None:
             raise SystemExit(f"{path}: {name} has no step of {coarse:g} or {fine:g} s: a full run?")
         speed = float(last["steps_per_second"]) / 1e6
+        part = f"{100.0 * float(last['peak']):.0f}" if last["peak"] else ""
         print(
             f"| `{name}` | {NAMES.get(source, source)} | {order or 'exact'} "
             f"| {float(first['error_median']):.1e} | {float(last['error_median']):.1e} "
-            f"| {speed:.0f} | {summaries.pop(name, '')} |"
+            f"| {speed:.0f} | {last['operations']} | {part} | {summaries.pop(name, '')} |"
         )
 
 
 if __name__ == "__main__":
+    print(f"{machine_line()}\n")
     for argument in sys.argv[1:]:
         main(Path(argument))

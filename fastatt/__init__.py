@@ -11,51 +11,67 @@ q̇ = ½ q∘w, Ċ = C [w×]. A rate in inertial axes is marked ``frame="inertia
 w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇).
 """
 
-from fastatt import estimation, exact, forces, interchange, kernels, rates, steps, torques
-from fastatt.angular_velocity import angular_velocity
-from fastatt.arrays import (
-    angle_between,
-    dcm_to_quat,
-    euler313_to_quat,
-    quat_multiply,
-    quat_to_dcm,
-    quat_to_euler313,
-    quat_to_rotation_vector,
-    rotate,
-    rotate_inverse,
-    rotation_vector_to_quat,
-)
-from fastatt.drift import Drift, drift
-from fastatt.energy import (
-    angular_momentum,
-    kinetic_energy,
-    kinetic_energy_symmetric,
-    potential_energy,
-)
-from fastatt.integrate import integrate_rates
-from fastatt.interchange import from_scipy, to_scipy
-from fastatt.limits import StepWarning
-from fastatt.methods import METHODS, Method
-from fastatt.propagate import methods_for, propagate, propagate_directions
-from fastatt.scene import Scene
-from fastatt.self_check import OrderWarning, SelfCheck
-from fastatt.steps import single_step
-from fastatt.trade import (
-    ErrorBudget,
-    Recommendation,
-    WorkPrecision,
-    error_budget,
-    recommend,
-    self_check,
-    work_precision,
-)
-from fastatt.trajectory import Status, Trajectory
-from fastatt.watch import DriftStatistics, watch_drift
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
+# name: the module that holds it; imported when it is first asked for, so that a process pays for
+# what it uses
+_FOUND_IN = {
+    "METHODS": "methods",
+    "Attitude": "attitudes",
+    "Drift": "running.drift",
+    "DriftStatistics": "running.watch",
+    "ErrorBudget": "trade",
+    "Method": "methods",
+    "OrderWarning": "running.self_check",
+    "Recommendation": "trade",
+    "Scene": "scene",
+    "SelfCheck": "running.self_check",
+    "Status": "running.trajectory",
+    "StepWarning": "running.limits",
+    "Trajectory": "running.trajectory",
+    "WorkPrecision": "trade",
+    "angle_between": "arrays",
+    "angular_momentum": "running.energy",
+    "angular_velocity": "running.angular_velocity",
+    "dcm_to_quat": "arrays",
+    "drift": "running.drift",
+    "error_budget": "trade",
+    "euler313_to_quat": "arrays",
+    "explicit": "methods.explicit",
+    "from_scipy": "interchange",
+    "integrate_rates": "integrate",
+    "kinetic_energy": "running.energy",
+    "kinetic_energy_symmetric": "running.energy",
+    "lie": "methods.lie",
+    "methods_for": "running.propagate",
+    "potential_energy": "running.energy",
+    "propagate": "running.propagate",
+    "propagate_directions": "running.propagate",
+    "quat_multiply": "arrays",
+    "quat_to_dcm": "arrays",
+    "quat_to_euler313": "arrays",
+    "quat_to_rotation_vector": "arrays",
+    "recommend": "trade",
+    "rotate": "arrays",
+    "rotate_inverse": "arrays",
+    "rotation_vector_to_quat": "arrays",
+    "self_check": "trade",
+    "show_loop": "running.loop",
+    "single_step": "steps",
+    "to_scipy": "interchange",
+    "watch_drift": "running.watch",
+    "work_precision": "trade",
+}
+_MODULES = ("estimation", "exact", "forces", "interchange", "kernels", "rates", "steps", "torques")
+
 __all__ = [
     "METHODS",
+    "Attitude",
     "Drift",
     "DriftStatistics",
     "ErrorBudget",
@@ -77,6 +93,7 @@ __all__ = [
     "estimation",
     "euler313_to_quat",
     "exact",
+    "explicit",
     "forces",
     "from_scipy",
     "integrate_rates",
@@ -84,6 +101,7 @@ __all__ = [
     "kernels",
     "kinetic_energy",
     "kinetic_energy_symmetric",
+    "lie",
     "methods_for",
     "potential_energy",
     "propagate",
@@ -98,6 +116,7 @@ __all__ = [
     "rotate_inverse",
     "rotation_vector_to_quat",
     "self_check",
+    "show_loop",
     "single_step",
     "steps",
     "to_scipy",
@@ -105,3 +124,58 @@ __all__ = [
     "watch_drift",
     "work_precision",
 ]
+
+if TYPE_CHECKING:
+    from fastatt import estimation, exact, forces, interchange, kernels, rates, steps, torques
+    from fastatt.arrays import (
+        angle_between,
+        dcm_to_quat,
+        euler313_to_quat,
+        quat_multiply,
+        quat_to_dcm,
+        quat_to_euler313,
+        quat_to_rotation_vector,
+        rotate,
+        rotate_inverse,
+        rotation_vector_to_quat,
+    )
+    from fastatt.attitudes import Attitude
+    from fastatt.integrate import integrate_rates
+    from fastatt.interchange import from_scipy, to_scipy
+    from fastatt.methods import METHODS, Method
+    from fastatt.methods.explicit import explicit
+    from fastatt.methods.lie import lie
+    from fastatt.running.angular_velocity import angular_velocity
+    from fastatt.running.drift import Drift, drift
+    from fastatt.running.energy import (
+        angular_momentum,
+        kinetic_energy,
+        kinetic_energy_symmetric,
+        potential_energy,
+    )
+    from fastatt.running.limits import StepWarning
+    from fastatt.running.loop import show_loop
+    from fastatt.running.propagate import methods_for, propagate, propagate_directions
+    from fastatt.running.self_check import OrderWarning, SelfCheck
+    from fastatt.running.trajectory import Status, Trajectory
+    from fastatt.running.watch import DriftStatistics, watch_drift
+    from fastatt.scene import Scene
+    from fastatt.steps import single_step
+    from fastatt.trade import Recommendation, recommend, self_check
+    from fastatt.trade.error_budget import ErrorBudget, error_budget
+    from fastatt.trade.work_precision import WorkPrecision, work_precision
+
+
+def __getattr__(name: str) -> Any:
+    if name in _FOUND_IN:
+        value = getattr(importlib.import_module(f"fastatt.{_FOUND_IN[name]}"), name)
+    elif name in _MODULES:
+        value = importlib.import_module(f"fastatt.{name}")
+    else:
+        raise AttributeError(f"module 'fastatt' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -4,4 +4,6 @@ import sys
 
 from fastatt.cli import main
 
-sys.exit(main())
+# processes that the command starts import this file too
+if __name__ == "__main__":
+    sys.exit(main())

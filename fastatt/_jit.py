@@ -9,12 +9,16 @@ loop that calls stays scalar.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import functools
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from numba import njit, types
+from numba import config, njit, types
 from numba.core.errors import TypingError
-from numba.extending import overload, register_jitable
+from numba.extending import register_jitable
 
 _ARITHMETIC: dict[str, Any] = {
     "error_model": "numpy",
@@ -30,20 +34,75 @@ def _has_integer(ty: types.Type) -> bool:
     return isinstance(ty, (types.Integer, types.IntegerLiteral, types.Boolean))
 
 
+@functools.cache
+def _sources() -> tuple[int, int]:
+    """A stamp of the whole package's sources."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        info = path.stat()
+        digest.update(f"{path}:{info.st_mtime_ns}:{info.st_size};".encode())
+    return int.from_bytes(digest.digest()[:7]), 0
+
+
+def _kept(dispatcher: Any) -> None:
+    """Keep machine code on disk as long as no source of the package changes.
+
+    Numba looks at the function's own file alone: an edit of a kernel would go unseen by all that
+    call it. Without a folder to write to nothing is kept. The folder is looked for when the
+    function is first compiled: for all kernels at once it would take as long as importing them.
+    """
+    compile_signature = dispatcher.compile
+    first = True
+
+    def compile_kept(sig: Any) -> Any:
+        nonlocal first
+        if first:
+            first = False
+            with contextlib.suppress(RuntimeError):
+                dispatcher.enable_caching()
+                dispatcher._cache._cache_file._source_stamp = _sources()  # noqa: SLF001
+        return compile_signature(sig)
+
+    dispatcher.compile = compile_kept
+
+
+def _compiled(function: Callable[..., Any], options: Mapping[str, Any], *, cache: bool) -> Any:
+    dispatcher = njit(**options)(function)
+    if cache and not config.DISABLE_JIT:
+        _kept(dispatcher)
+    return dispatcher
+
+
 def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
     """Compile a scalar kernel: callable from Python, inlined into any jitted caller.
 
     A kernel takes floats and tuples of floats and keeps their precision (constants are written
     ``type(x)(0.5)``, so an integer would truncate them: it is refused).
     """
-    dispatcher = njit(**_INLINED, cache=cache)(function)
+    return _of_floats(_compiled(function, _INLINED, cache=cache), function.__name__)
+
+
+def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> Any:
+    """Compile a function that calls formulas' graphs, whose roundings stay as they are there.
+
+    Numba would put a kernel's ``fastmath`` on their operations too. ``spliced`` makes it a piece of
+    the functions that call it, which saves its own machine code.
+    """
+    options = {**_INLINED, "fastmath": False, "inline": "always" if spliced else "never"}
+    return _of_floats(_compiled(function, options, cache=False), function.__name__)
+
+
+def _of_floats(dispatcher: Any, name: str) -> Any:
+    """The same, refusing integers."""
+    if config.DISABLE_JIT:
+        return dispatcher
     compile_signature = dispatcher.compile
 
     def compile_floats(sig: Any) -> Any:
         args = sig.args if hasattr(sig, "args") else sig
         if any(_has_integer(ty) for ty in args):
             raise TypingError(
-                f"{function.__name__}: found an integer among the arguments {tuple(args)}; "
+                f"{name}: found an integer among the arguments {tuple(args)}; "
                 "kernels accept float64 or float32 only: write 1.0 instead of 1"
             )
         return compile_signature(sig)
@@ -52,33 +111,17 @@ def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
     return dispatcher
 
 
+def plain(function: Any) -> Callable[..., Any]:
+    """The Python function of a kernel."""
+    found: Callable[..., Any] = getattr(function, "py_func", function)
+    return found
+
+
 def recompile(function: Callable[..., Any]) -> Any:
     """A user's function with the kernels' options, so that LLVM can inline and fuse it."""
     return njit(**_INLINED)(getattr(function, "py_func", function))
 
 
-def hook(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``@overload`` for a generic function that is chosen by the types of its tags."""
-    decorated: Callable[..., Any] = overload(function, jit_options=_INLINED, strict=False)
-    return decorated
-
-
-def driver(function: Callable[..., Any], *, cache: bool = True) -> Any:
-    """Compile a loop over tiles: entered from Python without the GIL."""
-    return njit(**_ARITHMETIC, cache=cache)(function)
-
-
 def helper(function: Any) -> Any:
     """A part of a driver, inlined: a tile's strides are constants only where it was made."""
     return register_jitable(**_INLINED)(function)
-
-
-def part(function: Callable[..., Any]) -> Any:
-    """A part of a driver that calls loops of its own, spliced in before LLVM sees either.
-
-    As a function of its own it would be optimised first, with the strides of its arrays unknown:
-    its vector loops then test for overlap at every call, and ran 4 times slower.
-    """
-    return register_jitable(error_model="numpy", fastmath=_ARITHMETIC["fastmath"], inline="always")(
-        function
-    )

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fastatt import __version__, gyrolog
+from fastatt import __version__, gyrolog, listing, warming
 from fastatt.checks import attitudes, real, whole
-from fastatt.engine.pool import progress_bar
+from fastatt.flat import store
 from fastatt.integrate import integrate_rates, methods_for_samples
-from fastatt.methods import METHODS, Method
 from fastatt.scene import Scene
-from fastatt.torques import DAMPED, POSITION
+from fastatt.threads import progress_bar
 from fastatt.trade import (
     DEFAULT_SCENES,
     SCENES,
@@ -28,15 +28,6 @@ from fastatt.trade import (
 from fastatt.trade.scene_file import from_words, read_rows, read_scene
 
 _ALL = "all"
-# how a method's list of scenes is read: name on the command line, in words, as records have it
-_SCENES = {
-    "rate": ("rate functions", ("rate",)),
-    "free": ("free bodies", ("spherical", "symmetric", "free")),
-    "torqued": ("torqued bodies", ("torqued",)),
-    "samples": ("samples", ("sampled rates", "increments")),
-}
-# what a method that is not for any torque asks of it
-_TAKEN = {POSITION: "torque free of w", DAMPED: "torque free of w but for linear damping"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,7 +35,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
-        result: int = arguments.run(arguments)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.showwarning = _Told()
+            result: int = arguments.run(arguments)
     except (ValueError, TypeError, OSError, ImportError) as error:
         text = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else str(error)
         print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
@@ -53,6 +47,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("fastatt: stopped", file=sys.stderr)
         return 130
     return result
+
+
+class _Told:
+    """Warnings as lines, each once and without our source."""
+
+    def __init__(self) -> None:
+        self.lines: set[str] = set()
+
+    def __call__(self, message: Warning | str, *about: object, **more: object) -> None:
+        line = " ".join(str(message).split())
+        if line not in self.lines:
+            self.lines.add(line)
+            print(f"fastatt: warning: {line}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -66,16 +73,19 @@ def _parser() -> argparse.ArgumentParser:
     methods = commands.add_parser(
         "methods",
         help="list the methods and where each fits",
-        description="List the methods: name, order, scenes, representations, source.",
+        description="List the methods: name, order, scenes, floating-point operations a step of "
+        "quaternions, representations, source.",
     )
-    methods.add_argument("--scene", choices=_SCENES, help="only those for this kind of scene")
+    methods.add_argument(
+        "--scene", choices=listing.SCENES, help="only those for this kind of scene"
+    )
     methods.set_defaults(run=_methods)
 
     integrate = commands.add_parser(
         "integrate",
         help="gyro log to attitudes",
         description="Read a gyro log, integrate it, write the attitudes (body to inertial, scalar "
-        "first) and say how far the methods differ on it.",
+        "first); with --compare, say how far the methods differ on it.",
     )
     integrate.add_argument("log", type=Path, help="text table with three rate columns")
     integrate.add_argument(
@@ -95,7 +105,12 @@ def _parser() -> argparse.ArgumentParser:
         "--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3"
     )
     integrate.add_argument("--max-gap", type=float, help="longest interval allowed, s")
-    integrate.add_argument("--no-compare", action="store_true", help="skip the other methods")
+    integrate.add_argument(
+        "--compare",
+        action=argparse.BooleanOptionalAction,
+        default=False,
+        help="besides, how far the other methods differ, and where the error comes from",
+    )
     integrate.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     integrate.set_defaults(run=_integrate)
 
@@ -145,7 +160,59 @@ def _parser() -> argparse.ArgumentParser:
     advice.add_argument("--methods", type=_names, help="only these methods: rk4,magnus4")
     advice.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     advice.set_defaults(run=_recommend)
+    _add_cache(commands)
     return parser
+
+
+def _add_cache(commands: Any) -> None:
+    """Commands for what is compiled."""
+    warm = commands.add_parser(
+        "warm",
+        help="compile what is usual beforehand",
+        description="Compile every method on usual scenes (constant rate, coning, free body, heavy "
+        "top, gravity gradient and damping) and for logs, on quaternions and matrices in double "
+        "precision, in parallel processes. Programs are kept: FASTATT_CACHE names the folder.",
+    )
+    warm.add_argument(
+        "--all", action="store_true", help="single precision and all representations besides"
+    )
+    warm.add_argument("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
+    warm.add_argument("-j", "--jobs", type=int, help="processes (default: one a processor)")
+    warm.add_argument("--where", action="store_true", help="only say what is kept, and where")
+    warm.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
+    warm.set_defaults(run=_warm)
+
+    cache = commands.add_parser(
+        "cache",
+        help="where compiled programs are kept, how large they are",
+        description="Say where compiled programs are kept and how large they are. FASTATT_CACHE "
+        "names another folder; FASTATT_CACHE=0 switches it off.",
+    )
+    cache.add_argument("--clear", action="store_true", help="remove them")
+    cache.set_defaults(run=_cache)
+
+
+def _warm(arguments: argparse.Namespace) -> int:
+    if arguments.where:
+        print(warming.where())
+        return 0
+    if arguments.jobs is not None:
+        whole("--jobs", arguments.jobs, 1)
+    tasks = (
+        warming.usual(everything=arguments.all)
+        if arguments.scene_file is None
+        else warming.of_scene(read_scene(arguments.scene_file), everything=arguments.all)
+    )
+    bar = _bar_wanted(arguments.quiet)
+    print(warming.warm(tasks, processes=arguments.jobs, progress=bar))
+    return 0
+
+
+def _cache(arguments: argparse.Namespace) -> int:
+    if arguments.clear:
+        store.clear()
+    print(warming.where())
+    return 0
 
 
 def _add_scene(command: argparse.ArgumentParser) -> None:
@@ -204,34 +271,8 @@ def _bar_wanted(quiet: bool) -> bool:
 
 
 def _methods(arguments: argparse.Namespace) -> int:
-    chosen = [_SCENES[arguments.scene]] if arguments.scene else list(_SCENES.values())
-    listed = [m for m in METHODS.values() if any(set(m.scenes) & set(own) for _, own in chosen)]
-    width = max(len(m.name) for m in listed)
-    for m in listed:
-        print(f"{m.name:{width}}  {_order(m)}; {_fits(m)}: {m.summary}")
-        print(f"{'':{width}}  {', '.join(m.representations)}; {m.source}")
+    print(listing.listed(arguments.scene))
     return 0
-
-
-def _order(m: Method) -> str:
-    if not m.order:
-        return "closed form"
-    others = "".join(f", {order} for {scene}" for scene, order in m.orders.items())
-    return f"order {m.order}{others}"
-
-
-def _fits(m: Method) -> str:
-    """The scenes of a method, in words."""
-    words = []
-    for name, (plural, own) in _SCENES.items():
-        found = [scene for scene in own if scene in m.scenes]
-        if name == "samples" and len(found) == 1:
-            words += found
-        elif found:
-            words.append(plural)
-    if m.takes in _TAKEN:
-        words[-1] += f" ({_TAKEN[m.takes]})"
-    return ", ".join(words)
 
 
 def _integrate(arguments: argparse.Namespace) -> int:
@@ -267,7 +308,8 @@ def _integrate(arguments: argparse.Namespace) -> int:
     with progress_bar(bar and out.suffix == ".csv", n, "row") as done:
         gyrolog.write_attitudes(out, log.t, q, done)
     print(f"{out}: {n} attitudes by {arguments.method}, body to inertial, scalar first")
-    if not arguments.no_compare and n > 1:
+    if arguments.compare and n > 1:
+        print("comparing with the other methods ...", flush=True)
         print(compare_on_log(log, arguments.method, arguments.max_gap))
     return 0
 

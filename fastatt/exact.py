@@ -2,170 +2,147 @@
 
 from __future__ import annotations
 
+import ctypes
+import functools
 from collections.abc import Callable
 from itertools import product
 from threading import Event
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
+from llvmlite import ir
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
-from fastatt._jit import driver, helper, hook
-from fastatt.columns import load, store
-from fastatt.engine import pool
-from fastatt.engine.tiles import WIDTH
+from fastatt.flat import formulas, machine
+from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.finished import Flat
+from fastatt.flat.graph import Graph, flattened
+from fastatt.flat.llvm import Emitter
+from fastatt.flat.rows import Table, columns, copy, kind_of, lanes_of, plain, without_compiler
 from fastatt.inertia import EQUAL, is_symmetric, principal
-from fastatt.kernels import free_body as kernels
-from fastatt.kernels import quat
+from fastatt.threads import in_threads, number_of
 
 #: what is done with numbers of a body that are not finite
 INVALID = ("raise", "flag")
+_TOGETHER = 64  # a few bodies go side by side at so many groups of times
 _PIECE = 1 << 20  # attitudes between two looks at Ctrl-C
 _STEPS = 1 << 12  # times that share one preparation of their bodies
 _SMALL = 1 << 14  # attitudes that are not worth a thread
 
-
-class FreeBody(NamedTuple):
-    """Tag: any three moments."""
-
-
-class SymmetricTop(NamedTuple):
-    """Tag: two equal moments."""
+# what a body is given by, with the numbers of each; axes are those of ``Principal``, if any
+_GIVEN = {"q": 4, "w": 3, "moments": 3, "axes": 4}
 
 
-# lengths for ``load``
-_THREE = (0.0,) * 3
-_FOUR = (0.0,) * 4
+class _Solution(NamedTuple):
+    """A motion: the formula of its constants, and (attitude, w) from them, the moments and t."""
 
-# tag: how many constants a body has
-_CONSTANTS: dict[type, int] = {FreeBody: 36, SymmetricTop: 14}
-
-
-def prepare(solution: Any, q: Any, w: Any, inertia: Any) -> Any:
-    """The constants of one body's motion."""
-    raise NotImplementedError(solution)
+    prepare: Callable[..., Any]
+    state: Callable[[Any, Any, Any], tuple[Any, Any]]
 
 
-@hook(prepare)
-def _prepare(solution: types.BaseNamedTuple, q: Any, w: Any, inertia: Any) -> Any:
-    if solution.instance_class is SymmetricTop:
-        return lambda solution, q, w, inertia: kernels.symmetric_setup(q, w, inertia)
-    return lambda solution, q, w, inertia: kernels.setup_rate(q, w, inertia)
+def _free(constants: Any, moments: Any, t: Any) -> tuple[Any, Any]:
+    q, m = formulas.free_body.evaluate(constants, t)
+    return q, tuple(a / b for a, b in zip(m, moments, strict=True))
 
 
-def state(solution: Any, constants: Any, inertia: Any, t: Any) -> Any:
-    """Attitude and angular velocity at the time t, seven numbers."""
-    raise NotImplementedError(solution)
+def _top(constants: Any, moments: Any, t: Any) -> Any:
+    return formulas.free_body.symmetric_evaluate(constants, t)
 
 
-@hook(state)
-def _state(solution: types.BaseNamedTuple, constants: Any, inertia: Any, t: Any) -> Any:
-    def top(solution: Any, constants: Any, inertia: Any, t: Any) -> Any:
-        q, w = kernels.symmetric_evaluate(constants, t)
-        return (*q, *w)
-
-    def body(solution: Any, constants: Any, inertia: Any, t: Any) -> Any:
-        q, m = kernels.evaluate(constants, t)
-        return (*q, m[0] / inertia[0], m[1] / inertia[1], m[2] / inertia[2])
-
-    return top if solution.instance_class is SymmetricTop else body
+_FREE_BODY = _Solution(formulas.free_body.setup_rate, _free)
+_SYMMETRIC_TOP = _Solution(formulas.free_body.symmetric_setup, _top)
 
 
-def scratch(solution: Any, like: Any) -> Any:
-    """An empty tile of the precision of ``like``."""
-    raise NotImplementedError(solution)
+class _Traced(NamedTuple):
+    """The constants of a body, and attitude and angular velocity (seven numbers) at a time."""
+
+    prepare: Flat
+    state: Flat
 
 
-@hook(scratch)
-def _scratch(solution: types.BaseNamedTuple, like: types.Array) -> Any:
-    rows = _CONSTANTS[solution.instance_class] + 15
-    return lambda solution, like: np.empty((rows, WIDTH), dtype=like.dtype)
+@functools.cache
+def _traced(solution: _Solution, kind: str, turned: bool) -> _Traced:
+    """``turned``: the principal axes are not those of the body."""
+    quat = formulas.quat
+    graph = Graph()
+    q, w, moments, axes = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
+    if turned:
+        q, w = quat.mul(q, axes), quat.rotate_inverse(axes, w)
+    constants = flattened(solution.prepare(quat.normalise(q), w, moments))
+    prepare = Flat(graph, constants, kind)
+
+    graph = Graph()
+    moments, axes = (graph.inputs(kind, name, _GIVEN[name]) for name in ("moments", "axes"))
+    given = graph.inputs(kind, "constant", len(constants))
+    q, w = solution.state(given, moments, graph.input(kind, "t", 0))
+    if turned:
+        q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
+    return _Traced(prepare, Flat(graph, [*q, *w], kind))
 
 
-def constants(solution: Any, rows: Any, j: Any) -> Any:
-    """The constants of lane j as a tuple."""
-    raise NotImplementedError(solution)
+@functools.cache
+def _compiled(solution: _Solution, kind: str, turned: bool) -> Any:
+    """``closed_form(table, first, last, step_first, step_last)`` of ``_code``."""
+    code = _code(_traced(solution, kind, turned), kind, lanes_of(kind))
+    program = machine.compiled(str(code.module))
+    return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
 
-@hook(constants)
-def _constants(solution: types.BaseNamedTuple, rows: types.Type, j: types.Type) -> Any:
-    n = (0.0,) * _CONSTANTS[solution.instance_class]
-    return lambda solution, rows, j: load(rows, 15, j, n)
-
-
-@helper
-def _fill(rows, place, q0, w0, moments, axes):
-    """Load the initial states, the moments and the principal axes of a tile."""
-    for j in range(WIDTH):
-        b = place[0, j]
-        for i in range(4):
-            rows[i, j] = q0[b, i]
-        for i in range(3):
-            rows[4 + i, j] = w0[b, i]
-            rows[7 + i, j] = moments[min(b, moments.shape[0] - 1), i]
-    if axes.shape[0] > 0:
-        for j in range(WIDTH):
-            b = place[0, j]
-            for i in range(4):
-                rows[11 + i, j] = axes[min(b, axes.shape[0] - 1), i]
-        for j in range(WIDTH):
-            p = load(rows, 11, j, _FOUR)
-            store(rows, 0, j, quat.mul(load(rows, 0, j, _FOUR), p))
-            store(rows, 4, j, quat.rotate_inverse(p, load(rows, 4, j, _THREE)))
-
-
-@helper
-def _hand_out(rows, place, axes, at, width, q, w):
-    """Turn the states of a tile to body axes and write those that are asked for."""
-    if axes.shape[0] > 0:
-        for j in range(WIDTH):
-            p = load(rows, 11, j, _FOUR)
-            store(rows, 0, j, quat.mul(load(rows, 0, j, _FOUR), quat.conj(p)))
-            store(rows, 4, j, quat.rotate(p, load(rows, 4, j, _THREE)))
-    for j in range(width):
-        b = place[0, j]
-        k = place[1, j] + at
-        if k < q.shape[0]:
-            for i in range(4):
-                q[k, b, i] = rows[i, j]
-            for i in range(3):
-                w[k, b, i] = rows[4 + i, j]
-
-
-@driver
-def _run(
-    solution, q0, w0, moments, axes, t, span, q, w, tile_first, tile_last, step_first, step_last
-):
-    """Fill q (T, N, 4) and w (T, N, 3) for some lanes, at times [step_first, step_last) of each.
+def _code(traced: _Traced, kind: str, lanes: int) -> Code:
+    """A program for blocks [first, last) of lanes, at times [step_first, step_last) of each.
 
     Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many times
-    fill a tile as well as many bodies do. ``axes`` (0 or more, 4) are those of ``Principal``. The
-    rows of a tile: state (7), moments (3), time, principal axes (4), constants.
+    fill vectors as well as many bodies do. A last block is filled up with the last lane. The table
+    holds N, T, span, the number of lanes; address and stride of what a body is given by; addresses
+    of t, q and w.
     """
-    n = q.shape[1]
-    lanes = n * -(-t.size // span)
-    rows = scratch(solution, q)
-    place = np.empty((2, WIDTH), dtype=np.int64)  # body and number of the first time
-    for tile in range(tile_first, tile_last):
-        first = tile * WIDTH
-        for j in range(WIDTH):
-            lane = min(first + j, lanes - 1)
-            place[0, j] = lane % n
-            place[1, j] = lane // n * span
-        _fill(rows, place, q0, w0, moments, axes)
-        for j in range(WIDTH):
-            x = quat.normalise(load(rows, 0, j, _FOUR))
-            g = prepare(solution, x, load(rows, 4, j, _THREE), load(rows, 7, j, _THREE))
-            store(rows, 15, j, g)
-        for at in range(step_first, step_last):
-            for j in range(WIDTH):
-                rows[10, j] = t[min(place[1, j] + at, t.size - 1)]
-            for j in range(WIDTH):
-                g = constants(solution, rows, j)
-                store(rows, 0, j, state(solution, g, load(rows, 7, j, _THREE), rows[10, j]))
-            _hand_out(rows, place, axes, at, min(WIDTH, lanes - first), q, w)
+    code = Code(ir.Module("closed_form"), "closed_form", [I64.as_pointer(), *[I64] * 4])
+    argument, first, last, step_first, step_last = code.function.args
+    real = REALS[kind]
+    entries = Table(code, argument)
+    bodies, times, span, total = (entries.number() for _ in range(4))
+    given = {name: (entries.pointer(real), entries.number()) for name in _GIVEN}
+    t, q, w = (entries.pointer(real) for _ in range(3))
+    used = {name for flat in traced for name, _ in flat.inputs()}
+
+    # columns: what the bodies are given by, their constants, the time; and the results
+    names = [(name, i) for name, n in _GIVEN.items() for i in range(n)]
+    names += [("constant", i) for i in range(len(traced.prepare.results))] + [("t", 0)]
+    at = {name: k * lanes for k, name in enumerate(names)}
+    taken = code.room(real, lanes * len(names))
+    made = code.room(real, lanes * 7)
+    body, start = code.room(I64, lanes), code.room(I64, lanes)
+    emit = Emitter(code, lanes, machine.processor().fuses)
+
+    with code.loop(Int(code, first), Int(code, last)) as block:
+        base = block * lanes
+        with code.loop(0, lanes) as j:
+            lane = (base + j).at_most(total - 1)
+            b = lane % bodies
+            code.store(body, j, b.value)
+            code.store(start, j, (lane // bodies * span).value)
+            for name in (name for name in given if name in used):
+                pointer, stride = given[name]
+                row = code.place(pointer, b * stride)
+                copy(code, _GIVEN[name], row, 0, 1, taken, j + at[name, 0], lanes)
+        for k, value in enumerate(emit.wide(traced.prepare, columns(code, taken, at, lanes))):
+            code.store_vector(taken, at["constant", k], value)
+        valid = (total - base).at_most(lanes)
+        with code.loop(Int(code, step_first), Int(code, step_last)) as step:
+            with code.loop(0, lanes) as j:
+                number = (Int(code, code.load(start, j)) + step).at_most(times - 1)
+                code.store(taken, j + at["t", 0], code.load(t, number))
+            for k, value in enumerate(emit.wide(traced.state, columns(code, taken, at, lanes))):
+                code.store_vector(made, k * lanes, value)
+            with code.loop(0, valid) as j:
+                number = Int(code, code.load(start, j)) + step
+                with code.when(number < times):
+                    row = number * bodies + Int(code, code.load(body, j))
+                    copy(code, 4, made, j, lanes, code.place(q, row * 4), 0, 1)
+                    copy(code, 3, made, j + 4 * lanes, lanes, code.place(w, row * 3), 0, 1)
+    code.give(0)
+    return code
 
 
 def free_body(
@@ -206,7 +183,8 @@ def free_body(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    return _at_times(FreeBody(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads, invalid)
+    given = (q0, w0, inertia, t)
+    return _at_times(_FREE_BODY, given, allow_unphysical, dtype, n_threads, invalid)
 
 
 def symmetric_top(
@@ -228,32 +206,27 @@ def symmetric_top(
 
     Raises ``ValueError`` where no two moments are equal, and as ``free_body`` does.
     """
-    return _at_times(
-        SymmetricTop(), q0, w0, inertia, t, allow_unphysical, dtype, n_threads, invalid
-    )
+    given = (q0, w0, inertia, t)
+    return _at_times(_SYMMETRIC_TOP, given, allow_unphysical, dtype, n_threads, invalid)
 
 
 def _at_times(
-    solution: Any,
-    q0: ArrayLike,
-    w0: ArrayLike,
-    inertia: ArrayLike,
-    t: ArrayLike,
+    solution: _Solution,
+    given: tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike],
     allow_unphysical: bool,
     dtype: DTypeLike | None,
     n_threads: int | None,
     invalid: str,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    kind = checks.precision(dtype, q0, w0)
+    q0, w0, inertia, t = given
+    precision = checks.precision(dtype, q0, w0)
     flag = checks.choice("invalid", invalid, INVALID) == "flag"
     start = checks.attitudes("q0", q0, flag=flag)
     rates = (checks.array_any if flag else checks.array)(
         "w0", w0, "(3,) or (N, 3)", [(3,), (-1, 3)]
     )
     times = checks.array("t", t, "a number or (T,)", [(), (-1,)])
-    threads = (
-        pool.default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
-    )
+    threads = number_of(n_threads)
     if start.ndim == rates.ndim == 2 and len(start) != len(rates):
         raise ValueError(f"w0: has {len(rates)} rows; accepted: one, or {len(start)} as of q0")
     one_body = start.ndim == rates.ndim == 1
@@ -266,38 +239,78 @@ def _at_times(
             f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
             "form: above 0, though allow_unphysical lets it pass elsewhere"
         )
-    if isinstance(solution, SymmetricTop):
+    if solution is _SYMMETRIC_TOP:
         _check_symmetric(body.moments)
 
-    flat = np.require(times.reshape(-1), kind, ["C", "W"])
-    q, w = np.empty((flat.size, n, 4), dtype=kind), np.empty((flat.size, n, 3), dtype=kind)
-    rows = (
-        np.broadcast_to(start, (n, 4)),
-        np.broadcast_to(rates, (n, 3)),
-        np.atleast_2d(body.moments),
-        np.empty((0, 4)) if body.axes is None else np.atleast_2d(body.axes),
-    )
-    # writable, though only read: a read-only array would be compiled for anew
-    given = [np.require(x, kind, ["C", "W"]) for x in rows]
-    span = -(-flat.size // max(1, min(flat.size, WIDTH // n)))
+    rows = {"q": start, "w": rates, "moments": body.moments, "axes": body.axes}
+    bodies = {
+        name: np.atleast_2d(np.require(x, precision, ["C", "A"]))
+        for name, x in rows.items()
+        if x is not None
+    }
+    flat = np.require(times.reshape(-1), precision, ["C", "A"])
+    q, w = np.empty((flat.size, n, 4), precision), np.empty((flat.size, n, 3), precision)
+    (_in_python if without_compiler() else _run)(solution, bodies, flat, (q, w), threads)
+    shape = times.shape if one_body else (*times.shape, n)
+    return q.reshape((*shape, 4)), w.reshape((*shape, 3))
 
-    def task(tiles: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:
+
+_States = tuple[NDArray[Any], NDArray[Any]]
+
+
+def _run(
+    solution: _Solution,
+    bodies: dict[str, NDArray[Any]],
+    t: NDArray[Any],
+    out: _States,
+    threads: int,
+) -> None:
+    """Fill q (T, N, 4) and w (T, N, 3) of bodies in rows of their own, or one for all."""
+    q, w = out
+    size, n = q.shape[:2]
+    kind = kind_of(q.dtype)
+    closed_form, lanes = _compiled(solution, kind, "axes" in bodies), lanes_of(kind)
+    span = -(-size // max(1, min(size, _TOGETHER // n)))
+    total = n * -(-size // span)
+    entries = [n, size, span, total]
+    for name in _GIVEN:
+        x = bodies.get(name, t)
+        entries += [x.ctypes.data, x.shape[-1] if len(x) > 1 else 0]
+    table = np.array([*entries, *(x.ctypes.data for x in (t, q, w))], dtype=np.int64)
+
+    def task(blocks: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:
         def work(stop: Event) -> None:
             if not stop.is_set():
-                _run(solution, *given, flat, span, q, w, *tiles, *steps)
+                closed_form(table.ctypes.data, *blocks, *steps)
 
         return work
 
-    n_tiles = -(-(n * -(-flat.size // span)) // WIDTH)
-    together = max(1, _PIECE // (WIDTH * min(span, _STEPS)))
-    together = max(1, min(together, n_tiles // threads))
+    n_blocks = -(-total // lanes)
+    together = max(1, _PIECE // (lanes * min(span, _STEPS)))
+    together = max(1, min(together, n_blocks // threads))
     tasks = [
-        task((i, min(i + together, n_tiles)), (k, min(k + _STEPS, span)))
-        for i, k in product(range(0, n_tiles, together), range(0, span, _STEPS))
+        task((i, min(i + together, n_blocks)), (k, min(k + _STEPS, span)))
+        for i, k in product(range(0, n_blocks, together), range(0, span, _STEPS))
     ]
-    pool.in_threads(tasks, threads if flat.size * n > _SMALL else 1)
-    shape = times.shape if one_body else (*times.shape, n)
-    return q.reshape((*shape, 4)), w.reshape((*shape, 3))
+    in_threads(tasks, threads if size * n > _SMALL else 1)
+
+
+def _in_python(
+    solution: _Solution,
+    bodies: dict[str, NDArray[Any]],
+    t: NDArray[Any],
+    out: _States,
+    threads: int,
+) -> None:
+    """``_run`` without a compiler, on one thread: a column a number of the formulas."""
+    traced = _traced(solution, kind_of(t.dtype), "axes" in bodies)
+    given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
+    constants = plain(traced.prepare, given, {})
+    given |= {("constant", i): x for i, x in enumerate(constants)}
+    given["t", 0] = t[:, None]
+    for k, x in enumerate(plain(traced.state, given, {})):
+        into = out[0][..., k] if k < 4 else out[1][..., k - 4]
+        into[...] = x
 
 
 def _check_symmetric(moments: NDArray[np.float64]) -> None:

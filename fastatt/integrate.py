@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.engine import pool
-from fastatt.engine.samples import TILE, chain, sweep, sweep_one
-from fastatt.limits import StepWarning
+from fastatt.gyro.engine import Run
+from fastatt.gyro.windows import LANES, TILE, Window
 from fastatt.methods import METHODS, Method
-from fastatt.methods.sampled import LANES, WINDOWS, Increments, Rates, Window
+from fastatt.running.limits import StepWarning
+from fastatt.threads import in_threads, number_of, progress_bar
 
 _GAP = 10.0  # an interval this many times the median is a hole in the log
 
@@ -64,7 +64,6 @@ def integrate_rates(
     -----
     StepWarning : an interval in which the body turns further than the method can follow.
     """
-    kind = Increments() if increments else Rates()
     record = _method(method, increments)
     name = "rates (increments)" if increments else "rates"
     data = checks.array_any(name, rates, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
@@ -79,9 +78,7 @@ def integrate_rates(
             'dt: found intervals; accepted with "coning3_optimal": one number, its coefficients '
             'hold for equal intervals ("coning3" takes any)'
         )
-    threads = (
-        pool.default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
-    )
+    threads = number_of(n_threads)
     start = checks.attitudes("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
         raise ValueError(f"q0: has shape {start.shape}; accepted: (4,) or ({n_logs}, 4), one a log")
@@ -95,20 +92,13 @@ def integrate_rates(
         out[:, 0] = unit
         return result
     with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
-        before, after = beyond(data, spans, WINDOWS[type(record.tag)], type(kind))
-    lanes = np.zeros(n_logs, dtype=precision)
-    tiles = np.zeros(count // TILE, dtype=precision)
-    carry = partial(sweep, record.tag, kind, data, before, after, spans, lanes)
-    along = partial(sweep_one, record.tag, kind, data, before, after, spans, tiles)
-    seen = 0.0
-    with pool.progress_bar(progress, n_logs * count, "sample") as done:
+        ends = beyond(data, spans, record.window, increments)
+    run = Run(record.window, increments, data, ends, spans, out)
+    with progress_bar(progress, n_logs * count, "sample") as done:
         if n_logs >= LANES:
-            _side_by_side(carry, unit, out, count, threads, done)
+            seen = _side_by_side(run, unit, count, threads, done)
         else:
-            for b in range(n_logs):
-                _one_log(along, carry, b, unit[b], out, count, threads, done)
-                seen = max(seen, tiles.max(initial=0.0), lanes[0])
-    seen = max(seen, lanes.max())
+            seen = max(_one_log(run, b, unit[b], count, threads, done) for b in range(n_logs))
     # a sample that is not finite stays in every later attitude; the last may not be used
     if not (np.isfinite(out[:, -1]).all() and np.isfinite(data[:, -1]).all()):
         checks.finite(name, data[0] if one else data)
@@ -153,70 +143,69 @@ def _method(name: str, increments: bool) -> Method:
 
 
 def _side_by_side(
-    carry: Callable[..., Any],
-    q: NDArray[Any],
-    out: NDArray[Any],
-    count: int,
-    threads: int,
-    done: Callable[[int], object],
-) -> None:
-    """A lane for each log."""
-    n_logs = out.shape[0]
-    body = np.arange(n_logs)
-    start = np.zeros(n_logs, dtype=np.int64)
+    run: Run, q: NDArray[Any], count: int, threads: int, done: Callable[[int], object]
+) -> float:
+    """A lane for each log; the largest component of an angle over an interval, rad."""
+    n_logs = len(q)
+    lanes = np.arange(n_logs), np.zeros(n_logs, dtype=np.int64)
+    peak = np.zeros(n_logs, dtype=q.dtype)
     tiles = -(-n_logs // LANES)
     size = LANES * max(1, min(-(-tiles // threads), 2_000_000 // (LANES * count)))
 
     def task(first: int, stop: Event) -> None:
         if not stop.is_set():
             last = min(first + size, n_logs)
-            carry(body, start, count, q, out, True, first, last)
+            run.side_by_side(lanes, count, q, peak, (first, last))
             done((last - first) * count)
 
-    pool.in_threads([partial(task, first) for first in range(0, n_logs, size)], threads)
+    in_threads([partial(task, first) for first in range(0, n_logs, size)], threads)
+    return float(peak.max())
 
 
 def _one_log(
-    along: Callable[..., Any],
-    carry: Callable[..., Any],
+    run: Run,
     log: int,
     q: NDArray[Any],
-    out: NDArray[Any],
     count: int,
     threads: int,
     done: Callable[[int], object],
-) -> None:
-    """One log: runs of tiles on each thread, and what is left of the last tile in one lane."""
+) -> float:
+    """Runs of tiles on each thread, and what is left of the last tile in one lane.
+
+    Gives the largest component of an angle over an interval, rad.
+    """
     tiles = count // TILE
     threads = max(1, min(threads, tiles // 64))
     bounds = [tiles * i // threads for i in range(threads + 1)]
-    totals = np.empty((tiles, 4), dtype=out.dtype)
+    peak = np.zeros(tiles + 1, dtype=q.dtype)
+    totals = np.empty((tiles, 4), dtype=q.dtype)
     starts = [q.copy() for _ in range(threads)]
     if threads > 1:
         known = bounds[-2]
         parts = [known * i // threads for i in range(threads + 1)]
 
         def find(first: int, last: int, stop: Event) -> None:
-            for a, z in _pieces(first, last, stop):
-                along(log, q.copy(), totals, out, False, a, z)
+            for piece in _pieces(first, last, stop):
+                run.find_turns(log, totals, peak, piece)
 
-        pool.in_threads([partial(find, a, z) for a, z in pairwise(parts)], threads)
+        in_threads([partial(find, a, z) for a, z in pairwise(parts)], threads)
         for i in range(1, threads):
             starts[i][:] = starts[i - 1]
-            chain(starts[i], totals[bounds[i - 1] : bounds[i]])
+            run.chain(starts[i], totals[bounds[i - 1] : bounds[i]])
 
-    def run(q: NDArray[Any], first: int, last: int, stop: Event) -> None:
-        for a, z in _pieces(first, last, stop):
-            along(log, q, totals, out, True, a, z)
-            done((z - a) * TILE)
+    def along(q: NDArray[Any], first: int, last: int, stop: Event) -> None:
+        for piece in _pieces(first, last, stop):
+            run.along(log, q, peak, piece)
+            done((piece[1] - piece[0]) * TILE)
 
     runs = zip(starts, pairwise(bounds), strict=True)
-    pool.in_threads([partial(run, q, a, z) for q, (a, z) in runs], threads)
+    in_threads([partial(along, q, a, z) for q, (a, z) in runs], threads)
     rest = count - tiles * TILE
     if rest or not tiles:
         lane = np.array([log]), np.array([tiles * TILE])
-        carry(*lane, rest, starts[-1][None], out, True, 0, 1)
+        run.side_by_side(lane, rest, starts[-1][None], peak[-1:], (0, 1))
         done(rest)
+    return float(peak.max())
 
 
 def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
@@ -277,13 +266,12 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
 
 
 def beyond(
-    data: NDArray[Any], spans: Any, window: Window, kind: type
+    data: NDArray[Any], spans: Any, window: Window, increments: bool
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Samples before and after the log, by the polynomial of the nearest whole window."""
     n_logs, n = data.shape[:2]
-    increments = kind is Increments
     count = n if increments else n - 1
-    near = min(window.samples(kind), n)
+    near = min(window.samples(increments), n)
     inside = near if increments else near - 1
     gaps = np.full(max(count, 1), spans) if np.ndim(spans) == 0 else spans
     gaps = gaps.astype(np.float64)

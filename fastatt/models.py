@@ -1,25 +1,22 @@
-"""What models of rates and of torques share: their numbers checked and laid out flat, user's tags.
+"""What models of rates, torques and forces share: their numbers checked and laid out flat.
 
-A model is a ``NamedTuple`` of numbers, or of arrays with one row per body. Packed, it is the same
-class with zeros in place of the numbers (a tag, whose type chooses the kernels) and an array of
-parameters, (P,) shared by all bodies or (N, P).
+A model is a ``NamedTuple`` of numbers, or of arrays with one row per body. Packed, it is a law (the
+record of its class and how many numbers each field has, which is all that a formula depends on) and
+an array of parameters, (P,) shared by all bodies or (N, P).
 """
 
 from __future__ import annotations
 
-from collections import namedtuple
-from collections.abc import Callable, Iterable, Sequence
-from types import FunctionType
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
-from numba import types
-from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._jit import recompile
+from fastatt.flat.trace import traceable
 
 Model = Any  # an instance of a model's class
 
@@ -37,41 +34,108 @@ class Field(NamedTuple):
     above_zero: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What every kind of model says of its class: its fields and its formula."""
+
+    model: type | None
+    fields: tuple[Field, ...]
+    formula: Callable[..., Any]
+
+    @cached_property
+    def traced(self) -> Callable[..., Any]:
+        """The formula for recorded numbers."""
+        return traceable(self.formula)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A model without its numbers: which formula, of how many numbers.
+
+    ``parts`` are the laws of a sum's terms, or the one beneath principal axes that lie elsewhere.
+    """
+
+    record: Any
+    sizes: tuple[int, ...] = ()
+    parts: tuple[Law, ...] = ()
+    #: a user's functions: what is traced or called, and the potential, if there is one
+    function: Any = None
+    potential: Any = None
+    #: number of the table that the formula looks up
+    table: int | None = None
+
+    @cached_property
+    def count(self) -> int:
+        """Number of parameters."""
+        return sum(self.sizes) + sum(part.count for part in self.parts)
+
+    def split(self, p: Any) -> list[tuple[Law, Any]]:
+        """Each part with its own parameters, which follow this law's."""
+        at, found = sum(self.sizes), []
+        for part in self.parts:
+            found.append((part, p[at : at + part.count]))
+            at += part.count
+        return found
+
+    def formula(self, *given: Any) -> Any:
+        """The record's formula of what is given, parameters last; of a sum that of its terms."""
+        *before, p = given
+        if self.record is SUM:
+            terms = [law.formula(*before, own) for law, own in self.split(p)]
+            return tuple(sum(column[1:], column[0]) for column in zip(*terms, strict=True))
+        if self.function is not None:
+            return self.function.call(*before, p)
+        return self.record.formula(*before, p)
+
+    def with_tables_from(self, k: int) -> Law:
+        """The same, its tables numbered from k on."""
+        parts = tuple(part.with_tables_from(k) for part in self.parts)
+        table = None if self.table is None else self.table + k
+        return replace(self, parts=parts, table=table)
+
+    def leaves(self) -> Iterable[Law]:
+        """The laws of which a sum is one, or this one."""
+        if not self.parts:
+            yield self
+        for part in self.parts:
+            yield from part.leaves()
+
+
 class Packed(NamedTuple):
-    """A model ready for the engine: its tag and flat parameters, (P,) shared or (N, P)."""
+    """A model ready for the engine: its law, flat parameters, (P,) shared or (N, P), tables."""
 
-    tag: Any
+    law: Any
     params: NDArray[np.float64]
-    cacheable: bool
+    #: arrays of numbers that a formula looks up, by their numbers
+    tables: Mapping[int, NDArray[np.float64]]
 
 
-def pack_fields(
-    model: Model, layout: Iterable[Field], n_bodies: int | None, argument: str
-) -> Packed:
+def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: str) -> Packed:
     """Check a model's numbers and lay them out flat.
 
     Raises ``ValueError`` or ``TypeError`` for numbers that are not finite or of the wrong shape.
     """
     cls = type(model)
-    zeros, columns = [], []
-    for name, value, (shape, above_zero) in zip(model._fields, model, layout, strict=True):
+    sizes, columns = [], []
+    for name, value, (shape, above_zero) in zip(model._fields, model, record.fields, strict=True):
         label = f"{argument}: {cls.__name__}.{name}"
         array = numbers(label, value)
         one = array.ndim == len(shape)
         tail = array.shape[array.ndim - len(shape) :]
         fits = array.size > 0 and (one or array.ndim == len(shape) + 1)
         if not fits or any(n not in (m, -1) for m, n in zip(tail, shape, strict=True)):
-            sizes = ["K" if n == -1 else str(n) for n in shape]
-            accepted = f"{_tuple(sizes)} and {_tuple(['N', *sizes])}"
+            sizes_ = ["K" if n == -1 else str(n) for n in shape]
+            accepted = f"{_tuple(sizes_)} and {_tuple(['N', *sizes_])}"
             raise ValueError(f"{label} has shape {array.shape}; accepted are {accepted}")
         if above_zero and (array <= 0.0).any():
             first = np.argwhere(np.atleast_1d(array) <= 0.0)[0, 0]
             where = f"[{first}]" if array.ndim else ""
             found = np.atleast_1d(array)[first]
             raise ValueError(f"{label}{where} is {found}; accepted: above 0")
-        zeros.append(_zeros(tail))
+        sizes.append(int(np.prod(tail, dtype=int)))
         columns.append(array.reshape((*array.shape[: array.ndim - len(shape)], -1)))
-    return Packed(cls(*zeros), join(columns, n_bodies, f"{argument}: {cls.__name__}"), True)
+    params = join(columns, n_bodies, f"{argument}: {cls.__name__}")
+    return Packed(Law(record, tuple(sizes)), params, {})
 
 
 def pack_sum(
@@ -85,7 +149,12 @@ def pack_sum(
         raise ValueError(f"{argument}: Sum.terms is empty; accepted is a tuple of models")
     packed = [pack(term, n_bodies, f"{argument}: Sum") for term in model.terms]
     params = join([p.params for p in packed], n_bodies, f"{argument}: Sum")
-    return Packed(Sum(tuple(p.tag for p in packed)), params, all(p.cacheable for p in packed))
+    laws: list[Law] = []
+    tables: dict[int, NDArray[np.float64]] = {}
+    for term in packed:
+        laws.append(term.law.with_tables_from(len(tables)))
+        tables |= {len(tables) + k: array for k, array in term.tables.items()}
+    return Packed(Law(SUM, (), tuple(laws)), params, tables)
 
 
 def no_model(
@@ -99,77 +168,7 @@ def no_model(
     )
 
 
-class UserFunctions:
-    """The tags of users' functions of one kind, such as ``rate(t, p)``.
-
-    ``before`` are the types of the arguments before ``p``, ``n_results`` the numbers given back
-    (1: a single float).
-    """
-
-    def __init__(
-        self, argument: str, call: str, before: Sequence[types.Type], n_results: int, unit: str
-    ) -> None:
-        self._argument, self._call, self._unit = argument, call, unit
-        self._before, self._n_results = before, n_results
-        self._functions: dict[type, Any] = {}
-        self._tags: WeakKeyDictionary[Any, type] = WeakKeyDictionary()
-
-    def __contains__(self, cls: type) -> bool:
-        return cls in self._functions
-
-    def __getitem__(self, cls: type) -> Any:
-        return self._functions[cls]
-
-    def tag(self, function: Callable[..., Any], n_params: int) -> Any:
-        """Tag of a user's function: its class exists in this process only.
-
-        Raises ``TypeError`` when the function does not compile or returns something else.
-        """
-        if not isinstance(getattr(function, "py_func", function), FunctionType):
-            raise TypeError(
-                f"{self._argument}: found {checks.brief(function)}; accepted: a function "
-                f"{self._call}"
-            )
-        if function not in self._tags:
-            # symbols carry the class's name: of two with one name the linker keeps the first
-            name = f"User{self._argument.title()}{len(self._functions)}"
-            made: type = _new_tag(name, ["p"])
-            self._functions[made] = recompile(function)
-            self._tags[function] = made
-        cls = self._tags[function]
-        self._compile(cls, getattr(function, "__name__", repr(function)), n_params)
-        return cls((0.0,) * n_params)
-
-    def _compile(self, cls: type, name: str, n_params: int) -> None:
-        signature = (*self._before, types.UniTuple(types.float64, n_params))
-        given = self._call.replace(self._argument, name, 1)
-        try:
-            self._functions[cls].compile(signature)
-        except (NumbaError, TypeError) as error:  # numba's, or its word on the number of arguments
-            first = next((ln for ln in str(error).splitlines() if ln.strip()), "")
-            raise TypeError(
-                f"{self._argument}: {given} does not compile for floats, with p a tuple of "
-                f"{n_params} floats: {first}; accepted is a function that numba.njit compiles"
-            ) from error
-        returned = self._functions[cls].overloads[signature].signature.return_type
-        if self._n_results == 1:
-            fits = isinstance(returned, types.Number)
-        else:
-            fits = isinstance(returned, types.BaseTuple) and len(returned) == self._n_results
-            fits = fits and all(isinstance(t, types.Number) for t in returned)
-        if not fits:
-            accepted = "a float" if self._n_results == 1 else "a tuple of three floats"
-            raise TypeError(
-                f"{self._argument}: {given} returns {returned}; accepted is {accepted}, "
-                f"{self._unit}"
-            )
-
-
-def count(tag: Any) -> int:
-    """How many parameters a tag, or its type as the compiler sees it, stands for."""
-    if isinstance(tag, (types.Array, np.ndarray)):
-        return 0
-    return sum(count(t) for t in tag) if isinstance(tag, (types.BaseTuple, tuple)) else 1
+SUM = Record(Sum, (), sum)
 
 
 def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
@@ -190,7 +189,8 @@ def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str
             f"{name}: found parameters for {sorted(rows)} bodies; accepted: {expected}"
         )
     n = rows.pop()
-    return np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
+    together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
+    return np.ascontiguousarray(together)
 
 
 def params_of(value: ArrayLike | None) -> NDArray[np.float64]:
@@ -202,13 +202,6 @@ def params_of(value: ArrayLike | None) -> NDArray[np.float64]:
     if array.ndim > 2 or (len(array.shape) == 2 and not len(array)):
         raise ValueError(f"params: has shape {array.shape}; accepted are (P,) and (N, P)")
     return array
-
-
-_new_tag: Callable[..., type] = namedtuple  # noqa: PYI024 (a class for each function)
-
-
-def _zeros(shape: tuple[int, ...]) -> Any:
-    return tuple(_zeros(shape[1:]) for _ in range(shape[0])) if shape else 0.0
 
 
 def _tuple(sizes: Sequence[str]) -> str:

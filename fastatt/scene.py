@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks, forces, rates, torques
+from fastatt import checks, forces, models, rates, torques
+from fastatt._jit import plain
+from fastatt.flat.user import UserFunction
 from fastatt.inertia import (
     Principal,
     is_sorted,
@@ -20,8 +22,24 @@ from fastatt.inertia import (
     sort_axes,
 )
 from fastatt.kernels import rigid
-from fastatt.models import Packed, join, numbers
-from fastatt.motion import Body, Moving
+from fastatt.models import Law, join, numbers
+from fastatt.motion import GivenRate, Moving, RigidBody, Structure, turning_part
+
+
+class Packed(NamedTuple):
+    """A scene ready for the engine."""
+
+    #: what acts, without numbers
+    structure: Structure
+    #: flat parameters, (P,) shared or (N, P)
+    params: NDArray[np.float64]
+    #: tables and opaque functions that the formulas look up, by the names that graphs have for them
+    resources: dict[Any, Any]
+
+    @property
+    def tables(self) -> dict[int, NDArray[np.float64]]:
+        """The tables alone, by their numbers."""
+        return {name[1]: array for name, array in self.resources.items() if name[0] == "table"}
 
 
 @dataclass(frozen=True)
@@ -106,18 +124,33 @@ class Scene:
         return principal(self.inertia, allow_unphysical=self.allow_unphysical)
 
     @cached_property
-    def _tag(self) -> Any:
-        return self._body(None).tag
+    def _law(self) -> Law:
+        return turning_part(self._body(None).structure).law
 
-    def dependence(self, *, sorted_axes: bool = False) -> int:
-        """How the torque depends on w, one of ``fastatt.torques``'s POSITION, DAMPED and RATE."""
+    def dependence(self, *, sorted_axes: bool = False) -> torques.Dependence:
+        """How the torque depends on w."""
         turned = sorted_axes and not is_sorted(self.principal.moments)
-        return torques.dependence(self._tag.torque, turned=turned)
+        return torques.dependence(self._law, turned=turned)
 
     @cached_property
     def has_potential(self) -> bool:
         """Whether kinetic plus potential energy is constant."""
-        return self.rate is None and torques.has_potential(self._tag.torque)
+        return self.rate is None and torques.has_potential(self._law)
+
+    @cached_property
+    def functions(self) -> tuple[UserFunction, ...]:
+        """One's own functions in it: each says whether it is traced (``straight``) or why not.
+
+        A function that is traced becomes part of the loop: it vectorises, and is kept on disk. One
+        that is not is called for each body (``reason`` says why).
+        """
+        structure = self.packed(None).structure
+        laws = [turning_part(structure).law]
+        if isinstance(structure, Moving):
+            laws.append(structure.law)
+        leaves = [leaf for law in laws for leaf in law.leaves()]
+        found = [f for leaf in leaves for f in (leaf.function, leaf.potential)]
+        return tuple(f for f in found if f is not None)
 
     @property
     def moves(self) -> bool:
@@ -127,7 +160,7 @@ class Scene:
     def packed(
         self, n_bodies: int | None, *, sorted_axes: bool = False, position: bool = False
     ) -> Packed:
-        """The tag and the flat parameters of all that acts, checked against the number of bodies.
+        """The structure and the flat parameters of all that acts, for a number of bodies.
 
         The intermediate principal axis may be wanted second, and the position carried.
         """
@@ -143,10 +176,14 @@ class Scene:
         elif callable(model):
             model = forces.Custom(model)
         pushing = forces.pack(model, n_bodies)
-        place = (0.0, 0.0, 0.0) if position else ()
         params = join([packed.params, inverse[..., None], pushing.params], n_bodies, "mass, force")
-        cacheable = packed.cacheable and pushing.cacheable
-        return Packed(Moving(packed.tag, pushing.tag, place), params, cacheable)
+        structure = packed.structure
+        assert not isinstance(structure, Moving)
+        return Packed(
+            Moving(structure, pushing.law, position),
+            params,
+            {**packed.resources, **_resources(pushing)},
+        )
 
     def _rate(self, n_bodies: int | None) -> Packed:
         function: Callable[..., Any] | None = self.rate if callable(self.rate) else None
@@ -154,9 +191,8 @@ class Scene:
             packed = rates.pack_user(function, self.params, n_bodies)
         else:
             packed = rates.pack(self.rate, n_bodies)
-        if self.frame == "inertial":
-            packed = packed._replace(tag=rates.InertialAxes(packed.tag))
-        return packed
+        structure = GivenRate(packed.law, self.frame == "inertial")
+        return Packed(structure, packed.params, _resources(packed))
 
     def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:
         found = self.principal
@@ -166,20 +202,28 @@ class Scene:
         if sorted_axes:
             found = sort_axes(found)
         model = self.torque
-        if model is None:
-            model = torques.Free()
-        elif callable(model):
+        if callable(model):
             model = torques.Custom(model, self.params)
         acting = torques.pack(model, n_bodies, found.axes)
         columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
         # the kernel's own formula, on whole columns
-        gyroscopic = np.stack(rigid.gyroscopic_coefficients.py_func(columns_of_moments), axis=-1)
+        gyroscopic = np.stack(plain(rigid.gyroscopic_coefficients)(columns_of_moments), axis=-1)
         columns = [0.5 / found.moments, found.moments, gyroscopic]
         if found.axes is not None:
             columns.append(found.axes)
-        turned = () if found.axes is None else (0.0,) * 4
         params = join([*columns, acting.params], n_bodies, "inertia, torque")
-        return Packed(Body(acting.tag, turned), params, acting.cacheable)
+        structure = RigidBody(acting.law, found.axes is not None)
+        return Packed(structure, params, _resources(acting))
+
+
+def _resources(packed: models.Packed) -> dict[Any, Any]:
+    """Tables and opaque functions of a law."""
+    found: dict[Any, Any] = {("table", k): array for k, array in packed.tables.items()}
+    for law in packed.law.leaves():
+        for function in (law.function, law.potential):
+            if function is not None and not function.straight:
+                found["function", function] = function.address
+    return found
 
 
 def as_scene(scene: object) -> Scene:

@@ -1,4 +1,4 @@
-"""Single steps: the ensemble engine's own kernels, one body and one step at a time.
+"""Single steps: the ensemble engine's own formulas, one body and one step at a time.
 
 ``single_step`` makes the functions of a scene and a method; ``hold`` to ``coning3_increments`` are
 the methods for gyro samples, and ``sample_step`` gives them by name. All are called from Python,
@@ -9,115 +9,45 @@ allocated; those named ``…_into`` work on arrays in place.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
-from fastatt._jit import helper, hook, kernel
-from fastatt.columns import unpack
-from fastatt.engine.tiles import short
-from fastatt.methods import METHODS
-from fastatt.methods.coning2 import Coning2
-from fastatt.methods.coning3 import Coning3, Coning3Optimal
-from fastatt.methods.hold import Hold
-from fastatt.methods.method import enter, leave, prepare
-from fastatt.methods.previous import Previous
-from fastatt.methods.sampled import WINDOWS, Increments, Rates, products
-from fastatt.methods.trapezoid import Trapezoid
-from fastatt.motion import begin, carried, hand_out
-from fastatt.propagate import methods_for
-from fastatt.representations import OPERATIONS, REPRESENTATIONS, Quat, QuatShort, attitude
+from fastatt._jit import around_formulas
+from fastatt.attitudes import ATTITUDES, Attitude
+from fastatt.engine.job import Formulas, Job, Scope
+from fastatt.flat.formulas import Vector, as_like
+from fastatt.flat.functions import larger
+from fastatt.flat.graph import CLASSES, Double, number
+from fastatt.flat.scalar import ScalarFunction, scalar_function
+from fastatt.methods import METHODS, Method
+from fastatt.running.propagate import attitude_of, fits, methods_for
+from fastatt.running.task import KINDS
+from fastatt.sample_steps import (
+    SampleStepper,
+    coning2,
+    coning2_increments,
+    coning3,
+    coning3_increments,
+    coning3_optimal_increments,
+    hold,
+    hold_increments,
+    previous,
+    previous_increments,
+    sample_step,
+    trapezoid,
+)
 from fastatt.scene import Scene
-from fastatt.translation import full_step
 
 # in this order, the first that fits the scene and the representation
 _DEFAULTS = ("magnus4", "rk8", "rk4")
 _HALF_TURN = math.pi * math.pi
-
-
-def place(rep: Any, q: Any) -> Any:
-    """The attitude's part of a state, of a quaternion of any length but zero."""
-    raise NotImplementedError(rep)
-
-
-@hook(place)
-def _place(rep: types.BaseNamedTuple, q: types.BaseTuple) -> Any:
-    operation = OPERATIONS[rep.instance_class].start
-    return lambda rep, q: operation(q)
-
-
-def values(p: Any, shape: Any) -> Any:
-    """A tuple as it is, or the numbers of an array as a tuple of the length of ``shape``."""
-    raise NotImplementedError
-
-
-@hook(values)
-def _values(p: types.Type, shape: types.BaseTuple) -> Any:
-    if isinstance(p, types.Array):
-        return lambda p, shape: unpack(p, shape)
-    return lambda p, shape: p
-
-
-def through(
-    method: Any, rep: Any, near: Any, model: Any, stages: Any, t: Any, h: Any, y: Any, p: Any,
-    e: Any,
-) -> Any:  # fmt: skip
-    """(y one step of h s later, the largest squared angle of a stage).
-
-    ``near`` is the twin of ``rep`` for turns of at most π, which is run first; ``stages`` are those
-    of the method, or () for one.
-    """
-    raise NotImplementedError(method)
-
-
-@hook(through)
-def _through(
-    method: types.Type, rep: types.BaseNamedTuple, near: types.BaseNamedTuple, model: types.Type,
-    stages: types.BaseTuple, t: types.Type, h: types.Type, y: types.BaseTuple, p: types.Type,
-    e: types.Type,
-) -> Any:  # fmt: skip
-    n = len(stages)
-
-    def whole(method, rep, near, model, stages, t, h, y, p, e):
-        k = type(y[0])(h)
-        x, z = full_step(method, rep, model, t, k, k, y, p, e)
-        return x, z
-
-    def twice(method, rep, near, model, stages, t, h, y, p, e):
-        F = type(y[0])
-        k = F(h)
-        x, z = full_step(method, near, model, t, k, k, y, p, e)
-        if z > F(_HALF_TURN):
-            x, z = full_step(method, rep, model, t, k, k, y, p, e)
-        return x, z
-
-    def staged(method, rep, near, model, stages, t, h, y, p, e):
-        F = type(y[0])
-        most = F(0.0)
-        for i in range(n):
-            share, other, at = stages[i]
-            y, z = full_step(method, rep, model, t + at * h, F(share * h), F(other * h), y, p, e)
-            most = z if z > most else most
-        return y, most
-
-    if n:
-        return staged
-    return whole if near.instance_class is rep.instance_class else twice
-
-
-@helper
-def whole_step(method, rep, near, model, stages, edge, t, h, x, p):
-    """(x(t + h), the largest squared angle): into the method's own state, through, and back."""
-    F = type(x[0])
-    e = prepare(method, rep, model, F(h), x, p)
-    y = enter(method, rep, model, t, F(0.0), F(edge * h), x, p, e)
-    y, z = through(method, rep, near, model, stages, t, h, y, p, e)
-    return leave(method, rep, model, t + h, F(h), F(edge * h), y, p, e), z
+_ONE_STAGE = ((1.0, 1.0, 0.0),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,29 +127,31 @@ class Stepper:
 def single_step(
     scene: Scene,
     *,
-    method: str | None = None,
-    representation: str = "quat",
+    method: str | Method | None = None,
+    representation: str | Attitude = "quat",
     position: bool = False,
     dtype: DTypeLike = np.float64,
 ) -> Stepper:
-    """Single steps of a scene by one method: the kernels of the ensemble engine.
+    """Single steps of a scene by one method: the formulas of the ensemble engine.
 
     A step from Python takes 0.4 to 0.7 µs, inside ``@njit`` code the arithmetic alone: 4 to 25 ns
-    by an exponential method. Functions are compiled when they are first called, and kept on disk
-    but for a user's own rate or torque.
+    by an exponential method. Functions are compiled when they are first called, once a process for
+    all scenes that differ in numbers alone.
 
-    Results are those of :func:`fastatt.propagate` bit for bit as far as the compiler fuses the same
-    multiplications and additions in both; where it does not they differ by a few ulps a step. So
-    they do where the engine, having found a turn past π, repeats a whole block of steps with the
-    exponential that is good at any angle, and in float32 where each body has its own parameters,
-    for there the engine rounds the time.
+    Results are those of :func:`fastatt.propagate` bit for bit, with two exceptions. There, having
+    found a turn past π, the engine repeats a whole block of steps with the exponential that is good
+    at any angle, here a step. And methods that work on another state than x go out of it and back
+    in every ``step``, and split the time of a stage otherwise: a few ulps a step, none by
+    ``enter``, ``advance`` and ``leave`` where the torque does not depend on time.
 
     Parameters
     ----------
     scene : what acts.
-    method : a name of ``fastatt.METHODS`` that fits; None takes the first of magnus4, rk8 and rk4.
-        The closed form takes no steps: see ``fastatt.exact`` and ``fastatt.kernels.free_body``.
-    representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector".
+    method : a name of ``fastatt.METHODS`` that fits, or a method of one's own; None takes the first
+        of magnus4, rk8 and rk4. The closed form takes no steps: see ``fastatt.exact`` and
+        ``fastatt.kernels.free_body``.
+    representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
+        ``Attitude`` of one's own.
     position : carry the position too, of a scene with mass.
     dtype : float64 or float32, of ``params`` and of what ``Stepper.state`` gives.
 
@@ -233,35 +165,50 @@ def single_step(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
-    checks.choice("representation", representation, REPRESENTATIONS)
-    fitting = [n for n in methods_for(scene, representation) if METHODS[n].tag is not None]
-    name = next((n for n in _DEFAULTS if n in fitting), "") if method is None else method
-    record = METHODS[checks.choice("method", name, fitting)]
+    attitude = attitude_of(representation)
+    record = _method(scene, method, attitude)
     if position and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     kind = checks.precision(dtype)
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
-    params: Any = packed.params
-    shared = params.ndim == 1
-    # as in the engine: a rate that all share is evaluated in double precision
-    if not shared or scene.kind != "rate" or scene.moves:
-        params = params.astype(kind)
+    shared = packed.params.ndim == 1
+    job = Job(record, attitude, packed.structure, KINDS[kind], shared=shared)
+    params = packed.params.astype(np.float64 if job.parameter_kind == "double" else kind)
+    tables = {key[1]: value for key, value in packed.resources.items() if key[0] == "table"}
+    # functions take either precision; tables are what they hold besides their job
+    key = replace(job, kind="double")
+    functions = _functions(key, tables) if tables else _kept(key)
+    start, read = _ends(replace(key, method=METHODS[_DEFAULTS[-1]]))
     names = (
         *(() if scene.kind == "rate" else ("w",)),
         *(("v",) if scene.moves else ()),
         *(("r",) if position else ()),
     )
-    rep = REPRESENTATIONS[representation]()
-    return _stepper(
-        *(record.tag, rep, short(rep) if record.exponentials else rep, packed.tag, record.stages),
-        n_params=params.shape[-1],
-        compile_one=kernel if packed.cacheable else _compile_for_now,
-        method=name,
-        representation=representation,
+    return Stepper(
+        method=record.name,
+        representation=attitude.name,
         params=_floats(params) if shared else params,
+        start=start,
+        read=read,
+        **functions._asdict(),
         _names=names,
         _kind=kind,
     )
+
+
+def _method(scene: Scene, method: str | Method | None, attitude: Attitude) -> Method:
+    """The method that was asked for, or the first of the defaults that fits."""
+    known = attitude.name if attitude.name in ATTITUDES else None
+    fitting = [name for name in methods_for(scene, known) if METHODS[name].is_stepped]
+    if isinstance(method, Method):
+        if method.is_stepped and fits(method, scene, known):
+            return method
+        raise ValueError(
+            f"method: found {method.name}; accepted: {', '.join(fitting)} and methods of one's own "
+            f'that take steps of this scene ({scene.kind}) in "{attitude.name}"'
+        )
+    name = next((n for n in _DEFAULTS if n in fitting), "") if method is None else method
+    return METHODS[checks.choice("method", name, fitting)]
 
 
 def _floats(values: NDArray[Any]) -> tuple[Any, ...]:
@@ -269,250 +216,205 @@ def _floats(values: NDArray[Any]) -> tuple[Any, ...]:
     return tuple(values) if values.dtype == np.float32 else tuple(values.tolist())
 
 
-def _compile_for_now(function: Callable[..., Any]) -> Any:
-    return kernel(function, cache=False)
+class _Given(Scope):
+    """A job's motion on the numbers that a formula was called with, in the precision of x."""
+
+    def __init__(self, formulas: Formulas, x: Vector, p: Vector, *, quick: bool = False) -> None:
+        job = formulas.job
+        if len(p) != formulas.parameters:
+            raise TypeError(f"p: found {len(p)} numbers; accepted: {formulas.parameters}")
+        short = quick and job.method.exponentials > 0
+        super().__init__(formulas, job.attitude.short if short else job.attitude, x[0].graph)
+        self.kind = x[0].kind
+        of_rate = "double" if job.shared and job.is_kinematic else self.kind
+        self._bind(tuple(CLASSES[of_rate](k) for k in p), x[0])
+
+    def at(self, t: Any) -> Any:
+        """A time as the engine takes it."""
+        return Double(t) if self.job.shared else CLASSES[self.kind](t)
+
+    def narrow(self, h: Any) -> Any:
+        """A span in the precision of x."""
+        return CLASSES[self.kind](h)
+
+    def made(self, values: Any) -> Vector:
+        """Results in the precision of x, those too that are known beforehand."""
+        return tuple(number(self.graph, value, self.kind) for value in values)
 
 
-def _stepper(
-    tag: Any,
-    rep: Any,
-    near: Any,
-    model: Any,
-    stages: Any,
-    *,
-    n_params: int,
-    compile_one: Callable[..., Any],
-    **described: Any,
-) -> Stepper:
-    """The functions close over tags and numbers alone, which Numba's disk cache knows again."""
-    size, stored = OPERATIONS[type(rep)].size, OPERATIONS[type(rep)].stored
-    edge = 0.5 * stages[-1][1] if stages else 0.0  # what is stepped lies this share of h ahead
-    shape, like = (0.0,) * n_params, (0.0,) * carried(type(rep), model)
+class _Pieces:
+    """A job's formulas for ``scalar_function``: of a state x or y, parameters p, prepared e."""
 
-    def start(q, y, p):
-        return begin(rep, model, place(rep, q), y, values(p, shape))
+    def __init__(self, job: Job) -> None:
+        self._formulas = job.formulas
 
-    def read(x, p):
-        y, _ = hand_out(rep, model, x, values(p, shape), False)
-        return attitude(rep, y[:size]), y[stored:]
+    def begun(self, q: Vector, y: Vector, p: Vector) -> Vector:
+        """x of an attitude and of what is carried beside it."""
+        scope = _Given(self._formulas, q, p)
+        tail = self._formulas.job.structure.tail
+        if len(y) != tail:
+            raise TypeError(f"y: found {len(y)} numbers; accepted: {tail}")
+        return scope.made(scope.begin(q, as_like(tuple(y), q[0])))
+
+    def entered(self, t: Any, h: Any, edge: Any, x: Vector, p: Vector) -> tuple[Vector, Vector]:
+        """(y, e): the state as the method steps it, what a run with step h needs."""
+        size = self._formulas.size
+        if len(x) != size:
+            raise TypeError(f"x: found {len(x)} numbers; accepted: {size}")
+        scope = _Given(self._formulas, x, p)
+        e = scope.prepared(scope.narrow(h), x)
+        y = scope.entered(scope.at(t), scope.narrow(edge), x, e)
+        return scope.made(y), scope.made(e)
+
+    def quick(self, t: Any, spans: Vector, y: Vector, p: Vector, e: Vector, most: Any) -> Any:
+        """(y, the larger of ``most`` and the squared turn) after a stage of turns up to π."""
+        return self._stage(_Given(self._formulas, y, p, quick=True), t, spans, y, e, most)
+
+    def careful(self, t: Any, spans: Vector, y: Vector, p: Vector, e: Vector, most: Any) -> Any:
+        """The same for turns of any size."""
+        return self._stage(_Given(self._formulas, y, p), t, spans, y, e, most)
+
+    def _stage(
+        self, scope: _Given, t: Any, spans: Vector, y: Vector, e: Vector, most: Any
+    ) -> tuple[Vector, Any]:
+        h, k = map(scope.narrow, spans)
+        y, z = scope.step(scope.at(t), h, k, y, e)
+        return scope.made(y), scope.made((larger(most, z),))[0]
+
+    def left(self, t: Any, since: Any, edge: Any, y: Vector, p: Vector, e: Vector) -> Vector:
+        """x of the state as the method steps it."""
+        scope = _Given(self._formulas, y, p)
+        return scope.made(scope.left(scope.at(t), scope.narrow(since), scope.narrow(edge), y, e))
+
+    def handed_out(self, x: Vector, p: Vector) -> Vector:
+        """What a trajectory holds."""
+        scope = _Given(self._formulas, x, p)
+        return scope.made(scope.hand_out(x)[0])
+
+    def quaternion(self, y: Vector) -> Vector:
+        """The attitude of what a trajectory holds."""
+        attitude = self._formulas.job.attitude
+        assert attitude.quaternion is not None
+        return tuple(attitude.quaternion(y[: attitude.size]))
+
+
+class _Functions(NamedTuple):
+    """What a stepper does of a method."""
+
+    step: Any
+    step_and_turn: Any
+    step_into: Any
+    enter: Any
+    advance: Any
+    leave: Any
+
+
+def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> _Functions:
+    """The functions of a job, each compiled when it is first called."""
+    pieces, size = _Pieces(job), job.formulas.size
+    stages = np.array(job.method.stages or _ONE_STAGE)
+    # what is stepped lies this share of h ahead
+    edge = 0.5 * stages[-1, 1] if job.method.stages else 0.0
+
+    def scalar(formula: Any, **arrays: int) -> ScalarFunction:
+        return scalar_function(formula, tables, arrays={"p": job.structure.n_params, **arrays})
+
+    entered, left = scalar(pieces.entered, x=size), scalar(pieces.left)
+    through = _through(scalar(pieces.quick), scalar(pieces.careful), stages, job)
 
     def step(t, h, x, p):
-        x, _ = whole_step(tag, rep, near, model, stages, edge, t, h, x, values(p, shape))
-        return x
+        y, e = entered(t, h, edge * h, x, p)
+        y, _ = through(t, h, y, p, e)
+        return left(t + h, h, edge * h, y, p, e)
 
     def step_and_turn(t, h, x, p):
-        x, z = whole_step(tag, rep, near, model, stages, edge, t, h, x, values(p, shape))
-        return x, math.sqrt(z)
+        y, e = entered(t, h, edge * h, x, p)
+        y, z = through(t, h, y, p, e)
+        return left(t + h, h, edge * h, y, p, e), math.sqrt(z)
 
     def step_into(t, h, x, p):
-        y = values(x, like)
-        y, _ = whole_step(tag, rep, near, model, stages, edge, t, h, y, values(p, shape))
-        for i in range(len(y)):
+        y, e = entered(t, h, edge * h, x, p)
+        y, _ = through(t, h, y, p, e)
+        y = left(t + h, h, edge * h, y, p, e)
+        for i in range(size):
             x[i] = y[i]
 
-    def enter_run(t, h, x, p):
-        F = type(x[0])
-        e = prepare(tag, rep, model, F(h), x, values(p, shape))
-        return enter(tag, rep, model, t, F(0.0), F(edge * h), x, values(p, shape), e), e
+    def enter(t, h, x, p):
+        return entered(t, h, edge * h, x, p)
 
     def advance(t, h, y, p, e):
-        y, _ = through(tag, rep, near, model, stages, t, h, y, values(p, shape), e)
+        y, _ = through(t, h, y, p, e)
         return y
 
-    def leave_run(t, s, h, y, p, e):
-        F = type(y[0])
-        return leave(tag, rep, model, t, F(s), F(edge * h), y, values(p, shape), e)
+    def leave(t, s, h, y, p, e):
+        return left(t, s, edge * h, y, p, e)
 
-    return Stepper(
-        start=compile_one(start),
-        step=compile_one(step),
-        step_and_turn=compile_one(step_and_turn),
-        read=compile_one(read),
-        step_into=compile_one(step_into),
-        enter=compile_one(enter_run),
-        advance=compile_one(advance),
-        leave=compile_one(leave_run),
-        **described,
-    )
+    made = (step, step_and_turn, step_into, enter, advance, leave)
+    return _Functions(*[around_formulas(function) for function in made])
 
 
-# samples
+def _through(quick: Any, careful: Any, stages: NDArray[np.float64], job: Job) -> Any:
+    """``through(t, h, y, p, e)``: (y one step later, the largest squared angle of a stage)."""
+    n = len(stages)
+
+    def once(t, h, y, p, e):
+        return quick(t, (h, h), y, p, e, type(y[0])(0.0))
+
+    def twice(t, h, y, p, e):
+        x, z = quick(t, (h, h), y, p, e, type(y[0])(0.0))
+        if z > _HALF_TURN:
+            x, z = careful(t, (h, h), y, p, e, type(y[0])(0.0))
+        return x, z
+
+    def staged(t, h, y, p, e):
+        z = type(y[0])(0.0)
+        for i in range(n):
+            share, other, at = stages[i, 0], stages[i, 1], stages[i, 2]
+            y, z = quick(t + at * h, (share * h, other * h), y, p, e, z)
+        return y, z
+
+    one_stage = twice if job.has_careful_form else once
+    return around_formulas(staged if job.method.stages else one_stage, spliced=True)
 
 
-def carried_by(method: Any, kind: Any, q: Any, v: Any, h: Any) -> Any:
-    """Flat attitudes at the end of each interval, from q at the window's start.
-
-    v are the window's samples, flat, h its intervals.
-    """
-    raise NotImplementedError(method)
+@lru_cache(maxsize=128)
+def _kept(job: Job) -> _Functions:
+    """The functions of a job without tables, made once a process."""
+    return _functions(job, {})
 
 
-@hook(carried_by)
-def _carried_by(
-    method: types.BaseNamedTuple,
-    kind: types.BaseNamedTuple,
-    q: types.BaseTuple,
-    v: types.BaseTuple,
-    h: types.BaseTuple,
-) -> Any:
-    window = WINDOWS[method.instance_class]
-    of_rates = kind.instance_class is Rates
-    turns: Any = window.rates if of_rates else window.increments
-    limit = window.near
+@lru_cache(maxsize=128)
+def _ends(job: Job) -> tuple[Any, Any]:
+    """``start`` and ``read``, which no method has a say in."""
+    pieces, stored = _Pieces(job), job.attitude.stored
+    arrays = {"p": job.structure.n_params}
+    begun = scalar_function(pieces.begun, arrays=arrays)
+    handed_out = scalar_function(pieces.handed_out, arrays={**arrays, "x": job.formulas.size})
+    quaternion = scalar_function(pieces.quaternion)
 
-    def impl(method, kind, q, v, h):
-        F = type(q[0])
-        most = largest(v)
-        most = most * largest(h) if of_rates else most
-        d = turns(QuatShort(), v, h)
-        if not most < F(limit):
-            d = turns(Quat(), v, h)
-        return products(q, d)
+    def start(q, y, p):
+        return begun(q, y, p)
 
-    return impl
+    def read(x, p):
+        y = handed_out(x, p)
+        return quaternion(y[:stored]), y[stored:]
+
+    return around_formulas(start), around_formulas(read)
 
 
-@helper
-def largest(v):
-    """Largest absolute value."""
-    most = abs(v[0])
-    for x in v:
-        most = abs(x) if abs(x) > most else most
-    return most
-
-
-@kernel
-def hold(q, w, h):
-    """Attitude h s later at the rate w (rad/s, body axes), held: q∘exp(h w)."""
-    return carried_by(Hold(), Rates(), q, w, (h,))
-
-
-@kernel
-def hold_increments(q, u):
-    """Attitude after the angle increment u (rad), taken for a rotation vector: q∘exp(u)."""
-    return carried_by(Hold(), Increments(), q, u, (type(u[0])(1.0),))
-
-
-@kernel
-def trapezoid(q, w0, w1, h):
-    """Attitude h s later by the mean of the rates w0 before and w1 after (rad/s)."""
-    return carried_by(Trapezoid(), Rates(), q, w0 + w1, (h,))
-
-
-@kernel
-def previous(q, w0, w1, w2, h0, h1):
-    """Attitude at the newest sample from q at w1's instant: a parabola through three rates.
-
-    w0, w1, w2 (rad/s) were sampled h0 and h1 s apart, w2 the newest: causal, order 3.
-    """
-    return carried_by(Previous(), Rates(), q, w0 + w1 + w2, (h0, h1))
-
-
-@kernel
-def previous_increments(q, u0, u1, h0, h1):
-    """Attitude after the newest increment u1 (rad) over h1 s, u0 the one over the h0 s before."""
-    return carried_by(Previous(), Increments(), q, u0 + u1, (h0, h1))
-
-
-@kernel
-def coning2(q, w0, w1, w2, h0, h1):
-    """(q1, q2): attitudes h0 and h0 + h1 s after q, from rates at all three instants; order 4."""
-    f = carried_by(Coning2(), Rates(), q, w0 + w1 + w2, (h0, h1))
-    return f[:4], f[4:]
-
-
-@kernel
-def coning2_increments(q, u0, u1, h0, h1):
-    """(q1, q2): attitudes after each of two increments (rad) over h0 and h1 s."""
-    f = carried_by(Coning2(), Increments(), q, u0 + u1, (h0, h1))
-    return f[:4], f[4:]
-
-
-@kernel
-def coning3(q, w0, w1, w2, w3, h0, h1, h2):
-    """(q1, q2, q3): attitudes at the ends of three intervals, from rates at all four instants."""
-    f = carried_by(Coning3(), Rates(), q, w0 + w1 + w2 + w3, (h0, h1, h2))
-    return f[:4], f[4:8], f[8:]
-
-
-@kernel
-def coning3_increments(q, u0, u1, u2, h0, h1, h2):
-    """(q1, q2, q3): attitudes after each of three increments (rad) over h0, h1 and h2 s."""
-    f = carried_by(Coning3(), Increments(), q, u0 + u1 + u2, (h0, h1, h2))
-    return f[:4], f[4:8], f[8:]
-
-
-@kernel
-def coning3_optimal_increments(q, u0, u1, u2):
-    """(q1, q2, q3) of increments (rad) over equal intervals, the last optimal for pure coning."""
-    F = type(u0[0])
-    f = carried_by(Coning3Optimal(), Increments(), q, u0 + u1 + u2, (F(1.0), F(1.0), F(1.0)))
-    return f[:4], f[4:8], f[8:]
-
-
-@dataclass(frozen=True)
-class SampleStepper:
-    """One window of gyro samples, made by :func:`sample_step`.
-
-    The window covers ``span`` intervals and looks ``history`` intervals back; it holds ``samples``
-    rates at the ends of all these intervals, rad/s, or increments over them, rad.
-
-    ``step(q, v, h)`` gives the ``span`` attitudes after q, flat: v are the samples and h the
-    intervals (s), flat tuples, the oldest first; None for ``picard``, whose work does not fit one.
-    ``step_into(samples, intervals, out, work)`` fills out[1:]: samples (``samples``, 3), intervals
-    (``history + span``,), out (``span`` + 1, 4) whose first row is the attitude at the window's
-    start, work (``work``,), whose numbers do not matter; arrays of one float type, contiguous.
-    """
-
-    method: str
-    history: int
-    span: int
-    samples: int
-    work: int
-    step: Any
-    step_into: Any
-
-
-def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
-    """One window of a method for sampled rates or angle increments, by its name.
-
-    The kernels are those of :func:`fastatt.integrate_rates`, which gives the same attitudes bit for
-    bit as far as the compiler fuses the same operations, but for the first and last ones of a log,
-    where it has to extrapolate, and near the angle at which it goes over to the exponential for any
-    angle: for 48 intervals at a time, here for a window.
-
-    Raises ``ValueError`` for a method that does not take such samples.
-    """
-    scene = "increments" if increments else "sampled rates"
-    known = [m.name for m in METHODS.values() if scene in m.scenes]
-    tag = METHODS[checks.choice("method", method, known)].tag
-    window = WINDOWS[type(tag)]
-    kind = Increments() if increments else Rates()
-    is_rates, n, span = not increments, window.samples(type(kind)), window.span
-    shape, gaps = (0.0,) * (3 * n), (0.0,) * (window.history + span)
-
-    def step(q, v, h):
-        return carried_by(tag, kind, q, v, h)
-
-    def step_into(samples, intervals, out, work):
-        q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
-        d = carried_by(tag, kind, q, unpack(samples.reshape(-1), shape), unpack(intervals, gaps))
-        flat = out.reshape(-1)
-        for i in range(4 * span):
-            flat[4 + i] = d[i]
-
-    tile: Any = window.tile
-
-    def tile_into(samples, intervals, out, work):
-        v, h = samples.reshape((-1, 1)), intervals.reshape((-1, 1))
-        tile(is_rates, v, 0, h, 0, out.reshape((-1, 1)), 0, work.reshape((-1, 1)), 1)
-
-    return SampleStepper(
-        method=method,
-        history=window.history,
-        span=span,
-        samples=n,
-        work=window.work_rows,
-        step=None if tile else kernel(step),
-        step_into=kernel(tile_into if tile else step_into),
-    )
+__all__ = [
+    "SampleStepper",
+    "Stepper",
+    "coning2",
+    "coning2_increments",
+    "coning3",
+    "coning3_increments",
+    "coning3_optimal_increments",
+    "hold",
+    "hold_increments",
+    "previous",
+    "previous_increments",
+    "sample_step",
+    "single_step",
+    "trapezoid",
+]

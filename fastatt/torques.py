@@ -7,34 +7,85 @@ body axes; fields and weights that are fixed in space are given along inertial a
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._jit import hook
-from fastatt.kernels import quat, rigid
-from fastatt.kernels.vec3 import add, cross, dot
+from fastatt.attitudes import QUATERNION, Attitude
+from fastatt.flat.formulas import Vector, as_like, dot, plus, quat, rigid, vec3
+from fastatt.flat.functions import gather
+from fastatt.flat.graph import Double, choose
+from fastatt.flat.trace import stand_in
+from fastatt.flat.user import user_function
 from fastatt.models import (
+    SUM,
     Field,
+    Law,
     Model,
     Packed,
+    Record,
     Sum,
-    UserFunctions,
-    count,
     join,
     no_model,
     pack_fields,
     pack_sum,
     params_of,
 )
-from fastatt.representations import QUAT, attitude, to_body
 
 
-class Free(NamedTuple):
-    """No torque."""
+class Dependence(IntEnum):
+    """How a torque depends on w: not, by linear damping along principal axes, or somehow."""
+
+    POSITION = 0
+    DAMPED = 1
+    RATE = 2
+
+
+class Pose:
+    """Where a torque is asked for: an attitude, the angular velocity and the principal moments."""
+
+    def __init__(self, attitude: Attitude, x: Vector, w: Vector, moments: Vector) -> None:
+        self._attitude, self._x = attitude, x
+        self.w, self.moments = w, moments
+
+    @cached_property
+    def quaternion(self) -> Any:
+        """The attitude as a quaternion, unit as far as the state is."""
+        assert self._attitude.quaternion is not None
+        return self._attitude.quaternion(self._x)
+
+    def to_body(self, v: Vector) -> Any:
+        """Components of an inertial vector along the axes of the pose."""
+        return self._attitude.seen_from(self._x, v)
+
+
+@dataclass(frozen=True, eq=False)
+class _Formulas(Record):
+    depends: Dependence
+    #: the same along all axes, or given along principal ones
+    axis_free: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRecord(_Formulas):
+    """A class of torques: ``formula(t, pose, p)``, N·m along the axes of the pose.
+
+    ``depends`` says how on w, and has no default: taken for independent, a torque is evaluated at
+    a standstill by the splittings. ``damping(p)`` gives the coefficients (N·m·s, three) of what is
+    linear damping; ``decay(model)`` a bound of them in numpy; ``potential(t, pose, p)`` the
+    potential energy, J, where there is one.
+    """
+
+    potential: Callable[..., Any] | None = None
+    damping: Callable[[Any], Vector] | None = None
+    decay: Callable[[Any], Any] | None = None
+    #: parameters to which a derivative is asked for: all, or none
+    differentiable: bool = True
 
 
 class Constant(NamedTuple):
@@ -146,283 +197,190 @@ class Custom(NamedTuple):
     potential: Callable[..., Any] | None = None
 
 
-class UserTorque(NamedTuple):
-    """Tag of a ``Custom`` torque: its function's and, or ``Free``, its potential's."""
-
-    function: Any
-    potential: Any
+def _no_potential(t: Any, pose: Pose, p: Vector) -> float:
+    return 0.0
 
 
-class UserPositionTorque(NamedTuple):
-    """The same of a torque that promises not to use w."""
-
-    function: Any
-    potential: Any
+def _gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
+    o = pose.to_body(rigid.orbit_direction(t, p[0], p[1:4], p[4:7]))
+    return rigid.gravity_gradient(o, pose.moments, p[0])
 
 
-class Table(NamedTuple):
-    """Tag of a ``Sampled`` torque; the samples travel in it, start and interval are parameters."""
-
-    samples: Any
-    start: float
-    dt: float
+def _quaternion_pd(t: Any, pose: Pose, p: Vector) -> Any:
+    error = rigid.target_error(p[2:], pose.quaternion)
+    return rigid.quaternion_feedback(error, pose.w, p[0], p[1])
 
 
-class Turned(NamedTuple):
-    """Tag of a torque along body axes, seen from principal axes that lie elsewhere.
+def _sampled(t: Any, pose: Pose, p: Vector, table: int = 0) -> Any:
+    s = (t - p[0]) / p[1]
+    s = choose(s > 0.0, s, 0.0)
+    s = choose(s < p[2], s, p[2])
+    below = _FLOOR(s)
+    k = choose(below < p[2], below, p[2] - 1.0)
+    f = s - k
+    a, b = (
+        [gather(table, Double(3.0 * (k + i) + c), k.kind) for c in range(3)] for i in (0.0, 1.0)
+    )
+    return tuple(x + f * (y - x) for x, y in zip(a, b, strict=True))
 
-    The first four parameters are the quaternion p with v_body = p∘v_principal∘p*.
-    """
 
-    axes: Any
-    torque: Any
+def _turned_pose(pose: Pose, axes: Vector) -> Pose:
+    q = quat.mul(pose.quaternion, quat.conj(axes))
+    return Pose(QUATERNION, q, quat.rotate(axes, pose.w), pose.moments)
 
 
-_VECTOR = Field((3,))
-_NUMBER = Field()
-# model class: its fields
-_MODELS: dict[type, tuple[Field, ...]] = {
-    Free: (),
-    Constant: (_VECTOR,),
-    ConstantInertial: (_VECTOR,),
-    Damping: (_NUMBER,),
-    AxisDamping: (_VECTOR,),
-    QuadraticDamping: (_NUMBER,),
-    GravityGradient: (_NUMBER, _VECTOR, _VECTOR),
-    HeavyTop: (_VECTOR, _NUMBER),
-    MagneticDipole: (_VECTOR, _VECTOR),
-    QuaternionPD: (_NUMBER, _NUMBER, Field((4,))),
-    Rotor: (_VECTOR,),
+_FLOOR: Any = stand_in(np).floor
+_VECTOR, _NUMBER = Field((3,)), Field()
+_POSITION, _DAMPED, _RATE = Dependence
+FREE = TorqueRecord(
+    None, (), lambda t, pose, p: (0.0, 0.0, 0.0), _POSITION, True, potential=_no_potential
+)
+_ALL = (
+    TorqueRecord(Constant, (_VECTOR,), lambda t, pose, p: p, _POSITION, False),
+    TorqueRecord(ConstantInertial, (_VECTOR,), lambda t, pose, p: pose.to_body(p), _POSITION, True),
+    TorqueRecord(
+        Damping,
+        (_NUMBER,),
+        lambda t, pose, p: rigid.damping(pose.w, (p[0], p[0], p[0])),
+        _DAMPED,
+        True,
+        damping=lambda p: (p[0], p[0], p[0]),
+        decay=lambda model: np.abs(model.coefficient),
+    ),
+    TorqueRecord(
+        AxisDamping,
+        (_VECTOR,),
+        lambda t, pose, p: rigid.damping(pose.w, p),
+        _DAMPED,
+        False,
+        damping=lambda p: p,
+        decay=lambda model: np.abs(np.asarray(model.coefficients)).max(axis=-1),
+    ),
+    TorqueRecord(
+        QuadraticDamping,
+        (_NUMBER,),
+        lambda t, pose, p: rigid.quadratic_damping(pose.w, p[0]),
+        _RATE,
+        True,
+    ),
+    TorqueRecord(GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True),
+    TorqueRecord(
+        HeavyTop,
+        (_VECTOR, _NUMBER),
+        lambda t, pose, p: vec3.cross(p[:3], pose.to_body((0.0, 0.0, -p[3]))),
+        _POSITION,
+        False,
+        potential=lambda t, pose, p: p[3] * dot(p[:3], pose.to_body((0.0, 0.0, 1.0))),
+    ),
+    TorqueRecord(
+        MagneticDipole,
+        (_VECTOR, _VECTOR),
+        lambda t, pose, p: vec3.cross(p[:3], pose.to_body(p[3:])),
+        _POSITION,
+        False,
+        potential=lambda t, pose, p: -dot(p[:3], pose.to_body(p[3:])),
+    ),
+    TorqueRecord(
+        QuaternionPD,
+        (_NUMBER, _NUMBER, Field((4,))),
+        _quaternion_pd,
+        _RATE,
+        False,
+        decay=lambda model: np.abs(model.damping),
+    ),
+    TorqueRecord(
+        Rotor,
+        (_VECTOR,),
+        lambda t, pose, p: vec3.cross(p, pose.w),
+        _RATE,
+        False,
+        potential=_no_potential,
+    ),
+)
+RECORDS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}
+SAMPLED = TorqueRecord(Sampled, (), _sampled, _POSITION, False, differentiable=False)
+#: beneath principal axes that lie elsewhere: four parameters say where
+TURNED = Record(None, (), _turned_pose)
+USER = {
+    dependence: TorqueRecord(None, (), lambda *given: given[-1], dependence, False)
+    for dependence in Dependence
 }
 _CALL = "torque(t, q, w, p)"
-_F8 = types.float64
-_QUATERNION, _TRIPLE = types.UniTuple(_F8, 4), types.UniTuple(_F8, 3)
-_FUNCTIONS = UserFunctions("torque", _CALL, (_F8, _QUATERNION, _TRIPLE), 3, "N·m")
-_POTENTIALS = UserFunctions("potential", "potential(t, q, p)", (_F8, _QUATERNION), 1, "J")
-POSITION, DAMPED, RATE = 0, 1, 2
-_RATE_DEPENDENT = (QuadraticDamping, QuaternionPD, Rotor, UserTorque)
-_CUSTOM = (UserTorque, UserPositionTorque)
-# the same along all axes, or given along principal ones
-_AXIS_FREE = (Free, ConstantInertial, Damping, QuadraticDamping, GravityGradient)
 
 
-def torque(model: Any, rep: Any, t: Any, x: Any, w: Any, inertia: Any, p: Any) -> Any:
-    """Torque (N·m) of a model's tag in the frame of x and w; p are its flat parameters."""
-    raise NotImplementedError(model)
+def torque_of(law: Law, t: Any, pose: Pose, p: Vector) -> Vector:
+    """Torque (N·m) of a law with its flat parameters, along the axes of the pose."""
+    if law.record is SUM:
+        return plus(*(torque_of(part, t, pose, own) for part, own in law.split(p)))
+    if law.record is TURNED:
+        ((part, own),) = law.split(p)
+        return quat.rotate_inverse(p[:4], torque_of(part, t, _turned_pose(pose, p[:4]), own))  # type: ignore[no-any-return]
+    if law.function is not None:
+        found = law.function.call(t, pose.quaternion, pose.w, p)
+        return as_like(found, pose.moments[0])  # type: ignore[no-any-return]
+    if law.table is not None:
+        return law.record.formula(t, pose, p, law.table)  # type: ignore[no-any-return]
+    return law.record.formula(t, pose, p)  # type: ignore[no-any-return]
 
 
-def damping_rates(model: Any, inertia: Any, p: Any) -> Any:
-    """c_i/I_i, 1/s, of the linear damping among the terms of a model."""
-    raise NotImplementedError(model)
+def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
+    """Potential energy (J) of a law that has one."""
+    if law.record is SUM:
+        return sum(potential_of(part, t, pose, own) for part, own in law.split(p))
+    if law.record is TURNED:
+        ((part, own),) = law.split(p)
+        return potential_of(part, t, _turned_pose(pose, p[:4]), own)
+    if law.potential is not None:
+        return law.potential.call(t, pose.quaternion, p)
+    return law.record.potential(t, pose, p)
 
 
-def potential(model: Any, rep: Any, t: Any, x: Any, inertia: Any, p: Any) -> Any:
-    """Potential energy (J) of a model's tag; 0 for one that does no work."""
-    raise NotImplementedError(model)
+def damping_rates(law: Law, moments: Vector, p: Vector) -> Vector | None:
+    """c_i/I_i, 1/s, of the linear damping among the terms of a law; None if there is none."""
+    if law.record is SUM:
+        found = [damping_rates(part, moments, own) for part, own in law.split(p)]
+        known = [x for x in found if x is not None]
+        return plus(*known) if known else None
+    if law.record is TURNED:
+        # of damping along other axes than principal ones no flow is known
+        return None
+    if law.record.damping is None:
+        return None
+    return tuple(c / i for c, i in zip(law.record.damping(p), moments, strict=True))
 
 
-@hook(torque)
-def _torque(
-    model: types.BaseNamedTuple,
-    rep: types.Type,
-    t: types.Type,
-    x: types.Type,
-    w: types.Type,
-    inertia: types.Type,
-    p: types.BaseTuple,
-) -> Any:
-    cls = model.instance_class
-    if cls is Sum:
-        return _torque_of_sum(model.types[0])
-    if cls in _CUSTOM:
-        return _torque_of_user(_FUNCTIONS[model.types[0].instance_class])
-    return _TORQUES[cls]
-
-
-def _torque_of_sum(terms: types.BaseTuple) -> Any:
-    if len(terms) == 1:
-        return lambda model, rep, t, x, w, inertia, p: torque(
-            model.terms[0], rep, t, x, w, inertia, p
-        )
-    n = count(terms[0])
-    return lambda model, rep, t, x, w, inertia, p: add(
-        torque(model.terms[0], rep, t, x, w, inertia, p[:n]),
-        torque(Sum(model.terms[1:]), rep, t, x, w, inertia, p[n:]),
-    )
-
-
-def _torque_of_user(function: Any) -> Any:
-    def impl(model, rep, t, x, w, inertia, p):
-        F = type(w[0])
-        a = function(t, attitude(rep, x), w, p)
-        return F(a[0]), F(a[1]), F(a[2])
-
-    return impl
-
-
-def _turned(model, rep, t, x, w, inertia, p):
-    axes = p[:4]
-    q = quat.mul(attitude(rep, x), quat.conj(axes))
-    a = torque(model.torque, QUAT, t, q, quat.rotate(axes, w), inertia, p[4:])
-    return quat.rotate_inverse(axes, a)
-
-
-def _free(model, rep, t, x, w, inertia, p):
-    F = type(w[0])
-    return F(0.0), F(0.0), F(0.0)
-
-
-def _gravity_gradient(model, rep, t, x, w, inertia, p):
-    o = to_body(rep, x, rigid.orbit_direction(t, p[0], p[1:4], p[4:7]))
-    return rigid.gravity_gradient(o, inertia, p[0])
-
-
-def _heavy_top(model, rep, t, x, w, inertia, p):
-    F = type(p[3])
-    return cross(p[:3], to_body(rep, x, (F(0.0), F(0.0), -p[3])))
-
-
-def _sampled(model, rep, t, x, w, inertia, p):
-    F = type(w[0])
-    last = model.samples.shape[0] - 1
-    s = (t - p[0]) / p[1]
-    s = min(max(s, F(0.0)), F(last))
-    k = min(int(s), last - 1)
-    f = s - F(k)
-    a = model.samples[k]
-    b = model.samples[k + 1]
-    return a[0] + f * (b[0] - a[0]), a[1] + f * (b[1] - a[1]), a[2] + f * (b[2] - a[2])
-
-
-_TORQUES: dict[type, Any] = {
-    Free: _free,
-    Turned: _turned,
-    Table: _sampled,
-    Constant: lambda model, rep, t, x, w, inertia, p: p,
-    ConstantInertial: lambda model, rep, t, x, w, inertia, p: to_body(rep, x, p),
-    Damping: lambda model, rep, t, x, w, inertia, p: rigid.damping(w, (p[0], p[0], p[0])),
-    AxisDamping: lambda model, rep, t, x, w, inertia, p: rigid.damping(w, p),
-    QuadraticDamping: lambda model, rep, t, x, w, inertia, p: rigid.quadratic_damping(w, p[0]),
-    GravityGradient: _gravity_gradient,
-    HeavyTop: _heavy_top,
-    MagneticDipole: lambda model, rep, t, x, w, inertia, p: cross(p[:3], to_body(rep, x, p[3:])),
-    QuaternionPD: lambda model, rep, t, x, w, inertia, p: rigid.quaternion_feedback(
-        rigid.target_error(p[2:], attitude(rep, x)), w, p[0], p[1]
-    ),
-    Rotor: lambda model, rep, t, x, w, inertia, p: cross(p, w),
-}
-
-
-@hook(damping_rates)
-def _damping_rates(
-    model: types.BaseNamedTuple, inertia: types.BaseTuple, p: types.BaseTuple
-) -> Any:
-    cls = model.instance_class
-    if cls is Sum and len(model.types[0]) > 1:
-        n = count(model.types[0][0])
-        return lambda model, inertia, p: add(
-            damping_rates(model.terms[0], inertia, p[:n]),
-            damping_rates(Sum(model.terms[1:]), inertia, p[n:]),
-        )
-    if cls is Sum:
-        return lambda model, inertia, p: damping_rates(model.terms[0], inertia, p)
-    if cls is Damping:
-        return lambda model, inertia, p: (p[0] / inertia[0], p[0] / inertia[1], p[0] / inertia[2])
-    if cls is AxisDamping:
-        return lambda model, inertia, p: (p[0] / inertia[0], p[1] / inertia[1], p[2] / inertia[2])
-
-    def impl(model, inertia, p):
-        F = type(inertia[0])
-        return F(0.0), F(0.0), F(0.0)
-
-    return impl
-
-
-@hook(potential)
-def _potential(
-    model: types.BaseNamedTuple,
-    rep: types.Type,
-    t: types.Type,
-    x: types.Type,
-    inertia: types.Type,
-    p: types.BaseTuple,
-) -> Any:
-    cls = model.instance_class
-    if cls is Sum and len(model.types[0]) > 1:
-        n = count(model.types[0][0])
-        return lambda model, rep, t, x, inertia, p: (
-            potential(model.terms[0], rep, t, x, inertia, p[:n])
-            + potential(Sum(model.terms[1:]), rep, t, x, inertia, p[n:])
-        )
-    if cls is Sum:
-        return lambda model, rep, t, x, inertia, p: potential(model.terms[0], rep, t, x, inertia, p)
-    if cls in _CUSTOM and model.types[1].instance_class is not Free:
-        function = _POTENTIALS[model.types[1].instance_class]
-        return lambda model, rep, t, x, inertia, p: function(t, attitude(rep, x), p)
-    return _POTENTIAL_KERNELS[cls]
-
-
-def _potential_turned(model, rep, t, x, inertia, p):
-    q = quat.mul(attitude(rep, x), quat.conj(p[:4]))
-    return potential(model.torque, QUAT, t, q, inertia, p[4:])
-
-
-def _no_potential(model, rep, t, x, inertia, p):
-    return type(inertia[0])(0.0)
-
-
-def _potential_of_weight(model, rep, t, x, inertia, p):
-    F = type(p[3])
-    return p[3] * dot(p[:3], to_body(rep, x, (F(0.0), F(0.0), F(1.0))))
-
-
-_POTENTIAL_KERNELS: dict[type, Any] = {
-    Free: _no_potential,
-    Rotor: _no_potential,
-    Turned: _potential_turned,
-    HeavyTop: _potential_of_weight,
-    MagneticDipole: lambda model, rep, t, x, inertia, p: -dot(p[:3], to_body(rep, x, p[3:])),
-}
+def is_free(law: Law) -> bool:
+    """Whether it is no torque at all."""
+    return law.record is FREE
 
 
 def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float64]:
     """Largest c/I of the linear damping in a model, 1/s, of each body or of all: an upper bound."""
-    least = moments.min(axis=-1)
     if isinstance(model, Sum):
         return sum((fastest_decay(term, moments) for term in model.terms), np.zeros(()))
-    if isinstance(model, Damping):
-        return np.asarray(np.abs(model.coefficient) / least)
-    if isinstance(model, AxisDamping):
-        return np.asarray(np.abs(np.asarray(model.coefficients)).max(axis=-1) / least)
-    if isinstance(model, QuaternionPD):
-        return np.asarray(np.abs(model.damping) / least)
-    return np.zeros(())
+    record = RECORDS.get(type(model))
+    if record is None or record.decay is None:
+        return np.zeros(())
+    return np.asarray(record.decay(model) / moments.min(axis=-1))
 
 
-def has_potential(tag: Any) -> bool:
-    """Whether kinetic plus potential energy stays constant under a torque's tag."""
-    if type(tag) is Sum:
-        return all(has_potential(term) for term in tag.terms)
-    if type(tag) is Turned:
-        return has_potential(tag.torque)
-    if type(tag) in _CUSTOM:
-        return type(tag.potential) is not Free
-    return type(tag) in _POTENTIAL_KERNELS
+def has_potential(law: Law) -> bool:
+    """Whether kinetic plus potential energy stays constant under a law."""
+    if law.record in (SUM, TURNED):
+        return all(has_potential(part) for part in law.parts)
+    return law.potential is not None or law.record.potential is not None
 
 
-def dependence(tag: Any, *, turned: bool = False) -> int:
-    """How a torque's tag depends on w: ``POSITION`` not, ``DAMPED`` along principal axes, ``RATE``.
-
-    ``DAMPED`` is linear damping, whose flow is known; axis by axis only where the principal axes
-    are the body's, not ``turned``.
-    """
-    if type(tag) is Sum:
-        return max(dependence(term, turned=turned) for term in tag.terms)
-    if type(tag) is Turned:
-        return dependence(tag.torque, turned=True)
-    if type(tag) is Damping or (type(tag) is AxisDamping and not turned):
-        return DAMPED
-    return RATE if type(tag) in (*_RATE_DEPENDENT, AxisDamping) else POSITION
+def dependence(law: Law, *, turned: bool = False) -> Dependence:
+    """How a law depends on w; linear damping axis by axis only where axes are not ``turned``."""
+    if law.record is SUM:
+        return max(dependence(part, turned=turned) for part in law.parts)
+    if law.record is TURNED:
+        return dependence(law.parts[0], turned=True)
+    found: Dependence = law.record.depends
+    if found is Dependence.DAMPED and turned and not law.record.axis_free:
+        return Dependence.RATE
+    return found
 
 
 def pack(
@@ -437,31 +395,33 @@ def pack(
     finite or of the wrong shape.
     """
     cls = type(model)
+    if model is None:
+        return Packed(Law(FREE), np.zeros(0), {})
     if cls is Sum:
         return pack_sum(model, lambda term, n, name: pack(term, n, axes, name), n_bodies, argument)
     if cls is Custom:
         packed = _pack_custom(model, n_bodies)
     elif cls is Sampled:
         packed = _pack_sampled(model, argument)
-    elif cls in _MODELS:
-        packed = pack_fields(model, _MODELS[cls], n_bodies, argument)
+    elif cls in RECORDS:
+        packed = pack_fields(model, RECORDS[cls], n_bodies, argument)
     else:
-        known = {*_MODELS, Custom, Sampled, Sum} - {Free}
-        raise no_model(model, argument, "torques", known, _CALL)
-    if axes is None or cls in _AXIS_FREE:
+        raise no_model(model, argument, "torques", {*RECORDS, Custom, Sampled, Sum}, _CALL)
+    if axes is None or packed.law.record.axis_free:
         return packed
     params = join([axes, packed.params], n_bodies, argument)
-    return packed._replace(tag=Turned((0.0,) * 4, packed.tag), params=params)
+    return packed._replace(law=Law(TURNED, (4,), (packed.law,)), params=params)
 
 
 def _pack_custom(model: Custom, n_bodies: int | None) -> Packed:
     params = join([params_of(model.params)], n_bodies, "params")
-    tag = _FUNCTIONS.tag(model.function, params.shape[-1])
-    energy: Any = Free()
+    n = params.shape[-1]
+    function = user_function(model.function, "torque", n, params)
+    energy = None
     if model.potential is not None:
-        energy = _POTENTIALS.tag(model.potential, params.shape[-1])._replace(p=())
-    made = UserTorque if model.uses_rate else UserPositionTorque
-    return Packed(made(tag, energy), params, False)
+        energy = user_function(model.potential, "potential", n, params)
+    record = USER[Dependence.RATE if model.uses_rate else Dependence.POSITION]
+    return Packed(Law(record, (n,), function=function, potential=energy), params, {})
 
 
 def _pack_sampled(model: Sampled, argument: str) -> Packed:
@@ -473,7 +433,8 @@ def _pack_sampled(model: Sampled, argument: str) -> Packed:
         raise ValueError(f"{argument}: Sampled.dt is {dt}; accepted: above 0")
     start = checks.real(f"{argument}: Sampled.start", model.start)
     table = np.ascontiguousarray(samples, dtype=np.float64)
-    return Packed(Table(table, 0.0, 0.0), np.array([start, dt]), True)
+    params = np.array([start, dt, len(table) - 1.0])
+    return Packed(Law(SAMPLED, (3,), table=0), params, {0: table})
 
 
 __all__ = [

@@ -1,19 +1,21 @@
-"""What holds for every test: a fresh cache, no screen, examples that are the same each time."""
+"""What holds for every test: caches of their own, no screen, examples that stay the same."""
 
 from __future__ import annotations
 
 import gc
 import os
 import sys
+from pathlib import Path
 
-import numba_cache
 import pytest
 from hypothesis import settings
 
-if "NUMBA_CACHE_DIR" not in os.environ:
-    if "numba" in sys.modules:
-        raise RuntimeError("numba was imported before NUMBA_CACHE_DIR could be set")
-    os.environ["NUMBA_CACHE_DIR"] = str(numba_cache.cache_dir())
+_ROOT = Path(__file__).resolve().parents[1]
+for _name, _folder in (("FASTATT_CACHE", ".fastatt_cache"), ("NUMBA_CACHE_DIR", ".numba_cache")):
+    if _name not in os.environ:
+        if "numba" in sys.modules:
+            raise RuntimeError(f"numba was imported before {_name} could be set")
+        os.environ[_name] = str(_ROOT / _folder)
 os.environ["MPLBACKEND"] = "Agg"
 
 # the first example of a test compiles, so no example has a deadline

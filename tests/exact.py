@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 from numpy.polynomial import legendre
 
 import fastatt as fa
@@ -210,11 +209,4 @@ def combinations(*, scene="rate", exponential=None):
         for m in fa.METHODS.values()
         if scene in m.scenes and exponential in (None, m.exponentials > 0)
         for r in m.representations
-    ]
-
-
-def matrices_slow(pairs):
-    """The same, those of matrices and coordinates among the slow tests."""
-    return [
-        pytest.param(*pair, marks=() if pair[1] == "quat" else pytest.mark.slow) for pair in pairs
     ]

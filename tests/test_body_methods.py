@@ -13,11 +13,11 @@ import mpmath as mp
 import numpy as np
 import pytest
 import rigid_oracle as ro
-from exact import EPS, START, angle, matrices_slow, observed_order
+from exact import EPS, START, angle, observed_order
 from oracle import floats
 
 import fastatt as fa
-from fastatt.torques import POSITION, RATE
+from fastatt.torques import Dependence
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 INERTIA = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])
@@ -43,35 +43,27 @@ def torqued(inertia, motion=MOTION, arm=ARM, drag=0.0):
 
 def under_torque(method, inertia=INERTIA, **options):
     """A damping of 0 saves a compilation, but where no damping at all is taken."""
-    drag = None if fa.METHODS[method].takes == POSITION else 0.0
+    drag = None if fa.METHODS[method].takes is Dependence.POSITION else 0.0
     return torqued(inertia, drag=drag, **options)
 
 
-def last_of_each_module(names):
-    """The methods of the last tag of each file: the others share its kernels."""
-    tags = {type(fa.METHODS[m].tag).__module__: type(fa.METHODS[m].tag) for m in names}
-    return [m for m in names if type(fa.METHODS[m].tag) in tags.values()]
-
-
 def stepped(scene):
-    return [m for m in fa.methods_for(scene) if fa.METHODS[m].tag is not None]
+    return [m for m in fa.methods_for(scene) if fa.METHODS[m].is_stepped]
+
+
+def in_each(names):
+    """With each representation that is stepped without poles."""
+    matrices = ("quat", "dcm", "dcm_rows")
+    return [(m, r) for m in names for r in fa.METHODS[m].representations if r in matrices]
 
 
 FREE = fa.Scene(inertia=INERTIA)
 FREE_METHODS = stepped(FREE)
 TORQUED_METHODS = stepped(torqued(INERTIA, drag=None))
 DAMPED_METHODS = stepped(torqued(INERTIA))
-# all on quaternions; one a file on matrices, under torque where it takes one
-ON_MATRICES = last_of_each_module(TORQUED_METHODS)
-ONLY_FREE = last_of_each_module([m for m in FREE_METHODS if m not in TORQUED_METHODS])
-OF_FREE = [(m, "quat") for m in FREE_METHODS] + [(m, "dcm") for m in ONLY_FREE]
-OF_TORQUED = [(m, "quat") for m in TORQUED_METHODS] + [(m, "dcm") for m in ON_MATRICES]
-# what splits a motion, or solves a symmetric equation, retraces its steps
-SYMMETRIC = [
-    m.name
-    for m in fa.METHODS.values()
-    if m.tag is not None and (m.takes < RATE or "energy" in m.conserves)
-]
+OF_FREE = in_each(FREE_METHODS)
+OF_TORQUED = in_each(TORQUED_METHODS)
+SPLITTINGS = [m for m in FREE_METHODS if fa.METHODS[m].takes < Dependence.RATE]
 on_free = pytest.mark.parametrize(("method", "representation"), OF_FREE)
 
 
@@ -122,7 +114,7 @@ def test_order_on_free_bodies(method, representation):
     assert order(FREE, END, method, representation) == pytest.approx(declared, abs=0.25)
 
 
-@pytest.mark.parametrize(("method", "representation"), matrices_slow(OF_TORQUED))
+@pytest.mark.parametrize(("method", "representation"), OF_TORQUED)
 def test_order_under_torque(method, representation):
     """Gravity gradient, which depends on time, and a weight."""
     declared = fa.METHODS[method].order_of("torqued")
@@ -133,13 +125,12 @@ def test_order_under_torque(method, representation):
 @pytest.mark.parametrize("method", DAMPED_METHODS)
 def test_order_with_damping(method):
     """Damping is no kick that a position decides: splittings of Nyström's kind do not take it."""
-    assert fa.METHODS[method].takes != POSITION
+    assert fa.METHODS[method].takes is not Dependence.POSITION
     declared = fa.METHODS[method].order_of("torqued")
     scene = torqued(INERTIA, drag=DRAG)
     assert order(scene, END_DAMPED, method) == pytest.approx(declared, abs=0.25)
 
 
-@pytest.mark.slow
 def test_damping_axis_by_axis():
     """A splitting takes it where the intermediate axis is the second, as its own axes are then."""
     drag = (0.1, 0.2, 0.3)
@@ -314,7 +305,7 @@ def test_reversal_of_free_bodies(method):
     out = run(H, method, 200, 10.0, ONE, H_W0)
     back = run(H, method, 200, -10.0, out.q[-1], out.w[-1])
     found = gap(back, ONE, H_W0)
-    if method in SYMMETRIC or fa.METHODS[method].order == 8:
+    if "free" in fa.METHODS[method].reversible or fa.METHODS[method].order == 8:
         assert found < 200 * fa.METHODS[method].rate_calls * EPS
     else:
         assert found == pytest.approx(3e-9, rel=0.5)
@@ -330,7 +321,7 @@ def test_reversal_under_torque(method, drag):
     back = fa.propagate(scene, out.q[-1], out.w[-1], dt=-0.05, n_steps=n, t0=5.0, method=method)
     found = gap(back, Q0, W0)
     grown = math.exp(DRAG / 0.6 * 5.0) if drag else 1.0
-    if method in SYMMETRIC or fa.METHODS[method].order == 8:
+    if "torqued" in fa.METHODS[method].reversible or fa.METHODS[method].order == 8:
         assert found < n * 2 * fa.METHODS[method].rate_calls * EPS * grown
     else:
         assert 1e-11 < found < 1e-6
@@ -351,7 +342,7 @@ def test_energy_under_a_potential_swings_without_drift(method):
 # special bodies
 
 
-@pytest.mark.parametrize("method", [m for m in FREE_METHODS if fa.METHODS[m].takes < RATE])
+@pytest.mark.parametrize("method", SPLITTINGS)
 @pytest.mark.parametrize("h", [0.1, 1.0, 7.0])
 def test_splittings_are_exact_for_symmetric_bodies(method, h):
     """Any step, the axis of symmetry any; spheres too."""
@@ -368,7 +359,7 @@ def test_splittings_are_exact_for_symmetric_bodies(method, h):
         assert angle(turned, floats(q)) < 1e-14 * n * (1 + 8 * h)
 
 
-@pytest.mark.parametrize("method", [m for m in FREE_METHODS if fa.METHODS[m].takes < RATE])
+@pytest.mark.parametrize("method", SPLITTINGS)
 def test_rods(method):
     """(1, 1e3, 1e3): symmetric, hence exact."""
     i1, i = 1.0, 1e3
@@ -390,7 +381,7 @@ def test_nearly_spherical_bodies(method):
     error = np.abs(traj.w[-1, 0] - floats(exact.w)).max()
     assert error < 1e-13 + 1e-5 * 0.08 ** fa.METHODS[method].order
     # to a splitting a sphere is nothing; the others turn by what their order leaves
-    share = 1e-6 if fa.METHODS[method].takes < RATE else 1.0
+    share = 1e-6 if fa.METHODS[method].takes < Dependence.RATE else 1.0
     allowed = 16.0 * share * 0.08 ** fa.METHODS[method].order
     rounding = 200 * fa.METHODS[method].rate_calls * EPS
     assert angle(traj.q[-1, 0], floats(exact.q)) < 1e-13 + rounding + allowed

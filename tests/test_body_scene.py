@@ -8,20 +8,17 @@ import re
 import numpy as np
 import pytest
 from exact import EPS, START, angle, exp, mul
+from machine_code import assemblies, is_packed, jobs_of, large_loops, needs_avx
 from numba import njit
-from test_engine import LARGE, innermost_loops, needs_avx, packed_steps
-from test_engine import count as count_arithmetic
 
 import fastatt as fa
-from fastatt._jit import driver
-from fastatt.engine import tiles
-
-pytestmark = pytest.mark.slow
+from fastatt.engine.layout import BLOCK
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 ORDERS = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])
 SPIN = np.array([0.9, -0.4, 1.2])
-N, STEPS, H = 130, 70, 0.02  # more than two tiles of 64 bodies, and more than a block of 64 steps
+N, STEPS, H = 130, 70, 0.02  # more than two tiles of 64 bodies
+LONG = BLOCK + 44  # more than a block of steps
 rng = np.random.default_rng(5)
 Q0 = rng.normal(size=(N, 4))
 W0 = rng.normal(size=(N, 3))
@@ -53,16 +50,13 @@ def undamped(bodies=slice(None)):
 
 SCENES = {"free": free, "torqued": torqued, "undamped": undamped}
 STEPPED = {
-    kind: [m for m in fa.methods_for(scene()) if fa.METHODS[m].tag is not None]
+    kind: [m for m in fa.methods_for(scene()) if fa.METHODS[m].is_stepped]
     for kind, scene in SCENES.items()
 }
 # those that take no damping
 STEPPED["undamped"] = [m for m in STEPPED["undamped"] if m not in STEPPED["torqued"]]
 EVERY = [(kind, m) for kind, names in STEPPED.items() for m in names]
-# methods of one tag are one compiled code
-CODES = list({(kind, type(fa.METHODS[m].tag)): (kind, m) for kind, m in EVERY}.values())
 every_method = pytest.mark.parametrize(("kind", "method"), EVERY)
-every_code = pytest.mark.parametrize(("kind", "method"), CODES)
 
 
 def run(scene, q0=Q0, w0=W0, method="rk4", representation="quat", n=STEPS, h=H, **options):
@@ -112,10 +106,10 @@ def test_threads_change_no_bit(kind, method):
 def test_saves_change_no_bit(kind, method):
     """No step starts from what was handed out, though a splitting's state lies ahead of it."""
     scene = SCENES[kind]()
-    plain = run(scene, method=method, save_every=1)
-    for every in (None, 7, 64, 70, 1000):
-        traj = run(scene, method=method, save_every=every)
-        steps = [STEPS] if every is None else [*range(0, STEPS, every), STEPS]
+    plain = run(scene, method=method, n=LONG, save_every=1)
+    for every in (None, 7, 64, LONG, 1000):
+        traj = run(scene, method=method, n=LONG, save_every=every)
+        steps = [LONG] if every is None else [*range(0, LONG, every), LONG]
         assert same(traj.t, np.array(steps) * H)
         assert same(traj.q, plain.q[steps])
         assert same(traj.w, plain.w[steps])
@@ -237,20 +231,17 @@ def test_order_of_the_moments_is_the_naming_of_the_axes(kind, method):
     if kind != "free":
         # inertial axes are renamed too: the orbit's, and the vertical is a field of e2 now
         n = 12
-        torque = fa.torques.Sum(
-            (
-                fa.torques.GravityGradient(
-                    np.full(n, 0.5), np.tile(np.eye(3)[0][cycle], (n, 1)),
-                    np.tile(np.eye(3)[1][cycle], (n, 1)),
-                ),
-                fa.torques.MagneticDipole(
-                    ARMS[bodies][:, cycle], np.tile(-np.eye(3)[2][cycle], (n, 1))
-                ),
-                fa.torques.Damping(DRAG[bodies]),
-            )
+        turned = (
+            fa.torques.GravityGradient(
+                np.full(n, 0.5), np.tile(np.eye(3)[0][cycle], (n, 1)),
+                np.tile(np.eye(3)[1][cycle], (n, 1)),
+            ),
+            fa.torques.MagneticDipole(
+                ARMS[bodies][:, cycle], np.tile(-np.eye(3)[2][cycle], (n, 1))
+            ),
         )  # fmt: skip
-        if method not in ("rk4", "strang2"):
-            pytest.skip("the sum with a dipole is compiled for two methods only")
+        drag = fa.torques.Damping(DRAG[bodies])
+        torque = fa.torques.Sum((*turned, drag) if kind == "torqued" else turned)
     named = run(fa.Scene(inertia=inertia, torque=torque), q0, w0, method)
     q = np.concatenate([plain.q[-1][:, :1], plain.q[-1][:, 1:][:, cycle]], axis=1)
     allowed = STEPS * 32 * EPS * fa.METHODS[method].rate_calls
@@ -353,7 +344,7 @@ def test_steps_that_a_method_takes_are_not_flagged(kind, method):
     assert traj.status_counts() == {}
 
 
-@every_code
+@every_method
 def test_non_finite_body_changes_no_bit_of_its_neighbours(kind, method):
     """A rate whose square overflows."""
     w0 = W0[:64].copy()
@@ -399,37 +390,23 @@ def test_damping_that_underflows(method):
 # packed code
 
 
-def assembly(monkeypatch, scene, method, dtype="float64", n=64):
-    """Of the driver's signature for this run, compiled anew where the disk had it."""
-    shared = tiles.cached_run_tiles
-    for compiled in (shared, driver(tiles.run_tiles, cache=False)):
-        seen = []
+def steps_of(monkeypatch, scene, method, **options):
+    """For each program of a run its loops with a step's worth of arithmetic."""
 
-        def record(*args, compiled=compiled, seen=seen):
-            compiled(*args)
-            seen.append(args)
+    def call():
+        run(scene, Q0[:64], W0[:64], method, n=4, n_threads=1, **options)
 
-        monkeypatch.setattr(tiles, "cached_run_tiles", record)
-        monkeypatch.setattr(tiles, "uncached_run_tiles", record)
-        run(scene, Q0[:n], W0[:n], method, n=4, dtype=dtype, n_threads=1)
-        signature = tuple(compiled.typeof_pyval(a) for a in seen[0])
-        if compiled.stats.cache_misses.get(signature) or compiled is not shared:
-            return compiled.inspect_asm(signature)
-    raise AssertionError
-
-
-def scalar_steps(text):
-    """Loops with a step's worth of arithmetic that is all scalar."""
-    found = [count_arithmetic(lines) for lines in innermost_loops(text)]
-    return [c for c in found if c["sd"] >= LARGE and not c["pd"]]
+    (job,) = jobs_of(monkeypatch, call)
+    return [large_loops(text) for text in assemblies(job)]
 
 
 @needs_avx
-@every_code
+@every_method
 def test_step_is_packed(monkeypatch, kind, method):
     """Bodies with inertia and torques of their own."""
-    text = assembly(monkeypatch, SCENES[kind](slice(64)), method)
-    assert packed_steps(text)
+    for loops in steps_of(monkeypatch, SCENES[kind](slice(64)), method):
+        assert loops
+        assert all(map(is_packed, loops))
 
 
 @njit
@@ -449,7 +426,9 @@ def weight_and_damping(t, q, w, p):
 def test_step_with_a_users_torque_is_packed(monkeypatch):
     params = np.concatenate([ARMS[:64], DRAG[:64, None]], axis=1)
     scene = fa.Scene(inertia=INERTIA[:64], torque=weight_and_damping, params=params)
-    assert packed_steps(assembly(monkeypatch, scene, "rk4"))
+    for loops in steps_of(monkeypatch, scene, "rk4"):
+        assert loops
+        assert all(map(is_packed, loops))
 
 
 # wrong input

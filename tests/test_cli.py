@@ -12,6 +12,7 @@ import pytest
 import fastatt as fa
 from fastatt import cli
 from fastatt.cli import main
+from fastatt.running.loop import show_loop
 from fastatt.trade import compare_on_log
 from fastatt.trade.scene_file import read_scene
 
@@ -32,7 +33,7 @@ def log(tmp_path):
 def test_integrate(log, tmp_path, capsys, suffix):
     path, t, rates = log
     out = tmp_path / f"out{suffix}"
-    arguments = ["-o", str(out), "-m", "coning3", "--no-compare"]
+    arguments = ["-o", str(out), "-m", "coning3"]
     assert main(["integrate", str(path), *arguments]) == 0
     found = np.load(out) if suffix == ".npy" else np.loadtxt(out, delimiter=",", skiprows=1)
     expected = fa.integrate_rates(rates, np.diff(t), method="coning3")
@@ -46,8 +47,9 @@ def test_integrate(log, tmp_path, capsys, suffix):
 
 def test_integrate_compares_methods(log, capsys, monkeypatch):
     monkeypatch.setattr(cli, "compare_on_log", partial(compare_on_log, methods=[]))
-    assert main(["integrate", str(log[0]), "-m", "coning3", "-r", "100"]) == 0
+    assert main(["integrate", str(log[0]), "-m", "coning3", "-r", "100", "--compare"]) == 0
     text = capsys.readouterr().out
+    assert text.index("400 attitudes by coning3") < text.index("comparing with the other methods")
     for method in ("previous", "coning2", "coning3"):
         assert f" {method} " in text
     assert "error of coning3 on 400 samples at 100 Hz, deg:" in text
@@ -55,7 +57,7 @@ def test_integrate_compares_methods(log, capsys, monkeypatch):
 
 def test_default_output_stands_beside_the_log(log):
     path = log[0]
-    assert main(["integrate", str(path), "--no-compare", "--q0", "0,2,0,0"]) == 0
+    assert main(["integrate", str(path), "--q0", "0,2,0,0"]) == 0
     found = np.loadtxt(path.with_suffix(".attitudes.csv"), delimiter=",", skiprows=1)
     assert found[0].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
 
@@ -142,7 +144,10 @@ def test_usage_errors(arguments, capsys):
     assert "usage: fastatt" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", [[], ["integrate"], ["trade"], ["methods"], ["recommend"]])
+@pytest.mark.parametrize(
+    "command",
+    [[], ["integrate"], ["trade"], ["methods"], ["recommend"], ["warm"], ["cache"]],
+)
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as caught:
         main([*command, "--help"])
@@ -203,12 +208,32 @@ def test_bad_scene_files(tmp_path, text, message):
         read_scene(path)
 
 
+def test_a_warning_is_a_line(log, capsys):
+    """Of a log that turns too far between its samples: no source of ours, and each once."""
+    path, _, _ = log
+    assert main(["integrate", str(path), "-m", "hold", "-r", "1"]) == 0
+    found = capsys.readouterr()
+    (line,) = found.err.splitlines()
+    assert line.startswith("fastatt: warning: dt: interval ")
+    assert "400 attitudes by hold" in found.out
+
+
 def test_methods_lists_all(capsys):
     assert main(["methods"]) == 0
     text = capsys.readouterr().out
     for method in fa.METHODS.values():
         assert f"\n{method.name} " in f"\n{text}"
         assert method.summary in text
+
+
+def test_methods_tell_their_operations(capsys):
+    assert main(["methods"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    of = {first.split()[0]: second for first, second in zip(lines[::2], lines[1::2], strict=True)}
+    counted = show_loop(fa.Scene(inertia=(2.0, 1.0, 0.7)), "rk4").split()
+    assert f", free {counted[counted.index('floating-point') - 1]}, heavy top " in of["rk4"]
+    for name, method in fa.METHODS.items():
+        assert ("operations " in of[name]) == method.is_stepped
 
 
 @pytest.mark.parametrize(

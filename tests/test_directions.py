@@ -8,8 +8,6 @@ from exact import EPS, START, conj, exp, generic, matrix, observed_order, rotate
 
 import fastatt as fa
 
-pytestmark = pytest.mark.slow
-
 BODIES = generic(3)
 RATE_METHODS = [m.name for m in fa.METHODS.values() if "rate" in m.scenes]
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])

@@ -5,24 +5,33 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
+import shutil
 import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import START, combinations, generic, matrices_slow
-from llvmlite import binding
+from exact import START, combinations, generic
+from machine_code import (
+    CALL,
+    CONVERSION,
+    assemblies,
+    is_packed,
+    jobs_of,
+    large_loops,
+    needs_avx,
+)
 from numba import njit
-from numba.core.runtime import _nrt_python, rtsys
 
 import fastatt as fa
-from fastatt._jit import driver
-from fastatt.engine import pool, tiles
+from fastatt.engine import pool
+from fastatt.engine.ensemble import Arrays
+from fastatt.flat.machine import processor
 
 ROOT = Path(fa.__file__).resolve().parents[1]
 BODIES = generic(64)
@@ -34,73 +43,15 @@ def run(scene=None, method="magnus4", representation="quat", n=4, h=0.01, q0=Q0,
     return fa.propagate(BODIES.scene if scene is None else scene, q0, dt=h, n_steps=n, **options)
 
 
+def steps_of(monkeypatch, *args, **options):
+    """For each program of a run its loops with a step's worth of arithmetic."""
+    (job,) = jobs_of(monkeypatch, lambda: run(*args, **options))
+    return [large_loops(text) for text in assemblies(job)]
+
+
 # packed arithmetic
 
-ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\w*?|mul|add|sub|div|sqrt)([ps])([ds])\s")
-CONVERSION = re.compile(r"^\s+v?cvt(?:ps2pd|pd2ps|ss2sd|sd2ss)\s")
-LARGE = 40  # operations that tell a step from a copy or a comparison
 
-
-def innermost_loops(assembly):
-    """Lines from each label to a jump back to it, with no other such pair between."""
-    lines = [line for line in assembly.splitlines() if line.strip()]
-    labels, spans = {}, []
-    for i, line in enumerate(lines):
-        if label := re.match(r"^(\.L\w+):", line):
-            labels[label[1]] = i
-        elif (jump := re.match(r"^\s+j\w+\s+(\.L\w+)", line)) and jump[1] in labels:
-            spans.append((labels[jump[1]], i))
-    inner = [
-        (a, b)
-        for a, b in spans
-        if not any((c, d) != (a, b) and a <= c and d <= b for c, d in spans)
-    ]
-    return [lines[a:b] for a, b in inner]
-
-
-def count(lines):
-    """Arithmetic instructions by kind: packed or scalar (p, s), double or single (d, s)."""
-    found = {"pd": 0, "sd": 0, "ps": 0, "ss": 0}
-    for line in lines:
-        if match := ARITHMETIC.match(line):
-            found[match[1] + match[2]] += 1
-    return found
-
-
-def packed_steps(assembly, kind="pd"):
-    """Innermost loops with a step's worth of packed arithmetic and no other, nor any call."""
-    out = []
-    for lines in innermost_loops(assembly):
-        found = count(lines)
-        alone = sum(found.values()) == found[kind]
-        calls = any(re.match(r"^\s+call", line) for line in lines)
-        if found[kind] >= LARGE and alone and not calls:
-            out.append(lines)
-    return out
-
-
-def assembly(monkeypatch, scene, method, representation, dtype="float64"):
-    """Of the driver's one signature for this run, compiled anew where the disk had it."""
-    shared = tiles.cached_run_tiles
-    for compiled in (shared, driver(tiles.run_tiles, cache=False)):
-        seen = []
-
-        def record(*args, compiled=compiled, seen=seen):
-            compiled(*args)
-            seen.append(args)
-
-        monkeypatch.setattr(tiles, "cached_run_tiles", record)
-        monkeypatch.setattr(tiles, "uncached_run_tiles", record)
-        run(scene, method, representation, dtype=dtype)
-        signature = tuple(compiled.typeof_pyval(a) for a in seen[0])
-        if compiled.stats.cache_misses.get(signature) or compiled is not shared:
-            return compiled.inspect_asm(signature)
-    raise AssertionError
-
-
-needs_avx = pytest.mark.skipif(
-    not binding.get_host_cpu_features().get("avx"), reason="no AVX: nothing to pack into"
-)
 TILES = [pair for pair in combinations() if pair[1] in ("quat", "dcm")]
 ROWS = {
     "constant": fa.rates.Constant(BODIES.c[:, 0]),
@@ -110,44 +61,58 @@ ROWS = {
 
 
 @needs_avx
-@pytest.mark.parametrize(("method", "representation"), matrices_slow(TILES))
+@pytest.mark.parametrize(("method", "representation"), TILES)
 def test_step_is_packed(monkeypatch, method, representation):
     """With coning, a parabola and each body's own parameters: sines, products and loads.
 
-    Of an exponential both the loop for turns of up to π and the one for any turn; where the
-    compiler kept a scalar twin for arrays that overlap, it must not be the only one.
+    All of it on the machine's widest vectors, in the loop for turns of up to π and in the one for
+    any turn.
     """
-    text = assembly(monkeypatch, BODIES.scene, method, representation)
-    assert len(packed_steps(text)) >= (2 if fa.METHODS[method].exponentials else 1)
+    for loops in steps_of(monkeypatch, None, method, representation):
+        assert loops
+        assert all(map(is_packed, loops))
 
 
 @needs_avx
 @pytest.mark.parametrize("model", ROWS)
 def test_step_is_packed_with_every_model(monkeypatch, model):
-    text = assembly(monkeypatch, fa.Scene(rate=ROWS[model]), "magnus4", "quat")
-    assert len(packed_steps(text)) >= 2
+    for loops in steps_of(monkeypatch, fa.Scene(rate=ROWS[model])):
+        assert loops
+        assert all(map(is_packed, loops))
 
 
-@pytest.mark.slow
 @needs_avx
 @pytest.mark.parametrize("method", ["rk4", "magnus4", "magnus6", "cg3"])
 def test_float32_step_is_packed_without_conversions(monkeypatch, method):
-    text = assembly(monkeypatch, BODIES.scene, method, "quat", "float32")
-    steps = packed_steps(text, "ps")
-    assert len(steps) >= (2 if fa.METHODS[method].exponentials else 1)
-    assert not [line for lines in steps for line in lines if CONVERSION.match(line)]
+    for loops in steps_of(monkeypatch, None, method, dtype="float32"):
+        assert loops
+        assert all(is_packed(lines, "ps") for lines in loops)
+        assert not [line for lines in loops for line in lines if CONVERSION.match(line)]
 
 
 @njit
-def with_libm(t, p):
+def with_sine(t, p):
     return math.sin(p[0] * t), p[1], p[2]
 
 
+@njit
+def with_gamma(t, p):
+    return math.gamma(1.0 + p[0] * p[0] * t * t), p[1], p[2]
+
+
+def test_a_users_sine_is_packed(monkeypatch):
+    scene = fa.Scene(rate=with_sine, params=BODIES.c[:, 0])
+    for loops in steps_of(monkeypatch, scene, "lie_midpoint"):
+        assert loops
+        assert all(map(is_packed, loops))
+
+
 @needs_avx
-def test_a_call_of_libm_makes_the_loop_scalar(monkeypatch):
+def test_an_opaque_call_makes_the_loop_another(monkeypatch):
     """What the criterion above is there to see."""
-    scene = fa.Scene(rate=with_libm, params=BODIES.c[:, 0])
-    assert packed_steps(assembly(monkeypatch, scene, "lie_midpoint", "quat")) == []
+    scene = fa.Scene(rate=with_gamma, params=BODIES.c[:, 0])
+    for loops in steps_of(monkeypatch, scene, "lie_midpoint"):
+        assert not any(map(is_packed, loops))
 
 
 @needs_avx
@@ -164,101 +129,207 @@ def test_the_packed_loop_is_the_one_that_runs():
     assert best["float32"] < 0.8 * best["float64"]
 
 
+# the same bits whatever the vectors' width
+
+
+WIDTHS = """
+import sys, numpy as np
+import fastatt as fa
+from exact import START, generic
+bodies = generic(70)
+q0 = np.tile(START, (70, 1))
+found = []
+for dtype in ("float64", "float32"):
+    for scene, method, w0 in (
+        (bodies.scene, "magnus4", None),
+        (bodies.scene, "rk4", None),
+        (fa.Scene(inertia=np.sort(1.0 + 0.5 * np.abs(bodies.c[:, 0]))), "rk4", bodies.c[:, 1]),
+        (fa.Scene(inertia=np.sort(1.0 + 0.5 * np.abs(bodies.c[:, 0]))), "dmv6", bodies.c[:, 1]),
+        (fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 2.0)),
+         "strang2", bodies.c[:, 1]),
+    ):
+        run = fa.propagate(scene, q0, w0, dt=0.05, n_steps=40, method=method, dtype=dtype)
+        found += [run.q.astype(float), run.w.astype(float)]
+np.savez(sys.argv[1], *found)
+"""
+VECTORS = {
+    # name: what is switched off of this machine, whether the same bits are promised
+    "512": ((), True),
+    "256": (("avx512",), True),
+    "unfused": (("avx512", "fma", "avx2"), False),
+}
+
+
+def features_without(prefixes):
+    """Features of this machine with some switched off."""
+    each = processor().features.split(",")
+    return ",".join("-" + f[1:] if f[1:].startswith(prefixes) and prefixes else f for f in each)
+
+
+@needs_avx
+def test_the_width_of_vectors_changes_no_bit(tmp_path):
+    """Nor does it without fused products change more than their rounding."""
+    found = {}
+    for name, (off, _) in VECTORS.items():
+        path = tmp_path / f"{name}.npz"
+        environment = {"NUMBA_CPU_FEATURES": features_without(off), "FASTATT_CACHE": "0"}
+        fresh(WIDTHS, str(path), **environment)
+        with np.load(path) as file:
+            found[name] = [file[f] for f in file.files]
+    for name, (_, same) in VECTORS.items():
+        for k, (a, b) in enumerate(zip(found["512"], found[name], strict=True)):
+            if same:
+                assert a.tobytes() == b.tobytes(), (name, k)
+            else:
+                # 40 steps of a few roundings each, the first half in double precision
+                eps = np.finfo(float if k < len(found[name]) // 2 else np.float32).eps
+                assert np.abs(a - b).max() < 40 * 16 * eps, (name, k)
+                assert k % 2 or np.abs(a - b).max() > 0.0, (name, k)
+
+
 # the disk cache
 
 
-CALL = """
-import json, sys
-import fastatt as fa
-from fastatt.engine import tiles
-rate = fa.rates.Constant([[0.1, 0.2, 0.3]] * 3)
-params = None
-if sys.argv[1] == "user":
-    from numba import njit
-    @njit
-    def rate(t, p):
-        return 0.1, p[0], 0.3
-    params = [0.2]
-scene = fa.Scene(rate=rate, params=params)
-traj = fa.propagate(scene, [[1.0, 0, 0, 0]] * 3, dt=0.1, n_steps=3, method="lie_euler")
-stats = tiles.cached_run_tiles.stats
-print(json.dumps([sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]))
-"""
-
-
-def call(folder, which):
-    """(hits, misses) of the driver in a process of its own, and the folder's files after it."""
+def fresh(code, *arguments, folder=ROOT, **environment):
+    """What a process of its own prints."""
+    path = os.pathsep.join((str(folder), str(ROOT / "tests")))
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", CALL, which],
-        cwd=ROOT,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-W", "error", "-c", code, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path, **environment},
         capture_output=True,
         text=True,
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    files = {
-        p.relative_to(folder): (p.stat().st_size, p.stat().st_mtime_ns)
-        for p in folder.rglob("*")
-        if p.is_file()
-    }
-    return json.loads(done.stdout), files
+    return done.stdout
 
 
-def test_second_process_compiles_nothing(tmp_path):
-    """Nor does the folder grow; a user's own function is compiled each time and leaves nothing."""
-    first, before = call(tmp_path, "built-in")
-    assert first == [0, 1]
-    second, after = call(tmp_path, "built-in")
-    assert second == [1, 0]
-    assert after == before
+CALLED = """
+import json, math, sys
+import fastatt as fa
+from fastatt.flat import store
+from numba import njit
 
-    users, once = call(tmp_path, "user")
-    assert users == [0, 0]
-    assert [p for p in set(once) - set(before) if "run_tiles" in p.name] == []
-    _, twice = call(tmp_path, "user")
-    assert twice == once
+@njit
+def straight(t, p):
+    return 0.1, p[0], 0.3 * math.sin(t)
+
+@njit
+def winding(t, p):
+    return 0.1, p[0], math.gamma(1.5 + t * t)
+
+constant = fa.rates.Constant([[0.1, 0.2, 0.3]] * 3)
+rate = {"built-in": constant, "traced": straight, "called": winding}[sys.argv[1]]
+scene = fa.Scene(rate=rate, params=None if sys.argv[1] == "built-in" else [0.2])
+fa.propagate(scene, [[1.0, 0, 0, 0]] * 3, dt=0.1, n_steps=3, method="lie_euler")
+print(json.dumps([store.hits, store.made]))
+"""
+
+
+@pytest.mark.parametrize("which", ["built-in", "traced", "called"])
+def test_second_process_compiles_nothing(tmp_path, which):
+    """Nor does the folder grow; nor with a user's own function, traced or called."""
+
+    def call():
+        out = fresh(CALLED, which, FASTATT_CACHE=str(tmp_path / "cache"))
+        files = {p.name for p in (tmp_path / "cache").iterdir()}
+        return json.loads(out), files
+
+    (hits, made), before = call()
+    assert hits == 0
+    assert made == len(before) > 0
+    assert call() == ([made, 0], before)
+
+
+EDITED = """
+import fastatt as fa
+print(fa.__file__)
+run = fa.propagate(
+    fa.Scene(rate=fa.rates.Coning(0.5, 1.0)), [1, 0, 0, 0], dt=0.1, n_steps=4, method="lie_euler"
+)
+print(run.q[-1, 1], fa.kernels.quat.mul((1.0, 0.0, 0.0, 0.0), (1.0, 0.5, 0.0, 0.0))[1])
+"""
+
+
+def test_an_edited_kernel_is_never_served_stale(tmp_path):
+    """In the loops that hold it, and in what Numba compiled of it and of its callers."""
+    package = tmp_path / "fastatt"
+    shutil.copytree(ROOT / "fastatt", package, ignore=shutil.ignore_patterns("__pycache__"))
+    caches = {"FASTATT_CACHE": str(tmp_path / "a"), "NUMBA_CACHE_DIR": str(tmp_path / "b")}
+
+    def found():
+        place, values = fresh(EDITED, folder=tmp_path, **caches).splitlines()
+        assert Path(place).parent == package
+        return values.split()
+
+    before = found()
+    assert found() == before
+    kernel = package / "kernels" / "quat.py"
+    text = kernel.read_text(encoding="utf-8")
+    changed = text.replace("p[0] * q[1] + p[2]", "2.0 * p[0] * q[1] + p[2]", 1)
+    assert changed != text
+    kernel.write_text(changed, encoding="utf-8")
+    after = found()
+    assert float(after[1]) == 2.0 * float(before[1])
+    assert after[0] != before[0]
 
 
 # memory and the GIL
 
 
-@pytest.fixture
-def allocations():
-    """Counts allocations of compiled code while the test runs."""
-    was_on = _nrt_python.memsys_stats_enabled()
-    _nrt_python.memsys_enable_stats()
-    yield lambda: rtsys.get_allocation_stats().alloc
-    if not was_on:
-        _nrt_python.memsys_disable_stats()
-
-
 @pytest.mark.parametrize(("method", "representation"), [("magnus4", "quat"), ("rk4", "dcm")])
-def test_steps_allocate_nothing(allocations, method, representation):
-    def made(n, bodies=64):
-        before = allocations()
-        run(generic(bodies).scene, method, representation, n, q0=np.tile(START, (bodies, 1)))
-        return allocations() - before
-
-    few = made(100)
-    assert few > 0  # the tiles themselves are counted
-    assert made(100) == few
-    assert made(1000) == few
-    assert made(1000, 192) == few  # one set of tiles for all tiles of a thread
+def test_steps_allocate_nothing(monkeypatch, method, representation):
+    """The program calls nothing but the careful form of a block, whose address it is given."""
+    (job,) = jobs_of(monkeypatch, lambda: run(None, method, representation))
+    for text in assemblies(job):
+        called = {match[1].strip() for line in text.splitlines() if (match := CALL.match(line))}
+        own = {line.split(":")[0] for line in text.splitlines() if ":" in line}
+        assert {name for name in called if not name.startswith("*")} <= own
 
 
-def test_one_log_allocates_nothing_by_sample(allocations):
-    def made(n):
-        before = allocations()
-        fa.integrate_rates(np.full((n, 3), 0.1), 0.01, method="hold", n_threads=1)
-        return allocations() - before
+@pytest.fixture
+def peak():
+    """Most bytes that arrays and Python hold while a function runs."""
 
-    assert made(1537) == made(15361) > 0
+    def measured(function):
+        function()  # what is made once
+        tracemalloc.start()
+        try:
+            kept = function()
+            return tracemalloc.get_traced_memory()[1], kept
+        finally:
+            tracemalloc.stop()
+
+    return measured
 
 
-def test_driver_releases_the_gil(monkeypatch):
+def test_memory_is_that_of_the_state_and_its_saves(peak):
+    """Not of the steps; a body takes its parameters, its state and what is handed out of it."""
+
+    def most(bodies, n=20):
+        scene, q0 = generic(bodies).scene, np.tile(START, (bodies, 1))
+        return peak(lambda: run(scene, n=n, q0=q0))[0]
+
+    few = most(2000)
+    assert most(2000, 1000) == pytest.approx(few, abs=20_000)
+    each = (most(12_000) - few) / 10_000
+    # the parameters twice, q0, state, result, departure and watch; a few numbers on the way
+    assert each < 8 * (2 * 11 + 4 + 4 + 4 + 1 + 3 + 8)
+
+
+def test_memory_of_a_log_is_that_of_its_attitudes(peak):
+    def most(n):
+        rates = np.full((n, 3), 0.1)
+        return peak(lambda: fa.integrate_rates(rates, 0.01, method="hold", n_threads=1))[0]
+
+    each = (most(40_000) - most(10_000)) / 30_000
+    assert each < 8 * (4 + 3)
+
+
+def test_program_releases_the_gil(monkeypatch):
     """Another thread counts at some share of its own speed while one long call runs."""
-    monkeypatch.setattr(pool, "_PIECE", 10**12)  # the whole run in one call of the driver
+    monkeypatch.setattr(pool, "_PIECE", 10**12)  # the whole run in one call of the program
     n = 100_000
     run(method="magnus6", n=10)
 
@@ -288,9 +359,9 @@ def test_driver_releases_the_gil(monkeypatch):
 
 
 def test_bodies_run_on_several_threads(monkeypatch):
-    """Pieces of an ensemble reach the driver from as many threads as asked for."""
+    """Pieces of an ensemble reach the program from as many threads as asked for."""
     seen = set()
-    real = tiles.cached_run_tiles
+    real = Arrays.run
     barrier = threading.Barrier(2, timeout=20.0)
 
     def watched(*args):
@@ -299,7 +370,7 @@ def test_bodies_run_on_several_threads(monkeypatch):
             barrier.wait()
         real(*args)
 
-    monkeypatch.setattr(tiles, "cached_run_tiles", watched)
+    monkeypatch.setattr(Arrays, "run", watched)
     bodies = generic(640)
     run(bodies.scene, n=4, q0=np.tile(START, (640, 1)), n_threads=2)
     assert len(seen) == 2
@@ -312,7 +383,7 @@ def test_an_error_in_one_piece_stops_the_run(monkeypatch):
         calls.append(args)
         raise RuntimeError("piece")
 
-    monkeypatch.setattr(tiles, "cached_run_tiles", broken)
+    monkeypatch.setattr(Arrays, "run", broken)
     bodies = generic(6400)
     with pytest.raises(RuntimeError, match="piece"):
         run(bodies.scene, q0=np.tile(START, (6400, 1)), n_threads=2)

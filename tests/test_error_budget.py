@@ -12,8 +12,6 @@ import fastatt as fa
 from fastatt.trade import coning_attitudes, coning_rates, error_budget
 from fastatt.trade.error_budget import _Log
 
-pytestmark = pytest.mark.slow
-
 H = 0.02
 T = H * np.arange(601)
 START = np.array([1.0, 0.0, 0.0, 0.0])

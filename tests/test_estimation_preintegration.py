@@ -13,8 +13,6 @@ import fastatt as fa
 from fastatt import estimation
 from fastatt.estimation import preintegration as kernels
 
-pytestmark = pytest.mark.slow
-
 N, H = 6, 0.05
 SIGMA_G, SIGMA_A = 0.02, 0.3
 NOISE = {"gyro_noise": SIGMA_G, "accel_noise": SIGMA_A}

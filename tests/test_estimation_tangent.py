@@ -11,9 +11,9 @@ from oracle import EPS
 import fastatt as fa
 from fastatt import estimation
 from fastatt.estimation import derivatives as arrays
+from fastatt.estimation import tangent
+from fastatt.flat.scalar import scalar_function
 from fastatt.kernels import quat, so3
-
-pytestmark = pytest.mark.slow
 
 H = 0.1
 # one method of each kind; bench_estimation.py measures the error of every one
@@ -226,14 +226,36 @@ def test_users_torque_from_users_code():
     assert np.abs(np.reshape(phi, (6, 6)) - true).max() <= TRUNCATION
 
 
+TOP = fa.Scene(inertia=MOMENTS, torque=fa.torques.HeavyTop(WEIGHT[:3], WEIGHT[3]))
+
+
+@pytest.mark.parametrize("parameters", [False, True])
+@pytest.mark.parametrize("method", ["suzuki4", "srkn4"])
+def test_stages_in_a_loop_are_the_stages_one_by_one(method, parameters):
+    record, packed = fa.METHODS[method], TOP.packed(None)
+    looped = tangent.body_tangent(record, packed.structure, parameters=parameters)
+    found, true = (
+        scalar_function(formula)(
+            0.3, 0.2, tuple(Q / np.linalg.norm(Q)), tuple(M), tuple(packed.params.tolist())
+        )
+        for formula in (looped, lambda t, h, q, m, p: looped(t, h, q, m, p))
+    )
+    for a, b in zip(found, true, strict=True):
+        assert np.abs(np.subtract(a, b)).max() <= 8 * EPS * np.abs(b).max()
+
+
+@pytest.mark.parametrize("method", [m for m in fa.methods_for(TOP, "quat") if m != "exact"])
+def test_what_is_compiled_does_not_grow_with_the_stages(method):
+    """Some 0.1 ms an operation: below half a second for each."""
+    made = estimation.step_tangent(TOP, method=method)
+    made.step(0.0, 0.1, (1.0, 0.0, 0.0, 0.0), tuple(M), made.params)
+    (traced,) = made.step._traced.values()
+    assert sum(len(flat.nodes) for flat in traced.flats) <= 2600
+
+
 # refusals
 
 BODY = fa.Scene(inertia=MOMENTS)
-
-
-@njit
-def rounded(t, q, w, p):
-    return float(int(1e3 * w[0])), 0.0, 0.0
 
 
 @pytest.mark.parametrize(
@@ -283,7 +305,26 @@ def test_refusals(call, error, message):
         call()
 
 
-def test_a_torque_without_a_derivative_is_refused():
-    scene = fa.Scene(inertia=MOMENTS, torque=rounded)
-    with pytest.raises(TypeError, match=r"scene: torque: has no derivative that compiles: .*Dual"):
-        estimation.body_tangent(scene, Q, M, H, method="rk4")
+def test_of_a_torque_that_cannot_be_traced_differences():
+    """A loop whose end depends on a number."""
+
+    @njit
+    def summed(t, q, w, p):
+        total, k = 0.0, 0.0
+        while k < 3.0 + p[0]:
+            total -= math.sin(w[0])
+            k += 1.0
+        return total, w[0] * w[2], q[1]
+
+    @njit
+    def straight(t, q, w, p):
+        return -4.0 * math.sin(w[0]), w[0] * w[2], q[1]
+
+    looped, traced = (
+        estimation.body_tangent(
+            fa.Scene(inertia=MOMENTS, torque=torque, params=(0.5,)), Q, M, H, method="rk4"
+        )
+        for torque in (summed, straight)
+    )
+    assert np.abs(looped.w - traced.w).max() <= 4 * EPS
+    assert 0.0 < np.abs(looped.matrix - traced.matrix).max() <= 1e-9 * H

@@ -7,29 +7,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from extremes import agreement, bodies, energy, page, rates, tables
+from extremes.cases import Case, Column, Outcome
 
 import fastatt as fa
-from bench import extremes
-from bench.extremes import Case, Column, Outcome
 
 SINGLE = ("rk4", "strang2", "dmv10")
 # whose scenes are of another type, or take seconds
 ELSEWHERE = ("A constant rate", "Many steps")
 CONSTANT = [
-    Column(f"constant {name}", extremes.constant(theta, known=False))
-    for name, theta in extremes.THETAS.items()
+    Column(f"constant {name}", rates.constant(theta, known=False))
+    for name, theta in rates.THETAS.items()
 ]
 
 
 def of(scene):
-    return [m.name for m in fa.METHODS.values() if m.tag is not None and scene in m.scenes]
+    return [m.name for m in fa.METHODS.values() if m.is_stepped and scene in m.scenes]
 
 
 def cells(case, scene):
     """(title, outcome) of all columns for one kind of scene."""
     columns = [
         (table.title, column)
-        for table in extremes.TABLES
+        for table in tables.TABLES
         if table.scene == scene and not table.title.startswith(ELSEWHERE)
         for column in table.columns
     ]
@@ -61,8 +61,7 @@ def test_given_rates(method, dtype):
 
 @pytest.mark.parametrize(
     ("method", "dtype"),
-    [(m, "float64") for m in of("free")]
-    + [pytest.param(m, "float32", marks=pytest.mark.slow) for m in SINGLE],
+    [(m, "float64") for m in of("free")] + [(m, "float32") for m in SINGLE],
 )
 def test_free_bodies(method, dtype):
     assert complaints(cells(Case(method, dtype=dtype), "free")) == []
@@ -85,8 +84,8 @@ def test_samples(method, scene):
 def test_a_rate_that_is_known_to_be_constant(method):
     """One exponential is the whole answer at any angle, but of a method whose equation is not."""
     record = fa.METHODS[method]
-    for theta in extremes.THETAS.values():
-        found = extremes.constant(theta)(Case(method))
+    for theta in rates.THETAS.values():
+        found = rates.constant(theta)(Case(method))
         assert not found.wrong.any()
         assert found.status.any() == (theta > 2.0 and not record.exact_for_constant)
 
@@ -98,26 +97,26 @@ def test_a_rate_that_is_known_to_be_constant(method):
 def test_cones_past_the_limit_are_wrong_but_for_their_status(method):
     """The flags hide nothing that would do without them."""
     for theta in (3.6, 4.5, 5.5):
-        found = extremes.coning(theta, n_steps=1)(Case(method))
+        found = rates.coning(theta, n_steps=1)(Case(method))
         assert found.status.all()
         assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
 
 
 @pytest.mark.parametrize("method", of("free"))
 def test_bodies_past_the_limit_are_wrong_but_for_their_status(method):
-    inertia = np.array(extremes.SHAPES["1, 2, 2.9"])
-    w0 = np.vstack([theta * extremes.spins(inertia)[:8] for theta in (4.0, 6.0, 7.0, 8.0)])
-    found = extremes.free(inertia, w0, 1.0, 1)(Case(method))
+    inertia = np.array(bodies.SHAPES["1, 2, 2.9"])
+    w0 = np.vstack([theta * bodies.spins(inertia)[:8] for theta in (4.0, 6.0, 7.0, 8.0)])
+    found = bodies.free(inertia, w0, 1.0, 1)(Case(method))
     assert not found.wrong.any()
     assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
 
 
 def test_what_is_allowed_is_small_where_a_method_is_good():
     """Else the rule would say nothing."""
-    free = extremes.free(np.array(extremes.V), 0.1 * extremes.spins(np.array(extremes.V)), 1.0, 16)
+    free = bodies.free(np.array(bodies.V), 0.1 * bodies.spins(np.array(bodies.V)), 1.0, 16)
     for case, run, most in (
-        (Case("lie_midpoint"), extremes.coning(0.1), 0.01),
-        (Case("magnus6"), extremes.coning(0.1), 1e-8),
+        (Case("lie_midpoint"), rates.coning(0.1), 0.01),
+        (Case("magnus6"), rates.coning(0.1), 1e-8),
         (Case("rk4"), free, 1e-4),
         (Case("kahan_li8"), free, 1e-10),
         (Case("dmv10"), free, 1e-11),
@@ -132,7 +131,7 @@ def test_what_is_allowed_is_small_where_a_method_is_good():
 
 @pytest.mark.parametrize("method", of("free"))
 def test_inertia_by_a_power_of_two_changes_no_bit(method):
-    for column in (extremes.scaled("", 2.0**-40), extremes.scaled("", 2.0**40)):
+    for column in (bodies.scaled("", 2.0**-40), bodies.scaled("", 2.0**40)):
         assert column.run(Case(method)).error.max() == 0.0
 
 
@@ -141,26 +140,26 @@ def test_inertia_by_a_power_of_two_changes_no_bit(method):
 )
 def test_reversal(method, stated):
     """200 steps of 0.05 s and back: at round-off, within a few of its units, or far from it."""
-    error = extremes.reversal_bodies(Case(method)).error.max()
-    symmetric = extremes.is_symmetric(fa.METHODS[method], "free")
+    error = agreement.reversal_bodies(Case(method)).error.max()
+    symmetric = agreement.is_symmetric(fa.METHODS[method], "free")
     assert symmetric == (stated < 1e-12)
     assert 0.2 < error / stated < (5.0 if symmetric else 1.5)
 
 
 @pytest.mark.parametrize(
-    "method", ["rk4", *[m.name for m in fa.METHODS.values() if extremes.is_symplectic(m)]]
+    "method", ["rk4", *[m.name for m in fa.METHODS.values() if energy.keeps_energy(m)]]
 )
 def test_energy_has_no_secular_drift(method):
     """Mean slope over 64 bodies within its uncertainty, of RK4 far from it."""
     n = 20_000
-    drift = extremes.energy(Case(method), n)
+    drift = energy.energy(Case(method), n)
     assert drift.largest < (1e-2 if fa.METHODS[method].order < 4 else 1e-4)
     lost = abs(drift.slope)
     if method == "rk4":
         assert lost > 5.0 * drift.uncertainty
     else:
         # rounding of the moments' powers has a sign: 1 ulp in 100 steps at most
-        assert lost < 4.0 * drift.uncertainty + 0.01 * extremes.Case(method).eps
+        assert lost < 4.0 * drift.uncertainty + 0.01 * Case(method).eps
 
 
 def test_cells_say_what_happened():
@@ -173,8 +172,8 @@ def test_cells_say_what_happened():
 
 
 def test_the_page_is_of_all_methods_and_nothing_in_it_is_wrong():
-    page = extremes.OUT.read_text(encoding="utf-8")
-    assert "There are 0 in" in page
-    assert "Energy over 1e7 steps" in page
-    assert [name for name in fa.METHODS if f"| {name} |" not in page] == []
-    assert [table.title for table in extremes.TABLES if f"## {table.title}" not in page] == []
+    text = page.OUT.read_text(encoding="utf-8")
+    assert "There are 0 in" in text
+    assert "Energy over 1e7 steps" in text
+    assert [name for name in fa.METHODS if f"| {name} |" not in text] == []
+    assert [table.title for table in tables.TABLES if f"## {table.title}" not in text] == []

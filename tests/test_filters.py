@@ -15,8 +15,6 @@ import fastatt as fa
 from fastatt import estimation as es
 from fastatt.trade.recordings import find_recordings
 
-pytestmark = pytest.mark.slow
-
 EPS = 2.0**-52
 
 # the spacecraft: coning at 0.6 rad and 0.3 rad/s on top of a slow turn

@@ -1,13 +1,14 @@
-"""A little of bench/fuzz.py: hostile input is refused in one clear line, or its result is right."""
+"""A little of ``python -m fuzz``: hostile input is refused in one line, or its result is right."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from exact import Motion
+from fuzz import judge, logs, runs, trying
 
 import fastatt as fa
-from bench import fuzz
+from fastatt import gyrolog
 
 
 def rates(d):
@@ -16,23 +17,14 @@ def rates(d):
 
 
 def body(d):
-    return fa.Scene(inertia=fuzz.moments(d, 2, 3))
+    return fa.Scene(inertia=runs.moments(d, 2, 3))
 
 
-# what other tests compile too
-RUNS = (
-    fuzz.Run(rates, "magnus4"),
-    fuzz.Run(rates, "magnus4"),
-    fuzz.Run(body, "rk4"),
-    fuzz.Run(body, "strang2"),
-    fuzz.Run(body, "exact"),
-)
-ELSEWHERE = ("propagate_directions", "methods_for, single_step")
+RUNS = (*runs.RUNS, runs.Run(rates, "magnus4"), runs.Run(body, "rk4"), runs.Run(body, "strang2"))
 
 
 def test_hostile_input(tmp_path):
-    targets = [t for t in fuzz.targets(tmp_path, RUNS, ("hold",)) if t[0] not in ELSEWHERE]
-    outcomes, counts, found = fuzz.fuzz(3000, 7, targets)
+    outcomes, counts, found = trying.fuzz(4000, 7, trying.targets(tmp_path, RUNS))
     assert not counts, "\n".join(f"{f.target}: {f.what}\n    {f.example}" for f in found)
     for name, own in outcomes.items():
         assert own["refused"] > 0, name
@@ -65,16 +57,16 @@ def warned(q):
 
 @pytest.mark.parametrize("function", [nonsense, silent, wordy, nameless, other, warned])
 def test_what_the_fuzz_is_after_is_found(function):
-    call = fuzz.Call(function, (np.array([1.0, 0.0, 0.0, 0.0]),), {}, fuzz.unit, ("q",))
-    assert fuzz.tried(call)[1] is not None
+    call = judge.Call(function, (np.array([1.0, 0.0, 0.0, 0.0]),), {}, judge.unit, ("q",))
+    assert trying.tried(call)[1] is not None
 
 
 def test_a_log_that_is_read_otherwise_than_written_is_found(tmp_path):
-    path = fuzz.written(tmp_path, b"wx,wy,wz\n1,2,3\n4,5,6\n")
-    log = fuzz.gyrolog.read_log(path, rate=10.0)
+    path = logs.written(tmp_path, b"wx,wy,wz\n1,2,3\n4,5,6\n")
+    log = gyrolog.read_log(path, rate=10.0)
     meant = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     t = np.array([0.0, 0.1])
-    assert fuzz.read_wrong(log, fuzz.Log(b"", {}, meant, t)) is None
-    assert "other rates" in fuzz.read_wrong(log, fuzz.Log(b"", {}, 2.0 * meant, t))
-    assert "other times" in fuzz.read_wrong(log, fuzz.Log(b"", {}, meant, 2.0 * t))
-    assert "rows" in fuzz.read_wrong(log, fuzz.Log(b"", {}, meant[:1], t[:1]))
+    assert logs.read_wrong(log, logs.Log(b"", {}, meant, t)) is None
+    assert "other rates" in logs.read_wrong(log, logs.Log(b"", {}, 2.0 * meant, t))
+    assert "other times" in logs.read_wrong(log, logs.Log(b"", {}, meant, 2.0 * t))
+    assert "rows" in logs.read_wrong(log, logs.Log(b"", {}, meant[:1], t[:1]))

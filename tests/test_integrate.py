@@ -9,7 +9,6 @@ import pytest
 from exact import EPS, START, angle, cone, coning, conj, exp, generic, mul, observed_order
 
 import fastatt as fa
-from fastatt.methods.sampled import WINDOWS
 
 KINDS = [False, True]
 SAMPLED = [
@@ -21,11 +20,7 @@ SAMPLED = [
 # of increments hold needs no intervals, and Picard fits both kinds of samples by one routine
 LEFT_OUT = [("coning3_optimal", True), ("hold", True), ("picard", True)]
 ANY_INTERVALS = [pair for pair in SAMPLED if pair not in LEFT_OUT]
-# each of picard's loops compiles for 10 to 30 s
-on_samples = pytest.mark.parametrize(
-    ("method", "increments"),
-    [pytest.param(*p, marks=pytest.mark.slow if p[0] == "picard" else ()) for p in SAMPLED],
-)
+on_samples = pytest.mark.parametrize(("method", "increments"), SAMPLED)
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 SPAN = 2.0
@@ -54,7 +49,7 @@ def test_observed_order_with_equal_intervals(method, increments):
     """At the end of whole windows: 12 intervals and multiples of 6 hold a whole number of each."""
 
     def error(n):
-        assert n % WINDOWS[type(fa.METHODS[method].tag)].span == 0
+        assert n % fa.METHODS[method].window.span == 0
         data = samples(BODIES, np.linspace(0.0, SPAN, n + 1), increments)
         q = fa.integrate_rates(data, SPAN / n, START3, method=method, increments=increments)
         return angle(q[:, -1], END).max()
@@ -67,7 +62,6 @@ def test_observed_order_with_equal_intervals(method, increments):
 UNEVEN = {"coning2": 3, "picard": 7}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pattern", ["alternate", "random"])
 @pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
 def test_observed_order_with_uneven_intervals(method, increments, pattern):
@@ -216,6 +210,52 @@ def test_threads_change_no_bit(method, increments):
         assert same(one, three)
 
 
+LONG = np.cumsum(np.random.default_rng(5).normal(size=(200_001, 3)), axis=0) * 0.01
+LONG[120_000:120_100] *= 100.0  # turns past π, in one tile of 261
+
+
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+@pytest.mark.parametrize(
+    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
+)
+def test_runs_of_one_log_on_threads_change_no_bit(method, increments, dtype):
+    """Of 260 tiles, 64 or more a thread; the turns past π are met by one thread of each."""
+    dt = 0.01
+    data = (LONG[:-1] * dt if increments else LONG).astype(dtype)
+    options = {"method": method, "increments": increments, "max_gap": np.inf}
+    spans = np.random.default_rng(6).uniform(0.009, 0.011, 200_000)
+    for intervals in (dt, spans):
+        alone, *others = (
+            fa.integrate_rates(data, intervals, START, n_threads=k, **options) for k in (1, 2, 3, 4)
+        )
+        assert alone.dtype == dtype
+        assert all(same(alone, other) for other in others)
+
+
+@on_samples
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+def test_lanes_are_single_logs_bit_for_bit(method, increments, dtype):
+    """Logs shorter than a tile, which a single one takes in one lane; some past π."""
+    data = (0.02 * LOG).reshape(40, 500, 3).astype(dtype)
+    data[::7, 300:] *= 4.0 if method == "picard" else 200.0  # whose polynomial must not diverge
+    options = {"method": method, "increments": increments}
+    batch = fa.integrate_rates(data, 1.0, START, **options)
+    for b in range(40):
+        assert same(batch[b], fa.integrate_rates(data[b], 1.0, START, **options))
+
+
+@on_samples
+def test_fast_stretch_of_one_log_changes_no_bit_before_it(method, increments):
+    """Nor in the lanes of its tile, which hold what comes before."""
+    data = 0.005 * LOG[:5000]
+    fast = data.copy()
+    fast[4500:] *= 500.0
+    options = {"method": method, "increments": increments}
+    alone, beside = (fa.integrate_rates(d, 1.0, START, **options) for d in (data, fast))
+    assert same(beside[:4488], alone[:4488])
+    assert angle(beside[-1], alone[-1]) > 0.01
+
+
 @on_samples
 @pytest.mark.parametrize("n_logs", [1, 3, 16, 40])
 def test_batch_is_its_logs(method, increments, n_logs):
@@ -250,7 +290,7 @@ def test_short_logs_and_rests_of_windows(method, increments, n):
     rounding = (n + 1) * 12 * EPS
     error = angle(q, mul(START, exp(factor * t * w)))
     assert error.max() < rounding + inner(method, 6.0 * factor * np.linalg.norm(w))
-    assert error[:: WINDOWS[type(fa.METHODS[method].tag)].span].max() < rounding
+    assert error[:: fa.METHODS[method].window.span].max() < rounding
 
 
 @pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
@@ -284,8 +324,23 @@ def test_constant_rate_is_exact_at_any_angle(method, increments, theta):
     w = theta * np.array([2.0, -1.0, 2.0]) / 3.0
     q = fa.integrate_rates(np.tile(w, (n, 1)), 1.0, START, method=method, increments=increments)
     t = np.arange(n + increments)[:, None]
-    span = WINDOWS[type(fa.METHODS[method].tag)].span
+    span = fa.METHODS[method].window.span
     assert angle(q, mul(START, exp(t * w))).max() < n * (4 * np.spacing(span * theta) + 12 * EPS)
+
+
+@pytest.mark.parametrize(("method", "increments"), [p for p in ANY_INTERVALS if p[0] != "picard"])
+@pytest.mark.parametrize("n_logs", [1, 20])
+def test_constant_rate_is_exact_at_any_angle_with_any_intervals(method, increments, n_logs):
+    """A few intervals are long enough for a turn past π."""
+    spans = np.random.default_rng(4).uniform(0.01, 0.02, 60)
+    spans[[7, 20, 21, 59]] = 1.0
+    w = np.array([3.0, -2.0, 4.0])
+    t = np.concatenate([[0.0], np.cumsum(spans)])
+    data = np.tile(spans[:, None] * w if increments else np.tile(w, (61, 1)), (n_logs, 1, 1))
+    options = {"method": method, "increments": increments, "max_gap": 2.0}
+    with pytest.warns(fa.StepWarning, match=r"of log 0 turns by 5\.39 rad"):
+        q = fa.integrate_rates(data, spans, START, **options)
+    assert angle(q, mul(START, exp(t[:, None] * w))).max() < 61 * 12 * EPS
 
 
 @on_samples
@@ -350,6 +405,20 @@ def test_out_is_filled_and_given_back():
     out = np.empty((3, 30, 4))
     assert fa.integrate_rates(rates, 0.1, out=out) is out
     assert np.array_equal(out, fa.integrate_rates(rates, 0.1))
+
+
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+@pytest.mark.parametrize("shape", [(50, 3), (2000, 3), (20, 90, 3)])
+def test_out_anywhere_in_memory(shape, dtype):
+    rates = np.random.default_rng(0).normal(size=shape).astype(dtype)
+    expected = fa.integrate_rates(rates, 0.01)
+    whole = np.zeros(expected.size + 3, dtype=dtype)
+    for k in range(4):
+        out = whole[k : k + expected.size].reshape(expected.shape)
+        whole[:] = 7.0
+        assert same(fa.integrate_rates(rates, 0.01, out=out), expected)
+        assert (whole[:k] == 7.0).all()
+        assert (whole[k + expected.size :] == 7.0).all()
 
 
 @pytest.mark.parametrize(

@@ -264,7 +264,6 @@ def test_the_list_of_arguments_is_complete():
     assert sorted(ARGUMENTS) == sorted(KERNELS)
 
 
-@pytest.mark.slow
 @every_kernel
 def test_from_jitted_code_in_both_precisions(name):
     kernel, arguments = KERNELS[name], ARGUMENTS[name]

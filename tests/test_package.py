@@ -52,10 +52,10 @@ def test_runtime_needs_numba_and_numpy_only(metadata):
     assert names(r for r in required if "extra ==" not in r) == RUNTIME
 
 
-def test_wheel_holds_every_module_and_the_type_marker_and_nothing_else(wheel):
+def test_wheel_holds_every_module_every_page_and_the_type_marker_and_nothing_else(wheel):
     shipped = {n for n in wheel.namelist() if ".dist-info/" not in n}
-    modules = {p.relative_to(ROOT).as_posix() for p in (ROOT / "fastatt").rglob("*.py")}
-    assert shipped == modules | {"fastatt/py.typed"}
+    files = [*(ROOT / "fastatt").rglob("*.py"), *(ROOT / "fastatt" / "docs").glob("*.md")]
+    assert shipped == {p.relative_to(ROOT).as_posix() for p in files} | {"fastatt/py.typed"}
 
 
 def test_readme_is_shipped(metadata):

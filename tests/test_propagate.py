@@ -16,7 +16,6 @@ from exact import (
     coning,
     exp,
     generic,
-    matrices_slow,
     matrix,
     mul,
     steady,
@@ -48,7 +47,7 @@ def same(a, b):
 # an ensemble is its bodies
 
 
-@pytest.mark.parametrize(("method", "representation"), matrices_slow(combinations()))
+@pytest.mark.parametrize(("method", "representation"), combinations())
 def test_ensemble_is_single_runs_bit_for_bit(method, representation):
     """With parameters of their own."""
     options = {"method": method, "representation": representation, "save_every": 32}
@@ -190,7 +189,6 @@ def test_float32_keeps_the_phase_of_shared_rates(t0):
     assert error < n * 2.0**-24 * 2.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rk4", "magnus4", "magnus6", "cg3"])
 def test_float32_results_and_their_floor(method):
     n = 1000

@@ -1,27 +1,44 @@
-"""The README's examples run and print what it says.
+"""The README and the pages of ``fastatt/docs``: their examples run, their commands and links exist.
 
-Every block fenced as ``python`` is run, from the top of the page down in one namespace, as a reader
+Every block fenced as ``python`` is run, from the top of its page down in one namespace, as a reader
 would type them. A block fenced as ``text`` that comes next, with nothing but blank lines between,
 is the printed output: compared with any run of blanks as one, and ``...`` for whatever changes from
-run to run. Examples that are not to be run carry another fence, such as ``console`` or ``toml``.
+run to run. Commands stand in blocks fenced as ``sh`` and in the text, between backticks. Examples
+that are not to be looked at carry another fence, such as ``console`` or ``toml``.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import doctest
 import io
+import linecache
 import re
+import shlex
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+from fastatt import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / "README.md"
+DOCS = ROOT / "fastatt" / "docs"
+PAGES = [README, *sorted(DOCS.glob("*.md"))]
+LONGEST = 200  # lines of the README
+
 BLOCK = re.compile(
     r"^```python[ \t]*\n(?P<code>.*?)^```[ \t]*$(?:\s*^```text[ \t]*\n(?P<output>.*?)^```[ \t]*$)?",
     re.MULTILINE | re.DOTALL,
 )
+SHELL = re.compile(r"^```sh[ \t]*\n(?P<code>.*?)^```[ \t]*$", re.MULTILINE | re.DOTALL)
+FENCED = re.compile(r"^```.*?^```[ \t]*$", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`([^`]+)`")
+LINK = re.compile(r"\]\((?!https?:)([^)\s#]+)(?:#[^)]*)?\)")
+PROGRAMS = ("make", "python", "pytest", "fastatt", "pip", ".ci/run")
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -40,10 +57,14 @@ def examples(page: str) -> list[Example]:
     ]
 
 
-def run(example: Example, namespace: dict[str, object]) -> str:
+def run(example: Example, namespace: dict[str, object], name: str) -> str:
     """What the example prints; its lines have the page's numbers in a traceback."""
     printed = io.StringIO()
-    code = compile("\n" * (example.line - 1) + example.code, str(README), "exec")
+    text = "\n" * (example.line - 1) + example.code
+    # as at a notebook's prompt: functions are traced from their source
+    place = f"<{name}, line {example.line}>"
+    linecache.cache[place] = (len(text), None, text.splitlines(keepends=True), place)
+    code = compile(text, place, "exec")
     with contextlib.redirect_stdout(printed):
         exec(code, namespace)
     return printed.getvalue()
@@ -57,36 +78,155 @@ def difference(expected: str, found: str) -> str | None:
     return checker.output_difference(doctest.Example("", expected), found, OPTIONS)
 
 
-EXAMPLES = examples(README.read_text(encoding="utf-8")) if README.is_file() else []
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    """For each example what it printed, or the error that stopped it."""
-    namespace: dict[str, object] = {"__name__": "__readme__"}
-    found: list[str | Exception] = []
-    with contextlib.chdir(tmp_path_factory.mktemp("readme")):
-        for example in EXAMPLES:
-            try:
-                found.append(run(example, namespace))
-            except Exception as error:  # noqa: BLE001 (raised again by the example's own test)
-                found.append(error)
+def failures(page: str, name: str) -> list[str]:
+    """What is wrong with a page's examples, each with its line."""
+    namespace: dict[str, object] = {"__name__": "__page__"}
+    found = []
+    for example in examples(page):
+        try:
+            printed = run(example, namespace, name)
+        except Exception:  # noqa: BLE001 (whatever an example raises)
+            found.append(f"{name}, line {example.line}:\n{traceback.format_exc()}")
+            continue
+        if example.output is not None:
+            wrong = difference(example.output, printed)
+            if wrong is not None:
+                found.append(f"{name}, line {example.line}:\n{wrong}")
     return found
 
 
-def test_readme_has_examples():
-    assert EXAMPLES, f"{README.name} has no python block"
+# commands
 
 
-@pytest.mark.parametrize("number", range(len(EXAMPLES)), ids=[f"line{e.line}" for e in EXAMPLES])
-def test_example(number, results):
-    found, expected = results[number], EXAMPLES[number].output
-    if isinstance(found, Exception):
-        raise found
-    if expected is not None:
-        wrong = difference(expected, found)
-        assert wrong is None, wrong
+def in_blocks(page: str) -> list[str]:
+    """Command lines of the page's blocks, without comments and prompts."""
+    lines = []
+    for block in SHELL.finditer(page):
+        text = block["code"].replace("\\\n", " ")
+        lines += [" ".join(shlex.split(line, comments=True)) for line in text.splitlines()]
+    return [line for line in lines if line]
 
+
+def in_text(page: str) -> list[str]:
+    """Commands between backticks."""
+    spans = (" ".join(span.split()) for span in INLINE.findall(FENCED.sub("", page)))
+    return [s for s in spans if s.split()[0] in PROGRAMS and (" " in s or "/" in s)]
+
+
+def refusal(command: str, *, whole: bool) -> str | None:
+    """Why a command can't be given, else None; one in the text may leave arguments out."""
+    words = shlex.split(command)
+    while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+        words.pop(0)
+    program, *rest = words
+    if program == "python" and rest[:2] == ["-m", "fastatt"]:
+        program, rest = "fastatt", rest[2:]
+    looks = {"make": as_targets, "python": as_script, "pytest": as_tests, "pip": as_extras}
+    if program == "fastatt":
+        return as_command(rest, whole=whole)
+    if program in looks:
+        return looks[program](rest)
+    return None if (ROOT / program).is_file() else f"no program {program}"
+
+
+def as_targets(words: list[str]) -> str | None:
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z][a-z-]*):", text, re.MULTILINE))
+    return ", ".join(f"no target {w}" for w in words if w not in targets) or None
+
+
+def as_script(words: list[str]) -> str | None:
+    script = ROOT / words[0]
+    if not script.is_file():
+        return f"no file {words[0]}"
+    text = script.read_text(encoding="utf-8")
+    options = (w.split("=")[0] for w in words[1:] if w.startswith("--"))
+    return ", ".join(f"no option {o}" for o in options if f'"{o}"' not in text) or None
+
+
+def as_tests(words: list[str]) -> str | None:
+    names = words[words.index("-k") + 1 :][:1] if "-k" in words else []
+    files = [w for w in words if "/" in w or (ROOT / w).exists()]
+    gone = [f"no file {w}" for w in files if not (ROOT / w).exists()]
+    if gone:
+        return ", ".join(gone)
+    sources = "".join((ROOT / w).read_text(encoding="utf-8") for w in files if w.endswith(".py"))
+    return ", ".join(f"no test {n}" for n in names if n not in sources) or None
+
+
+def as_extras(words: list[str]) -> str | None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = [e for w in words for e in re.findall(r"\[([\w,]+)\]", w)]
+    known = re.findall(r"^(\w+) = \[", text, re.MULTILINE)
+    wrong = [f"no extra {e}" for group in extras for e in group.split(",") if e not in known]
+    return ", ".join(wrong) or None
+
+
+def as_command(words: list[str], *, whole: bool) -> str | None:
+    parser = cli._parser()
+    if whole:
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stderr(said):
+                parser.parse_args(words)
+        except SystemExit:
+            return said.getvalue()
+        return None
+    commands = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    if words[0] not in commands:
+        return f"no command {words[0]}"
+    known = commands[words[0]]._option_string_actions
+    wrong = [f"no option {w}" for w in words if w.startswith("-") and w not in known]
+    return ", ".join(wrong) or None
+
+
+def refused(page: str) -> list[str]:
+    """Commands of a page that can't be given, each with the reason."""
+    asked = [(c, True) for c in in_blocks(page)] + [(c, False) for c in in_text(page)]
+    found = ((command, refusal(command, whole=whole)) for command, whole in asked)
+    return [f"{command}: {reason}" for command, reason in found if reason]
+
+
+# the pages
+
+pages = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+
+
+def test_there_are_pages():
+    assert {p.stem for p in PAGES} > {"README", "methods", "status", "startup"}
+
+
+@pages
+def test_examples_print_what_the_page_says(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = failures(path.read_text(encoding="utf-8"), path.name)
+    assert not found, "\n".join(found)
+
+
+@pages
+def test_commands_exist(path):
+    assert refused(path.read_text(encoding="utf-8")) == []
+
+
+@pages
+def test_links_lead_somewhere(path):
+    targets = LINK.findall(path.read_text(encoding="utf-8"))
+    assert [t for t in targets if not (path.parent / t).exists()] == []
+
+
+@pages
+def test_no_figure_is_missing(path):
+    assert re.findall(r"\{\{.*?\}\}", path.read_text(encoding="utf-8"), re.DOTALL) == []
+
+
+def test_readme_is_short_and_leads_to_every_page():
+    text = README.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= LONGEST
+    linked = {(README.parent / t).resolve() for t in LINK.findall(text)}
+    assert [p.name for p in PAGES[1:] if p not in linked] == []
+
+
+# the tests themselves
 
 PAGE = """# Page
 
@@ -99,7 +239,7 @@ print(x)
 1
 ```
 
-Prose.
+Prose, `fastatt methods`, `make no-such-target` and `x = 1`.
 
 ```python
 print(x / 0)
@@ -112,6 +252,13 @@ $ run
 ```text
 not an output
 ```
+
+```sh
+make trade            # a comment
+fastatt methods --scene free
+fastatt methods --no-such-option
+python bench/no_such_script.py
+```
 """
 
 
@@ -122,12 +269,41 @@ def test_blocks_are_found_with_their_lines_and_outputs():
 
 
 def test_names_carry_over_and_errors_name_the_line():
-    first, second = examples(PAGE)
-    namespace: dict[str, object] = {}
-    assert run(first, namespace) == "1\n"
-    with pytest.raises(ZeroDivisionError) as caught:
-        run(second, namespace)
-    assert caught.traceback[-1].lineno + 1 == second.line
+    (only,) = failures(PAGE, "page.md")
+    assert "page.md, line 15" in only
+    assert "ZeroDivisionError" in only
+
+
+def test_a_wrong_output_is_noticed():
+    (first, _) = failures(PAGE.replace("```text\n1\n", "```text\n2\n"), "page.md")
+    assert "page.md, line 4" in first
+
+
+def test_commands_are_looked_at():
+    found = [line.split(":")[0] for line in refused(PAGE)]
+    assert found == [
+        "fastatt methods --no-such-option",
+        "python bench/no_such_script.py",
+        "make no-such-target",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("command", "good"),
+    [
+        ("FASTATT_CACHE=0 fastatt methods", True),
+        ("fastatt no-such-command", False),
+        ("pytest tests/test_readme.py -k wrong_output", True),
+        ("pytest tests/test_readme.py -k no_such" + "_test", False),
+        ("pytest tests/no_such_file.py", False),
+        ("pip install .[plot]", True),
+        ("pip install .[no_such_extra]", False),
+        (".ci/run", True),
+        ("no_such_program", False),
+    ],
+)
+def test_a_command_is_refused_where_it_does_not_exist(command, good):
+    assert (refusal(command, whole=True) is None) is good
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.trade import Case, advice
-from fastatt.trade.advice import Point
-
-pytestmark = pytest.mark.slow
+from fastatt.trade import Case, advice, sample, search
+from fastatt.trade.recommendation import Point
 
 RNG = np.random.default_rng(6)
 N = 700
@@ -62,7 +60,7 @@ def test_the_tolerance_is_met_by_all_bodies_and_not_by_far(tol):
 def test_a_busy_machine_does_not_bring_up_what_was_not_made_sure_of(monkeypatch):
     """Though every timing of the last round is a thousand times as long as the guess."""
     monkeypatch.setattr(
-        advice._Search, "_clock", lambda self, look, n, threads=None: 1e3 * look.seconds(n)
+        search.Search, "_clock", lambda self, look, n, threads=None: 1e3 * look.seconds(n)
     )
     chosen = fa.recommend(CONING, Q0, t_end=T_END, tol=1e-3, methods=RATES, **DOUBLE)
     assert found_error(CONING, None, chosen, coning_end()) <= chosen.expected_error <= 1e-3
@@ -81,7 +79,7 @@ def test_a_sample_of_easy_bodies_is_corrected_by_the_others(monkeypatch):
     """What the step and its half change on the others shows how much harder they are."""
     w0 = W0 * np.linspace(0.1, 1.0, N)[:, None]
     rows = np.arange(64), np.arange(N - 1, 63, -1)
-    monkeypatch.setattr(advice._Search, "_choose", lambda *a: rows)
+    monkeypatch.setattr(sample.Sample, "_choose", lambda *a: rows)
     chosen = fa.recommend(GRADIENT, Q0, w0, t_end=T_END, tol=1e-6, methods=["rk8"])
     fine = fa.propagate(GRADIENT, Q0, w0, dt=T_END / 2000, n_steps=2000, method="rk8")
     assert chosen.safety > 10.0
@@ -131,7 +129,7 @@ def test_out_of_reach():
 
 def test_long_runs_are_measured_over_a_part(monkeypatch):
     """What a part of the time shows, carried on, is right within a few tens of percent."""
-    monkeypatch.setattr(advice, "_LONG", 1e-12)
+    monkeypatch.setattr(sample, "_LONG", 1e-12)
     long = 1600.0
     bodies = slice(0, 64)
     scene = fa.Scene(rate=fa.rates.Coning(*(x[bodies] for x in CONING.rate)))
@@ -163,6 +161,23 @@ def test_the_interval_of_a_history_may_limit(n):
     assert chosen.limited_by == "sampling"
     assert chosen.sampling_error == pytest.approx(fa.angle_between(*ends).max(), rel=0.5)
     assert "the torque's interval costs" in str(chosen)
+
+
+def test_a_method_of_ones_own_is_recommended():
+    """Alone, and beside a name that it cannot beat."""
+    heun = fa.explicit("heun", order=2, c=(0, 1), a=((1,),), b=(0.5, 0.5))
+    bodies = slice(0, 40)
+    scene = fa.Scene(rate=fa.rates.Coning(*(x[bodies] for x in CONING.rate)))
+    alone = fa.recommend(scene, Q0[bodies], t_end=T_END, tol=1e-4, methods=[heun], **DOUBLE)
+    assert alone.method == "heun"
+    assert str(alone).startswith("heun (quat, float64): ")
+    run = fa.propagate(scene, Q0[bodies], **alone.arguments)
+    assert run.record is heun
+    assert fa.angle_between(run.q[-1], coning_end()[bodies]).max() <= 1e-4
+    both = fa.recommend(
+        scene, Q0[bodies], t_end=T_END, tol=1e-7, methods=[heun, "magnus4"], **DOUBLE
+    )
+    assert both.method == both.arguments["method"] == "magnus4"
 
 
 def test_text_names_what_matters():

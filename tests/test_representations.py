@@ -20,8 +20,6 @@ from exact import (
 
 import fastatt as fa
 
-pytestmark = pytest.mark.slow
-
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 MATRICES = [(m, r) for m, r in combinations(exponential=True) if r != "quat"]

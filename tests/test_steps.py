@@ -1,43 +1,28 @@
-"""Single steps beside the ensemble engine, from Python, jitted code, parallel loops and threads."""
+"""Single steps beside the ensemble engine, from Python, jitted code and parallel loops."""
 
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+from allocations import counted, is_made_in
 from exact import START, exp, generic, mul
 from numba import njit, prange
 from numba.core.errors import TypingError
-from numba.core.runtime import _nrt_python, rtsys
-from test_body_methods import FREE, INERTIA, Q0, W0, stepped, under_torque
+from test_body_methods import FREE, INERTIA, Q0, W0, under_torque
 from test_translation import BODY, R0, SPIN, V0
 
 import fastatt as fa
-from fastatt import steps
-from fastatt.methods.method import is_staged
-from fastatt.methods.sampled import WINDOWS
-
-pytestmark = pytest.mark.slow
+from fastatt.attitudes import ATTITUDES
 
 EPS = 2.0**-52
 MOTION = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
-RATE_METHODS = [m.name for m in fa.METHODS.values() if "rate" in m.scenes]
-FREE_METHODS = stepped(FREE)
-TORQUED_METHODS = stepped(under_torque("srkn4"))
-# a torque changes the steps of splittings, and is all there is of one explicit method more
-UNDER_TORQUE = [m for m in TORQUED_METHODS if m not in FREE_METHODS or m in ("rk4", "strang2")]
-SAMPLED = [
-    (m.name, inc)
-    for m in fa.METHODS.values()
-    for inc in (False, True)
-    if ("increments" if inc else "sampled rates") in m.scenes
-]
 H = 0.05
-# bit for bit, but for a product and a sum that the compiler fuses in one of the two places only
 ULPS = 4 * EPS
 
 
@@ -48,18 +33,8 @@ def magnus():
 
 @pytest.fixture
 def allocations():
-    """Counts allocations of compiled code while the test runs."""
-    was_on = _nrt_python.memsys_stats_enabled()
-    _nrt_python.memsys_enable_stats()
-    yield lambda: rtsys.get_allocation_stats().alloc
-    if not was_on:
-        _nrt_python.memsys_disable_stats()
-
-
-def test_every_method_that_steps_is_tested():
-    tested = {*RATE_METHODS, *FREE_METHODS, *TORQUED_METHODS, *(m for m, _ in SAMPLED)}
-    assert tested == {m.name for m in fa.METHODS.values() if m.tag is not None}
-    assert {*FREE_METHODS, *UNDER_TORQUE} >= set(TORQUED_METHODS)
+    with counted() as number:
+        yield number
 
 
 # beside the engine
@@ -99,84 +74,96 @@ def run_by_advance(stepper, body, n, *start):
     return np.array(q), np.array(beside)
 
 
-def of_rates():
-    extra = [("magnus4", "dcm_rows"), ("rk4", "dcm"), ("rk4", "euler313")]
-    return [*((m, "quat") for m in RATE_METHODS), *extra]
-
-
-@pytest.mark.parametrize(("method", "representation"), of_rates())
-def test_steps_at_a_given_rate_are_the_engines(method, representation, allocations):
-    scene = MOTION.scene
-    options = {"method": method, "representation": representation}
-    stepper = fa.single_step(scene, **options)
-    traj = fa.propagate(scene, START3, dt=H, n_steps=3, n_threads=1, **options)
-    one_by_one(stepper, 0, 1, START)
-    before = allocations()
-    found = np.array([one_by_one(stepper, b, 3, START)[0] for b in range(3)])
-    assert allocations() == before
-    assert np.abs(found - traj.q[-1]).max() <= ULPS
-
-
 def scene_for(kind, method):
-    return FREE if kind == "free" else under_torque(method)
+    """A torque that does not depend on time: of stages the step and the engine add it otherwise."""
+    return {"rate": MOTION.scene, "free": FREE}.get(kind) or under_torque(method, motion=0.0)
 
 
-@pytest.mark.parametrize(
-    ("kind", "method"),
-    [*(("free", m) for m in FREE_METHODS), *(("torqued", m) for m in UNDER_TORQUE)],
-)
-def test_steps_of_a_body_are_the_engines(kind, method, allocations):
+def combinations(kind, representations=tuple(ATTITUDES)):
+    return [
+        (kind, m.name, rep)
+        for m in fa.METHODS.values()
+        for rep in representations
+        if m.is_stepped and {"torque": "torqued"}.get(kind, kind) in m.scenes
+        if rep in m.representations
+    ]
+
+
+ALL = [*combinations("rate"), *combinations("free"), *combinations("torque", ("quat",))]
+
+
+def test_every_method_that_steps_is_tested():
+    assert {m for _, m, _ in ALL} == {m.name for m in fa.METHODS.values() if m.is_stepped}
+
+
+@pytest.mark.parametrize(("kind", "method", "representation"), ALL)
+def test_steps_are_the_engines_bit_for_bit(kind, method, representation, allocations):
     """Splittings stay in their own state there, and go out of it and back at each step here."""
     scene = scene_for(kind, method)
-    stepper = fa.single_step(scene, method=method)
-    one = fa.propagate(scene, Q0, W0, dt=H, n_steps=1, n_threads=1, method=method)
-    three = fa.propagate(scene, Q0, W0, dt=H, n_steps=3, n_threads=1, method=method)
-    one_by_one(stepper, 0, 1, START, W0[0])
+    options = {"method": method, "representation": representation}
+    stepper = fa.single_step(scene, **options)
+    start = (START3,) if kind == "rate" else (Q0, W0)
+    own_state = fa.METHODS[method].steps.stage is not None
+
+    def engine(n):
+        traj = fa.propagate(scene, *start, dt=H, n_steps=n, n_threads=1, **options)
+        return np.hstack([traj.q[-1]] if kind == "rate" else [traj.q[-1], traj.w[-1]])
+
+    def alone(run, n):
+        return [np.hstack(run(stepper, b, n, *(a[b] for a in start))) for b in range(len(start[0]))]
+
+    assert np.array_equal(alone(one_by_one, 1), engine(1))
     before = allocations()
-    # to go out and back is two rotations or kicks a step, a few ulps each
-    most = 32 * EPS if is_staged(type(fa.METHODS[method].tag)) else ULPS
-    for b in (0, 3):
-        assert gap(one_by_one(stepper, b, 1, START, W0[b]), one.q[-1, b], one.w[-1, b]) <= ULPS
-        assert gap(one_by_one(stepper, b, 3, START, W0[b]), three.q[-1, b], three.w[-1, b]) <= most
+    three = alone(one_by_one, 3)
     assert allocations() == before
-
-
-@pytest.mark.parametrize(
-    ("kind", "method"), [("free", "strang2"), ("free", "dmv6"), ("torqued", "srkn4")]
-)
-def test_a_run_in_the_methods_own_state_is_the_engines(kind, method):
-    scene = scene_for(kind, method)
-    stepper = fa.single_step(scene, method=method)
-    traj = fa.propagate(scene, Q0, W0, dt=H, n_steps=3, n_threads=1, method=method)
-    found = run_by_advance(stepper, 1, 3, START, W0[1])
-    assert gap(found, traj.q[-1, 1], traj.w[-1, 1]) <= ULPS
+    # to go out and back is two rotations or kicks a step, a few ulps each
+    assert np.abs(np.array(three) - engine(3)).max() <= (32 * EPS if own_state else 0.0)
+    if own_state and representation == "quat":
+        assert np.array_equal(alone(run_by_advance, 3), engine(3))
 
 
 def test_a_run_in_the_own_state_of_a_method_without_one(magnus):
     found = run_by_advance(magnus, 1, 3, START)
-    assert gap(found, *one_by_one(magnus, 1, 3, START)) <= ULPS
+    assert gap(found, *one_by_one(magnus, 1, 3, START)) == 0.0
 
 
 def test_velocity_and_position_go_along():
     stepper = fa.single_step(BODY, method="rk4", position=True)
     traj = fa.propagate(BODY, START, SPIN, v0=V0, r0=R0, dt=H, n_steps=3, n_threads=1, method="rk4")
     found = one_by_one(stepper, 0, 3, START, SPIN, V0, R0)
-    assert gap(found, traj.q[-1], traj.w[-1], traj.v[-1], traj.r[-1]) <= ULPS
+    assert gap(found, traj.q[-1], traj.w[-1], traj.v[-1], traj.r[-1]) == 0.0
 
 
+def test_other_axes_and_an_inertial_rate():
+    tensor = np.array([[2.0, 0.1, 0.05], [0.1, 1.5, -0.2], [0.05, -0.2, 1.0]])
+    body = fa.Scene(inertia=tensor)
+    stepper = fa.single_step(body, method="strang2")
+    traj = fa.propagate(body, START, SPIN, dt=H, n_steps=3, n_threads=1, method="strang2")
+    assert gap(run_by_advance(stepper, 0, 3, START, SPIN), traj.q[-1], traj.w[-1]) == 0.0
+    coning = fa.Scene(rate=fa.rates.Coning(1.0, 1.0), frame="inertial")
+    stepper = fa.single_step(coning)
+    traj = fa.propagate(coning, START, dt=H, n_steps=3, n_threads=1)
+    assert gap(one_by_one(stepper, 0, 3, START), traj.q[-1]) == 0.0
+
+
+@pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("method", ["magnus4", "rk4"])
-def test_float32(method):
-    """A float32 clock, as the engine's where each body has its own parameters."""
-    stepper = fa.single_step(MOTION.scene, method=method, dtype="float32")
+def test_float32(method, shared):
+    """A clock in float32 where each body has its own parameters, as the engine's."""
+    scene = MOTION.shared if shared else MOTION.scene
+    stepper = fa.single_step(scene, method=method, dtype="float32")
     traj = fa.propagate(
-        MOTION.scene, START3, dt=H, n_steps=1, n_threads=1, method=method, dtype="float32"
+        scene, START3, dt=H, n_steps=3, t0=0.1, n_threads=1, method=method, dtype="float32"
     )
+    p = stepper.params if shared else stepper.params[2]
     x = np.array(stepper.state(START, body=2))
-    assert x.dtype == stepper.params.dtype == np.float32
-    stepper.step_into(np.float32(0.0), H, x, stepper.params[2])
-    q, _ = stepper.read(tuple(x), stepper.params[2])
-    assert {str(t) for t in stepper.read.nopython_signatures[0].return_type[0]} == {"float32"}
-    assert np.abs(np.array(q) - traj.q[-1, 2]).max() <= 4 * 2.0**-23
+    assert x.dtype == np.float32
+    assert type(p[0]) is (float if shared else np.float32)
+    for i in range(3):
+        stepper.step_into(0.1 + i * H, H, x, p)
+    q, _ = stepper.read(tuple(x), p)
+    assert {str(t) for t in stepper.read.nopython_signatures[-1].return_type[0]} == {"float32"}
+    assert np.array_equal(np.array(q, dtype=np.float32), traj.q[-1, 2])
 
 
 def test_a_turn_past_half_a_turn_takes_the_wide_exponential():
@@ -186,7 +173,7 @@ def test_a_turn_past_half_a_turn_takes_the_wide_exponential():
     for h in (0.1, 1.0, 10.0):
         x, angle = stepper.step_and_turn(0.0, h, stepper.state(START), stepper.params)
         traj = fa.propagate(scene, START, dt=h, n_steps=1, method="lie_euler", n_threads=1)
-        assert gap([stepper.attitude(x)], traj.q[-1]) <= ULPS
+        assert gap([stepper.attitude(x)], traj.q[-1]) == 0.0
         assert angle == pytest.approx(h * np.linalg.norm(w), rel=4 * EPS)
         assert stepper(0.0, h, stepper.state(START)) == x
 
@@ -199,70 +186,14 @@ def test_an_iteration_that_does_not_converge_says_so():
         assert (angle == math.inf) == expected
 
 
-# samples
-
-
-def sample_log(method, increments, n):
-    t = np.arange(n + 1) * H
-    values = MOTION.increments(t) if increments else MOTION.rate(t)
-    return np.ascontiguousarray(np.moveaxis(values, 0, 1)[0])
-
-
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
-def test_windows_of_samples_are_the_engines(method, increments, allocations):
-    """The first whole window of a log, in tuples and in arrays."""
-    window = steps.sample_step(method, increments=increments)
-    n = window.history + window.span
-    log = sample_log(method, increments, n)
-    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
-    out = np.empty((window.span + 1, 4))
-    gaps, work = np.full(n, H), np.empty(window.work)
-    assert log.shape == (window.samples, 3)
-    for _ in range(2):
-        before = allocations()
-        out[0] = engine[window.history]
-        window.step_into(log, gaps, out, work)
-    assert allocations() == before + 4  # Numba's own, of each array handed over
-    assert np.abs(out - engine[window.history :]).max() <= ULPS
-    if method == "coning2":  # the named functions call the same kernel for the others
-        flat = window.step(tuple(out[0]), tuple(log.ravel().tolist()), tuple(gaps.tolist()))
-        assert np.array_equal(np.reshape(flat, (-1, 4)), out[1:])
-
-
-CALLS = {
-    ("hold", False): lambda q, v: steps.hold(q, v[0], H),
-    ("hold", True): lambda q, v: steps.hold_increments(q, v[0]),
-    ("trapezoid", False): lambda q, v: steps.trapezoid(q, *v, H),
-    ("previous", False): lambda q, v: steps.previous(q, *v, H, H),
-    ("previous", True): lambda q, v: steps.previous_increments(q, *v, H, H),
-    ("coning2", False): lambda q, v: steps.coning2(q, *v, H, H),
-    ("coning2", True): lambda q, v: steps.coning2_increments(q, *v, H, H),
-    ("coning3", False): lambda q, v: steps.coning3(q, *v, H, H, H),
-    ("coning3", True): lambda q, v: steps.coning3_increments(q, *v, H, H, H),
-    ("coning3_optimal", True): lambda q, v: steps.coning3_optimal_increments(q, *v),
-}
-
-
-def test_every_method_of_samples_has_its_functions():
-    assert set(CALLS) == {s for s in SAMPLED if s[0] != "picard"}
-
-
-@pytest.mark.parametrize(("method", "increments"), CALLS)
-def test_functions_of_samples(method, increments):
-    window = WINDOWS[type(fa.METHODS[method].tag)]
-    n = window.history + window.span
-    log = sample_log(method, increments, n)
-    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
-    samples = [tuple(row) for row in log.tolist()]
-    found = CALLS[method, increments](tuple(engine[window.history].tolist()), samples)
-    assert np.abs(np.reshape(found, (-1, 4)) - engine[window.history + 1 :]).max() <= ULPS
-
-
-def test_large_angles_of_samples():
-    u = (4.0, -3.0, 2.0)
-    q = fa.integrate_rates([u], 1.0, START, method="hold", increments=True)[-1]
-    assert gap([steps.hold_increments(tuple(START), u)], q) <= ULPS
-    assert gap([steps.hold(tuple(START), (8.0, -6.0, 4.0), 0.5)], q) <= ULPS
+def test_the_angle_is_that_of_the_largest_stage():
+    scene = under_torque("srkn4", motion=0.0, arm=np.zeros(3))
+    stepper = fa.single_step(scene, method="srkn4")
+    _, angle = stepper.step_and_turn(0.0, H, stepper.state(START, W0[0]), row(stepper, 0))
+    spans = [abs(share) for share, _, _ in fa.METHODS["srkn4"].stages]
+    m = np.linalg.norm(INERTIA[0] * W0[0])
+    assert max(spans) > max(spans[0], spans[-1])
+    assert angle == pytest.approx(max(spans) * H * m / INERTIA[0].min(), rel=16 * EPS)
 
 
 # from a user's own code
@@ -288,41 +219,24 @@ def user():
             for i in range(n):
                 into(i * h, h, x[b], p[b])
 
-    @njit(nogil=True)
-    def with_samples(q, rates, h):
-        for i in range(rates.shape[0] - 1):
-            a = (rates[i, 0], rates[i, 1], rates[i, 2])
-            b = (rates[i + 1, 0], rates[i + 1, 1], rates[i + 1, 2])
-            q = steps.trapezoid(steps.hold(q, a, h), a, b, h)
-        return q
-
-    return stepper, serial, side_by_side, with_samples
+    return stepper, serial, side_by_side
 
 
 def test_from_jitted_code(user, allocations):
-    stepper, serial, _, with_samples = user
+    stepper, serial, _ = user
     p = tuple(stepper.params[2])
     q, w = serial(3, H, tuple(START), tuple(W0[2]), p)
-    assert gap((q, w), *one_by_one(stepper, 2, 3, START, W0[2])) <= ULPS
-    rates = sample_log("trapezoid", False, 8)
-    with_samples(tuple(START), rates, H)
+    assert gap((q, w), *one_by_one(stepper, 2, 3, START, W0[2])) == 0.0
     before = allocations()
     serial(100, H, tuple(START), tuple(W0[2]), p)
-    q = with_samples(tuple(START), rates, H)
-    assert allocations() == before + 1  # Numba's own, of the array handed over
-    slow = tuple(START)
-    for a, b in pairwise(rates):
-        slow = steps.trapezoid(steps.hold(slow, tuple(a), H), tuple(a), tuple(b), H)
-    assert gap([q], slow) <= 16 * ULPS
-    for function in (serial, with_samples):
-        for text in function.inspect_llvm().values():
-            assert "call ptr @NRT_MemInfo_alloc" not in text
-            assert "call i8* @NRT_MemInfo_alloc" not in text
+    assert allocations() == before
+    for text in serial.inspect_llvm().values():
+        assert not is_made_in(text)
 
 
 def test_in_a_parallel_loop_and_in_place(user):
     """The bodies of an ensemble, twice around the list, each by itself."""
-    stepper, _, side_by_side, _ = user
+    stepper, _, side_by_side = user
     params = np.concatenate([stepper.params, stepper.params])
     n = len(params)
     x = np.array([stepper.state(START, W0[0], body=b % len(INERTIA)) for b in range(n)])
@@ -330,16 +244,41 @@ def test_in_a_parallel_loop_and_in_place(user):
     traj = fa.propagate(FREE, Q0, W0, dt=H, n_steps=3, n_threads=1, method="rk4")
     for b in range(n):
         i = b % len(INERTIA)
-        assert gap(stepper.read(tuple(x[b]), params[b]), traj.q[-1, i], traj.w[-1, i]) <= ULPS
+        assert gap(stepper.read(tuple(x[b]), params[b]), traj.q[-1, i], traj.w[-1, i]) == 0.0
 
 
-def test_in_threads(user):
-    _, _, _, with_samples = user
-    logs = [np.random.default_rng(k).normal(size=(2000, 3)) for k in range(8)]
-    alone = [with_samples(tuple(START), log, H) for log in logs]
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda log: with_samples(tuple(START), log, H), logs))
-    assert together == alone
+def test_a_callers_fastmath_changes_no_rounding():
+    """Inside a loop that may fuse whatever it likes, and is the first to ask for the step."""
+    scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0))
+    stepper = fa.single_step(scene, method="rk8")
+    step = stepper.step
+
+    @njit(fastmath=True)
+    def loop(n, h, x, p):
+        for i in range(n):
+            x = step(i * h, h, x, p)
+        return x
+
+    assert not step.signatures
+    x = loop(100, H, stepper.state(START, W0[0]), stepper.params)
+    traj = fa.propagate(scene, START, W0[0], dt=H, n_steps=100, n_threads=1, method="rk8")
+    assert gap(stepper.read(x, stepper.params), traj.q[-1], traj.w[-1]) == 0.0
+
+
+def test_parameters_as_a_row_of_an_array():
+    scene = under_torque("strang2")
+    stepper = fa.single_step(scene, method="strang2")
+    p = stepper.params[1]
+    x = stepper.start(tuple(START), tuple(W0[1]), p)
+    assert x == stepper.start(tuple(START), tuple(W0[1]), tuple(p))
+    expected, turn = stepper.step_and_turn(0.1, H, x, tuple(p))
+    assert stepper.step_and_turn(0.1, H, x, p) == (expected, turn)
+    assert stepper.step(0.1, H, x, p) == expected
+    assert stepper.step(0.1, H, np.array(x), np.stack([p, p], axis=1)[:, 1]) == expected
+    assert stepper.read(np.array(x), p) == stepper.read(x, tuple(p))
+    y, e = stepper.enter(0.1, H, x, p)
+    y = stepper.advance(0.1, H, y, p, e)
+    assert stepper.leave(0.1 + H, H, H, y, p, e) == expected
 
 
 def test_a_users_rate():
@@ -352,6 +291,87 @@ def test_a_users_rate():
     x = stepper(0.0, H, stepper.state(START))
     expected = mul(START, exp([0.0, 0.3 * H, 0.6 * H]))
     assert gap([stepper.attitude(x)], expected) <= ULPS
+
+
+def test_a_users_rate_that_is_no_straight_line():
+    @njit
+    def rate(t, p):
+        k = 0
+        while t > 0.04:
+            t -= 0.04
+            k += 1
+        return p[0] * k, t, p[0]
+
+    scene = fa.Scene(rate=rate, params=(0.3,))
+    stepper = fa.single_step(scene)
+    traj = fa.propagate(scene, START, dt=H, n_steps=3, n_threads=1)
+    assert gap(one_by_one(stepper, 0, 3, START), traj.q[-1]) == 0.0
+
+
+def test_methods_and_representations_of_ones_own():
+    heun = fa.explicit("heun", order=2, c=(0, 1), a=((1,),), b=(1 / 2, 1 / 2))
+    middle = fa.lie(
+        "middle", order=2, exponents=lambda w, t, h: (tuple(h * x for x in w(t + h / 2)),)
+    )
+    for method, representation in ((heun, ATTITUDES["dcm"]), (middle, "quat")):
+        options = {"method": method, "representation": representation}
+        stepper = fa.single_step(MOTION.shared, **options)
+        assert stepper.method == method.name
+        traj = fa.propagate(MOTION.shared, START, dt=H, n_steps=3, n_threads=1, **options)
+        assert gap(one_by_one(stepper, 0, 3, START), traj.q[-1]) == 0.0
+    with pytest.raises(ValueError, match="method: found middle; accepted: rk4, cf4"):
+        fa.single_step(FREE, method=middle)
+
+
+def test_scenes_that_differ_in_numbers_alone_share_what_is_compiled():
+    one, other = (fa.single_step(fa.Scene(inertia=i)) for i in ((2.0, 1.0, 0.7), (3.0, 1.0, 2.5)))
+    assert one.step is other.step
+    assert one.read is other.read
+    x = one.state(START, W0[0])
+    assert one(0.0, H, x) != other(0.0, H, x)
+
+
+def test_scenes_with_tables_of_their_own():
+    for k in (1.0, 2.0):
+        torque = fa.torques.Sampled(k * np.linspace(0.0, 0.5, 9).reshape(3, 3), 0.1)
+        scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=torque)
+        stepper = fa.single_step(scene, method="rk4")
+        traj = fa.propagate(scene, START, W0[0], dt=H, n_steps=3, n_threads=1, method="rk4")
+        found = one_by_one(stepper, 0, 3, START, W0[0])
+        assert gap(found, traj.q[-1], traj.w[-1]) == 0.0
+
+
+PLAIN = """
+import numpy as np, fastatt as fa
+top = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0))
+fast = fa.Scene(rate=fa.rates.Constant((20.0, -30.0, 15.0)))
+for scene, method, w in ((top, "rk4", [0.3, 0.9, -0.5]), (top, "suzuki4", [0.3, 0.9, -0.5]),
+                         (fast, "magnus4", None)):
+    start = [[0.6, 0.0, 0.8, 0.0]] if w is None else [[0.6, 0.0, 0.8, 0.0], w]
+    stepper = fa.single_step(scene, method=method)
+    x = stepper.state(*start)
+    y, e = stepper.enter(0.0, 0.1, x, stepper.params)
+    for i in range(2):
+        x, _ = stepper.step_and_turn(0.1 * i, 0.1, x, stepper.params)
+        y = stepper.advance(0.1 * i, 0.1, y, stepper.params, e)
+    y = stepper.leave(0.2, 0.2, 0.1, y, stepper.params, e)
+    traj = fa.propagate(scene, *start, dt=0.1, n_steps=2, method=method)
+    assert np.array_equal(stepper.attitude(y), traj.q[-1]), method
+    assert np.abs(stepper.attitude(x) - traj.q[-1]).max() < 1e-15, method
+    a = np.array(stepper.state(*start), dtype=np.float32)
+    stepper.step_into(0.0, 0.1, a, stepper.params)
+    one = stepper(0.0, 0.1, stepper.state(*start))
+    assert 0.0 < np.abs(a - one).max() < 1e-6, method
+print("plain")
+"""
+
+
+def test_in_plain_python():
+    options = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    found = subprocess.run(
+        [sys.executable, "-c", PLAIN], env=options, capture_output=True, text=True, check=False
+    )
+    assert found.stdout == "plain\n", found.stderr
 
 
 # refusals
@@ -382,5 +402,7 @@ def test_refusals_of_types(magnus):
         magnus.state((0.0, 0.0, 0.0, 0.0))
     with pytest.raises(TypingError, match=r"step: found an integer .* write 1.0 instead of 1"):
         magnus.step(0.0, H, (1, 0, 0, 0), magnus.params[0])
-    with pytest.raises(ValueError, match="method: found 'rk4'; accepted: hold"):
-        steps.sample_step("rk4")
+    with pytest.raises(TypingError, match=r"p: found 2 numbers; accepted: 11"):
+        magnus.step(0.0, H, (1.0, 0.0, 0.0, 0.0), (1.0, 2.0))
+    with pytest.raises(TypingError, match=r"x: found 3 numbers; accepted: 4"):
+        magnus.step(0.0, H, (1.0, 0.0, 0.0), row(magnus, 0))

@@ -6,6 +6,7 @@ off, and the sum is compiled once.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 
@@ -13,17 +14,17 @@ import mpmath as mp
 import numpy as np
 import pytest
 import rigid_oracle as ro
+from differences import derivative, displaced
 from exact import EPS, START, angle, exp, mul
 from numba import njit
 from oracle import floats
 
 import fastatt as fa
 from fastatt import torques as ft
+from fastatt.attitudes import ATTITUDES
+from fastatt.flat.rows import rows
 from fastatt.models import Sum
-from fastatt.representations import REPRESENTATIONS
-from fastatt.torques import torque
-
-pytestmark = pytest.mark.slow
+from fastatt.torques import Dependence, Pose, torque_of
 
 INERTIA = np.array([0.6, 0.8, 1.0])
 AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
@@ -96,9 +97,16 @@ def close(a, b):
 # each model at an instant
 
 
-@njit
-def evaluate(model, rep, t, x, w, inertia, p):
-    return torque(model, rep, t, x, w, inertia, p)
+@functools.cache
+def compiled(law, representation):
+    """Of (t, state, rate, moments, parameters) the torque under a law."""
+    attitude = ATTITUDES[representation]
+
+    def torque(t, x, w, moments, p):
+        return torque_of(law, t, Pose(attitude, x, w, moments), p)
+
+    inputs = {"t": None, "x": attitude.size, "w": 3, "moments": 3, "p": law.count}
+    return rows(torque, inputs, (3,))
 
 
 def states(n=5, seed=4):
@@ -115,10 +123,9 @@ def found_torque(model, representation, t, q, w, axes):
         q = mul(q, axes)
         w = fa.quat_to_dcm(axes).T @ w
     x = {"quat": q, "dcm": fa.quat_to_dcm(q).ravel(), "dcm_rows": fa.quat_to_dcm(q).ravel()[:6]}
-    x = tuple(x[representation].tolist())
-    p = tuple(packed.params.tolist())
-    rep = REPRESENTATIONS[representation]()
-    return evaluate(packed.tag, rep, t, x, tuple(w.tolist()), tuple(INERTIA.tolist()), p)
+    torque = compiled(packed.law, representation)
+    (found,) = torque(t, x[representation], w, INERTIA, packed.params, tables=packed.tables)
+    return found
 
 
 @pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows"])
@@ -186,8 +193,8 @@ def every(n, **terms):
     made = []
     for name, default in zeros.items():
         given = [*terms.get(name, ()), *default[len(terms.get(name, ())) :]]
-        rows = [np.broadcast_to(a, (n, *np.shape(d))) for a, d in zip(given, default, strict=True)]
-        made.append(getattr(ft, name)(*rows))
+        each = [np.broadcast_to(a, (n, *np.shape(d))) for a, d in zip(given, default, strict=True)]
+        made.append(getattr(ft, name)(*each))
     return Sum(tuple(made))
 
 
@@ -201,8 +208,8 @@ def one_each():
             row = np.zeros((n, *np.shape(value)))
             row[[i, -1]] = value
             terms[name].append(row)
-    for rows in (terms["GravityGradient"][1], terms["GravityGradient"][2]):
-        rows[~rows.any(axis=1)] = 1.0
+    for unit in (terms["GravityGradient"][1], terms["GravityGradient"][2]):
+        unit[~unit.any(axis=1)] = 1.0
     terms["QuaternionPD"][2][:, :] = TARGET
     return every(n, **terms)
 
@@ -457,10 +464,10 @@ def test_user_torque_that_does_not_use_the_rate():
     for found in gaps(traj, *ends(INERTIA, [acting])):
         assert found.max() < 1e-12
     for acting, dependence in (
-        (terms[0], ft.POSITION),
-        (ft.Custom(potential_v), ft.RATE),
-        (potential_v, ft.RATE),
-        (Sum((ft.Custom(potential_v), ft.Damping(0.1))), ft.RATE),
+        (terms[0], Dependence.POSITION),
+        (ft.Custom(potential_v), Dependence.RATE),
+        (potential_v, Dependence.RATE),
+        (Sum((ft.Custom(potential_v), ft.Damping(0.1))), Dependence.RATE),
     ):
         assert fa.Scene(inertia=INERTIA, torque=acting).dependence() == dependence
 
@@ -476,24 +483,24 @@ def test_functions_that_close_over_a_number():
     """Two functions of one code are two torques; njit is optional, and so are parameters."""
     for gain, make in ((0.5, njit), (2.0, lambda function: function)):
         found = found_torque(ft.Custom(make(closure(gain))), "quat", 1.5, START, SPIN, None)
-        assert found == (1.5 * gain, 0.0, -gain)
+        assert found.tolist() == [1.5 * gain, 0.0, -gain]
 
 
 # what splits
 
 
 DEPENDENCE = {
-    "Constant": ft.POSITION,
-    "ConstantInertial": ft.POSITION,
-    "Damping": ft.DAMPED,
-    "AxisDamping": ft.DAMPED,
-    "QuadraticDamping": ft.RATE,
-    "GravityGradient": ft.POSITION,
-    "HeavyTop": ft.POSITION,
-    "MagneticDipole": ft.POSITION,
-    "QuaternionPD": ft.RATE,
-    "Rotor": ft.RATE,
-    "Sampled": ft.POSITION,
+    "Constant": Dependence.POSITION,
+    "ConstantInertial": Dependence.POSITION,
+    "Damping": Dependence.DAMPED,
+    "AxisDamping": Dependence.DAMPED,
+    "QuadraticDamping": Dependence.RATE,
+    "GravityGradient": Dependence.POSITION,
+    "HeavyTop": Dependence.POSITION,
+    "MagneticDipole": Dependence.POSITION,
+    "QuaternionPD": Dependence.RATE,
+    "Rotor": Dependence.RATE,
+    "Sampled": Dependence.POSITION,
 }
 UNDER_TORQUE = [m for m in fa.METHODS.values() if "torqued" in m.scenes]
 
@@ -502,7 +509,7 @@ UNDER_TORQUE = [m for m in fa.METHODS.values() if "torqued" in m.scenes]
 def test_methods_that_fit_a_torque(name):
     model = MODELS[name][0]
     # damping along the body's axes is not along the principal ones
-    turned = ft.RATE if name == "AxisDamping" else DEPENDENCE[name]
+    turned = Dependence.RATE if name == "AxisDamping" else DEPENDENCE[name]
     for scene, dependence in (
         (fa.Scene(inertia=INERTIA, torque=model), DEPENDENCE[name]),
         (
@@ -515,10 +522,43 @@ def test_methods_that_fit_a_torque(name):
         assert scene.dependence() == dependence
         fitting = fa.methods_for(scene)
         assert fitting == [m.name for m in UNDER_TORQUE if m.takes >= dependence]
-        if dependence != ft.POSITION:
+        if dependence != Dependence.POSITION:
             with pytest.raises(ValueError, match="method: found 'srkn4'; accepted: ") as refusal:
                 fa.propagate(scene, START, SPIN, dt=0.1, n_steps=1, method="srkn4")
             assert str(refusal.value).endswith(", ".join(fitting))
+
+
+def observed_dependence(model, axes):
+    """The least that explains the derivatives of a torque in w, along principal axes."""
+    derivatives = []
+    for t, q, w in states():
+        values = [found_torque(model, "quat", t, q, w + d, axes) for d in displaced(3, 0.1)]
+        derivatives.append(derivative(np.array(values), 0.1))
+    if axes is not None:  # w was displaced along the body's axes
+        derivatives = [d @ fa.quat_to_dcm(axes) for d in derivatives]
+    found = np.array(derivatives)
+    if not found.any():
+        return Dependence.POSITION
+    diagonal = np.abs(found - found * np.eye(3)).max() < 100 * EPS
+    constant = np.abs(found - found[0]).max() < 100 * EPS
+    return Dependence.DAMPED if diagonal and constant else Dependence.RATE
+
+
+@pytest.mark.parametrize("axes", [None, AXES], ids=["principal", "turned"])
+@pytest.mark.parametrize("name", MODELS)
+def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
+    """No less ever; no more but of a controller, whose damping is no term of its own."""
+    model = MODELS[name][0]
+    found = observed_dependence(model, axes)
+    said = ft.dependence(ft.pack(model, None, axes).law)
+    assert found == (Dependence.DAMPED if name == "QuaternionPD" else said)
+    assert found <= said
+
+
+def test_dependence_of_a_users_function_is_seen_where_it_says_it_has_none():
+    """What the test above is there to see."""
+    wrong = ft.Custom(weight_and_damping, (*ARM, 2.0, 0.2), uses_rate=False)
+    assert observed_dependence(wrong, None) > ft.dependence(ft.pack(wrong, None).law)
 
 
 # potentials
@@ -541,7 +581,7 @@ def test_methods_that_fit_a_torque(name):
 def test_torques_that_keep_an_energy(names, kept):
     for axes in (None, AXES):
         packed = ft.pack(Sum(tuple(MODELS[n][0] for n in names)), None, axes)
-        assert ft.has_potential(packed.tag) is kept
+        assert ft.has_potential(packed.law) is kept
 
 
 # wrong input

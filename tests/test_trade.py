@@ -11,12 +11,10 @@ import pytest
 import fastatt as fa
 from fastatt import gyrolog, trade
 from fastatt.cli import main
-from fastatt.ensemble import Ensemble
 from fastatt.integrate import methods_for_samples
+from fastatt.running.ensemble import Ensemble
 from fastatt.trade import motions, run
 from fastatt.trade.measure import Rung, ladder_rows, measure
-
-pytestmark = pytest.mark.slow
 
 # few, as compiling is what takes the time: a step that turns, one that does not, one for samples
 CONING = {
@@ -75,7 +73,7 @@ def test_every_method_of_a_body_scene_is_planned(scene):
 
 def test_only_general_methods_take_the_torqued_scene():
     assert {fa.METHODS[m].takes for m in fa.methods_for(trade.BODY_SCENES["torqued"])} == {
-        fa.torques.RATE
+        fa.torques.Dependence.RATE
     }
 
 

@@ -11,8 +11,6 @@ from oracle import floats
 
 import fastatt as fa
 
-pytestmark = pytest.mark.slow
-
 INERTIA = (2.0, 1.0, 2.0 / 3.0)
 SPIN = np.array([0.3, 0.9, -0.5])
 V0, R0 = np.array([1.0, 2.0, -0.5]), np.array([0.1, 0.2, 0.3])

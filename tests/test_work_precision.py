@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.ensemble import Ensemble
+from fastatt.attitudes import ATTITUDES
+from fastatt.flat.rows import lanes_of
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.loop import show_loop
 from fastatt.trade import Case, Problem, confirm, reference
 from fastatt.trade.measure import measure
+from fastatt.trade.peak import peak, program
 from fastatt.trade.work_precision import cases_of, spread
-
-pytestmark = pytest.mark.slow
 
 N = 48
 RNG = np.random.default_rng(4)
@@ -212,9 +215,78 @@ def test_chosen_bodies_keep_their_own_numbers(name):
     few = Ensemble(scene, Q0, w0).take(rows)
     whole, packed = scene.packed(N), few.scene.packed(3)
     expected = whole.params[rows] if whole.params.ndim == 2 else whole.params
-    assert type(packed.tag) is type(whole.tag)
+    assert packed.structure == whole.structure
     assert np.array_equal(packed.params, expected)
     assert np.array_equal(few.q0, Q0[rows])
+
+
+def ralston():
+    return fa.explicit(
+        "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
+    )
+
+
+def middle(w, t, h):
+    u = w(t + 0.5 * h)
+    return ((h * u[0], h * u[1], h * u[2]),)
+
+
+def test_methods_of_ones_own_stand_beside_names():
+    mine = fa.lie("mine", order=2, exponents=middle, limit=fa.METHODS["lie_midpoint"].limit("quat"))
+    found = fa.work_precision(
+        CONING, Q0, t_end=T_END, methods=["lie_midpoint", mine, ralston()], dtypes=["float64"],
+        repeats=1, max_seconds=3.0,
+    )  # fmt: skip
+    rows = {name: [r for r in found.rows if r.method == name] for name in ("mine", "ralston3")}
+    same = [r for r in found.rows if r.method == "lie_midpoint"]
+    for own, other in zip(rows["mine"], same, strict=False):
+        assert own.error_max == pytest.approx(other.error_max, rel=1e-6, abs=1e-13)
+    for name, order in (("mine", 2), ("ralston3", 3)):
+        measured = [r.order for r in rows[name] if r.order is not None and r.error_max < 1e-2]
+        assert np.median(measured) == pytest.approx(order, abs=0.2)
+    assert "ralston3" in found.table()
+
+
+def test_an_attitude_of_ones_own_is_measured():
+    """The library's quaternions under another name: the same errors."""
+    mine = replace(ATTITUDES["quat"], name="mine")
+    both = cases_of(CONING, ["rk4", "magnus4"], ["quat", mine], ["float64"])
+    assert [str(case) for case in both[::2]] == ["rk4 (quat, float64)", "magnus4 (quat, float64)"]
+    end = reference(problem(CONING, None)).end
+    for plain, own in zip(both[::2], both[1::2], strict=True):
+        assert str(own) == f"{plain.method} (mine, float64)"
+        rungs = [measure(problem(CONING, None), end, case, 40, repeats=1) for case in (plain, own)]
+        assert np.array_equal(rungs[0].error, rungs[1].error)
+        assert rungs[0].operations == rungs[1].operations
+
+
+def test_what_stands_twice_or_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="methods: found 'rk4' twice; accepted: different names"):
+        cases_of(CONING, ["rk4", "rk4"], ["quat"], ["float64"])
+    mine = fa.lie("mine", order=2, exponents=middle)
+    with pytest.raises(ValueError, match=r"methods: found mine, for rate; accepted .* \(free\): "):
+        cases_of(FREE, [mine], ["quat"], ["float64"])
+    assert cases_of(FREE, [fa.METHODS["rk4"]], ["quat"], ["float64"]) == [Case("rk4")]
+
+
+def test_operations_and_their_part_of_the_peak(coning):
+    for row in coning.rows:
+        name = row.method
+        text = show_loop(CONING, name).splitlines()[0]
+        assert f": {row.operations} floating-point operations a step" in text
+        speed = row.operations * row.steps_per_second
+        cores = speed / row.peak / peak("double")
+        assert cores == pytest.approx(1.0)  # of 48 bodies, which one thread takes
+    assert "ops/step" in coning.table()
+    assert "% of peak" in coning.table()
+
+
+@pytest.mark.parametrize("kind", ["double", "single"])
+def test_the_peak_is_of_fused_operations_in_registers(kind):
+    """At least what a chain in each lane gives, and no more than 8 fma units of 512 bits do."""
+    lanes = lanes_of(kind)
+    assert 0.1e9 * lanes < peak(kind) < 8 * 2 * lanes * 7e9
+    assert program(kind).count(f'@"llvm.fma.v{lanes}') > 96
 
 
 def test_status_is_counted():

@@ -1,711 +1,241 @@
 """The tile loop: a block of bodies stays in the first-level cache for many steps.
 
-The scratch array's shape is a constant, so every row's distance is known and LLVM needs no
-aliasing check: with packed AVX-512 this ran 5 times as fast as the same loop over an ``(N, K)``
-array. A tile always runs its full width (the last body fills it up), so that every body meets the
-same compiled code whatever the size of the ensemble.
+A tile always runs its full width (the last body fills it up), so that every body meets the same
+code whatever the size of the ensemble. All that a step touches lies in one piece of memory, a row
+of lanes for each number.
 
-Exponentials by polynomial hold up to π; a root and a division more make them good at any angle
-and the step a third slower. So a block of steps runs with the short form, and again from its
-start with the wide one if any body of the tile turned further in one step; the others keep what the
-short form gave them, since the compiler may fuse the two differently: a fast neighbour costs time,
-never a bit.
+Exponentials by polynomial hold up to π; a root and a division more make them good at any angle and
+the step a third slower. So a block of steps runs in its quick form, and lanes in which that did not
+do take the careful form's result, from the start of the block. The careful form is another program,
+compiled only when a lane first needs it: ``tiles`` then returns the number of the tile where it
+stopped, to be called again from there. The others keep what the quick form gave them: a fast
+neighbour costs time, never a bit.
 
 Looking at every turn costs the cheapest steps 3 to 9 %. Bodies whose turns are known beforehand to
-be within the method's limit are stepped without it (``quiet``). Of other rates that are given, one
-step of six or seven is looked at, and the length of a quaternion at the end of the block: beyond π
-the short exponential is not of unit length, and what it spoilt is run again.
+be within the method's limit are stepped without it. Of other rates that are given, one step of six
+or seven is looked at, and the length of a quaternion at the end of the block: beyond π the short
+exponential is not of unit length.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numba import types
+from llvmlite import ir
 
-from fastatt._jit import driver, helper, hook
-from fastatt.columns import load, store, unpack
-from fastatt.engine.memory import maximum
-from fastatt.kernels.quat import dot
-from fastatt.methods.method import enter, extras, is_staged, leave, prepare, seen_at_times
-from fastatt.motion import carried, hand_out, handed_out, invariants, restored, start
-from fastatt.representations import OPERATIONS
-from fastatt.translation import full_step
+from fastatt.engine.layout import ARGUMENTS, BLOCK, WIDTH, Given
+from fastatt.engine.pieces import PACE, Pieces, lanes
+from fastatt.flat.code import I64, Code, Int
+from fastatt.flat.llvm import Emitter
+from fastatt.flat.machine import processor
 
-WIDTH = 64
-# what is done once a block took 3 % of the cheapest step with 64 steps, takes 1 % with 256
-BLOCK = 256
-# φ⁴ steps from one look to the next: pulses of any period meet one before long
-PACE = 6.854101966249685
 # ulps a step by which |q|² may change unsuspected: good exponentials bring 2.7 at most
 ROUNDING = 4.0
-
-
-class Run(NamedTuple):
-    """What one call of the driver does: steps [first, last) of a run.
-
-    Saves are every ``save_every`` steps and at the end, the first in slot ``slot`` of the output:
-    1 where slot 0 holds the initial state, else 0. The state is brought back to its group every
-    ``restore`` steps, or never if that is 0; ``raw`` hands it out as it is.
-    """
-
-    t0: float
-    h: float
-    first: int
-    last: int
-    n_steps: int
-    save_every: int
-    slot: int
-    restore: int = 0
-    raw: bool = False
-
-
-class Watched(NamedTuple):
-    """Tag of steps whose turns are looked at."""
-
-
-class AtTimes(NamedTuple):
-    """Tag of steps of which some are looked at, and the last; of few, all."""
-
-
-class Unwatched(NamedTuple):
-    """Tag of steps whose turns are known to be within the limit."""
-
-
-def note(look: Any, rows: Any, top: Any, j: Any, z: Any) -> None:
-    """Keep the largest squared turn of lane j."""
-    raise NotImplementedError(look)
-
-
-@hook(note)
-def _note(
-    look: types.BaseNamedTuple, rows: types.Type, top: types.Type, j: types.Type, z: types.Type
-) -> Any:
-    if look.instance_class is Unwatched:
-        return lambda look, rows, top, j, z: None
-
-    def impl(look, rows, top, j, z):
-        rows[top, j] = maximum(rows[top, j], z)
-
-    return impl
-
-
-def short(rep: Any) -> Any:
-    """Tag of the twin for turns of at most π, or the tag itself."""
-    cls = OPERATIONS[type(rep)].short
-    return rep if cls is None else cls()
-
-
-def clock(params: Any, t: Any, like: Any) -> Any:
-    """Time for the rates: float64 where they are shared, the state's type where they are not."""
-    raise NotImplementedError
-
-
-@hook(clock)
-def _clock(params: types.Array, t: types.Type, like: types.Type) -> Any:
-    if params.ndim == 1:
-        return lambda params, t, like: t
-    return lambda params, t, like: type(like)(t)
-
-
-def shared_parameters(params: Any, shape: Any) -> Any:
-    """The parameters that all bodies share, or an empty tuple."""
-    raise NotImplementedError
-
-
-@hook(shared_parameters)
-def _shared_parameters(params: types.Array, shape: types.BaseTuple) -> Any:
-    if params.ndim == 1:
-        return lambda params, shape: unpack(params, shape)
-    return lambda params, shape: ()
-
-
-def parameters(params: Any, shape: Any, shared: Any, rows: Any, top: Any, j: Any) -> Any:
-    """The parameters of lane j: the shared ones, or those in the rows below the state."""
-    raise NotImplementedError
-
-
-@hook(parameters)
-def _parameters(
-    params: types.Array,
-    shape: types.BaseTuple,
-    shared: types.Type,
-    rows: types.Type,
-    top: types.Type,
-    j: types.Type,
-) -> Any:
-    if params.ndim == 1:
-        return lambda params, shape, shared, rows, top, j: shared
-    return lambda params, shape, shared, rows, top, j: load(rows, top + 1, j, shape)
-
-
-def load_parameters(params: Any, rows: Any, top: Any, start: Any) -> None:
-    """Fill the rows below the state with the bodies' own parameters."""
-    raise NotImplementedError
-
-
-def extras_of(method: Any, params: Any, shape: Any, rows: Any, top: Any, j: Any) -> Any:
-    """What the method prepared for lane j, in the rows below the parameters."""
-    raise NotImplementedError
-
-
-@hook(extras_of)
-def _extras_of(
-    method: types.BaseNamedTuple,
-    params: types.Array,
-    shape: types.BaseTuple,
-    rows: types.Type,
-    top: types.Type,
-    j: types.Type,
-) -> Any:
-    n = (0.0,) * extras(method.instance_class)
-    below = 1 + (len(shape) if params.ndim == 2 else 0)
-    return lambda method, params, shape, rows, top, j: load(rows, top + below, j, n)
-
-
-def store_extras(method: Any, params: Any, shape: Any, rows: Any, top: Any, j: Any, e: Any) -> None:
-    """Put what the method prepared for lane j in the rows below the parameters."""
-    raise NotImplementedError
-
-
-@hook(store_extras)
-def _store_extras(
-    method: types.Type,
-    params: types.Array,
-    shape: types.BaseTuple,
-    rows: types.Type,
-    top: types.Type,
-    j: types.Type,
-    e: types.Type,
-) -> Any:
-    below = 1 + (len(shape) if params.ndim == 2 else 0)
-    return lambda method, params, shape, rows, top, j, e: store(rows, top + below, j, e)
-
-
-@hook(load_parameters)
-def _load_parameters(
-    params: types.Array, rows: types.Type, top: types.Type, start: types.Type
-) -> Any:
-    if params.ndim == 1:
-        return lambda params, rows, top, start: None
-
-    def impl(params, rows, top, start):
-        last = params.shape[0] - 1
-        for j in range(WIDTH):
-            for i in range(params.shape[1]):
-                rows[top + 1 + i, j] = params[min(start + j, last), i]
-
-    return impl
-
-
-def scratch(method: Any, rep: Any, model: Any, shape: Any, params: Any, x: Any) -> Any:
-    """Empty tiles: the state with all that a step touches, a copy of it, what is handed out.
-
-    Below the state lie the squared turns, the parameters, what the method prepared, and |q|² at the
-    start of a block. One array for all that is touched: between two, LLVM would need an aliasing
-    check a pair of rows, and gives up at 19 rows.
-    """
-    raise NotImplementedError
-
-
-@hook(scratch)
-def _scratch(
-    method: types.BaseNamedTuple,
-    rep: types.BaseNamedTuple,
-    model: types.BaseNamedTuple,
-    shape: types.BaseTuple,
-    params: types.Array,
-    x: types.Array,
-) -> Any:
-    size = carried(rep.instance_class, model)
-    own = len(shape) if params.ndim == 2 else 0
-    all_rows = size + 1 + own + extras(method.instance_class) + 1
-    out = handed_out(rep.instance_class, model) + 2
-
-    def impl(method, rep, model, shape, params, x):
-        return (
-            np.empty((all_rows, WIDTH), dtype=x.dtype),
-            np.empty((size + 1, WIDTH), dtype=x.dtype),
-            np.empty((out, WIDTH), dtype=x.dtype),
-        )
-
-    return impl
-
-
-def state(rep: Any, model: Any, rows: Any, j: Any) -> Any:
-    """The state of lane j as a tuple."""
-    raise NotImplementedError
-
-
-@hook(state)
-def _state(
-    rep: types.BaseNamedTuple, model: types.BaseNamedTuple, rows: types.Type, j: types.Type
-) -> Any:
-    n = (0.0,) * carried(rep.instance_class, model)
-    return lambda rep, model, rows, j: load(rows, 0, j, n)
-
-
-def height(rep: Any, model: Any) -> Any:
-    """Number of rows of the state, known when compiling."""
-    raise NotImplementedError
-
-
-@hook(height)
-def _height(rep: types.BaseNamedTuple, model: types.BaseNamedTuple) -> Any:
-    n = carried(rep.instance_class, model)
-    return lambda rep, model: n
-
-
-@helper
-def lanes(look, method, rep, model, rows, shape, params, shared, t, span, other):
-    """One stage of every lane."""
-    top = height(rep, model)
-    for j in range(WIDTH):
-        x = state(rep, model, rows, j)
-        p = parameters(params, shape, shared, rows, top, j)
-        e = extras_of(method, params, shape, rows, top, j)
-        x, z = full_step(method, rep, model, t, span, other, x, p, e)
-        store(rows, 0, j, x)
-        note(look, rows, top, j, z)
-
-
-@helper
-def is_short(first, last):
-    """Whether steps [first, last) are so few that all are looked at."""
-    return last - first <= PACE
-
-
-def steps(
-    look: Any, method: Any, rep: Any, model: Any, rows: Any, shape: Any, params: Any, shared: Any,
-    run: Any, stages: Any, h: Any, first: Any, last: Any,
-) -> None:  # fmt: skip
-    """Steps [first, last) of every lane; ``stages`` is empty for a method of one stage.
-
-    A loop over one stage would cost the cheapest methods a third of their speed.
-    """
-    raise NotImplementedError
-
-
-@hook(steps)
-def _steps(
-    look: types.BaseNamedTuple, method: types.BaseNamedTuple, rep: types.BaseNamedTuple,
-    model: types.BaseNamedTuple, rows: types.Type, shape: types.Type, params: types.Type,
-    shared: types.Type, run: types.Type, stages: types.Type, h: types.Type, first: types.Type,
-    last: types.Type,
-) -> Any:  # fmt: skip
-    every = Watched()
-    none = Unwatched()
-
-    def some(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
-        # counted from the run's start: a block is a multiple of many periods
-        all_seen = is_short(first, last)
-        begun = first
-        while begun < last:
-            seen = begun if all_seen else min(int(PACE * (int((begun + 1) / PACE) + 1)), last) - 1
-            for n in range(begun, seen):
-                t = clock(params, run.t0 + n * run.h, h)
-                lanes(none, method, rep, model, rows, shape, params, shared, t, h, h)
-            t = clock(params, run.t0 + seen * run.h, h)
-            lanes(every, method, rep, model, rows, shape, params, shared, t, h, h)
-            begun = seen + 1
-
-    def whole(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
-        for n in range(first, last):
-            t = clock(params, run.t0 + n * run.h, h)
-            lanes(look, method, rep, model, rows, shape, params, shared, t, h, h)
-
-    def staged(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
-        F = type(h)
-        for n in range(first, last):
-            for i in range(stages.shape[0]):
-                t = clock(params, run.t0 + (n + stages[i, 2]) * run.h, h)
-                span = F(stages[i, 0] * run.h)
-                other = F(stages[i, 1] * run.h)
-                lanes(look, method, rep, model, rows, shape, params, shared, t, span, other)
-
-    if isinstance(stages, types.Array):
-        return staged
-    at_times = look.instance_class is AtTimes and seen_at_times(method.instance_class, rep, model)
-    return some if at_times else whole
-
-
-@helper
-def advance(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last):
-    """Run steps [first, last) on one tile."""
-    F = type(h)
-    top = height(rep, model)
-    for j in range(WIDTH):
-        rows[top, j] = F(0.0)
-    steps(look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last)
-
-
-def remember(method: Any, rep: Any, model: Any, rows: Any) -> None:
-    """|q|² of every lane, in the last row."""
-    raise NotImplementedError(method)
-
-
-@hook(remember)
-def _remember(
-    method: types.BaseNamedTuple, rep: types.BaseNamedTuple, model: types.BaseNamedTuple,
-    rows: types.Array,
-) -> Any:  # fmt: skip
-    if not seen_at_times(method.instance_class, rep, model):
-        return lambda method, rep, model, rows: None
-
-    def impl(method, rep, model, rows):
-        for j in range(WIDTH):
-            q = state(rep, model, rows, j)
-            rows[rows.shape[0] - 1, j] = dot(q, q)
-
-    return impl
-
-
-def doubt(method: Any, rep: Any, model: Any, rows: Any, n: Any) -> None:
-    """Infinity in place of the squared turns of lanes whose |q|² n steps have changed.
-
-    Not where it was no number before: another run would not mend it.
-    """
-    raise NotImplementedError(method)
-
-
-@hook(doubt)
-def _doubt(
-    method: types.BaseNamedTuple, rep: types.BaseNamedTuple, model: types.BaseNamedTuple,
-    rows: types.Array, n: types.Type,
-) -> Any:  # fmt: skip
-    if not seen_at_times(method.instance_class, rep, model):
-        return lambda method, rep, model, rows, n: None
-    rounding = ROUNDING * float(np.finfo(str(rows.dtype)).eps)
-
-    def impl(method, rep, model, rows, n):
-        F = type(rows[0, 0])
-        top = height(rep, model)
-        bound = F(rounding * n)
-        for j in range(WIDTH):
-            before = rows[rows.shape[0] - 1, j]
-            q = state(rep, model, rows, j)
-            after = dot(q, q)
-            kept = abs(after - before) <= bound * before or before != before  # noqa: PLR0124
-            rows[top, j] = maximum(rows[top, j], F(0.0) if kept else F(math.inf))
-
-    return impl
-
-
-@helper
-def any_far(rows, top):
-    """Whether any lane turned by more than π in a step."""
-    F = type(rows[top, 0])
-    far = False
-    for j in range(WIDTH):
-        far |= rows[top, j] > F(math.pi * math.pi)
-    return far
-
-
-@helper
-def copy(source, target):
-    """The rows of the state; a slice assignment would compile 2.7 s of shape messages."""
-    for i in range(min(source.shape[0], target.shape[0])):
-        for j in range(WIDTH):
-            target[i, j] = source[i, j]
-
-
-@helper
-def swap(a, b):
-    """Exchange the states of two tiles, and the squared turns below them."""
-    for i in range(b.shape[0]):
-        for j in range(WIDTH):
-            a[i, j], b[i, j] = b[i, j], a[i, j]
-
-
-@helper
-def take_slow(source, target, top):
-    """Take back the lanes that turned by no more than π a step."""
-    for j in range(WIDTH):
-        if not source[top, j] > math.pi * math.pi:
-            for i in range(top + 1):
-                target[i, j] = source[i, j]
-
-
-def all_quiet(quiet: Any, first: Any, last: Any) -> Any:
-    """Whether the turns of all bodies from ``first`` on that a tile holds are known."""
-    raise NotImplementedError
-
-
-@hook(all_quiet)
-def _all_quiet(quiet: types.Type, first: types.Type, last: types.Type) -> Any:
-    if isinstance(quiet, types.BaseTuple):
-        return lambda quiet, first, last: False
-
-    def impl(quiet, first, last):
-        every = True
-        for j in range(WIDTH):
-            every &= quiet[min(first + j, last)]
-        return every
-
-    return impl
-
-
-@helper
-def mark(rows, top, quiet, first, last):
-    """0 in place of the squared turns that are known, infinity in place of the others."""
-    F = type(rows[top, 0])
-    for j in range(WIDTH):
-        rows[top, j] = F(0.0) if quiet[min(first + j, last)] else F(math.inf)
-
-
-def block(
-    method: Any, rep: Any, near: Any, model: Any, rows: Any, kept: Any, shape: Any, params: Any,
-    shared: Any, run: Any, stages: Any, h: Any, quiet: Any, calm: Any, body: Any, end: Any,
-    first: Any, last: Any,
-) -> None:  # fmt: skip
-    """Run steps [first, last) on one tile, short and where it must be wide.
-
-    The tile holds the bodies from ``body`` to at most ``end``; ``calm`` says that all are quiet.
-    """
-    raise NotImplementedError
-
-
-@hook(block)
-def _block(
-    method: types.Type, rep: types.BaseNamedTuple, near: types.BaseNamedTuple, model: types.Type,
-    rows: types.Type, kept: types.Type, shape: types.Type, params: types.Type, shared: types.Type,
-    run: types.Type, stages: types.Type, h: types.Type, quiet: types.Type, calm: types.Type,
-    body: types.Type, end: types.Type, first: types.Type, last: types.Type,
-) -> Any:  # fmt: skip
-    look = Watched()
-    at_times = AtTimes()
-    no_look = Unwatched()
-
-    def plain(
-        method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, quiet, calm,
-        body, end, first, last,
-    ):  # fmt: skip
-        advance(
-            at_times, method, rep, model, rows, shape, params, shared, run, stages, h, first, last
-        )
-
-    def twice(
-        method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, quiet, calm,
-        body, end, first, last,
-    ):  # fmt: skip
-        top = height(rep, model)
-        copy(rows, kept)
-        if not is_short(first, last):
-            remember(method, near, model, rows)
-        advance(
-            at_times, method, near, model, rows, shape, params, shared, run, stages, h, first, last
-        )
-        if not is_short(first, last):
-            doubt(method, near, model, rows, last - first)
-        if any_far(rows, top):
-            swap(rows, kept)
-            advance(
-                look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last
-            )
-            take_slow(kept, rows, top)
-
-    def known(
-        method, rep, near, model, rows, kept, shape, params, shared, run, stages, h, quiet, calm,
-        body, end, first, last,
-    ):  # fmt: skip
-        top = height(rep, model)
-        if not calm:
-            copy(rows, kept)
-        advance(
-            no_look, method, near, model, rows, shape, params, shared, run, stages, h, first, last
-        )
-        if not calm:
-            mark(rows, top, quiet, body, end)
-            swap(rows, kept)
-            advance(
-                look, method, rep, model, rows, shape, params, shared, run, stages, h, first, last
-            )
-            take_slow(kept, rows, top)
-
-    if isinstance(quiet, types.Array):
-        return known
-    return plain if near.instance_class is rep.instance_class else twice
-
-
-@helper
-def begin(model, rep, rows, shape, params, shared, q0, w0, first, last):
-    """Load the initial states of a tile; the last body fills it up."""
-    top = height(rep, model)
-    for j in range(WIDTH):
-        p = parameters(params, shape, shared, rows, top, j)
-        store(rows, 0, j, start(rep, model, q0, w0, min(first + j, last), p))
-
-
-def set_out(
-    method: Any, rep: Any, model: Any, rows: Any, shape: Any, params: Any, shared: Any, run: Any,
-    edge: Any, h: Any,
-) -> None:  # fmt: skip
-    """Prepare what the method needs of each lane, and take its state to the one that is stepped."""
-    raise NotImplementedError(method)
-
-
-@hook(set_out)
-def _set_out(
-    method: types.BaseNamedTuple, rep: types.Type, model: types.Type, rows: types.Type,
-    shape: types.Type, params: types.Type, shared: types.Type, run: types.Type, edge: types.Type,
-    h: types.Type,
-) -> Any:  # fmt: skip
-    def nothing(method, rep, model, rows, shape, params, shared, run, edge, h):
-        pass
-
-    def impl(method, rep, model, rows, shape, params, shared, run, edge, h):
-        F = type(h)
-        top = height(rep, model)
-        t = clock(params, run.t0, h)
-        for j in range(WIDTH):
-            x = state(rep, model, rows, j)
-            p = parameters(params, shape, shared, rows, top, j)
-            e = prepare(method, rep, model, h, x, p)
-            store_extras(method, params, shape, rows, top, j, e)
-            store(rows, 0, j, enter(method, rep, model, t, F(0.0), F(edge), x, p, e))
-
-    return impl if is_staged(method.instance_class) else nothing
-
-
-@helper
-def resume(rows, x, start):
-    """Load the states that an earlier call left."""
-    last = x.shape[0] - 1
-    for j in range(WIDTH):
-        for i in range(x.shape[1]):
-            rows[i, j] = x[min(start + j, last), i]
-
-
-@helper
-def save(
-    method, model, rep, rows, done, shape, params, shared, q0, w0, first, last, run, n, edge, h
-):
-    """What is handed out of the states after n steps, and how far they left what they keep."""
-    F = type(h)
-    top = height(rep, model)
-    t = clock(params, run.t0 + n * run.h, h)
-    since = F(n * run.h)
-    for j in range(WIDTH):
-        p = parameters(params, shape, shared, rows, top, j)
-        e = extras_of(method, params, shape, rows, top, j)
-        x = leave(method, rep, model, t, since, F(edge), state(rep, model, rows, j), p, e)
-        y, d = hand_out(rep, model, x, p, run.raw)
-        store(done, 0, j, y)
-        done[done.shape[0] - 2, j] = d
-        x0 = start(rep, model, q0, w0, min(first + j, last), p)
-        done[done.shape[0] - 1, j] = departure(
-            invariants(rep, model, x0, p), invariants(rep, model, x, p), h
-        )
-
-
-def departure(a: Any, b: Any, like: Any) -> Any:
-    """Largest relative change from the invariants a to b, 0 where there are none."""
-    raise NotImplementedError
-
-
-@hook(departure)
-def _departure(a: types.BaseTuple, b: types.BaseTuple, like: types.Type) -> Any:
-    def none(a, b, like):
-        return type(like)(0.0)
-
-    def larger(a, b, like):
-        F = type(like)
-        one = F(1.0)
-        tiny = F(1e-37)
-        x = abs(b[0] / (a[0] if a[0] > tiny else one) - (one if a[0] > tiny else F(0.0)))
-        y = abs(b[1] / (a[1] if a[1] > tiny else one) - (one if a[1] > tiny else F(0.0)))
-        return x if x > y else y
-
-    return larger if len(a) else none
-
-
-@helper
-def worse(a, b):
-    """The larger of two numbers, or NaN."""
-    return a if a >= b or a != a else b  # noqa: PLR0124
-
-
-@helper
-def put(done, out, defect, watch, first, width):
-    """Copy what is handed out to the ensemble's arrays."""
-    top = done.shape[0] - 2
-    for j in range(width):
-        for i in range(top):
-            out[first + j, i] = done[i, j]
-        defect[first + j] = done[top, j]
-        watch[1, first + j] = worse(watch[1, first + j], abs(done[top, j]))
-        watch[2, first + j] = worse(watch[2, first + j], done[top + 1, j])
-
-
-@helper
-def mend(rep, model, rows, watch, first, width):
-    """Bring the states nearer to their group; how far they had left it is not forgotten."""
-    top = height(rep, model)
-    for j in range(WIDTH):
-        x, d = restored(rep, model, state(rep, model, rows, j))
-        store(rows, 0, j, x)
-        rows[top, j] = abs(d)
-    for j in range(width):
-        watch[1, first + j] = worse(watch[1, first + j], rows[top, j])
-
-
-def run_tiles(
-    method, rep, near, model, shape, params, q0, w0, x, h, stages, edge, quiet, run, out, defect,
-    watch, tile_first, tile_last,
-):  # fmt: skip
-    """Run steps [run.first, run.last) of the tiles [tile_first, tile_last).
-
-    Starts from ``q0`` and ``w0`` or, where run.first > 0, from ``x (N, K)``, in which the states
-    are left; saves to ``out (S, N, K')`` and ``defect (S, N)``. ``watch (3, N)`` grows to the
-    largest squared angle of a step, departure from the group, relative change of an invariant.
-    ``near`` is the twin of ``rep`` for turns of at most π; ``stages`` (M, 3) are those of the
-    method, or () for one; ``edge`` the s that what is stepped lies ahead; ``quiet`` (N,) which
-    bodies' turns are known to be within the limit, or () if nothing is known.
-    """
-    rows, kept, done = scratch(method, rep, model, shape, params, x)
-    size = height(rep, model)
-    end = x.shape[0] - 1
-    shared = shared_parameters(params, shape)
-    for tile in range(tile_first, tile_last):
-        first = tile * WIDTH
-        width = min(WIDTH, x.shape[0] - first)
-        calm = all_quiet(quiet, first, end)
-        load_parameters(params, rows, size, first)
-        begin(model, rep, rows, shape, params, shared, q0, w0, first, end)
-        set_out(method, rep, model, rows, shape, params, shared, run, edge, h)
-        if run.first > 0:
-            resume(rows, x, first)
-        n = run.first
-        due = n == 0 and (run.slot == 1 or run.n_steps == 0)
-        while True:
-            if due:
-                slot = (n - 1) // run.save_every + run.slot if n > 0 else 0
-                save(
-                    method, model, rep, rows, done, shape, params, shared, q0, w0, first, end,
-                    run, n, edge, h,
-                )  # fmt: skip
-                put(done, out[slot], defect[slot], watch, first, width)
-            if n == run.last:
-                break
-            stop = min(n + BLOCK, run.last, (n // run.save_every + 1) * run.save_every)
-            if run.restore > 0:
-                stop = min(stop, (n // run.restore + 1) * run.restore)
-            block(
-                method, rep, near, model, rows, kept, shape, params, shared, run, stages, h,
-                quiet, calm, first, end, n, stop,
-            )  # fmt: skip
-            for j in range(width):
-                watch[0, first + j] = max(watch[0, first + j], rows[size, j])
-            n = stop
-            if run.restore > 0 and n % run.restore == 0:
-                mend(rep, model, rows, watch, first, width)
-            due = n % run.save_every == 0 or n == run.n_steps
-        for j in range(width):
-            for i in range(size):
-                x[first + j, i] = rows[i, j]
-
-
-cached_run_tiles = driver(run_tiles)
-uncached_run_tiles = driver(run_tiles, cache=False)
+_BYTE = ir.IntType(8).as_pointer()
+
+
+def width_for(bodies: int, kind: str) -> int:
+    """Width of the tile for a number of bodies: a power of two of vectors, at most ``WIDTH``."""
+    width = lanes(kind)
+    while width < min(bodies, WIDTH):
+        width *= 2
+    return width
+
+
+class Writer(Pieces):
+    """Writes the program of one job."""
+
+    def quick(self) -> str:
+        """The loop over tiles with the quick form of a block."""
+        self._block("block", self.formulas.quick, self.job.look)
+        self._begin()
+        self._save()
+        if self.formulas.mend is not None:
+            self._mend()
+        self._tiles()
+        return str(self.module)
+
+    def careful(self) -> str:
+        """The form of a block that is good for any turn and looks at each."""
+        self._block("careful", self.formulas.careful, "every")
+        return str(self.module)
+
+    # lanes that the quick form may not do for
+
+    def _remember(self, code: Code, rows: Any) -> None:
+        """|q|² of every lane at the start of a block."""
+        with code.lanes(self.width, self.lanes) as j:
+            square = self._square(code, rows, j)
+            code.store_vector(rows, j + self.rows.offset("witness"), square)
+
+    def _square(self, code: Code, rows: Any, j: Int) -> Any:
+        find = self._inputs(code, None, rows, j, {})  # type: ignore[arg-type]
+        emit = Emitter(code, self.lanes, processor().fuses)
+        assert self.formulas.witness is not None
+        return emit.wide(self.formulas.witness, find)[0]
+
+    def _doubt(self, code: Code, rows: Any, n: Int) -> None:
+        """Infinity in place of the squared turns of lanes whose |q|² n steps have changed.
+
+        Not where it was no number before: another run would not mend it.
+        """
+        b = code.b
+        eps = float(np.finfo(np.float64 if self.kind == "double" else np.float32).eps)
+        steps = b.sitofp(n.value, self.real)
+        bound = code.splat(b.fmul(steps, code.real(self.kind, ROUNDING * eps)), self.lanes)
+        infinite = code.splat(code.real(self.kind, math.inf), self.lanes)
+        with code.lanes(self.width, self.lanes) as j:
+            before = code.vector(rows, j + self.rows.offset("witness"), self.lanes)
+            after = self._square(code, rows, j)
+            change = b.call(code.intrinsic("llvm.fabs", after.type), [b.fsub(after, before)])
+            kept = b.fcmp_ordered("<=", change, b.fmul(bound, before))
+            kept = b.or_(kept, b.fcmp_unordered("uno", before, before))
+            at = j + self.rows.offset("turn")
+            turn = code.vector(rows, at, self.lanes)
+            code.store_vector(rows, at, b.select(kept, turn, infinite))
+
+    def _far(self, code: Code, rows: Any, far: Any) -> Any:
+        """Mark lanes that turned by more than π in a step; whether there is any."""
+        b = code.b
+        found = code.variable(0)
+        limit = code.real(self.kind, math.pi * math.pi)
+        with code.lanes(self.width, 1) as j:
+            turn = code.load(rows, j + self.rows.offset("turn"))
+            one = b.zext(b.fcmp_ordered(">", turn, limit), I64)
+            code.store(far, j, one)
+            code.set(found, Int(code, b.or_(code.get(found).value, one)))
+        return code.get(found) > 0
+
+    def _loud(self, code: Code, given: Given, far: Any, base: Int) -> Any:
+        """Mark lanes whose turns are not known; whether there is any."""
+        b = code.b
+        found = code.variable(0)
+        quiet = given.array("quiet", _BYTE)
+        last = given.whole("bodies") - 1
+        with code.lanes(self.width, 1) as j:
+            known = code.load(quiet, (base + j).at_most(last))
+            one = b.zext(b.icmp_unsigned("==", known, ir.Constant(known.type, 0)), I64)
+            code.store(far, j, one)
+            code.set(found, Int(code, b.or_(code.get(found).value, one)))
+        return code.get(found) > 0
+
+    def _again(self, code: Code, given: Given, memory: tuple[Any, Any, Any], steps: Any) -> None:
+        """Run a block in its careful form from the states kept, and take the marked lanes' results.
+
+        Returns from the program where that form is not there yet.
+        """
+        rows, kept, far = memory
+        tile, first, last = steps
+        b = code.b
+        kind = ir.FunctionType(I64, [self.real.as_pointer(), I64, I64, *ARGUMENTS])
+        address = given.array("careful", kind.as_pointer())
+        with code.when(b.icmp_unsigned("==", b.ptrtoint(address, I64), code.raw(0))):
+            code.give(tile)
+        self._exchange(code, rows, kept)
+        b.call(address, [rows, first.value, last.value, *given.arguments])
+        with code.lanes(self.width, 1) as j, code.when(Int(code, code.load(far, j)) < 1):
+            for i in range(self.formulas.size + 1):
+                code.store(rows, j + i * self.width, code.load(kept, j + i * self.width))
+
+    def _exchange(self, code: Code, a: Any, c: Any) -> None:
+        for i in range(self.copied.count):
+            with code.lanes(self.width, self.lanes) as j:
+                at = j + i * self.width
+                x, y = code.vector(a, at, self.lanes), code.vector(c, at, self.lanes)
+                code.store_vector(a, at, y)
+                code.store_vector(c, at, x)
+
+    def _copy(self, code: Code, a: Any, c: Any) -> None:
+        for i in range(self.copied.count):
+            with code.lanes(self.width, self.lanes) as j:
+                at = j + i * self.width
+                code.store_vector(c, at, code.vector(a, at, self.lanes))
+
+    def _tiles(self) -> None:
+        """Steps [first, last) of tiles; the number of the tile that was not finished."""
+        code, given, (first_tile, last_tile) = self._function("tiles", I64, I64)
+        rows = code.room(self.real, self.rows.count * self.width)
+        kept = code.room(self.real, self.copied.count * self.width)
+        done = code.room(self.real, self.done.count * self.width)
+        far = code.room(I64, self.width)
+        with code.loop(Int(code, first_tile), Int(code, last_tile)) as tile:
+            self._tile(code, given, (rows, kept, done, far), tile)
+        code.give(Int(code, last_tile))
+
+    def _tile(self, code: Code, given: Given, memory: Any, tile: Int) -> None:
+        rows, _, done, far = memory
+        b = code.b
+        globals_ = self.module.globals
+        args = given.arguments
+        base = tile * self.width
+        first, last = given.whole("first"), given.whole("last")
+        every, restore = given.whole("save_every"), given.whole("restore")
+        n_steps, bodies = given.whole("n_steps"), given.whole("bodies")
+        b.call(globals_["begin"], [rows, done, tile.value, *args])
+        loud = self._loud(code, given, far, base) if self.job.known else None
+
+        def save(n: Int) -> None:
+            b.call(globals_["save"], [rows, done, tile.value, n.value, *args])
+
+        due = b.or_(given.whole("slot").equals(1), n_steps.equals(0))
+        with code.when(b.and_(first.equals(0), due)):
+            save(first)
+        at = code.variable(first)
+        with code.repeat_while(lambda: code.get(at) < last):
+            n = code.get(at)
+            stop = (n + BLOCK).at_most(last).at_most((n // every + 1) * every)
+            if self.formulas.mend is not None:
+                limit = code.variable(stop)
+                with code.when(restore > 0):
+                    code.set(limit, stop.at_most((n // restore + 1) * restore))
+                stop = code.get(limit)
+            self._run_block(code, given, memory, (tile, n, stop), loud)
+            watch = given.array("watch", self.real.as_pointer())
+            with code.loop(0, (bodies - base).at_most(self.width)) as j:
+                turn = code.load(rows, j + self.rows.offset("turn"))
+                before = code.load(watch, base + j)
+                larger_ = b.fcmp_ordered(">", turn, before)
+                code.store(watch, base + j, b.select(larger_, turn, before))
+            code.set(at, stop)
+            if self.formulas.mend is not None:
+                with code.when(restore > 0), code.when((stop % restore).equals(0)):
+                    b.call(globals_["mend"], [rows, tile.value, *args])
+            with code.when(b.or_((stop % every).equals(0), stop.equals(n_steps))):
+                save(stop)
+        x = given.array("x", self.real.as_pointer())
+        with code.loop(0, (bodies - base).at_most(self.width)) as j:
+            target = (base + j) * self.formulas.size
+            for i in range(self.formulas.size):
+                code.store(x, target + i, code.load(rows, j + self.rows.offset("x", i)))
+
+    def _run_block(
+        self, code: Code, given: Given, memory: Any, steps: tuple[Int, Int, Int], loud: Any
+    ) -> None:
+        rows, kept, _, far = memory
+        b = code.b
+        _, n, stop = steps
+        arguments = [rows, n.value, stop.value, *given.arguments]
+        block = self.module.globals["block"]
+        again = ((rows, kept, far), steps)
+        if self.formulas.careful is None:
+            b.call(block, arguments)
+        elif loud is not None:
+            with code.when(loud):
+                self._copy(code, rows, kept)
+            b.call(block, arguments)
+            with code.when(loud):
+                self._again(code, given, *again)
+        else:
+            self._copy(code, rows, kept)
+            many = (stop - n) > int(PACE)
+            if self.formulas.witness is not None:
+                with code.when(many):
+                    self._remember(code, rows)
+            b.call(block, arguments)
+            if self.formulas.witness is not None:
+                with code.when(many):
+                    self._doubt(code, rows, stop - n)
+            with code.when(self._far(code, rows, far)):
+                self._again(code, given, *again)

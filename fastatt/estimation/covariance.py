@@ -6,139 +6,61 @@ C_true = C exp [δθ], in body axes; matrices (..., 6, 6) are of (δθ, δb).
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
-from fastatt._jit import driver, helper, hook
+from fastatt import checks, kernels
 from fastatt.arrays import quat_to_dcm
-from fastatt.columns import store, unpack
-from fastatt.kernels import error_state, so3
+from fastatt.flat.formulas import Vector, scale
+from fastatt.flat.rows import kind_of, rows
+from fastatt.flat.trace import stand_in
+
+Formula = Callable[..., Any]
+
+so3: Any = stand_in(kernels.so3)
+error_state: Any = stand_in(kernels.error_state)
 
 _COVARIANCE = "(6, 6) or (N, 6, 6)"
 
 
-class RightJacobian(NamedTuple):
-    """Tag."""
+# formulas on the numbers of a row
 
 
-class LeftJacobian(NamedTuple):
-    """Tag."""
+def _transition(w: Vector, h: Any) -> Any:
+    return error_state.transition_matrix(error_state.transition(scale(h, w), h))
 
 
-class RightJacobianInverse(NamedTuple):
-    """Tag."""
+def _noise(w: Vector, h: Any, v: Vector) -> Any:
+    return error_state.matrix(error_state.noise(scale(h, w), h, *v))
 
 
-class LeftJacobianInverse(NamedTuple):
-    """Tag."""
+def _noise_at_rest(w: Vector, h: Any, v: Vector) -> Any:
+    return error_state.matrix(error_state.noise_at_rest(h, *v))
 
 
-class TransitionOf(NamedTuple):
-    """Tag: w, h."""
+def _predict(w: Vector, h: Any, v: Vector, p: Vector) -> Any:
+    u = scale(h, w)
+    phi, noise = error_state.transition(u, h), error_state.noise(u, h, *v)
+    return error_state.matrix(error_state.predict(error_state.blocks(p), phi, noise))
 
 
-class NoiseOf(NamedTuple):
-    """Tag: w, h, σ_v², σ_u²."""
+def _to_inertial(c: Vector, p: Vector) -> Any:
+    return error_state.matrix(error_state.to_inertial(c, error_state.blocks(p)))
 
 
-class NoiseAtRest(NamedTuple):
-    """Tag: the same."""
+def _to_body(c: Vector, p: Vector) -> Any:
+    return error_state.matrix(error_state.to_body(c, error_state.blocks(p)))
 
 
-class Predict(NamedTuple):
-    """Tag: the same, P."""
-
-
-class ToInertial(NamedTuple):
-    """Tag: C, P."""
-
-
-class ToBody(NamedTuple):
-    """Tag: C, P."""
-
-
-@helper
-def _turn(x):
-    return x[3] * x[0], x[3] * x[1], x[3] * x[2]
-
-
-def _transition(x):
-    return error_state.transition_matrix(error_state.transition(_turn(x), x[3]))
-
-
-def _noise(x):
-    return error_state.matrix(error_state.noise(_turn(x), x[3], x[4], x[5]))
-
-
-def _noise_at_rest(x):
-    return error_state.matrix(error_state.noise_at_rest(x[3], x[4], x[5]))
-
-
-def _predict(x):
-    u = _turn(x)
-    phi = error_state.transition(u, x[3])
-    q = error_state.noise(u, x[3], x[4], x[5])
-    return error_state.matrix(error_state.predict(error_state.blocks(x[6:]), phi, q))
-
-
-def _to_inertial(x):
-    return error_state.matrix(error_state.to_inertial(x[:9], error_state.blocks(x[9:])))
-
-
-def _to_body(x):
-    return error_state.matrix(error_state.to_body(x[:9], error_state.blocks(x[9:])))
-
-
-# tag: its formula on a row of numbers, their number and that of the results
-_FORMULAS: dict[type, tuple[Any, int, int]] = {
-    RightJacobian: (so3.right_jacobian, 3, 9),
-    LeftJacobian: (so3.left_jacobian, 3, 9),
-    RightJacobianInverse: (so3.right_jacobian_inverse, 3, 9),
-    LeftJacobianInverse: (so3.left_jacobian_inverse, 3, 9),
-    TransitionOf: (helper(_transition), 4, 36),
-    NoiseOf: (helper(_noise), 6, 36),
-    NoiseAtRest: (helper(_noise_at_rest), 6, 36),
-    Predict: (helper(_predict), 42, 36),
-    ToInertial: (helper(_to_inertial), 45, 36),
-    ToBody: (helper(_to_body), 45, 36),
-}
-
-
-def formula(which: Any, row: Any) -> Any:
-    """A formula on a row of an array."""
-    raise NotImplementedError(which)
-
-
-@hook(formula)
-def _formula(which: types.BaseNamedTuple, row: types.Array) -> Any:
-    function, before, _ = _FORMULAS[which.instance_class]
-    shape = (0.0,) * before
-    return lambda which, row: function(unpack(row, shape))
-
-
-@driver
-def _over_rows(which, rows, out):
-    for i in range(rows.shape[0]):
-        store(out.T, 0, i, formula(which, rows[i]))
-
-
-def _apply(which: Any, *columns: NDArray[Any]) -> NDArray[Any]:
-    """Columns (n,) or (N, n) side by side, through a formula: (k, k) or (N, k, k)."""
-    _, before, after = _FORMULAS[type(which)]
-    n = max([len(c) for c in columns if c.ndim == 2], default=1)
-    kind = np.result_type(*columns)
-    wide = [np.broadcast_to(c, (n, c.shape[-1])) for c in columns]
-    rows = np.ascontiguousarray(np.concatenate(wide, axis=1), dtype=kind)
-    out = np.empty((n, after), dtype=kind)
-    _over_rows(which, rows[:, :before], out)
-    side = math.isqrt(after)
-    found = out.reshape(n, side, side)
-    return np.asarray(found[0] if all(c.ndim == 1 for c in columns) else found)
+def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
+    """A formula of arrays (..., width), or numbers (), by its arguments: (..., side, side)."""
+    inputs = {name: x.shape[-1] if x.ndim else None for name, x in arrays.items()}
+    kind = kind_of(np.result_type(*arrays.values()))
+    (found,) = rows(formula, inputs, (side * side,), kind)(*arrays.values())
+    return found.reshape(*found.shape[:-1], side, side)
 
 
 def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
@@ -167,7 +89,7 @@ def _step(dt: float, kind: np.dtype[Any]) -> NDArray[Any]:
     h = checks.real("dt", dt)
     if h <= 0.0:
         raise ValueError(f"dt: found {h}; accepted: above 0")
-    return np.array([h], dtype=kind)
+    return np.array(h, dtype=kind)
 
 
 def _variances(kind: np.dtype[Any], **densities: float) -> NDArray[Any]:
@@ -184,22 +106,22 @@ def right_jacobian(u: ArrayLike) -> NDArray[Any]:
     exp(u + δ) ≈ exp(u) exp(Jr δ). Error at most 1e-15 for |u| ≤ π, 3e-16 |u| beyond. Raises
     ``ValueError`` for other shapes.
     """
-    return _apply(RightJacobian(), _vectors("u", u))
+    return _apply(so3.right_jacobian, 3, u=_vectors("u", u))
 
 
 def left_jacobian(u: ArrayLike) -> NDArray[Any]:
     """Jl = Jrᵀ: exp(u + δ) ≈ exp(Jl δ) exp(u); see :func:`right_jacobian`."""
-    return _apply(LeftJacobian(), _vectors("u", u))
+    return _apply(so3.left_jacobian, 3, u=_vectors("u", u))
 
 
 def right_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
     """Jr⁻¹, singular at |u| = 2π; see :func:`right_jacobian`."""
-    return _apply(RightJacobianInverse(), _vectors("u", u))
+    return _apply(so3.right_jacobian_inverse, 3, u=_vectors("u", u))
 
 
 def left_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
     """Jl⁻¹, singular at |u| = 2π; see :func:`right_jacobian`."""
-    return _apply(LeftJacobianInverse(), _vectors("u", u))
+    return _apply(so3.left_jacobian_inverse, 3, u=_vectors("u", u))
 
 
 def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
@@ -211,7 +133,7 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
     for other shapes.
     """
     rates = _vectors("w", w)
-    return _apply(TransitionOf(), rates, _step(dt, rates.dtype))
+    return _apply(_transition, 6, w=rates, h=_step(dt, rates.dtype))
 
 
 def process_noise(
@@ -225,8 +147,8 @@ def process_noise(
     """
     rates = _vectors("w", w)
     v = _variances(rates.dtype, angle_noise=angle_noise, bias_noise=bias_noise)
-    which = NoiseAtRest() if at_rest else NoiseOf()
-    return _apply(which, rates, _step(dt, rates.dtype), v)
+    formula = _noise_at_rest if at_rest else _noise
+    return _apply(formula, 6, w=rates, h=_step(dt, rates.dtype), v=v)
 
 
 def predict_covariance(
@@ -239,7 +161,7 @@ def predict_covariance(
     rates, p = _vectors("w", w), _covariances(P)
     _same_rows(P=p, w=rates)
     v = _variances(rates.dtype, angle_noise=angle_noise, bias_noise=bias_noise)
-    return _apply(Predict(), rates, _step(dt, rates.dtype), v, p)
+    return _apply(_predict, 6, w=rates, h=_step(dt, rates.dtype), v=v, p=p)
 
 
 def covariance_to_inertial(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
@@ -248,16 +170,16 @@ def covariance_to_inertial(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     ``q`` (4,) or (N, 4) are unit attitudes, body to inertial. Raises ``ValueError`` or
     ``TypeError`` for other shapes.
     """
-    return _turned(ToInertial(), P, q)
+    return _turned(_to_inertial, P, q)
 
 
 def covariance_to_body(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """The inverse of :func:`covariance_to_inertial`."""
-    return _turned(ToBody(), P, q)
+    return _turned(_to_body, P, q)
 
 
-def _turned(which: Any, P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
+def _turned(formula: Formula, P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     p, attitudes = _covariances(P), checks.attitudes("q", q)
     _same_rows(P=p, q=attitudes)
     c = quat_to_dcm(attitudes)
-    return _apply(which, c.reshape(*c.shape[:-2], 9), p)
+    return _apply(formula, 6, c=c.reshape(*c.shape[:-2], 9), p=p)

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks, rates
-from fastatt._jit import driver, kernel
+from fastatt import checks
 from fastatt.arrays import quat_multiply, quat_to_dcm, quat_to_rotation_vector
-from fastatt.columns import store, unpack
-from fastatt.engine.samples import window_of
 from fastatt.estimation import tangent
-from fastatt.estimation.threads import spread
+from fastatt.flat.repeated import Repeated
+from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.inertia import is_sorted
 from fastatt.integrate import beyond, integrate_rates, intervals, methods_for_samples
-from fastatt.kernels import quat
 from fastatt.methods import METHODS, Method
-from fastatt.methods.sampled import WINDOWS, Increments, Rates
-from fastatt.propagate import methods_for
-from fastatt.scene import Scene
-from fastatt.steps import values as flat
+from fastatt.running.propagate import method_of, methods_for
+from fastatt.scene import Packed, Scene, as_scene
+from fastatt.threads import number_of
 
 _TRIPLE = (0.0, 0.0, 0.0)
-_QUATERNION = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +70,11 @@ class BodyTangent:
 
 @dataclass(frozen=True, eq=False)
 class StepTangent:
-    """The compiled derivative of one scene's step; see :func:`step_tangent`."""
+    """The compiled derivative of one scene's step; see :func:`step_tangent`.
+
+    Of a body under a user's torque that can't be traced the derivatives of that torque are central
+    differences, good to some 1e-10; all others are exact but for rounding.
+    """
 
     method: str
     #: flat parameters: a tuple, or (N, P) with a row for each body
@@ -86,97 +82,41 @@ class StepTangent:
     step: Any
 
 
-# drivers
-
-
-@driver
-def _rates(method, model, t, h, shape, params, b, turn, attitude, bias, first, last):
-    for i in range(first, last):
-        p = unpack(params[min(i, params.shape[0] - 1)], shape)
-        c = unpack(b[min(i, b.shape[0] - 1)], _TRIPLE)
-        q, f, g = tangent.rate_tangent(method, model, t, h, c, p)
-        store(turn.T, 0, i, q)
-        store(attitude.T, 0, i, f)
-        store(bias.T, 0, i, g)
-
-
-@driver
-def _windows(method, kind, data, spans, turn, attitude, bias, samples, gaps, first, last):
-    count = turn.shape[1]
-    _, span, _ = window_of(method, kind)
-    for log in range(first, last):
-        flat = data[log].reshape(-1)
-        for start in range(0, count, span):
-            v = unpack(flat[3 * start :], samples)
-            found = tangent.window_tangent(method, kind, v, unpack(spans[start:], gaps))
-            for i in range(min(span, count - start)):
-                q, f, g = found[i]
-                store(turn[log].T, 0, start + i, q)
-                store(attitude[log].T, 0, start + i, f)
-                store(bias[log].T, 0, start + i, g)
-
-
-@driver
-def _bodies(
-    wanted, method, model, stages, edge, t, h, shape, params, q0, w0, q1, w1, phi, first, last
-):
-    for i in range(first, last):
-        p = unpack(params[min(i, params.shape[0] - 1)], shape)
-        w = unpack(w0[min(i, w0.shape[0] - 1)], _TRIPLE)
-        q = quat.normalise(unpack(q0[min(i, q0.shape[0] - 1)], _QUATERNION))
-        m = tangent.momentum_of_rate(model, w, p)
-        q, m, f, z = tangent.body_tangent(wanted, method, model, stages, edge, t, h, q, m, p)
-        w = tangent.rate_of_momentum(model, m, p)
-        # an iteration that did not converge says so by an infinite turn
-        poison = z - z
-        store(q1.T, 0, i, q)
-        store(w1.T, 0, i, w)
-        store(phi.T, 0, i, f)
-        for k in range(phi.shape[1]):
-            phi[i, k] += poison
-
-
-def _uncached(loop: Any) -> Any:
-    return driver(loop.py_func, cache=False)
-
-
-_LOOPS = {True: (_rates, _bodies), False: (_uncached(_rates), _uncached(_bodies))}
-
-
-@contextmanager
-def _differentiable(what: str) -> Iterator[None]:
-    """A user's function that dual numbers can't go through, in one line."""
-    try:
-        yield
-    except NumbaError as error:
-        first = next((ln for ln in str(error).splitlines() if "Dual(" in ln), str(error))
-        raise TypeError(
-            f"{what}: has no derivative that compiles: {first.strip()}; accepted are arithmetic, "
-            "comparisons, abs, min, max and sqrt, sin, cos, tan, atan, atan2, exp, log, tanh"
-        ) from error
+def _tables(packed: Packed) -> dict[int, Any]:
+    return {at: array for (kind, at), array in packed.resources.items() if kind == "table"}
 
 
 # given rates
 
 
-def _scene(scene: Any) -> Scene:
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
-    return scene
-
-
-def _of_rate(scene: Scene, method: str) -> tuple[Method, Any]:
-    _scene(scene)
+def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
+    as_scene(scene)
     if scene.kind != "rate" or scene.frame != "body" or scene.moves:
         raise ValueError(
             "scene: found one with inertia, mass or rates in inertial axes; accepted: a scene "
             "with a rate in body axes"
         )
-    checks.choice("method", method, methods_for(scene, "quat"))
-    packed = scene.packed(None)
-    return METHODS[method], packed._replace(
-        tag=rates.Sum((rates.Constant(_TRIPLE), packed.tag)), params=np.atleast_2d(packed.params)
-    )
+    return _stepped(method_of(scene, method, "quat"), scene), scene.packed(None)
+
+
+def _stepped(record: Method, scene: Scene) -> Method:
+    if not record.is_stepped:
+        fitting = [name for name in methods_for(scene, "quat") if METHODS[name].is_stepped]
+        checks.choice("method", record.name, fitting)
+    return record
+
+
+@lru_cache(maxsize=64)
+def _rate_function(record: Method, structure: Any) -> ScalarFunction:
+    formula = tangent.rate_tangent(record, structure)
+    return scalar_function(formula, arrays={"p": structure.n_params})
+
+
+@lru_cache(maxsize=64)
+def _rate_rows(record: Method, structure: Any) -> Repeated:
+    formula = tangent.rate_tangent(record, structure)
+    inputs = {"t": None, "h": None, "b": 3, "p": structure.n_params}
+    return Repeated(formula, inputs, (4, 9, 9))
 
 
 def rate_transition(
@@ -184,7 +124,7 @@ def rate_transition(
     dt: float,
     *,
     t: float = 0.0,
-    method: str = "magnus4",
+    method: str | Method = "magnus4",
     bias: ArrayLike = _TRIPLE,
     n_threads: int | None = None,
 ) -> Transition:
@@ -192,22 +132,25 @@ def rate_transition(
 
     ``scene`` has a rate, along body axes, for one or N bodies; ``bias`` is (3,) or (N, 3), rad/s;
     ``t`` and ``dt`` are the start and the length of the step, s. The turn and Φ11 are those of the
-    step; Φ12 is its derivative, by the method's own formula. Error of Φ12 at most 1e-15 dt.
+    step; Φ12 is its derivative, by the method's own formula, of a user's rate that can't be traced
+    too: the bias is taken off what that gives. Error of Φ12 at most 1e-15 dt.
 
-    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape, and for a user's
-    rate that has no derivative that compiles.
+    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape.
     """
     record, packed = _of_rate(scene, method)
     h, begin = checks.real("dt", dt), checks.real("t", t)
     b = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64)
-    one = packed.params.shape[0] == 1 and b.ndim == 1
-    n = _rows(params=packed.params, bias=np.atleast_2d(b))
-    turn, attitude, coupling = np.empty((n, 4)), np.empty((n, 9)), np.empty((n, 9))
-    shape = (0.0,) * packed.params.shape[1]
-    given = (record.tag, packed.tag, begin, h, shape, packed.params, np.atleast_2d(b))
-    loop, _ = _LOOPS[packed.cacheable]
-    with _differentiable("scene: rate"):
-        spread(n, n_threads, partial(loop, *given, turn, attitude, coupling))
+    one = packed.params.size == packed.params.shape[-1] and b.ndim == 1
+    params = np.atleast_2d(packed.params)
+    n = _rows(params=params, bias=np.atleast_2d(b))
+    turn, attitude, coupling = _rate_rows(record, packed.structure)(
+        begin,
+        h,
+        np.atleast_2d(b),
+        params,
+        tables=_tables(packed),
+        n_threads=number_of(n_threads),
+    )
     found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
     return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
 
@@ -261,22 +204,52 @@ def sample_transitions(
     if b.ndim == 2 and len(b) != n_logs:
         raise ValueError(f"bias: has shape {b.shape}; accepted: (3,) or ({n_logs}, 3), one a log")
     data -= np.atleast_2d(b)[:, None] * (spans[:, None] if increments else 1.0)
-    window = WINDOWS[type(record.tag)]
-    if window.tile is not None:
+    window = record.window
+    if window.iteration is not None:
         found = _by_differences(data, dt, spans, method, increments)
     else:
-        kind = Increments() if increments else Rates()
-        before, after = beyond(data, spans, window, type(kind))
+        before, after = beyond(data, spans, window, increments)
         missing = -m % window.span
-        padded = np.concatenate([before[:, : window.history], data, after[:, :missing]], axis=1)
+        history = before[:, before.shape[1] - window.history :]
+        padded = np.concatenate([history, data, after[:, :missing]], axis=1)
         wide = np.pad(spans, (window.history, missing), mode="edge")
-        out = np.empty((n_logs, m, 4)), np.empty((n_logs, m, 9)), np.empty((n_logs, m, 9))
-        shape = (0.0,) * (3 * window.samples(type(kind)))
-        gaps = (0.0,) * (window.history + window.span)
-        given = (record.tag, kind, padded, wide, *out, shape, gaps)
-        spread(n_logs, n_threads, partial(_windows, *given))
-        found = Transition(out[0], *(x.reshape(n_logs, m, 3, 3) for x in out[1:]))
+        found = _by_windows(record, increments, padded, wide, n_threads)
+        found = Transition(found.turn[:, :m], found.attitude[:, :m], found.bias[:, :m])
     return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
+
+
+@lru_cache(maxsize=64)
+def _window_function(record: Method, increments: bool) -> ScalarFunction:
+    return scalar_function(tangent.window_tangent(record.window, increments=increments))
+
+
+@lru_cache(maxsize=64)
+def _window_rows(record: Method, increments: bool) -> Repeated:
+    window = record.window
+    formula = tangent.window_tangent(window, increments=increments)
+    inputs = {"v": 3 * window.samples(increments), "h": window.intervals}
+    return Repeated(formula, inputs, (4, 9, 9) * window.span)
+
+
+def _by_windows(
+    record: Method,
+    increments: bool,
+    data: NDArray[Any],
+    spans: NDArray[Any],
+    n_threads: int | None,
+) -> Transition:
+    """Of whole windows: data (N, n, 3) and spans hold what lies beyond the log's ends too."""
+    window = record.window
+    samples, gaps, span = window.samples(increments), window.intervals, window.span
+    count = (len(spans) - gaps) // span + 1
+    v = np.stack([data[:, span * k : span * k + samples] for k in range(count)], axis=1)
+    h = np.stack([spans[span * k : span * k + gaps] for k in range(count)])
+    step = _window_rows(record, increments)
+    out = step(v.reshape(len(data), count, -1), h, n_threads=number_of(n_threads))
+    turn, attitude, bias = (
+        np.stack(out[k::3], axis=2).reshape(len(data), count * span, -1) for k in range(3)
+    )
+    return Transition(turn, *(x.reshape(*x.shape[:2], 3, 3) for x in (attitude, bias)))
 
 
 def _by_differences(
@@ -302,15 +275,30 @@ def _by_differences(
 # bodies
 
 
-def _of_body(scene: Scene, method: str | None) -> tuple[Method, Any, Any, float]:
-    _scene(scene)
+def _of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
+    as_scene(scene)
     if scene.kind == "rate" or scene.moves:
         raise ValueError("scene: found no inertia, or mass; accepted: a scene with inertia alone")
-    fitting = [name for name in methods_for(scene, "quat") if METHODS[name].tag is not None]
-    record = METHODS[checks.choice("method", "rk8" if method is None else method, fitting)]
-    packed = scene.packed(None, sorted_axes=record.sorted_axes)
-    edge = 0.5 * record.stages[-1][1] if record.stages else 0.0
-    return record, packed, record.stages, edge
+    record = _stepped(method_of(scene, "rk8" if method is None else method, "quat"), scene)
+    return record, scene.packed(None, sorted_axes=record.sorted_axes)
+
+
+@lru_cache(maxsize=64)
+def _known(record: Method, structure: Any) -> ScalarFunction:
+    return _body_function(record, structure, {})
+
+
+def _body_function(record: Method, structure: Any, tables: Any) -> ScalarFunction:
+    formula = tangent.body_tangent(record, structure)
+    return scalar_function(formula, tables, arrays={"p": structure.n_params})
+
+
+@lru_cache(maxsize=64)
+def _body_rows(record: Method, structure: Any, parameters: bool) -> Repeated:
+    formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
+    size = tangent.directions(structure, parameters=parameters)
+    inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
+    return Repeated(formula, inputs, (4, 3, 6 * size, None))
 
 
 def body_tangent(
@@ -320,7 +308,7 @@ def body_tangent(
     dt: float,
     *,
     t: float = 0.0,
-    method: str | None = None,
+    method: str | Method | None = None,
     parameters: bool = False,
     n_threads: int | None = None,
 ) -> BodyTangent:
@@ -330,14 +318,14 @@ def body_tangent(
     ``dt`` s starts at ``t``. ``parameters`` asks for the derivatives to principal moments and the
     torque's numbers too. Without ``method``, ``rk8``.
 
-    The derivatives are those of the method's own formula, exact but for rounding. Splittings and
+    The derivatives are those of the method's own formula, exact but for rounding; of a user's
+    torque that can't be traced they are central differences, good to some 1e-10. Splittings and
     ``dmv2`` are symplectic, and Φ is so to 1e-14; ``dmv4`` to ``dmv10``, whose moments change with
     the state, to their order only: 1.4e-5, 5e-8, 1e-10, 2e-13 at |w| h = 0.25.
 
-    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape, and for a user's
-    torque that has no derivative that compiles.
+    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape.
     """
-    record, packed, stages, edge = _of_body(scene, method)
+    record, packed = _of_body(scene, method)
     h, begin = checks.real("dt", dt), checks.real("t", t)
     attitudes = checks.attitudes("q", q)
     w = checks.array("w", w, "(3,) or (N, 3)", [(3,), (-1, 3)])
@@ -345,16 +333,19 @@ def body_tangent(
     one = attitudes.ndim == 1 and w.ndim == 1 and packed.params.ndim == 1
     q_rows, w_rows = (np.atleast_2d(x).astype(np.float64) for x in (attitudes, w))
     n = _rows(q=q_rows, w=w_rows, scene=params)
-    own = tangent.own_numbers(packed.tag.torque)
-    size = 9 + sum(own) if parameters else 6
-    q1, w1, phi = np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 6 * size))
-    wanted = tangent.WithParameters() if parameters else tangent.StateOnly()
-    shape = (0.0,) * params.shape[1]
-    given = (wanted, record.tag, packed.tag, stages, edge, begin, h, shape, params, q_rows, w_rows)
-    _, loop = _LOOPS[packed.cacheable]
-    with _differentiable("scene: torque"):
-        spread(n, n_threads, partial(loop, *given, q1, w1, phi))
-    full = phi.reshape(n, 6, size)
+    structure: Any = packed.structure
+    q1, w1, phi, z = _body_rows(record, structure, parameters)(
+        begin,
+        h,
+        q_rows,
+        w_rows,
+        params,
+        tables=_tables(packed),
+        n_threads=number_of(n_threads),
+    )
+    # an iteration that did not converge says so by an infinite turn
+    phi[~np.isfinite(z)] = np.nan
+    full = phi.reshape(n, 6, -1)
     matrix, inertia, torque = full[:, :, :6], None, None
     if parameters:
         inertia, torque = full[:, :, 6:9], full[:, :, 9:]
@@ -365,7 +356,7 @@ def body_tangent(
     return BodyTangent(*(x if x is None or not one else x[0] for x in found))
 
 
-def step_tangent(scene: Scene, *, method: str | None = None) -> StepTangent:
+def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTangent:
     """The derivative of one step as a function for ``@njit`` code, tuples in and tuples out.
 
     Of a scene with a rate along body axes, ``step(t, h, b, p)`` gives (turn, Φ11, Φ12) at the rate
@@ -376,40 +367,23 @@ def step_tangent(scene: Scene, *, method: str | None = None) -> StepTangent:
 
     Raises ``ValueError`` or ``TypeError`` for another scene or method.
     """
-    if _scene(scene).kind == "rate":
+    if as_scene(scene).kind == "rate":
         record, packed = _of_rate(scene, method or "magnus4")
-        made = _rate_function(record.tag, packed.tag, (0.0,) * packed.params.shape[1])
-        params = packed.params[0] if len(packed.params) == 1 else packed.params
+        made = _rate_function(record, packed.structure)
     else:
-        record, packed, stages, edge = _of_body(scene, method)
-        params = packed.params
-        made = _body_function(record.tag, packed.tag, stages, edge, (0.0,) * params.shape[-1])
+        record, packed = _of_body(scene, method)
+        tables = _tables(packed)
+        made = (
+            _body_function(record, packed.structure, tables)
+            if tables
+            else _known(record, packed.structure)
+        )
+    params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
     return StepTangent(
         method=record.name,
-        params=tuple(params) if params.ndim == 1 else params,
-        step=kernel(made, cache=packed.cacheable),
+        params=tuple(params.tolist()) if params.ndim == 1 else params,
+        step=made,
     )
-
-
-# closures over tags and numbers alone, which Numba's disk cache knows again
-
-
-def _rate_function(tag: Any, model: Any, shape: Any) -> Any:
-    def step(t, h, b, p):
-        return tangent.rate_tangent(tag, model, t, h, b, flat(p, shape))
-
-    return step
-
-
-def _body_function(tag: Any, model: Any, stages: Any, edge: float, shape: Any) -> Any:
-    wanted = tangent.StateOnly()
-
-    def step(t, h, q, m, p):
-        numbers = flat(p, shape)
-        q, m, phi, _ = tangent.body_tangent(wanted, tag, model, stages, edge, t, h, q, m, numbers)
-        return q, m, phi
-
-    return step
 
 
 def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any:
@@ -422,14 +396,6 @@ def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any
     Raises ``ValueError`` for another method, or one that has no such function ("picard").
     """
     fitting = [
-        name
-        for name in methods_for_samples(increments)
-        if WINDOWS[type(METHODS[name].tag)].tile is None
+        name for name in methods_for_samples(increments) if METHODS[name].window.iteration is None
     ]
-    tag = METHODS[checks.choice("method", method, fitting)].tag
-    kind = Increments() if increments else Rates()
-
-    def window(v, h):
-        return tangent.window_tangent(tag, kind, v, h)
-
-    return kernel(window)
+    return _window_function(METHODS[checks.choice("method", method, fitting)], increments)

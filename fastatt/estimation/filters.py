@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rates
 from fastatt.arrays import quat_multiply, quat_to_rotation_vector
-from fastatt.propagate import propagate
+from fastatt.running.propagate import propagate
 from fastatt.scene import Scene
 
 Floats = NDArray[np.float64]

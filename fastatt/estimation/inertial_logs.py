@@ -3,42 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._jit import driver, helper, hook
-from fastatt.columns import store, unpack
 from fastatt.estimation import preintegration as pre
-from fastatt.estimation.threads import spread
+from fastatt.flat.fold import Fold
+from fastatt.flat.formulas import Vector, minus
+from fastatt.flat.rows import rows
 from fastatt.integrate import intervals
+from fastatt.threads import number_of
 
 _TRIPLE = (0.0, 0.0, 0.0)
-_QUATERNION = (0.0, 0.0, 0.0, 0.0)
-_ROW = (0.0,) * 101
-_MODELS: dict[str, Any] = {"held": pre.Held(), "white": pre.White(), "forster": pre.Forster()}
-_ADD: dict[Any, Any] = {
-    pre.Held: pre.add_sample, pre.White: pre.add_sample_white, pre.Forster: pre.add_sample_forster
+_SIZE = 101  # numbers of a state
+_ROTATION = (*range(5), *range(11, 20), *range(56, 62))  # those of its rotation
+_ADD: dict[str, Any] = {
+    "held": pre.add_sample, "white": pre.add_sample_white, "forster": pre.add_sample_forster
 }  # fmt: skip
 
 
-@helper
-def flat(s):
-    """All 101 numbers of a state."""
-    r = s.rotation
-    means = (r.t, *r.q, *s.v, *s.p)
-    slopes = (*r.jacobian, *s.vg, *s.va, *s.pg, *s.pa)
-    return means + slopes + (*r.covariance, *s.rv, *s.rp, *s.vv, *s.vp, *s.pp)
-
-
-@helper
-def nested(x):
+def nested(x: Vector) -> pre.Preintegrated:
     """The state of 101 numbers."""
     r = pre.PreintegratedRotation(x[0], x[1:5], x[11:20], x[56:62])
     return pre.Preintegrated(
@@ -47,79 +35,44 @@ def nested(x):
     )  # fmt: skip
 
 
-def add(model: Any, s: Any, w: Any, a: Any, h: Any, gyro: Any, accel: Any) -> Any:
-    """The state a sample later."""
-    raise NotImplementedError(model)
+def flat(s: pre.Preintegrated) -> Vector:
+    """All 101 numbers of a state."""
+    r = s.rotation
+    means = (r.t, *r.q, *s.v, *s.p)
+    slopes = (*r.jacobian, *s.vg, *s.va, *s.pg, *s.pa)
+    return (*means, *slopes, *r.covariance, *s.rv, *s.rp, *s.vv, *s.vp, *s.pp)
 
 
-@hook(add)
-def _add(
-    model: types.BaseNamedTuple, s: types.Type, w: types.Type, a: types.Type, h: types.Type,
-    gyro: types.Type, accel: types.Type,
-) -> Any:  # fmt: skip
-    operation = _ADD[model.instance_class]
-    return lambda model, s, w, a, h, gyro, accel: operation(s, w, a, h, gyro, accel)
+@lru_cache
+def _logs(model: str) -> Fold:
+    add = _ADD[model]
+
+    def step(
+        x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, variances: Vector
+    ) -> Vector:
+        return flat(add(nested(x), minus(w, bg), minus(a, ba), *h, *variances))
+
+    return Fold(step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
 
 
-@driver
-def _logs(model, gyro, accel, spans, bg, ba, variances, out, first, last):
-    for b in range(first, last):
-        cg = unpack(bg[min(b, bg.shape[0] - 1)], _TRIPLE)
-        ca = unpack(ba[min(b, ba.shape[0] - 1)], _TRIPLE)
-        s = nested(unpack(out[b], _ROW))
-        for i in range(gyro.shape[1]):
-            w = unpack(gyro[b, i], _TRIPLE)
-            a = unpack(accel[b, i], _TRIPLE)
-            s = add(
-                model, s, (w[0] - cg[0], w[1] - cg[1], w[2] - cg[2]),
-                (a[0] - ca[0], a[1] - ca[1], a[2] - ca[2]), spans[i], variances[0], variances[1],
-            )  # fmt: skip
-        store(out.T, 0, b, flat(s))
+@lru_cache
+def _rotations(white: bool) -> Fold:
+    add = pre.add_rotation_white if white else pre.add_rotation
+
+    def step(x: Vector, w: Vector, h: Vector, bg: Vector, variances: Vector) -> Any:
+        s = pre.PreintegratedRotation(x[0], x[1:5], x[5:14], x[14:])
+        r = add(s, minus(w, bg), *h, variances[0])
+        return r.t, r.q, r.jacobian, r.covariance
+
+    return Fold(step, len(_ROTATION), {"w": 3, "h": 1}, {"bg": 3, "variances": 2})
 
 
-@driver
-def _rotations(white, gyro, spans, bg, variance, out, first, last):
-    for b in range(first, last):
-        c = unpack(bg[min(b, bg.shape[0] - 1)], _TRIPLE)
-        s = nested(unpack(out[b], _ROW)).rotation
-        for i in range(gyro.shape[1]):
-            w = unpack(gyro[b, i], _TRIPLE)
-            w = (w[0] - c[0], w[1] - c[1], w[2] - c[2])
-            if white:
-                s = pre.add_rotation_white(s, w, spans[i], variance)
-            else:
-                s = pre.add_rotation(s, w, spans[i], variance)
-        store(out.T, 0, b, (s.t, *s.q))
-        store(out.T, 11, b, s.jacobian)
-        store(out.T, 56, b, s.covariance)
+def _corrected(x: Vector, gyro: Vector, accel: Vector) -> Any:
+    return pre.corrected(nested(x), gyro, accel)
 
 
-@driver
-def _corrected(rows, gyro, accel, q1, v1, p1):
-    for b in range(q1.shape[0]):
-        s = nested(unpack(rows[min(b, rows.shape[0] - 1)], _ROW))
-        g = unpack(gyro[min(b, gyro.shape[0] - 1)], _TRIPLE)
-        a = unpack(accel[min(b, accel.shape[0] - 1)], _TRIPLE)
-        q, v, p = pre.corrected(s, g, a)
-        store(q1.T, 0, b, q)
-        store(v1.T, 0, b, v)
-        store(p1.T, 0, b, p)
-
-
-@driver
-def _navigated(rows, change, state, g, out):
-    dq, dv, dp = change
-    q0, v0, p0 = state
-    q1, v1, p1 = out
-    for b in range(q1.shape[0]):
-        d = (unpack(dq[b], _QUATERNION), unpack(dv[b], _TRIPLE), unpack(dp[b], _TRIPLE))
-        q = unpack(q0[min(b, q0.shape[0] - 1)], _QUATERNION)
-        v = unpack(v0[min(b, v0.shape[0] - 1)], _TRIPLE)
-        p = unpack(p0[min(b, p0.shape[0] - 1)], _TRIPLE)
-        q, v, p = pre.navigate(q, v, p, g, rows[min(b, rows.shape[0] - 1), 0], d)
-        store(q1.T, 0, b, q)
-        store(v1.T, 0, b, v)
-        store(p1.T, 0, b, p)
+def _navigated(change: Vector, t: Any, q: Vector, v: Vector, p: Vector, g: Vector) -> Any:
+    return pre.navigate(q, v, p, g, t, (change[:4], change[4:7], change[7:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +115,10 @@ class Preintegration:
         return _unless(self._one and len(found[0]) == 1, found)
 
     def _corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Any, Any, Any]:
-        rows = _triples(gyro_bias=gyro_bias, accel_bias=accel_bias)
-        n = _count(preintegrated=self.rows, **rows)
-        out = np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3))
-        _corrected(self.rows, *rows.values(), *out)
-        return out
+        biases = _triples(gyro_bias=gyro_bias, accel_bias=accel_bias)
+        _count(preintegrated=self.rows, **biases)
+        apply = rows(_corrected, {"x": _SIZE, "gyro": 3, "accel": 3}, (4, 3, 3))
+        return apply(self.rows, *biases.values())  # type: ignore[return-value]
 
     def predict(
         self,
@@ -186,14 +138,14 @@ class Preintegration:
         Raises ``ValueError`` or ``TypeError`` for other shapes.
         """
         change = self._corrected(gyro_bias, accel_bias)
-        g = tuple(checks.array("gravity", gravity, "(3,)", [(3,)]).astype(np.float64).tolist())
+        g = checks.array("gravity", gravity, "(3,)", [(3,)]).astype(np.float64)
         start = np.atleast_2d(checks.attitudes("q", q)).astype(np.float64)
         state = (start, *_triples(v=v, p=p).values())
         n = _count(preintegrated=change[0], q=state[0], v=state[1], p=state[2])
-        wide = tuple(np.ascontiguousarray(np.broadcast_to(x, (n, x.shape[1]))) for x in change)
-        out = np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3))
-        _navigated(self.rows, wide, state, g, out)
-        return _unless(self._one and n == 1, out)
+        widths = {"change": 10, "t": None, "q": 4, "v": 3, "p": 3, "g": 3}
+        apply = rows(_navigated, widths, (4, 3, 3))
+        found = apply(np.concatenate(change, axis=1), self.rows[:, 0], *state, g)
+        return _unless(self._one and n == 1, found)
 
 
 # first column of each block of the covariance
@@ -221,7 +173,7 @@ def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
     return Preintegration(*[*found, rows])
 
 
-def _unless(one: bool, found: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
     return (found[0][0], found[1][0], found[2][0]) if one else found
 
 
@@ -272,7 +224,7 @@ def preintegrate(
     ValueError, TypeError : a shape that does not fit, a number that is not finite, an interval not
         above 0, a negative density.
     """
-    kind = _MODELS[checks.choice("model", model, _MODELS)]
+    checks.choice("model", model, _ADD)
     accepted = [(-1, 3), (-1, -1, 3)]
     w = checks.array("gyro", gyro, "(n, 3) or (N, n, 3)", accepted)
     one = w.ndim == 2
@@ -283,23 +235,22 @@ def preintegrate(
     spans = np.ascontiguousarray(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
-    variances = tuple(
+    variances = np.array([[
         _density(name, value) ** 2
         for name, value in (("gyro_noise", gyro_noise), ("accel_noise", accel_noise))
-    )
-    rows = np.zeros((n_logs, len(_ROW)))
-    rows[:, 1] = 1.0
-    call: Callable[[int, int], Any]
+    ]])  # fmt: skip
+    start = np.zeros((n_logs, _SIZE))
+    start[:, 1] = 1.0
+    h, threads = spans[None, :, None], number_of(n_threads)
     if accel is None:
-        call = partial(_rotations, model == "white", w, spans, bg, variances[0], rows)
-    else:
-        a = checks.array("accel", accel, "the shape of gyro", accepted)
-        if a.shape != np.shape(gyro):
-            raise ValueError(f"accel: has shape {a.shape}; accepted: {np.shape(gyro)}, as gyro")
-        a = np.ascontiguousarray(a.reshape(w.shape), dtype=np.float64)
-        call = partial(_logs, kind, w, a, spans, bg, ba, variances, rows)
-    spread(n_logs, n_threads, call, least=1)
-    return _unpacked(rows, one)
+        fold = _rotations(model == "white")
+        start[:, _ROTATION] = fold(start[:, _ROTATION], (w, h), (bg, variances), threads)
+        return _unpacked(start, one)
+    a = checks.array("accel", accel, "the shape of gyro", accepted)
+    if a.shape != np.shape(gyro):
+        raise ValueError(f"accel: has shape {a.shape}; accepted: {np.shape(gyro)}, as gyro")
+    a = np.asarray(a.reshape(w.shape), dtype=np.float64)
+    return _unpacked(_logs(model)(start, (w, a, h), (bg, ba, variances), threads), one)
 
 
 def _bias(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
@@ -333,7 +284,7 @@ class Preintegrator:
         accel_bias: ArrayLike = _TRIPLE,
         model: str = "held",
     ) -> None:
-        self._add = _ADD[type(_MODELS[checks.choice("model", model, _MODELS)])]
+        self._add = _ADD[checks.choice("model", model, _ADD)]
         self._variances = (
             _density("gyro_noise", gyro_noise) ** 2,
             _density("accel_noise", accel_noise) ** 2,

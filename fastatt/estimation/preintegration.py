@@ -23,12 +23,16 @@ them to leading order in |ω| h.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
-from fastatt._jit import helper, kernel
-from fastatt.dual import derivatives, seed, value
-from fastatt.kernels import dcm, error_state, newton, quat, so3, sym3
+from fastatt.flat import formulas
+from fastatt.flat.dual import derivatives, seed, value
+from fastatt.flat.scalar import scalar_function
+from fastatt.kernels import dcm, error_state, quat, so3, sym3
 from fastatt.kernels.vec3 import add, axpy, scale
+
+_formula = partial(scalar_function, rewritten=True)
 
 
 class PreintegratedRotation(NamedTuple):
@@ -62,19 +66,7 @@ class Preintegrated(NamedTuple):
     pp: Any
 
 
-class Held(NamedTuple):
-    """Tag: exact motion within a sample, noise held over it."""
-
-
-class White(NamedTuple):
-    """Tag: exact motion within a sample, white noise."""
-
-
-class Forster(NamedTuple):
-    """Tag: Euler's step in velocity and position, noise held."""
-
-
-@kernel
+@_formula
 def begin_rotation(like):
     """The state before the first sample, in the type of ``like``."""
     F = type(like)
@@ -83,7 +75,7 @@ def begin_rotation(like):
     return PreintegratedRotation(o, (F(1.0), o, o, o), nine, (o, o, o, o, o, o))
 
 
-@kernel
+@_formula
 def begin(like):
     """The state before the first sample, in the type of ``like``."""
     F = type(like)
@@ -96,8 +88,7 @@ def begin(like):
     )
 
 
-@helper
-def _rotated(s, u, h, noise):
+def _rotated(s: Any, u: Any, h: Any, noise: Any) -> Any:
     """The rotation's part a sample later, and Φ11; ``noise`` is what δφ gains."""
     turn = quat.exp(u)
     f, g = error_state.transition(u, h)
@@ -107,20 +98,18 @@ def _rotated(s, u, h, noise):
     return PreintegratedRotation(s.t + h, q, jacobian, covariance), f
 
 
-@helper
-def _isotropic(k):
+def _isotropic(k: Any) -> Any:
     o = type(k)(0.0)
     return k, o, o, k, o, k
 
 
-@helper
-def _gyro_held(u, h, variance):
+def _gyro_held(u: Any, h: Any, variance: Any) -> Any:
     """σ² h Jr Jrᵀ."""
     j = so3.right_jacobian(u)
     return sym3.scale(variance * h, sym3.product(j, j))
 
 
-@kernel
+@_formula
 def add_rotation(s, w, h, variance):
     """A rate sample w (rad/s, bias taken off) held for h s, its noise held; σ_g² in rad²/s."""
     u = scale(h, w)
@@ -128,36 +117,30 @@ def add_rotation(s, w, h, variance):
     return moved
 
 
-@kernel
+@_formula
 def add_rotation_white(s, w, h, variance):
     """The same with white noise."""
     moved, _ = _rotated(s, scale(h, w), h, _isotropic(variance * h))
     return moved
 
 
-@helper
+@scalar_function
 def _exact(w, a, h):
     """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes of its start."""
-    s = seed(w + a, 6, 0, -1)
-    u = scale(h, s[:3])
-    v = scale(h, newton.turned_integral(u, s[3:]))
-    p = scale(h * h, newton.turned_second_integral(u, s[3:]))
-    vw, va = _halves(derivatives(v[0]), derivatives(v[1]), derivatives(v[2]))
-    pw, pa = _halves(derivatives(p[0]), derivatives(p[1]), derivatives(p[2]))
-    return (
-        (value(v[0]), value(v[1]), value(v[2])),
-        (value(p[0]), value(p[1]), value(p[2])),
-        (vw, va, pw, pa),
-    )
+    s = seed((*w, *a), 6)
+    u = formulas.scale(h, s[:3])
+    v = formulas.scale(h, formulas.newton.turned_integral(u, s[3:]))
+    p = formulas.scale(h * h, formulas.newton.turned_second_integral(u, s[3:]))
+    return value(v), value(p), (*_halves(v), *_halves(p))
 
 
-@helper
-def _halves(x, y, z):
-    return x[:3] + y[:3] + z[:3], x[3:] + y[3:] + z[3:]
+def _halves(x: Any) -> Any:
+    """The derivatives to the rate and to the specific force, row by row."""
+    rows = [derivatives(c, 6) for c in x]
+    return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
 
 
-@helper
-def _euler(w, a, h):
+def _euler(w: Any, a: Any, h: Any) -> Any:
     """The same by Forster's eqs. 36 and 37."""
     F = type(h)
     o = F(0.0)
@@ -170,8 +153,7 @@ def _euler(w, a, h):
     )
 
 
-@helper
-def _held_noise(c, u, h, slopes, gyro, accel):
+def _held_noise(c: Any, u: Any, h: Any, slopes: Any, gyro: Any, accel: Any) -> Any:
     """(rr, rv, rp, vv, vp, pp) of noise held over the sample."""
     r = dcm.scale(h, so3.right_jacobian(u))
     vg, va, pg, pa = slopes
@@ -192,8 +174,7 @@ def _held_noise(c, u, h, slopes, gyro, accel):
     )
 
 
-@helper
-def _white_noise(c, a, h, gyro, accel):
+def _white_noise(c: Any, a: Any, h: Any, gyro: Any, accel: Any) -> Any:
     """The same of white noise: B(s) in attitude moves the velocity by −[a] ∫ B ds."""
     F = type(h)
     m = dcm.mul(c, so3.hat(a))
@@ -211,13 +192,11 @@ def _white_noise(c, a, h, gyro, accel):
     )
 
 
-@helper
-def _less(a, b):
+def _less(a: Any, b: Any) -> Any:
     return dcm.add(a, dcm.scale(type(a[0])(-1.0), b))
 
 
-@helper
-def _added(s, w, a, h, parts, noise):
+def _added(s: Any, w: Any, a: Any, h: Any, parts: Any, noise: Any) -> Any:
     """The state a sample later, from its increments, their derivatives and its noise."""
     F = type(h)
     v, p, (vw, va, pw, pa) = parts
@@ -257,7 +236,7 @@ def _added(s, w, a, h, parts, noise):
     )
 
 
-@kernel
+@_formula
 def add_sample(s, w, a, h, gyro, accel):
     """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
     parts = _exact(w, a, h)
@@ -265,14 +244,14 @@ def add_sample(s, w, a, h, gyro, accel):
     return _added(s, w, a, h, parts, noise)
 
 
-@kernel
+@_formula
 def add_sample_white(s, w, a, h, gyro, accel):
     """The same with white noise."""
     noise = _white_noise(dcm.from_quat(s.rotation.q), a, h, gyro, accel)
     return _added(s, w, a, h, _exact(w, a, h), noise)
 
 
-@kernel
+@_formula
 def add_sample_forster(s, w, a, h, gyro, accel):
     """The same by Forster's eqs. 35 to 37: Euler's step in velocity and position, noise held."""
     parts = _euler(w, a, h)
@@ -280,7 +259,7 @@ def add_sample_forster(s, w, a, h, gyro, accel):
     return _added(s, w, a, h, parts, noise)
 
 
-@kernel
+@_formula
 def corrected(s, gyro, accel):
     """(ΔR, Δv, Δp) for biases that are larger by ``gyro`` and ``accel``, to first order."""
     r = s.rotation
@@ -290,7 +269,7 @@ def corrected(s, gyro, accel):
     return q, v, p
 
 
-@kernel
+@_formula
 def navigate(q, v, p, g, t, change):
     """(q, v, p) at j from those at i (v and p along inertial axes), g (m/s²) and (ΔR, Δv, Δp)."""
     F = type(t)

@@ -1,6 +1,6 @@
 """Derivatives of the step that a method takes: of the attitude's error, of a body's, to parameters.
 
-The step itself is compiled for dual numbers (``fastatt.dual``), so that every method, model and
+The step itself is called with dual numbers (``fastatt.flat.dual``), so that every method, model and
 user's function has its derivatives from its own formula, exact but for rounding.
 
 The error of an attitude is a rotation in body axes, C_true = C exp [δθ]; that of a body's angular
@@ -9,294 +9,211 @@ momentum δm (N·m·s, body axes; I⁻¹ δm is that of the rate).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
 
-from numba import types
+from fastatt.attitudes import QUATERNION
+from fastatt.flat.dual import derivatives, seed, value
+from fastatt.flat.formulas import Vector, dcm, minus, quat, rigid, scale
+from fastatt.flat.functions import larger
+from fastatt.flat.trace import traceable
+from fastatt.flat.traced import Recurrence
+from fastatt.gyro.windows import Window
+from fastatt.methods.method import Method
+from fastatt.models import SUM, Law
+from fastatt.motion import Body, GivenRate, RigidBody, Turning
+from fastatt.torques import TURNED
 
-from fastatt._jit import helper, hook
-from fastatt.dual import constant, derivatives, seed, value
-from fastatt.kernels import dcm, quat, rigid
-from fastatt.kernels.vec3 import neg
-from fastatt.methods.sampled import WINDOWS, Rates
-from fastatt.models import count
-from fastatt.motion import angular_velocity
-from fastatt.representations import QUAT, compose
-from fastatt.steps import whole_step
-from fastatt.torques import Sum, Table, Turned
+Formula = Callable[..., Any]
 
 
-@helper
-def error(q):
-    """δθ of a dual quaternion about its own value, (3,) dual: its derivatives are what counts."""
-    F = type(q[0])
-    v = (value(q[0]), value(q[1]), value(q[2]), value(q[3]))
+def error(q: Vector) -> Vector:
+    """δθ of a dual quaternion about its own value: its derivatives are what counts."""
+    v = value(q)
     r = quat.mul(quat.conj(v), q)
-    k = F(2.0) / quat.dot(v, v)
-    return k * r[1], k * r[2], k * r[3]
+    return scale(2.0 / quat.dot(v, v), r[1:])
 
 
-@helper
-def displaced(q, d):
+def displaced(q: Vector, d: Vector) -> Any:
     """q∘exp(d) for a dual d of value 0."""
-    F = type(d[0])
-    half = F(0.5)
-    return quat.mul(q, (F(1.0), half * d[0], half * d[1], half * d[2]))
+    return quat.mul(q, (1.0, *scale(0.5, d)))
 
 
-@helper
-def values(x):
-    """Values of four numbers, dual or plain."""
-    return value(x[0]), value(x[1]), value(x[2]), value(x[3])
+def rows(x: Vector, size: int) -> Vector:
+    """The derivatives of some numbers, row by row."""
+    return tuple(slope for number in x for slope in derivatives(number, size))
 
 
 # a given rate
 
 
-@helper
-def rate_tangent(method, model, t, h, b, p):
-    """(turn of a step of h s, Φ11, Φ12): quaternion and matrices, row by row.
+class _Unbiased(Turning):
+    """A rate less a gyro's bias."""
 
-    ``model`` is a sum of ``rates.Constant`` and the gyro's rate, of parameters p: the rate is that
-    less the bias b.
+    def __init__(self, structure: GivenRate, p: Vector, like: Any, bias: Vector) -> None:
+        super().__init__(QUATERNION, structure, p, like)
+        self.bias = bias
+
+    def rate(self, t: Any) -> Vector:
+        return minus(super().rate(t), self.bias)
+
+
+def rate_tangent(method: Method, structure: GivenRate) -> Formula:
+    """``f(t, h, b, p)`` -> (turn of a step of h s, Φ11, Φ12): quaternion, matrices row by row.
+
+    The rate is that of the structure with parameters p less the bias b.
     """
-    s = seed(b, 3, 0, -1)
-    like = s[0]
-    F = type(h)
-    o = constant(F(0.0), like)
-    start = (constant(F(1.0), like), o, o, o)
-    x, _ = whole_step(method, QUAT, QUAT, model, (), 0.0, t, constant(h, like), start, neg(s) + p)
-    return _coupled(x, like)
+    assert method.steps is not None
+    step: Any = method.steps.rate
+
+    def tangent(t: Any, h: Any, b: Vector, p: Vector) -> Any:
+        motion = _Unbiased(structure, p, h, seed(b, 3))
+        x, _ = step(motion, t, h, (1.0, 0.0, 0.0, 0.0))
+        return coupled(x)
+
+    return tangent
 
 
-@helper
-def _coupled(x, like):
+def coupled(x: Vector) -> tuple[Any, Any, Any]:
     """The same of a dual quaternion that the bias moves."""
-    q = quat.normalise(values(x))
-    e = error(x)
-    rows = (
-        derivatives(constant(e[0], like))
-        + derivatives(constant(e[1], like))
-        + derivatives(constant(e[2], like))
-    )
-    return q, dcm.transpose(dcm.from_quat(q)), rows
+    q = quat.normalise(value(x))
+    return q, dcm.transpose(dcm.from_quat(q)), rows(error(x), 3)
 
 
 # samples
 
 
-def unbiased(v: Any, b: Any, weights: Any) -> Any:
-    """Flat samples less the bias b times their weights."""
-    raise NotImplementedError
+def window_tangent(window: Window, *, increments: bool) -> Formula:
+    """``f(v, h)`` -> (turn, Φ11, Φ12) of each interval of a window.
 
+    v are its flat samples, the bias taken off, and h its intervals.
+    """
+    formula = window.formula(increments)
+    assert formula is not None
+    turns = traceable(formula)
 
-@hook(unbiased)
-def _unbiased(v: types.BaseTuple, b: types.BaseTuple, weights: types.BaseTuple) -> Any:
-    if not len(v):
-        return lambda v, b, weights: ()
-    return lambda v, b, weights: (
-        v[0] - b[0] * weights[0],
-        v[1] - b[1] * weights[0],
-        v[2] - b[2] * weights[0],
-        *unbiased(v[3:], b, weights[1:]),
-    )
+    def tangent(v: Vector, h: Vector) -> Any:
+        b = seed((0.0, 0.0, 0.0), 3, like=v[0])
+        weights = h if increments else (1.0,) * (len(v) // 3)
+        given = [x - b[k % 3] * weights[k // 3] for k, x in enumerate(v)]
+        u = turns(tuple(given), h)
+        ends = [quat.exp(u[k : k + 3]) for k in range(0, len(u), 3)]
+        between = [quat.mul(quat.conj(a), b) for a, b in pairwise(ends)]
+        return tuple(coupled(q) for q in (ends[0], *between))
 
-
-def intervals(before: Any, d: Any, like: Any) -> Any:
-    """(turn, Φ11, Φ12) of each interval, from the flat dual attitudes at their ends."""
-    raise NotImplementedError
-
-
-@hook(intervals)
-def _intervals(before: types.BaseTuple, d: types.BaseTuple, like: types.Type) -> Any:
-    if not len(d):
-        return lambda before, d, like: ()
-
-    def impl(before, d, like):
-        now = d[:4]
-        return (_coupled(quat.mul(quat.conj(before), now), like), *intervals(now, d[4:], like))
-
-    return impl
-
-
-def window_tangent(method: Any, kind: Any, v: Any, h: Any) -> Any:
-    """(turn, Φ11, Φ12) of each interval of a window of flat samples v over the intervals h."""
-    raise NotImplementedError(method)
-
-
-@hook(window_tangent)
-def _window_tangent(
-    method: types.BaseNamedTuple,
-    kind: types.BaseNamedTuple,
-    v: types.BaseTuple,
-    h: types.BaseTuple,
-) -> Any:
-    window = WINDOWS[method.instance_class]
-    of_rates = kind.instance_class is Rates
-    turns: Any = window.rates if of_rates else window.increments
-    ones = (1.0,) * (len(v) // 3)
-
-    def impl(method, kind, v, h):
-        F = type(h[0])
-        b = seed((F(0.0), F(0.0), F(0.0)), 3, 0, -1)
-        weights = ones if of_rates else h
-        d = turns(QUAT, unbiased(v, b, weights), h)
-        unit = (F(1.0), F(0.0), F(0.0), F(0.0))
-        return intervals(unit, d, b[0])
-
-    return impl
+    return tangent
 
 
 # rigid bodies
 
 
-class StateOnly(NamedTuple):
-    """Tag: derivatives to (δθ, δm), six directions."""
-
-
-class WithParameters(NamedTuple):
-    """Tag: those, and to the principal moments and the torque's numbers."""
-
-
-def own_numbers(torque: Any) -> list[bool]:
-    """Which of a torque's flat parameters are its model's; ``torque`` is a tag or its type.
+def own_numbers(law: Law) -> Iterator[bool]:
+    """Which of a law's flat parameters are its model's.
 
     The others say where principal axes lie, and when samples were taken.
     """
-    of_type = isinstance(torque, types.Type)
-    cls, fields = (torque.instance_class, torque.types) if of_type else (type(torque), torque)
-    if cls is Sum:
-        return [own for term in fields[0] for own in own_numbers(term)]
-    if cls is Turned:
-        return [False] * 4 + own_numbers(fields[1])
-    return [cls is not Table] * count(torque)
+    if law.record is SUM or law.record is TURNED:
+        yield from (False,) * sum(law.sizes)
+        for part in law.parts:
+            yield from own_numbers(part)
+    else:
+        yield from (law.record.differentiable,) * law.count
 
 
-def directions(wanted: type, model: Any) -> int:
-    """How many derivatives each number has; ``model`` is a tag's type."""
-    return 6 if wanted is StateOnly else 9 + sum(own_numbers(model.types[0]))
-
-
-def differentiated(wanted: Any, model: Any, p: Any) -> Any:
-    """A body's parameters, dual where derivatives to them are wanted."""
-    raise NotImplementedError(wanted)
-
-
-@hook(differentiated)
-def _differentiated(
-    wanted: types.BaseNamedTuple, model: types.BaseNamedTuple, p: types.BaseTuple
-) -> Any:
-    if wanted.instance_class is StateOnly:
-        return lambda wanted, model, p: p
-    size = directions(wanted.instance_class, model)
-    end = 9 + len(model.types[1])
-    mask = sum(1 << k for k, own in enumerate(own_numbers(model.types[0])) if own)
-
-    @helper
-    def body(p):
-        F = type(p[0])
-        i = seed(p[3:6], size, 6, -1)
-        half = (F(0.5) / i[0], F(0.5) / i[1], F(0.5) / i[2])
-        return half + i + rigid.gyroscopic_coefficients(i) + p[9:end]
-
-    if len(p) == end:
-        return lambda wanted, model, p: body(p)
-    return lambda wanted, model, p: body(p) + seed(p[end:], size, 9, mask)
-
-
-def along_principal(model: Any, q: Any, m: Any, p: Any) -> Any:
-    """(attitude of the principal axes, momentum along them), from those of the body axes."""
-    raise NotImplementedError(model)
-
-
-def along_body(model: Any, x: Any, p: Any) -> Any:
-    """The inverse, of a state x."""
-    raise NotImplementedError(model)
-
-
-@hook(along_principal)
-def _along_principal(
-    model: types.BaseNamedTuple, q: types.BaseTuple, m: types.BaseTuple, p: types.BaseTuple
-) -> Any:
-    if not len(model.types[1]):
-        return lambda model, q, m, p: q + m
-    return lambda model, q, m, p: compose(QUAT, q, p[9:13]) + quat.rotate_inverse(p[9:13], m)
-
-
-@hook(along_body)
-def _along_body(model: types.BaseNamedTuple, x: types.BaseTuple, p: types.BaseTuple) -> Any:
-    if not len(model.types[1]):
-        return lambda model, x, p: (x[:4], x[4:7])
-    return lambda model, x, p: (
-        compose(QUAT, x[:4], quat.conj(p[9:13])),
-        quat.rotate(p[9:13], x[4:7]),
-    )
-
-
-def momentum_of_rate(model: Any, w: Any, p: Any) -> Any:
-    """m = I w along body axes."""
-    raise NotImplementedError(model)
-
-
-def rate_of_momentum(model: Any, m: Any, p: Any) -> Any:
-    """w = I⁻¹ m along body axes."""
-    raise NotImplementedError(model)
-
-
-@hook(momentum_of_rate)
-def _momentum_of_rate(model: types.BaseNamedTuple, w: types.Type, p: types.BaseTuple) -> Any:
-    if not len(model.types[1]):
-        return lambda model, w, p: rigid.momentum(w, p[3:6])
-    return lambda model, w, p: quat.rotate(
-        p[9:13], rigid.momentum(quat.rotate_inverse(p[9:13], w), p[3:6])
-    )
-
-
-@hook(rate_of_momentum)
-def _rate_of_momentum(model: types.BaseNamedTuple, m: types.Type, p: types.BaseTuple) -> Any:
-    if not len(model.types[1]):
-        return lambda model, m, p: angular_velocity(m, p)
-    return lambda model, m, p: quat.rotate(
-        p[9:13], angular_velocity(quat.rotate_inverse(p[9:13], m), p)
-    )
+def directions(structure: RigidBody, *, parameters: bool) -> int:
+    """How many derivatives each number has."""
+    return 9 + sum(own_numbers(structure.law)) if parameters else 6
 
 
 def body_tangent(
-    wanted: Any, method: Any, model: Any, stages: Any, edge: Any, t: Any, h: Any, q: Any, m: Any,
-    p: Any,
-) -> Any:  # fmt: skip
-    """(q, m, Φ, z) after a step of h s: Φ flat, row by row, 6 rows; z the squared turn.
+    method: Method, structure: RigidBody, *, parameters: bool = False, of_rate: bool = False
+) -> Formula:
+    """``f(t, h, q, m, p)`` -> (q, m, Φ) after a step of h s: Φ flat, 6 rows.
 
-    Columns are δθ, δm and, ``WithParameters``, the principal moments and the torque's numbers.
+    m is along body axes. Columns are δθ, δm and, with ``parameters``, the principal moments and the
+    torque's numbers. With ``of_rate`` q may have any length, w is in the place of m, and the square
+    of the angle that the step turned at a time follows. The stages of a splitting are a loop.
     """
-    raise NotImplementedError(wanted)
+    steps: Any = method.steps
+    size = directions(structure, parameters=parameters)
+
+    def moving(p: Vector) -> Body:
+        dual = differentiated(structure, p, size) if parameters else p
+        return Body(QUATERNION, structure, dual)
+
+    def start(motion: Body, q: Vector, m: Vector, p: Vector) -> Vector:
+        if of_rate:
+            q, m = quat.normalise(q), momentum_of_rate(structure, m, p)
+        d = seed((0.0, 0.0, 0.0), size, like=m[0])
+        a, n = displaced(q, d), seed(m, size, 3)
+        if motion.axes is not None:
+            a, n = quat.mul(a, motion.axes), quat.rotate_inverse(motion.axes, n)
+        return (*a, *n)
+
+    def finish(motion: Body, x: Vector, z: Any, p: Vector) -> Any:
+        a, n = x[:4], x[4:7]
+        if motion.axes is not None:
+            a, n = quat.mul(a, quat.conj(motion.axes)), quat.rotate(motion.axes, n)
+        phi = rows((*error(a), *n), size)
+        q, m = quat.normalise(value(a)), value(n)
+        return (q, rate_of_momentum(structure, m, p), phi, z) if of_rate else (q, m, phi)
+
+    def whole(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
+        motion = moving(p)
+        x, z = steps.body(motion, t, h, start(motion, q, m, p))
+        return finish(motion, x, value(z), p)
+
+    if steps.stage is None:
+        return whole
+    # what is stepped lies this share of h ahead
+    share = 0.5 * method.stages[-1][1] if method.stages else 0.0
+
+    def begin(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
+        motion = moving(p)
+        x = start(motion, q, m, p)
+        e = () if steps.prepare is None else steps.prepare(motion, h, x)
+        if steps.enter is not None:
+            x = steps.enter(motion, t, 0.0, share * h, x, e)
+        return (x, 0.0), e
+
+    def stage(x: Any, e: Any, row: Vector, t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
+        (y, most), (part, other, at) = x, row
+        y, z = steps.stage(moving(p), t + at * h, part * h, other * h, y, e)
+        return y, larger(value(z), most)
+
+    def end(x: Any, e: Any, t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
+        (y, most), motion = x, moving(p)
+        if steps.leave is not None:
+            y = steps.leave(motion, t + h, h, share * h, y, e)
+        return finish(motion, y, most, p)
+
+    return Recurrence(begin, stage, end, method.stages or ((1.0, 1.0, 0.0),))
 
 
-@hook(body_tangent)
-def _body_tangent(
-    wanted: types.BaseNamedTuple, method: types.Type, model: types.BaseNamedTuple,
-    stages: types.Type, edge: types.Type, t: types.Type, h: types.Type, q: types.BaseTuple,
-    m: types.BaseTuple, p: types.BaseTuple,
-) -> Any:  # fmt: skip
-    size = directions(wanted.instance_class, model)
+def differentiated(structure: RigidBody, p: Vector, size: int) -> Vector:
+    """A body's parameters, dual but for those that say where axes lie and samples were taken."""
+    end = 9 + structure.axes
+    i = seed(p[3:6], size, 6)
+    half = tuple(0.5 / x for x in i)
+    mine = list(own_numbers(structure.law))
+    own = iter(seed([x for x, is_own in zip(p[end:], mine, strict=True) if is_own], size, 9, p[0]))
+    torque = [next(own) if is_own else x for x, is_own in zip(p[end:], mine, strict=True)]
+    return (*half, *i, *rigid.gyroscopic_coefficients(i), *p[9:end], *torque)
 
-    def impl(wanted, method, model, stages, edge, t, h, q, m, p):
-        F = type(m[0])
-        d = seed((F(0.0), F(0.0), F(0.0)), size, 0, -1)
-        like = d[0]
-        pd = differentiated(wanted, model, p)
-        x = along_principal(model, displaced(q, d), seed(m, size, 3, -1), pd)
-        x, z = whole_step(method, QUAT, QUAT, model, stages, edge, t, h, x, pd)
-        q1, m1 = along_body(model, x, pd)
-        e = error(q1)
-        phi = (
-            derivatives(constant(e[0], like))
-            + derivatives(constant(e[1], like))
-            + derivatives(constant(e[2], like))
-            + derivatives(constant(m1[0], like))
-            + derivatives(constant(m1[1], like))
-            + derivatives(constant(m1[2], like))
-        )
-        end = (value(m1[0]), value(m1[1]), value(m1[2]))
-        return quat.normalise(values(q1)), end, phi, value(z)
 
-    return impl
+def momentum_of_rate(structure: RigidBody, w: Vector, p: Vector) -> Any:
+    """m = I w along body axes."""
+    axes = p[9:13]
+    if not structure.turned:
+        return rigid.momentum(w, p[3:6])
+    return quat.rotate(axes, rigid.momentum(quat.rotate_inverse(axes, w), p[3:6]))
+
+
+def rate_of_momentum(structure: RigidBody, m: Vector, p: Vector) -> Any:
+    """w = I⁻¹ m along body axes."""
+    motion = Body(QUATERNION, structure, p)
+    if motion.axes is None:
+        return motion.angular_velocity(m)
+    v = motion.angular_velocity(quat.rotate_inverse(motion.axes, m))
+    return quat.rotate(motion.axes, v)

@@ -3,24 +3,30 @@
 Every kernel is pure: tuples in, tuples out, no allocation, no branch, float64 or float32 kept.
 """
 
-from fastatt.kernels import (
-    axis_angle,
-    compensated,
-    coning,
-    dcm,
-    elliptic,
-    error_state,
-    euler313,
-    free_body,
-    moser_veselov,
-    newton,
-    quat,
-    rigid,
-    so3,
-    sym3,
-    trig,
-    vec3,
-)
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fastatt.kernels import (
+        axis_angle,
+        compensated,
+        coning,
+        dcm,
+        elliptic,
+        error_state,
+        euler313,
+        free_body,
+        moser_veselov,
+        newton,
+        quat,
+        rigid,
+        so3,
+        sym3,
+        trig,
+        vec3,
+    )
 
 __all__ = [
     "axis_angle",
@@ -40,3 +46,14 @@ __all__ = [
     "trig",
     "vec3",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """A module of kernels, imported when it is first asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module 'fastatt.kernels' has no attribute {name!r}")
+    return importlib.import_module(f"fastatt.kernels.{name}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -16,11 +16,12 @@ from fastatt.kernels.vec3 import cross
 @kernel
 def mul(p, q):
     """Hamilton product p∘q; of attitudes: first q, then p."""
+    # what a small turn q adds comes first: fused, each number is then rounded once at its size
     return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+        p[0] * q[0] - (p[1] * q[1] + p[2] * q[2] + p[3] * q[3]),
+        p[1] * q[0] + (p[0] * q[1] + p[2] * q[3] - p[3] * q[2]),
+        p[2] * q[0] + (p[0] * q[2] - p[1] * q[3] + p[3] * q[1]),
+        p[3] * q[0] + (p[0] * q[3] + p[1] * q[2] - p[2] * q[1]),
     )
 
 

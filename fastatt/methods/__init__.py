@@ -26,7 +26,7 @@ from fastatt.methods import (
     strang,
     trapezoid,
 )
-from fastatt.methods.method import Method, step
+from fastatt.methods.method import Method
 
 _ALL = (
     lie_euler.METHOD,
@@ -55,4 +55,4 @@ _ALL = (
 )
 METHODS: Mapping[str, Method] = MappingProxyType({m.name: m for m in _ALL})
 
-__all__ = ["METHODS", "Method", "step"]
+__all__ = ["METHODS", "Method"]

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
-from fastatt.kernels.vec3 import dot, scale
-from fastatt.methods.method import larger, lie_method
-from fastatt.rates import rate
-from fastatt.representations import turn
+from fastatt.flat.formulas import scale
+from fastatt.methods.lie import lie_method, turn_of_exponents
 
 
-class CG3(NamedTuple):
-    """Tag."""
-
-
-def step(method, rep, model, t, h, x, p):
-    F = type(h)
-    u = scale(F(13.0 / 51.0) * h, rate(model, t, p, h))
-    v = scale(F(-2.0 / 3.0) * h, rate(model, t + F(0.75) * h, p, h))
-    w = scale(F(24.0 / 17.0) * h, rate(model, t + F(17.0 / 24.0) * h, p, h))
-    x = turn(rep, turn(rep, turn(rep, x, u), v), w)
-    return x, larger(larger(dot(u, u), dot(v, v)), dot(w, w))
+def exponents(w: Any, t: Any, h: Any) -> Any:
+    return (
+        scale(13.0 / 51.0 * h, w(t)),
+        scale(-2.0 / 3.0 * h, w(t + 0.75 * h)),
+        scale(24.0 / 17.0 * h, w(t + 17.0 / 24.0 * h)),
+    )
 
 
 METHOD = lie_method(
-    CG3(),
-    step,
-    name="cg3",
-    order=3,
+    "cg3",
+    3,
+    exponents,
+    turns=turn_of_exponents,
     rate_calls=3,
     exponentials=3,
     limit=1.8,  # of the last turn, 24/17 |w|h

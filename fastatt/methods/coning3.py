@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from fastatt._jit import kernel
+from fastatt._jit import helper
+from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
     increments_quadratic,
     miller,
@@ -12,54 +11,43 @@ from fastatt.kernels.coning import (
     rotation_vector,
     rotation_vector_quadratic,
 )
-from fastatt.methods.sampled import Window, exponential, sampled_method
+from fastatt.methods.sampled import sampled_method
 
 
-class Coning3(NamedTuple):
-    """Tag."""
-
-
-class Coning3Optimal(NamedTuple):
-    """Tag."""
-
-
-@kernel
-def _three(p, q, r):
-    return p[0], p[1], p[2], p[3], q[0], q[1], q[2], q[3], r[0], r[1], r[2], r[3]
-
-
-@kernel
-def rates(rep, v, h):
+@helper
+def rates(v, h):
     s = h[0] + h[1]
     t = s + h[2]
     a, b, c, d = rates_cubic(
         (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), (v[9], v[10], v[11]), h[0], s, t
     )
-    p = exponential(rep, rotation_vector(a, b, c, d, h[0]))
-    q = exponential(rep, rotation_vector(a, b, c, d, s))
-    return _three(p, q, exponential(rep, rotation_vector(a, b, c, d, t)))
+    return (
+        rotation_vector(a, b, c, d, h[0])
+        + rotation_vector(a, b, c, d, s)
+        + rotation_vector(a, b, c, d, t)
+    )
 
 
-@kernel
-def increments(rep, v, h):
+@helper
+def increments(v, h):
     a, b, c = increments_quadratic(
         (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), h[0], h[1], h[2]
     )
     s = h[0] + h[1]
-    p = exponential(rep, rotation_vector_quadratic(a, b, c, h[0]))
-    q = exponential(rep, rotation_vector_quadratic(a, b, c, s))
-    return _three(p, q, exponential(rep, rotation_vector_quadratic(a, b, c, s + h[2])))
+    return (
+        rotation_vector_quadratic(a, b, c, h[0])
+        + rotation_vector_quadratic(a, b, c, s)
+        + rotation_vector_quadratic(a, b, c, s + h[2])
+    )
 
 
-@kernel
-def increments_optimal(rep, v, h):
-    f = increments(rep, v, h)
-    r = exponential(rep, miller((v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8])))
-    return _three((f[0], f[1], f[2], f[3]), (f[4], f[5], f[6], f[7]), r)
+@helper
+def increments_optimal(v, h):
+    last = miller((v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]))
+    return increments(v, h)[:6] + last
 
 
 POLYNOMIAL = sampled_method(
-    Coning3(),
     Window(history=0, span=3, rates=rates, increments=increments),
     name="coning3",
     order=4,
@@ -70,7 +58,6 @@ POLYNOMIAL = sampled_method(
     source="Savage, J. Guidance 21 (1998) 19; coefficients by a parabola through three increments",
 )
 OPTIMAL = sampled_method(
-    Coning3Optimal(),
     Window(history=0, span=3, increments=increments_optimal),
     name="coning3_optimal",
     order=4,

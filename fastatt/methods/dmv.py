@@ -9,204 +9,133 @@ the energy and the momentum in space.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-from numba import types
+from fastatt.flat.formulas import Vector, dot, plus, scale
+from fastatt.flat.formulas import moser_veselov as mv
+from fastatt.flat.graph import Single, choose
+from fastatt.methods.method import FREE, Method, Steps
 
-from fastatt._jit import helper, hook
-from fastatt.kernels import moser_veselov as mv
-from fastatt.kernels.vec3 import dot
-from fastatt.methods.method import FREE, Kernels, Method, register
-from fastatt.motion import attitude_of, momentum_of
-from fastatt.representations import carry, compose, gain_vector
-
-
-class DMV2(NamedTuple):
-    """Tag."""
+# numbers of each level of coefficients, from the second power of the step on
+_SIZES = (4, 6, 8, 10)
 
 
-class DMV4(NamedTuple):
-    """Tag."""
-
-
-class DMV6(NamedTuple):
-    """Tag."""
-
-
-class DMV8(NamedTuple):
-    """Tag."""
-
-
-class DMV10(NamedTuple):
-    """Tag."""
-
-
-LEVELS: dict[type, int] = {DMV2: 0, DMV4: 1, DMV6: 2, DMV8: 3, DMV10: 4}
-
-
-def coefficients(level: Any, inertia: Any) -> Any:
+def coefficients(level: int, inertia: Vector) -> Vector:
     """All coefficients of a level, flat: 0, 4, 10, 18 or 28 numbers."""
-    raise NotImplementedError(level)
+    each = (mv.coefficients2, mv.coefficients4, mv.coefficients6, mv.coefficients8)
+    return tuple(k for f in each[:level] for k in f(inertia))
 
 
-def corrections(level: Any, C: Any, H: Any, k: Any) -> Any:
-    """(s, d) of the modified moments from the coefficients k."""
-    raise NotImplementedError(level)
+def corrections(level: int, C: Any, H: Any, k: Vector) -> Vector:
+    """(s, d) of the modified moments from the coefficients k, the smallest added first."""
+    each = (mv.corrections2, mv.corrections4, mv.corrections6, mv.corrections8)
+    found: Vector = (0.0, 0.0)
+    for n in reversed(range(level)):
+        at = sum(_SIZES[:n])
+        found = plus(each[n](C, H, k[at : at + _SIZES[n]]), found)
+    return found
 
 
-def tolerance(x: Any) -> Any:
-    """Square of the change below which Newton's iteration in the type of x has converged."""
-    raise NotImplementedError
-
-
-@hook(tolerance)
-def _tolerance(x: types.Float) -> Any:
+def tolerance(x: Any) -> float:
+    """Square of the change below which Newton's iteration in the precision of x has converged."""
     # Newton's last change e leaves e²: 1e-6 leaves 1e-12, less than any level's own error there
-    square = 1e-12 if x == types.float64 else 1e-7
-    return lambda x: type(x)(square)
+    return 1e-7 if isinstance(x, Single) else 1e-12
 
 
-@hook(coefficients)
-def _coefficients(level: types.BaseNamedTuple, inertia: types.BaseTuple) -> Any:
-    n = LEVELS[level.instance_class]
-    return (
-        lambda level, inertia: (),
-        lambda level, inertia: mv.coefficients2(inertia),
-        lambda level, inertia: mv.coefficients2(inertia) + mv.coefficients4(inertia),
-        lambda level, inertia: (
-            mv.coefficients2(inertia) + mv.coefficients4(inertia) + mv.coefficients6(inertia)
-        ),
-        lambda level, inertia: (
-            mv.coefficients2(inertia)
-            + mv.coefficients4(inertia)
-            + mv.coefficients6(inertia)
-            + mv.coefficients8(inertia)
-        ),
-    )[n]
+def scaled_inertia(motion: Any) -> Any:
+    """Principal moments over the largest one, and that."""
+    a, b, c = motion.moments
+    largest = choose(a > b, a, b)
+    largest = choose(c > largest, c, largest)
+    return (a / largest, b / largest, c / largest), largest
 
 
-@helper
-def add_pairs(x, y):
-    return x[0] + y[0], x[1] + y[1]
-
-
-@hook(corrections)
-def _corrections(level: types.BaseNamedTuple, C: types.Type, H: types.Type, k: types.Type) -> Any:
-    def none(level, C, H, k):
-        F = type(C)
-        return F(0.0), F(0.0)
-
-    def two(level, C, H, k):
-        return mv.corrections2(C, H, k)
-
-    def four(level, C, H, k):
-        return add_pairs(mv.corrections2(C, H, k), mv.corrections4(C, H, k[4:]))
-
-    def six(level, C, H, k):
-        low = add_pairs(mv.corrections4(C, H, k[4:]), mv.corrections6(C, H, k[10:]))
-        return add_pairs(mv.corrections2(C, H, k), low)
-
-    def eight(level, C, H, k):
-        low = add_pairs(mv.corrections6(C, H, k[10:]), mv.corrections8(C, H, k[18:]))
-        return add_pairs(mv.corrections2(C, H, k), add_pairs(mv.corrections4(C, H, k[4:]), low))
-
-    return (none, two, four, six, eight)[LEVELS[level.instance_class]]
-
-
-@helper
-def scaled_inertia(p):
-    """Principal moments over the largest one."""
-    largest = p[3] if p[3] > p[4] else p[4]
-    largest = p[5] if p[5] > largest else largest
-    return (p[3] / largest, p[4] / largest, p[5] / largest), largest
-
-
-@helper
-def modified(level, h, m, inertia, largest, k):
+def modified(level: int, h: Any, m: Vector, scaled: Any, k: Vector) -> Any:
     """h/(2K) of each axis and (K2 − K3)/K1, cyclic, for a step h at momentum m."""
-    F = type(h)
+    inertia, largest = scaled
     f = h / largest
-    n = (f * m[0], f * m[1], f * m[2])
-    square = mv.squared(n)
-    C = F(0.5) * mv.power_sum(square)
-    H = F(0.5) * (square[0] / inertia[0] + square[1] / inertia[1] + square[2] / inertia[2])
-    s, d = corrections(level, C, H, k)
-    inverse = mv.modified_inverse(inertia, s, d)
-    g = F(0.5) * f
-    return (g * inverse[0], g * inverse[1], g * inverse[2]), mv.asymmetry(inverse)
+    square = mv.squared(scale(f, m))
+    C = 0.5 * mv.power_sum(square)
+    H = 0.5 * (square[0] / inertia[0] + square[1] / inertia[1] + square[2] / inertia[2])
+    inverse = mv.modified_inverse(inertia, *corrections(level, C, H, k))
+    return scale(0.5 * f, inverse), mv.asymmetry(inverse)
 
 
-def prepare(method, rep, model, h, x, p):
-    inertia, largest = scaled_inertia(p)
-    a, kappa = modified(
-        method, h, momentum_of(rep, x), inertia, largest, coefficients(method, inertia)
-    )
-    return a + kappa + (squared_turn(h, momentum_of(rep, x), p),)
-
-
-@helper
-def squared_turn(h, m, p):
+def squared_turn(motion: Any, h: Any, m: Vector) -> Any:
     """(|m| h/I_min)²: what the series of the modified moments are in, of a needle far beyond |w| h.
 
     Not the turn that is solved for: near π the modified moments make it small again.
     """
-    most = p[0] if p[0] > p[1] else p[1]
-    most = p[2] if p[2] > most else most
+    a, b, c = motion.half_inverse
+    most = choose(a > b, a, b)
+    most = choose(c > most, c, most)
     f = h * (most + most)
     return f * f * dot(m, m)
 
 
-def enter(method, rep, model, t, s, k, x, p, e):
-    return attitude_of(rep, x) + carry(rep, mv.product(e[:3], momentum_of(rep, x)))
-
-
-def leave(method, rep, model, t, s, k, x, p, e):
-    u = momentum_of(rep, x)
-    return attitude_of(rep, x) + carry(rep, (u[0] / e[0], u[1] / e[1], u[2] / e[2]))
-
-
-@helper
-def turned(rep, a, u, kappa, z):
+def turned(motion: Any, a: Vector, u: Vector, kappa: Vector, z: Any) -> Any:
     """The attitude after one step, c and 1/(1 + |c|²); z, infinite where c did not converge."""
-    F = type(u[0])
     c, change = mv.solve(u, kappa)
     r, inverse = mv.rotation(c)
-    return compose(rep, a, r), c, inverse, z if change < tolerance(z) else F(math.inf)
+    z = choose(change < tolerance(u[0]), z, math.inf)
+    return motion.attitude.compose(a, r), c, inverse, z
 
 
-def step(method, rep, model, t, h, k, x, p, e):
-    F = type(h)
-    u = momentum_of(rep, x)
+def _prepared(level: int) -> Any:
+    def prepare(motion: Any, h: Any, x: Vector) -> Vector:
+        m = motion.momentum_of(x)[:3]
+        scaled = scaled_inertia(motion)
+        a, kappa = modified(level, h, m, scaled, coefficients(level, scaled[0]))
+        return (*a, *kappa, squared_turn(motion, h, m))
+
+    return prepare
+
+
+def enter(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
+    u = mv.product(e[:3], motion.momentum_of(x)[:3])
+    return (*motion.attitude_of(x), *motion.attitude.carry(u))
+
+
+def leave(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
+    u = motion.momentum_of(x)
+    m = (u[0] / e[0], u[1] / e[1], u[2] / e[2])
+    return (*motion.attitude_of(x), *motion.attitude.carry(m))
+
+
+def stage(motion: Any, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
+    u = motion.momentum_of(x)
     kappa = e[3:6]
-    a, c, inverse, z = turned(rep, attitude_of(rep, x), u, kappa, e[6])
-    f = F(2.0) * inverse
+    a, c, inverse, z = turned(motion, motion.attitude_of(x), u[:3], kappa, e[6])
+    f = 2.0 * inverse
     d = (
         f * kappa[0] * (c[1] * c[2]),
         f * kappa[1] * (c[2] * c[0]),
         f * kappa[2] * (c[0] * c[1]),
     )
-    return a + gain_vector(rep, u, d), z
+    return (*a, *motion.attitude.add_vector(u, d)), z
 
 
-def _method(cls: Any) -> Method:
-    order = 2 * LEVELS[cls] + 2
-    register(cls, Kernels(stage=step, extras=7, prepare=prepare, enter=enter, leave=leave))
+def _method(level: int) -> Method:
+    order = 2 * level + 2
     summary = "no trigonometry; keeps energy and momentum"
     return Method(
-        tag=cls(),
         name=f"dmv{order}",
         order=order,
         scenes=FREE,
         representations=("quat", "dcm"),
+        uses=("compose",),
         conserves=("norm", "momentum", "energy"),
         rate_calls=1,
         exponentials=0,
         compensates=True,
         measure="momentum",
         limits=dict.fromkeys(("quat", "dcm"), 0.7 if order == 2 else 1.0),
+        steps=Steps(stage=stage, prepare=_prepared(level), enter=enter, leave=leave),
+        reversible=FREE,
+        symplectic=level == 0,
         summary=f"{summary}; near machine precision at moderate steps" if order == 10 else summary,
         source="Hairer and Vilmart, J. Phys. A 39 (2006) 13225",
     )
 
 
-METHODS = tuple(_method(cls) for cls in LEVELS)
+METHODS = tuple(_method(level) for level in range(5))

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from fastatt._jit import kernel
+from fastatt._jit import helper
+from fastatt.gyro.windows import Window
 from fastatt.kernels.vec3 import scale
-from fastatt.methods.sampled import Window, exponential, sampled_method
+from fastatt.methods.sampled import sampled_method
 
 
-class Hold(NamedTuple):
-    """Tag."""
+@helper
+def rates(v, h):
+    return scale(h[0], (v[0], v[1], v[2]))
 
 
-@kernel
-def rates(rep, v, h):
-    return exponential(rep, scale(h[0], (v[0], v[1], v[2])))
-
-
-@kernel
-def increments(rep, v, h):
-    return exponential(rep, (v[0], v[1], v[2]))
+@helper
+def increments(v, h):
+    return v[0], v[1], v[2]
 
 
 METHOD = sampled_method(
-    Hold(),
     Window(history=0, span=1, rates=rates, increments=increments),
     name="hold",
     order=1,

@@ -1,29 +1,22 @@
-"""Lie-Euler: one exponential of the rate at the start of the step."""
+"""Lie-Euler: the exponential of the rate at the start."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
-from fastatt.kernels.vec3 import dot, scale
-from fastatt.methods.method import lie_method
-from fastatt.rates import rate
-from fastatt.representations import turn
+from fastatt.flat.formulas import scale
+from fastatt.methods.lie import lie_method, turn_of_exponents
 
 
-class LieEuler(NamedTuple):
-    """Tag."""
-
-
-def step(method, rep, model, t, h, x, p):
-    u = scale(h, rate(model, t, p, h))
-    return turn(rep, x, u), dot(u, u)
+def exponents(w: Any, t: Any, h: Any) -> Any:
+    return (scale(h, w(t)),)
 
 
 METHOD = lie_method(
-    LieEuler(),
-    step,
-    name="lie_euler",
-    order=1,
+    "lie_euler",
+    1,
+    exponents,
+    turns=turn_of_exponents,
     rate_calls=1,
     exponentials=1,
     limit=0.1,

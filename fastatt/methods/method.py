@@ -1,28 +1,50 @@
-"""What a method says of itself, and the step that every driver calls."""
+"""What a method says of itself, and its steps as formulas on recorded numbers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
-from numba import types
-
-from fastatt._jit import helper, hook
-from fastatt.kernels.vec3 import dot, scale
-from fastatt.motion import Body, Moving
-from fastatt.rates import is_constant, rate
-from fastatt.representations import bears_witness, has_poles, turn
-from fastatt.torques import RATE
+from fastatt.attitudes import Attitude
+from fastatt.torques import Dependence
 
 #: key of the limits of a rigid body
 BODY = "body"
 FREE = ("spherical", "symmetric", "free")
 BODIES = (*FREE, "torqued")
+#: representations whose state can be turned by an exponential
+TURNED = ("quat", "dcm", "dcm_rows")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The formulas of a method: plain functions on recorded numbers.
+
+    ``rate(motion, t, h, x)`` and ``body(motion, t, h, x)`` give (x(t + h), z) of a
+    ``fastatt.motion.Turning`` and a ``Body``, z the squared angle (rad²) that the step turns at a
+    time, infinite where an iteration did not converge. ``constant`` is ``rate`` of a rate that
+    never changes, where that is another one.
+
+    A splitting has ``stage(motion, t, h, k, x, e)`` instead: h s of free motion, then k s of the
+    other flow. ``prepare(motion, h, x)`` gives the numbers e that a run with step h needs of a body
+    besides its parameters, from its initial state; ``enter`` and ``leave`` change between the state
+    and the one that is stepped: ``f(motion, t, s, k, x, e)`` at time t, s after the start.
+    """
+
+    rate: Callable[..., Any] | None = None
+    constant: Callable[..., Any] | None = None
+    body: Callable[..., Any] | None = None
+    stage: Callable[..., Any] | None = None
+    prepare: Callable[..., Any] | None = None
+    enter: Callable[..., Any] | None = None
+    leave: Callable[..., Any] | None = None
+    #: a look at some steps of ``rate`` will do, since its z is never infinite
+    at_times: bool = False
+
+
+@dataclass(frozen=True, eq=False)
 class Method:
     """One method's record: everything that tests, benches, tables and advice are made from.
 
@@ -46,17 +68,26 @@ class Method:
     exponentials: int
     limits: Mapping[str, float]
     source: str
-    tag: Any = None
     summary: str = ""
+    #: formulas of a representation that the steps call
+    uses: tuple[str, ...] = ()
+    #: None of the closed form and of methods for samples
+    steps: Steps | None = field(default=None, repr=False)
+    #: of a method for samples: what it makes of a window of them
+    window: Any = field(default=None, repr=False)
     exact_for_constant: bool = False
     orders: Mapping[str, int] = field(default_factory=dict)
     #: (h, k, c) of each stage of a step: its share of free motion and of the other flow, and at
     #: which share of the step the other flow acts; none for a method of one stage
-    stages: tuple[tuple[float, float, float], ...] = ()
+    stages: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
+    #: kinds of scenes on which a step back undoes a step, to rounding
+    reversible: tuple[str, ...] = ()
+    #: the step of a conservative system is a symplectic map
+    symplectic: bool = False
     #: needs the principal axes in ascending order
     sorted_axes: bool = False
-    #: how a torque may depend on w: ``torques.POSITION``, ``DAMPED`` or ``RATE``
-    takes: int = RATE
+    #: how a torque may depend on w
+    takes: Dependence = Dependence.RATE
     #: what ``limits`` hold for: "turn", "momentum" or "asymmetry"
     measure: str = "turn"
     #: largest c h/I, of linear damping
@@ -65,220 +96,33 @@ class Method:
     compensates: bool = False
 
     @property
+    def is_stepped(self) -> bool:
+        """Whether it takes steps of a scene: neither the closed form nor a method for samples."""
+        return self.steps is not None
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is a closed form: no steps, any time in one evaluation."""
+        return self.steps is None and self.window is None
+
+    @property
     def translates(self) -> bool:
         """Whether velocity and position can be carried along: what is stepped is the state."""
-        return type(self.tag) in _kernels and not is_staged(type(self.tag))
+        return self.steps is not None and self.steps.stage is None
 
     def order_of(self, scene: str) -> int:
         """Order on one kind of scene, where it differs from ``order``."""
         return self.orders.get(scene, self.order)
 
+    def stores(self, representation: str | Attitude) -> bool:
+        """Whether it goes with a representation: by its name, of one's own by its formulas."""
+        if isinstance(representation, str):
+            return representation in self.representations
+        return self.is_stepped and all(
+            getattr(representation, name) is not None for name in self.uses
+        )
+
     def limit(self, representation: str, *, body: bool = False) -> float:
-        """Largest |w|h, rad."""
-        own = self.limits.get(representation, math.inf)
+        """Largest |w|h, rad; of a representation of one's own the least that there is."""
+        own = self.limits.get(representation, min(self.limits.values(), default=math.inf))
         return min(own, self.limits.get(BODY, math.inf)) if body else own
-
-
-class Kernels(NamedTuple):
-    """What a driver compiles of a method, chosen by its tag and by the kind of model.
-
-    ``rate`` and ``body`` are steps ``f(method, rep, model, t, h, x, p)``, ``constant`` is that of a
-    rate which never changes, where it is another one. ``at_times`` says that a look at some steps
-    of ``rate`` will do, since its z is never infinite; ``exponentials`` that it only turns the
-    state. ``stage`` is one stage of a splitting, ``f(method, rep, model, t, h, k, x, p, e)``.
-    ``prepare(method, rep, model, h, x, p)`` gives the ``extras`` numbers e that a run needs of each
-    body, from its initial state.
-    ``enter`` and ``leave`` change between the state and the one that is stepped:
-    ``f(method, rep, model, t, s, k, x, p, e)`` at time t, s after the start.
-    """
-
-    rate: Callable[..., Any] | None = None
-    constant: Callable[..., Any] | None = None
-    body: Callable[..., Any] | None = None
-    stage: Callable[..., Any] | None = None
-    extras: int = 0
-    prepare: Callable[..., Any] | None = None
-    enter: Callable[..., Any] | None = None
-    leave: Callable[..., Any] | None = None
-    at_times: bool = False
-    exponentials: bool = False
-
-
-def step(method: Any, rep: Any, model: Any, t: Any, h: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
-    """(x(t + h), z): one step, and z the squared angle (rad²) that it turns at a time.
-
-    ``method``, ``rep`` and ``model`` are tags; x and h share a type; p are flat parameters. Of a
-    splitting it is a stage: h s of free motion, then k s of the other flow. z is infinite where an
-    iteration did not converge.
-    """
-    raise NotImplementedError(method)
-
-
-def prepare(method: Any, rep: Any, model: Any, h: Any, x: Any, p: Any) -> Any:
-    """The numbers of a body that a run with step h needs besides its parameters."""
-    raise NotImplementedError(method)
-
-
-def enter(method: Any, rep: Any, model: Any, t: Any, s: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
-    """The state as the method steps it."""
-    raise NotImplementedError(method)
-
-
-def leave(method: Any, rep: Any, model: Any, t: Any, s: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
-    """The state from what the method steps."""
-    raise NotImplementedError(method)
-
-
-_kernels: dict[type, Kernels] = {}
-
-
-def register(cls: type, kernels: Kernels) -> None:
-    """Make ``kernels`` those of the tag class ``cls``."""
-    _kernels[cls] = kernels
-
-
-@helper
-def larger(a, b):
-    """The larger of two squared turns."""
-    return a if a > b else b
-
-
-@helper
-def one_exponential(method, rep, model, t, h, x, p):
-    """The exponential of the rate at the middle of the step."""
-    F = type(h)
-    u = scale(h, rate(model, t + F(0.5) * h, p, h))
-    return turn(rep, x, u), dot(u, u)
-
-
-def extras(method: type) -> int:
-    """How many numbers ``prepare`` gives."""
-    return _kernels[method].extras
-
-
-def seen_at_times(method: type, rep: types.BaseNamedTuple, model: types.BaseNamedTuple) -> bool:
-    """Whether a look at some steps will do.
-
-    Not near a pole, which is passed in one; of exponentials where the state's length bears them
-    witness.
-    """
-    found = _kernels[method]
-    turning = model.types[0] if model.instance_class is Moving else model
-    if turning.instance_class is Body or not found.at_times:
-        return False
-    kind = rep.instance_class
-    return bears_witness(kind) if found.exponentials else not has_poles(kind)
-
-
-def is_staged(method: type) -> bool:
-    """Whether what is stepped is not the state itself."""
-    return _kernels[method].stage is not None
-
-
-@hook(step)
-def _step(
-    method: types.BaseNamedTuple,
-    rep: types.Type,
-    model: types.BaseNamedTuple,
-    t: types.Type,
-    h: types.Type,
-    k: types.Type,
-    x: types.Type,
-    p: types.Type,
-    e: types.Type,
-) -> Any:
-    found = _kernels[method.instance_class]
-    if found.stage is not None:
-        return found.stage
-    chosen = found.body if model.instance_class is Body else found.rate
-    if found.constant is not None and is_constant(model):
-        chosen = found.constant
-    function: Any = helper(chosen)
-    return lambda method, rep, model, t, h, k, x, p, e: function(method, rep, model, t, h, x, p)
-
-
-@hook(prepare)
-def _prepare(
-    method: types.BaseNamedTuple,
-    rep: types.Type,
-    model: types.Type,
-    h: types.Type,
-    x: types.Type,
-    p: types.Type,
-) -> Any:
-    found = _kernels[method.instance_class].prepare
-    return found or (lambda method, rep, model, h, x, p: ())
-
-
-def _unchanged(method, rep, model, t, s, k, x, p, e):
-    return x
-
-
-@hook(enter)
-def _enter(
-    method: types.BaseNamedTuple,
-    rep: types.Type,
-    model: types.Type,
-    t: types.Type,
-    s: types.Type,
-    k: types.Type,
-    x: types.Type,
-    p: types.Type,
-    e: types.Type,
-) -> Any:
-    return _kernels[method.instance_class].enter or _unchanged
-
-
-@hook(leave)
-def _leave(
-    method: types.BaseNamedTuple,
-    rep: types.Type,
-    model: types.Type,
-    t: types.Type,
-    s: types.Type,
-    k: types.Type,
-    x: types.Type,
-    p: types.Type,
-    e: types.Type,
-) -> Any:
-    return _kernels[method.instance_class].leave or _unchanged
-
-
-def lie_method(
-    tag: Any,
-    function: Callable[..., Any],
-    *,
-    body: Callable[..., Any] | None = None,
-    name: str,
-    order: int,
-    rate_calls: int,
-    exponentials: int,
-    summary: str,
-    source: str,
-    limit: float = math.pi,
-    body_limit: float = math.inf,
-    damping_limit: float = math.inf,
-    exact_for_constant: bool = True,
-) -> Method:
-    """Record of a method whose state only ever turns: it stays on the group by construction."""
-    # of a constant rate every such method is this one
-    constant = one_exponential if exact_for_constant else None
-    kernels = Kernels(rate=function, constant=constant, body=body, at_times=True, exponentials=True)
-    register(type(tag), kernels)
-    representations = ("quat", "dcm", "dcm_rows")
-    return Method(
-        tag=tag,
-        name=name,
-        order=order,
-        scenes=("rate",) if body is None else ("rate", *BODIES),
-        representations=representations,
-        conserves=("norm",),
-        rate_calls=rate_calls,
-        exponentials=exponentials,
-        limits={**dict.fromkeys((*representations, "direction"), limit), BODY: body_limit},
-        summary=summary,
-        source=source,
-        exact_for_constant=exact_for_constant,
-        damping_limit=damping_limit,
-        compensates=True,
-    )

@@ -6,24 +6,18 @@ and read off at the instants in a Legendre basis, which keeps the digits that po
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from fastatt._jit import helper
-from fastatt.columns import load, store
-from fastatt.kernels import quat
-from fastatt.kernels.vec3 import scale
-from fastatt.methods.sampled import Window, sampled_method
+from fastatt.flat.formulas import Vector, dot, quat, scale
+from fastatt.gyro.windows import Iteration, Window
+from fastatt.methods.sampled import sampled_method
 
 SPAN = 6
 # the start is right but for coning; each pass k takes off a factor |w|T/2k: 1e-15 at |w|T = 1
 PASSES = 12
-
-
-class Picard(NamedTuple):
-    """Tag."""
 
 
 def _collocation() -> tuple[Any, Any, Any]:
@@ -37,137 +31,125 @@ def _collocation() -> tuple[Any, Any, Any]:
     return 0.5 * (x + 1.0), integrals @ coefficients, coefficients
 
 
-NODES, INTEGRATION, COEFFICIENTS = _collocation()
-_ROTATION_VECTOR = (0.0, 0.0, 0.0)
-_QUATERNION = (0.0, 0.0, 0.0, 0.0)
-_RATES = 0  # rows of the workspace: rates at the nodes,
-_STATES = _RATES + 3 * SPAN  # attitudes at the nodes,
-_SLOPES = _STATES + 4 * SPAN  # their derivatives,
-_SERIES = _SLOPES + 4 * SPAN  # Legendre coefficients of those,
-_DIFFERENCES = _SERIES + 4 * SPAN  # divided differences of one axis,
-_INSTANTS = _DIFFERENCES + SPAN + 1  # and the instants from the start of the window
-WORK_ROWS = _INSTANTS + SPAN + 1
+def _table(values: Any) -> tuple[Vector, ...]:
+    return tuple(map(tuple, values.tolist()))
 
 
-@helper
-def newton(work, j, node, is_rates):
-    """The fitted rate at a node from the divided differences: the polynomial or its derivative."""
-    F = type(work[0, 0])
-    t = F(NODES[node]) * work[_INSTANTS + SPAN, j]
-    p = work[_DIFFERENCES + SPAN, j]
-    d = F(0.0)
-    for i in range(SPAN - 1, -1, -1):
-        s = t - work[_INSTANTS + i, j]
-        d = d * s + p
-        p = p * s + work[_DIFFERENCES + i, j]
-    return p if is_rates else d
+_NODES, _INTEGRATION, _COEFFICIENTS = _collocation()
+NODES: Vector = tuple(_NODES.tolist())
+INTEGRATION, COEFFICIENTS = _table(_INTEGRATION), _table(_COEFFICIENTS)
+# the state: T w/2 at the nodes, T the length of the window, attitudes there,
+_RATES = 3 * SPAN
+_ATTITUDES = _RATES + 4 * SPAN
+# and the ends of the intervals as shares of T
 
 
-@helper
-def fit(is_rates, v, base, h, first, work, lanes):
-    """Rates at the nodes from the samples in rows ``base`` of v and intervals ``first`` of h."""
-    F = type(work[0, 0])
-    for j in range(lanes):
-        work[_INSTANTS, j] = F(0.0)
-    for i in range(SPAN):
-        for j in range(lanes):
-            work[_INSTANTS + i + 1, j] = work[_INSTANTS + i, j] + h[first + i, j]
+def _parts(x: Vector, size: int) -> list[Vector]:
+    return [x[i : i + size] for i in range(0, len(x), size)]
+
+
+def _flat(vectors: list[Vector]) -> Vector:
+    return tuple(x for vector in vectors for x in vector)
+
+
+def _combined(table: tuple[Vector, ...], vectors: list[Vector]) -> list[Vector]:
+    """A table over the nodes, applied to vectors there."""
+    axes = list(zip(*vectors, strict=True))
+    return [tuple(dot(row, axis) for axis in axes) for row in table]
+
+
+def _instants(h: Vector) -> tuple[Any, Vector]:
+    """T, and the samples' instants from the window's start as shares of it."""
+    times = [0.0]
+    for interval in h:
+        times.append(times[-1] + interval)
+    return times[-1], (0.0, *(t / times[-1] for t in times[1:-1]), 1.0)
+
+
+def _fitted(values: list[Any], instants: Vector) -> list[tuple[Any, Any]]:
+    """(value, derivative) at each node of Newton's polynomial through values at the instants."""
+    d = list(values)
+    for level in range(1, SPAN + 1):
+        for i in range(SPAN, level - 1, -1):
+            d[i] = (d[i] - d[i - 1]) / (instants[i] - instants[i - level])
+    found = []
+    for node in NODES:
+        p, slope = d[SPAN], 0.0
+        for i in reversed(range(SPAN)):
+            s = node - instants[i]
+            slope = slope * s + p
+            p = p * s + d[i]
+        found.append((p, slope))
+    return found
+
+
+def rates(v: Vector, h: Vector) -> Vector:
+    """The first state, of rates (rad/s)."""
+    total, instants = _instants(h)
+    axes = [_fitted([v[3 * i + axis] for i in range(SPAN + 1)], instants) for axis in range(3)]
+    half = 0.5 * total
+    return _begun([tuple(half * p for p, _ in node) for node in zip(*axes, strict=True)], instants)
+
+
+def increments(v: Vector, h: Vector) -> Vector:
+    """The first state, of increments (rad): their polynomial's derivative is T w."""
+    _, instants = _instants(h)
+    axes = []
     for axis in range(3):
-        for j in range(lanes):
-            work[_DIFFERENCES, j] = v[base + axis, j] if is_rates else F(0.0)
+        running = [0.0]
         for i in range(SPAN):
-            for j in range(lanes):
-                running = work[_DIFFERENCES + i, j] + v[base + 3 * i + axis, j]
-                sample = v[base + (3 * i + 3 if is_rates else 0) + axis, j]
-                work[_DIFFERENCES + i + 1, j] = sample if is_rates else running
-        for level in range(1, SPAN + 1):
-            for i in range(SPAN, level - 1, -1):
-                for j in range(lanes):
-                    gap = work[_INSTANTS + i, j] - work[_INSTANTS + i - level, j]
-                    rise = work[_DIFFERENCES + i, j] - work[_DIFFERENCES + i - 1, j]
-                    work[_DIFFERENCES + i, j] = rise / gap
-        for node in range(SPAN):
-            for j in range(lanes):
-                work[_RATES + 3 * node + axis, j] = newton(work, j, node, is_rates)
+            running.append(running[-1] + v[3 * i + axis])
+        axes.append(_fitted(running, instants))
+    return _begun([tuple(0.5 * d for _, d in node) for node in zip(*axes, strict=True)], instants)
 
 
-@helper
-def combine(work, table, row, source, target, lanes):
-    """Row ``row`` of a table over the nodes, applied to quaternions at the nodes."""
-    F = type(work[0, 0])
-    for c in range(4):
-        for j in range(lanes):
-            total = F(0.0)
-            for k in range(SPAN):
-                total += F(table[row, k]) * work[source + 4 * k + c, j]
-            work[target + c, j] = total
+def _begun(half_angles: list[Vector], instants: Vector) -> Vector:
+    """With attitudes that are right but for coning: the exponential of the rates' integral."""
+    turns = [scale(2.0, u) for u in _combined(INTEGRATION, half_angles)]
+    return (*_flat(half_angles), *_flat([quat.exp(u) for u in turns]), *instants[1:-1])
 
 
-@helper
-def slopes(work, lanes):
-    """T q̇ at the nodes, T the length of the window."""
-    for node in range(SPAN):
-        for j in range(lanes):
-            q = load(work, _STATES + 4 * node, j, _QUATERNION)
-            w = load(work, _RATES + 3 * node, j, _ROTATION_VECTOR)
-            d = quat.derivative(q, scale(work[_INSTANTS + SPAN, j], w))
-            store(work, _SLOPES + 4 * node, j, d)
+def _slopes(state: Vector) -> list[Vector]:
+    """T q̇ at the nodes."""
+    attitudes, half_angles = _parts(state[_RATES:_ATTITUDES], 4), _parts(state[:_RATES], 3)
+    return [quat.mul_vector(q, u) for q, u in zip(attitudes, half_angles, strict=True)]
 
 
-@helper
-def tile(is_rates, v, base, h, first, out, row, work, lanes):
-    """Attitudes at the six instants, rows row + 4 … of ``out``, from the one in row ``row``."""
-    F = type(work[0, 0])
-    fit(is_rates, v, base, h, first, work, lanes)
-    # without coning: the exponential of the rates' integral
-    for node in range(SPAN):
-        for j in range(lanes):
-            x = F(0.0)
-            y = F(0.0)
-            z = F(0.0)
-            for k in range(SPAN):
-                a = F(INTEGRATION[node, k]) * work[_INSTANTS + SPAN, j]
-                x += a * work[_RATES + 3 * k, j]
-                y += a * work[_RATES + 3 * k + 1, j]
-                z += a * work[_RATES + 3 * k + 2, j]
-            store(work, _STATES + 4 * node, j, quat.exp((x, y, z)))
-    for _ in range(PASSES):
-        slopes(work, lanes)
-        for node in range(SPAN):
-            combine(work, INTEGRATION, node, _SLOPES, _STATES + 4 * node, lanes)
-            for j in range(lanes):
-                work[_STATES + 4 * node, j] += F(1.0)
-    slopes(work, lanes)
-    for k in range(SPAN):
-        combine(work, COEFFICIENTS, k, _SLOPES, _SERIES + 4 * k, lanes)
-    for i in range(1, SPAN + 1):
-        for j in range(lanes):
-            x = F(2.0) * work[_INSTANTS + i, j] / work[_INSTANTS + SPAN, j] - F(1.0)
-            # ∫ of the shifted Legendre polynomials: (x + 1)/2, then (P_{k+1} − P_{k−1})/(4k + 2)
-            before = F(1.0)
-            now = x
-            weight = F(0.5) * (x + F(1.0))
-            q0 = F(1.0)
-            q1 = F(0.0)
-            q2 = F(0.0)
-            q3 = F(0.0)
-            for k in range(SPAN):
-                q0 += weight * work[_SERIES + 4 * k, j]
-                q1 += weight * work[_SERIES + 4 * k + 1, j]
-                q2 += weight * work[_SERIES + 4 * k + 2, j]
-                q3 += weight * work[_SERIES + 4 * k + 3, j]
-                n = F(k + 1)
-                after = ((n + n + F(1.0)) * x * now - n * before) / (n + F(1.0))
-                weight = (after - before) / (F(4.0) * n + F(2.0))
-                before = now
-                now = after
-            q = quat.mul(load(out, row, j, _QUATERNION), quat.normalise((q0, q1, q2, q3)))
-            store(out, row + 4 * i, j, q)
+def improve(state: Vector) -> Vector:
+    """A pass: q ← 1 + ∫q̇ at the nodes."""
+    integrals = _combined(INTEGRATION, _slopes(state))
+    attitudes = [(1.0 + q0, *q) for q0, *q in integrals]
+    return (*state[:_RATES], *_flat(attitudes), *state[_ATTITUDES:])
+
+
+def read(state: Vector) -> Vector:
+    """Attitudes at the ends of the intervals, from the Legendre series of the derivative."""
+    series = list(zip(*_combined(COEFFICIENTS, _slopes(state)), strict=True))
+    found = []
+    for t in (*state[_ATTITUDES:], 1.0):
+        q = [dot(_integrals(t), axis) for axis in series]
+        found.append(quat.normalise((1.0 + q[0], *q[1:])))
+    return _flat(found)
+
+
+def _integrals(t: Any) -> Vector:
+    """Integrals to t of the Legendre polynomials shifted to [0, 1].
+
+    Of x = 2t − 1: (x + 1)/2, then (P_{k+1} − P_{k−1})/(4k + 2).
+    """
+    x = 2.0 * t - 1.0
+    p = [1.0, x]
+    for k in range(1, SPAN):
+        p.append(((2 * k + 1) * x * p[k] - k * p[k - 1]) / (k + 1))
+    return (t, *((p[k + 1] - p[k - 1]) / (4 * k + 2) for k in range(1, SPAN)))
 
 
 METHOD = sampled_method(
-    Picard(),
-    Window(history=0, span=SPAN, tile=tile, work_rows=WORK_ROWS),
+    Window(
+        history=0,
+        span=SPAN,
+        iteration=Iteration(rates, increments, improve, read, PASSES),
+    ),
     name="picard",
     order=8,
     exponentials=1,

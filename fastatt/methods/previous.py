@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from fastatt._jit import kernel
+from fastatt._jit import helper
+from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
     increments_linear,
     rates_quadratic,
     rotation_vector_linear,
     rotation_vector_quadratic,
 )
-from fastatt.methods.sampled import Window, exponential, sampled_method
+from fastatt.methods.sampled import sampled_method
 
 
-class Previous(NamedTuple):
-    """Tag."""
-
-
-@kernel
-def rates(rep, v, h):
+@helper
+def rates(v, h):
     now = (v[3], v[4], v[5])
     a, b, c = rates_quadratic(now, (v[6], v[7], v[8]), (v[0], v[1], v[2]), h[1], -h[0])
-    return exponential(rep, rotation_vector_quadratic(a, b, c, h[1]))
+    return rotation_vector_quadratic(a, b, c, h[1])
 
 
-@kernel
-def increments(rep, v, h):
+@helper
+def increments(v, h):
     a, b = increments_linear((v[0], v[1], v[2]), (v[3], v[4], v[5]), h[0], h[1])
-    return exponential(rep, rotation_vector_linear(a, b, h[1]))
+    return rotation_vector_linear(a, b, h[1])
 
 
 METHOD = sampled_method(
-    Previous(),
     Window(history=1, span=1, rates=rates, increments=increments),
     name="previous",
     order=3,

@@ -9,61 +9,47 @@ from __future__ import annotations
 
 import math
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Any
 
-from fastatt._jit import helper
-from fastatt.kernels import moser_veselov as mv
+from fastatt.flat.formulas import Vector
+from fastatt.flat.formulas import moser_veselov as mv
 from fastatt.methods import dmv
-from fastatt.methods.method import Kernels, Method, register
-from fastatt.motion import attitude_of, kick, momentum_of
-from fastatt.torques import POSITION
+from fastatt.methods.method import Method, Steps
+from fastatt.torques import Dependence
+
+_LEVEL = 3
 
 
-class SRKN4(NamedTuple):
-    """Tag."""
+def prepare(motion: Any, h: Any, x: Vector) -> Vector:
+    inertia, _ = dmv.scaled_inertia(motion)
+    return dmv.coefficients(_LEVEL, inertia)
 
 
-class SRKN6(NamedTuple):
-    """Tag."""
-
-
-dmv.LEVELS[SRKN4] = 3
-dmv.LEVELS[SRKN6] = 3
-
-
-def prepare(method, rep, model, h, x, p):
-    inertia, _ = dmv.scaled_inertia(p)
-    return dmv.coefficients(method, inertia)
-
-
-def step(method, rep, model, t, h, k, x, p, e):
-    F = type(h)
-    m = momentum_of(rep, x)
-    inertia, largest = dmv.scaled_inertia(p)
-    a, kappa = dmv.modified(method, h, m, inertia, largest, e)
-    z = dmv.squared_turn(h, m, p)
-    b, c, inverse, z = dmv.turned(rep, attitude_of(rep, x), mv.product(a, m), kappa, z)
-    f = F(2.0) * inverse
+def stage(motion: Any, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
+    m = motion.momentum_of(x)
+    a, kappa = dmv.modified(_LEVEL, h, m, dmv.scaled_inertia(motion), e)
+    z = dmv.squared_turn(motion, h, m)
+    b, c, inverse, z = dmv.turned(motion, motion.attitude_of(x), mv.product(a, m), kappa, z)
+    f = 2.0 * inverse
     m = (
         m[0] + f * kappa[0] / a[0] * (c[1] * c[2]),
         m[1] + f * kappa[1] / a[1] * (c[2] * c[0]),
         m[2] + f * kappa[2] / a[2] * (c[0] * c[1]),
     )
-    return b + kick(rep, model, t, k, b, m, p), z
+    return (*b, *motion.kick(t, k, b, m)), z
 
 
-@helper
-def kicked(rep, model, t, k, x, p):
-    a = attitude_of(rep, x)
-    return a + kick(rep, model, t, k, a, momentum_of(rep, x), p)
+def kicked(motion: Any, t: Any, k: Any, x: Vector) -> Vector:
+    a = motion.attitude_of(x)
+    return (*a, *motion.kick(t, k, a, motion.momentum_of(x)))
 
 
-def enter(method, rep, model, t, s, k, x, p, e):
-    return kicked(rep, model, t, k, x, p)
-
-
-def leave(method, rep, model, t, s, k, x, p, e):
-    return kicked(rep, model, t, -k, x, p)
+STEPS = Steps(
+    stage=stage,
+    prepare=prepare,
+    enter=lambda motion, t, s, k, x, e: kicked(motion, t, k, x),
+    leave=lambda motion, t, s, k, x, e: kicked(motion, t, -k, x),
+)
 
 
 def _stages(
@@ -75,32 +61,24 @@ def _stages(
     return tuple((b, k, c) for b, k, c in zip(drifts, after, at, strict=True))
 
 
-def _method(cls: type, order: int, stages: tuple[tuple[float, float, float], ...]) -> Method:
-    register(
-        cls,
-        Kernels(
-            stage=step,
-            extras=(0, 4, 10, 18, 28)[dmv.LEVELS[cls]],
-            prepare=prepare,
-            enter=enter,
-            leave=leave,
-        ),
-    )
+def _method(order: int, stages: tuple[tuple[float, float, float], ...]) -> Method:
     return Method(
-        tag=cls(),
         name=f"srkn{order}",
         order=order,
         scenes=("torqued",),
         representations=("quat", "dcm"),
+        uses=("compose",),
         conserves=("norm",),
         rate_calls=len(stages),
         exponentials=0,
         measure="momentum",
         limits=dict.fromkeys(("quat", "dcm"), 1.0),
+        steps=STEPS,
+        stages=stages,
+        reversible=("torqued",),
         summary="kicks between steps of free motion; torques that do not depend on w",
         source="Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313, table 3",
-        stages=stages,
-        takes=POSITION,
+        takes=Dependence.POSITION,
     )
 
 
@@ -125,4 +103,4 @@ _K6_HALF = (*_K6, 0.5 - math.fsum(_K6))
 _FOUR = _stages((*_K4, 1.0 - 2.0 * math.fsum(_K4), *_K4[::-1]), (*_D4_HALF, *_D4_HALF[::-1]))
 _SIX = _stages((*_K6_HALF, *_K6_HALF[::-1]), (*_D6, 1.0 - 2.0 * math.fsum(_D6), *_D6[::-1]))
 
-METHODS = (_method(SRKN4, 4, _FOUR), _method(SRKN6, 6, _SIX))
+METHODS = (_method(4, _FOUR), _method(6, _SIX))

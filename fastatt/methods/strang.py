@@ -13,164 +13,73 @@ from __future__ import annotations
 
 import math
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
-from numba import types
-
-from fastatt._jit import helper, hook
-from fastatt.kernels import dcm, quat
-from fastatt.kernels.trig import sincos
-from fastatt.kernels.vec3 import dot, scale
-from fastatt.methods.method import BODIES, Kernels, Method, register
-from fastatt.motion import attitude_of, kick, momentum_of
-from fastatt.representations import Dcm, DcmShort, turn
-from fastatt.torques import DAMPED, Free
+from fastatt.flat.formulas import Vector, dot, scale, trig
+from fastatt.methods.method import BODIES, Method, Steps
+from fastatt.torques import Dependence
 
 
-class Strang(NamedTuple):
-    """Tag."""
+def _rotor(turn: Any, half: Any, a: Vector) -> Any:
+    """The attitude turned about an axis, and cosine and sine of the angle."""
+    s, c = trig.sincos(half)
+    return turn(a, c, s), 1.0 - 2.0 * s * s, 2.0 * s * c
 
 
-def turn_first(rep: Any, a: Any, c: Any, s: Any) -> Any:
-    """The attitude turned about axis 1; c and s are cosine and sine of half the angle."""
-    raise NotImplementedError(rep)
-
-
-def turn_third(rep: Any, a: Any, c: Any, s: Any) -> Any:
-    """The attitude turned about axis 3; c and s are cosine and sine of half the angle."""
-    raise NotImplementedError(rep)
-
-
-@hook(turn_first)
-def _turn_first(rep: types.BaseNamedTuple, a: types.BaseTuple, c: types.Type, s: types.Type) -> Any:
-    operation = dcm.turn_first if rep.instance_class in (Dcm, DcmShort) else quat.turn_first
-    return lambda rep, a, c, s: operation(a, c, s)
-
-
-@hook(turn_third)
-def _turn_third(rep: types.BaseNamedTuple, a: types.BaseTuple, c: types.Type, s: types.Type) -> Any:
-    operation = dcm.turn_third if rep.instance_class in (Dcm, DcmShort) else quat.turn_third
-    return lambda rep, a, c, s: operation(a, c, s)
-
-
-@helper
-def first(rep, h, a, m, p):
+def first(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """h s of the rotor about axis 1."""
-    F = type(h)
-    s, c = sincos(F(-0.5) * h * p[8] * m[0])
-    S = F(2.0) * s * c
-    C = F(1.0) - F(2.0) * s * s
-    return turn_first(rep, a, c, s), (m[0], C * m[1] + S * m[2], C * m[2] - S * m[1])
+    a, C, S = _rotor(motion.attitude.turn_first, -0.5 * h * motion.gyroscopic[2] * m[0], a)
+    return a, (m[0], C * m[1] + S * m[2], C * m[2] - S * m[1])
 
 
-@helper
-def third(rep, h, a, m, p):
+def third(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """h s of the rotor about axis 3."""
-    F = type(h)
-    s, c = sincos(F(0.5) * h * p[6] * m[2])
-    S = F(2.0) * s * c
-    C = F(1.0) - F(2.0) * s * s
-    return turn_third(rep, a, c, s), (C * m[0] + S * m[1], C * m[1] - S * m[0], m[2])
+    a, C, S = _rotor(motion.attitude.turn_third, 0.5 * h * motion.gyroscopic[0] * m[2], a)
+    return a, (C * m[0] + S * m[1], C * m[1] - S * m[0], m[2])
 
 
-@helper
-def spherical(rep, h, a, m, p):
+def spherical(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """The attitude h s later of a sphere of moment I2."""
-    return turn(rep, a, scale((h + h) * p[1], m))
+    return motion.turned(a, scale((h + h) * motion.half_inverse[1], m))
 
 
-def stage(method: Any, rep: Any, model: Any, t: Any, h: Any, k: Any, x: Any, p: Any, e: Any) -> Any:
-    """One stage: with or without a torque."""
-    raise NotImplementedError(model)
-
-
-def ahead(rep: Any, model: Any, t: Any, s: Any, k: Any, x: Any, p: Any) -> Any:
+def ahead(motion: Any, t: Any, s: Any, k: Any, x: Vector) -> Vector:
     """The state k s of the last flow ahead, and s s of what is left to the end."""
-    raise NotImplementedError(model)
+    a, m = motion.attitude_of(x), motion.momentum_of(x)
+    if motion.is_free:
+        a, m = first(motion, k, a, m)
+        return (*spherical(motion, s, a, m), *m)
+    return (*a, *motion.kick(t, k, a, m))
 
 
-@hook(stage)
-def _stage(
-    method: types.Type,
-    rep: types.Type,
-    model: types.BaseNamedTuple,
-    t: types.Type,
-    h: types.Type,
-    k: types.Type,
-    x: types.Type,
-    p: types.Type,
-    e: types.Type,
-) -> Any:
-    def free(method, rep, model, t, h, k, x, p, e):
-        m = momentum_of(rep, x)
-        a, m = third(rep, h, attitude_of(rep, x), m, p)
-        a, m = first(rep, k, a, m, p)
-        return a + m, e[0]
-
-    def torqued(method, rep, model, t, h, k, x, p, e):
-        F = type(h)
-        half = F(0.5) * h
-        a, m = first(rep, half, attitude_of(rep, x), momentum_of(rep, x), p)
-        a, m = third(rep, h, a, m, p)
-        a, m = first(rep, half, a, m, p)
-        a = spherical(rep, h, a, m, p)
-        return a + kick(rep, model, t, k, a, m, p), e[0] * dot(m, m)
-
-    return free if model.types[0].instance_class is Free else torqued
-
-
-@hook(ahead)
-def _ahead(
-    rep: types.Type,
-    model: types.BaseNamedTuple,
-    t: types.Type,
-    s: types.Type,
-    k: types.Type,
-    x: types.Type,
-    p: types.Type,
-) -> Any:
-    def free(rep, model, t, s, k, x, p):
-        a, m = first(rep, k, attitude_of(rep, x), momentum_of(rep, x), p)
-        return spherical(rep, s, a, m, p) + m
-
-    def torqued(rep, model, t, s, k, x, p):
-        a = attitude_of(rep, x)
-        return a + kick(rep, model, t, k, a, momentum_of(rep, x), p)
-
-    return free if model.types[0].instance_class is Free else torqued
-
-
-def prepare(method, rep, model, h, x, p):
+def prepare(motion: Any, h: Any, x: Vector) -> Vector:
     # any step is stable, and exact for a symmetric body: what a step misses grows with the mean of
     # the rotors' angles, |m| h √(|1/I1 − 1/I2| |1/I3 − 1/I2|)
-    return (h * h * abs(p[6] * p[8]) * known_square(rep, model, x),)
+    m = motion.momentum_of(x)
+    known = dot(m, m) if motion.is_free else 1.0
+    return (h * h * abs(motion.gyroscopic[0] * motion.gyroscopic[2]) * known,)
 
 
-def known_square(rep: Any, model: Any, x: Any) -> Any:
-    """|m|² of a free body, which keeps it; 1 of all others."""
-    raise NotImplementedError(model)
+def stage(motion: Any, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
+    a, m = motion.attitude_of(x), motion.momentum_of(x)
+    if motion.is_free:
+        a, m = third(motion, h, a, m)
+        a, m = first(motion, k, a, m)
+        return (*a, *m), e[0]
+    half = 0.5 * h
+    a, m = first(motion, half, a, m)
+    a, m = third(motion, h, a, m)
+    a, m = first(motion, half, a, m)
+    a = spherical(motion, h, a, m)
+    return (*a, *motion.kick(t, k, a, m)), e[0] * dot(m, m)
 
 
-@hook(known_square)
-def _known_square(rep: types.Type, model: types.BaseNamedTuple, x: types.BaseTuple) -> Any:
-    if model.types[0].instance_class is Free:
-        return lambda rep, model, x: dot(momentum_of(rep, x), momentum_of(rep, x))
-    return lambda rep, model, x: type(x[0])(1.0)
-
-
-def step(method, rep, model, t, h, k, x, p, e):
-    return stage(method, rep, model, t, h, k, x, p, e)
-
-
-def enter(method, rep, model, t, s, k, x, p, e):
-    return ahead(rep, model, t, s, k, x, p)
-
-
-def leave(method, rep, model, t, s, k, x, p, e):
-    return ahead(rep, model, t, s, -k, x, p)
-
-
-register(Strang, Kernels(stage=step, extras=1, prepare=prepare, enter=enter, leave=leave))
+STEPS = Steps(
+    stage=stage,
+    prepare=prepare,
+    enter=lambda motion, t, s, k, x, e: ahead(motion, t, s, k, x),
+    leave=lambda motion, t, s, k, x, e: ahead(motion, t, s, -k, x),
+)
 
 
 def composition(half: tuple[float, ...]) -> tuple[tuple[float, float, float], ...]:
@@ -202,11 +111,11 @@ def _method(
     stages = composition(half)
     backwards = max((abs(k) for _, k, _ in stages if k < 0.0), default=0.0)
     return Method(
-        tag=Strang(),
         name=name,
         order=order,
         scenes=BODIES,
         representations=("quat", "dcm"),
+        uses=("turn", "turn_first", "turn_third"),
         conserves=("norm", "momentum"),
         rate_calls=2 * len(half) - 1,
         exponentials=0,
@@ -218,7 +127,10 @@ def _method(
         source=source,
         stages=stages,
         sorted_axes=True,
-        takes=DAMPED,
+        takes=Dependence.DAMPED,
+        steps=STEPS,
+        reversible=BODIES,
+        symplectic=True,
     )
 
 

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from fastatt._jit import kernel
+from fastatt._jit import helper
+from fastatt.gyro.windows import Window
 from fastatt.kernels.vec3 import add, scale
-from fastatt.methods.sampled import Window, exponential, sampled_method
+from fastatt.methods.sampled import sampled_method
 
 
-class Trapezoid(NamedTuple):
-    """Tag."""
-
-
-@kernel
-def rates(rep, v, h):
-    F = type(h[0])
-    return exponential(rep, scale(F(0.5) * h[0], add((v[0], v[1], v[2]), (v[3], v[4], v[5]))))
+@helper
+def rates(v, h):
+    F = type(v[0])
+    return scale(F(0.5) * h[0], add((v[0], v[1], v[2]), (v[3], v[4], v[5])))
 
 
 METHOD = sampled_method(
-    Trapezoid(),
     Window(history=0, span=1, rates=rates),
     name="trapezoid",
     order=2,

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from fastatt import torques
 from fastatt.arrays import euler313_to_quat
-from fastatt.engine.pool import progress_bar
-from fastatt.ensemble import Ensemble
-from fastatt.propagate import methods_for
+from fastatt.methods import METHODS
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.propagate import methods_for
 from fastatt.scene import Scene
+from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, State
 from fastatt.trade.reference import Confirmation, Reference, confirm, reference
 from fastatt.trade.work_precision import case_rows
@@ -35,8 +36,6 @@ TORQUED = Scene(
     ),
 )
 BODY_SCENES: Mapping[str, Scene] = MappingProxyType({"free": FREE, "top": TOP, "torqued": TORQUED})
-_MATRIX = ("rk4", "rkmk4", "kahan_li6", "dmv6")
-_SINGLE = ("rk4", "strang2", "dmv2")
 
 
 @dataclass(frozen=True)
@@ -93,15 +92,13 @@ def body_scene(name: str, n_bodies: int) -> BodyScene:
 
 
 def body_cases(scene: Scene) -> list[Case]:
-    """Every method on quaternions in float64, some on matrices, some in float32."""
-    cases = []
-    for name in methods_for(scene):
-        cases.append(Case(name))
-        if name in _MATRIX:
-            cases.append(Case(name, "dcm"))
-        if name in _SINGLE:
-            cases.append(Case(name, dtype="float32"))
-    return cases
+    """Every method on quaternions and on matrices, on quaternions in float32 besides."""
+    return [
+        Case(name, stored, dtype)
+        for name in methods_for(scene)
+        for stored, dtype in (("quat", "float64"), ("dcm", "float64"), ("quat", "float32"))
+        if stored in METHODS[name].representations
+    ]
 
 
 def body_trade(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from fastatt import rates
 from fastatt.arrays import angle_between, quat_multiply
-from fastatt.engine.pool import progress_bar
-from fastatt.ensemble import Ensemble
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
-from fastatt.propagate import methods_for
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.limits import StepWarning
+from fastatt.running.propagate import methods_for
 from fastatt.scene import Scene
+from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, Rung, best_time, ladder_rows, measure
 from fastatt.trade.reference import coning_attitudes, reference
 
@@ -63,22 +65,35 @@ def coning_trade(
     problem = Problem(Ensemble(scene, q0), T_END)
     end = reference(problem).end
 
-    def sampled(case: Case, n: int) -> Rung:
-        data = coning_rates(angle, frequency, np.linspace(0.0, T_END, n + 1))
-        seconds, q = best_time(
-            lambda: integrate_rates(data, T_END / n, q0, method=case.method), repeats
-        )
-        return Rung(n, seconds, angle_between(q[:, -1], end.q))
+    def sampled(case: Case, data: NDArray[np.float64]) -> Rung:
+        n = data.shape[1] - 1
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", StepWarning)
+            seconds, q = best_time(
+                lambda: integrate_rates(data, T_END / n, q0, method=case.name), repeats
+            )
+        status = "past the method's limit" if said else ""
+        return Rung(n, seconds, angle_between(q[:, -1], end.q), status=status)
 
     wanted: Mapping[str, Sequence[Case]] = coning_cases() if cases is None else cases
-    rows: list[Row] = []
-    with progress_bar(bar, sum(map(len, wanted.values())), "method") as done:
+    ladders: dict[str, list[list[Rung]]] = {
+        source: [[] for _ in of_source] for source, of_source in wanted.items()
+    }
+    with progress_bar(bar, len(steps) * sum(map(len, wanted.values())), "run") as done:
         for source, of_source in wanted.items():
-            for case in of_source:
-                ladder = [
-                    measure(problem, end, case, n, repeats) if source == RATE else sampled(case, n)
-                    for n in steps
-                ]
-                rows += ladder_rows(source, case, T_END, ladder)
-                done(1)
-    return rows
+            for n in steps:
+                data = None
+                if source == SAMPLES:
+                    data = coning_rates(angle, frequency, np.linspace(0.0, T_END, n + 1))
+                for case, ladder in zip(of_source, ladders[source], strict=True):
+                    if data is None:
+                        ladder.append(measure(problem, end, case, n, repeats))
+                    else:
+                        ladder.append(sampled(case, data))
+                    done(1)
+    return [
+        row
+        for source, of_source in wanted.items()
+        for case, ladder in zip(of_source, ladders[source], strict=True)
+        for row in ladder_rows(source, case, T_END, ladder)
+    ]

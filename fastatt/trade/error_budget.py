@@ -15,7 +15,6 @@ from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
-from fastatt.methods.sampled import WINDOWS, Rates
 
 # What integrates a method's polynomials, and from how many values an interval: an error of order 4
 # is 20000 times less then; of picard, which may be better than that, its own polynomial exactly
@@ -294,8 +293,8 @@ def _integrated(
     Their values are handed to a method so finely that it integrates them exactly.
     """
     tight, fineness = _TIGHT.get(method, _USUAL)
-    window = WINDOWS[type(METHODS[method].tag)]
-    degree = window.samples(Rates) - 1
+    window = METHODS[method].window
+    degree = window.samples(False) - 1
     spans = np.broadcast_to(dt, len(rates) - 1)
     t = np.concatenate([[0.0], np.cumsum(spans)])
     n = len(spans) // window.span * window.span

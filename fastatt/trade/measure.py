@@ -9,6 +9,7 @@ import platform
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from time import perf_counter
@@ -18,13 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
-from fastatt.drift import drift
-from fastatt.engine.pool import default_threads
-from fastatt.ensemble import Ensemble
-from fastatt.limits import StepWarning
-from fastatt.methods import METHODS
-from fastatt.propagate import propagate
-from fastatt.trajectory import Status, Trajectory
+from fastatt.attitudes import Attitude
+from fastatt.engine.job import Job
+from fastatt.engine.layout import WIDTH
+from fastatt.flat.machine import processor
+from fastatt.methods import METHODS, Method
+from fastatt.running.drift import drift
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.limits import StepWarning
+from fastatt.running.loop import job_of
+from fastatt.running.propagate import propagate
+from fastatt.running.task import KINDS
+from fastatt.running.trajectory import Status, Trajectory
+from fastatt.threads import default_threads
+from fastatt.trade.peak import peak
 
 if TYPE_CHECKING:
     from fastatt import plots
@@ -34,19 +42,38 @@ DRAWN = ("quat", "dcm", "quat in float32")
 PLATEAU = "round-off"
 # units of rounding that any attitude may be off by
 _ROUNDED = 20.0
-# s of runs, among which one is not disturbed
-_ENOUGH = 0.02
+# s of runs, among which one is not disturbed; and beyond which more are not worth their time
+_ENOUGH, _AMPLE = 0.02, 0.1
 
 
 class Case(NamedTuple):
-    """What is measured: a method on a representation in a precision."""
+    """What is measured: a method on a representation in a precision.
 
-    method: str
-    representation: str = "quat"
+    Names of the library's, or a user's own ``Method`` and ``Attitude``.
+    """
+
+    method: str | Method
+    representation: str | Attitude = "quat"
     dtype: str = "float64"
 
+    @property
+    def record(self) -> Method:
+        """The method's record."""
+        return self.method if isinstance(self.method, Method) else METHODS[self.method]
+
+    @property
+    def name(self) -> str:
+        """The method's name."""
+        return self.record.name
+
+    @property
+    def stored_as(self) -> str:
+        """The representation's name."""
+        stored = self.representation
+        return stored.name if isinstance(stored, Attitude) else stored
+
     def __str__(self) -> str:
-        return f"{self.method} ({self.representation}, {self.dtype})"
+        return f"{self.name} ({self.stored_as}, {self.dtype})"
 
 
 class State(NamedTuple):
@@ -90,6 +117,24 @@ class Problem:
         """Where it is then."""
         return last_state(self.run(case, n_steps))
 
+    def operations(self, case: Case) -> int | None:
+        """Floating-point operations a step of a body; None where there are no steps."""
+        if not case.record.is_stepped:
+            return None
+        scene = self.ensemble.scene
+        return _operations(job_of(scene, case.method, case.representation, case.dtype))
+
+    @property
+    def threads(self) -> int:
+        """How many run at once: no more than there are tiles of bodies."""
+        wanted = self.n_threads or default_threads()
+        return max(1, min(wanted, -(-self.ensemble.size // WIDTH)))
+
+
+@lru_cache(maxsize=256)
+def _operations(job: Job) -> int:
+    return job.formulas.operations
+
 
 def last_state(run: Trajectory) -> State:
     """The final attitudes, and the angular velocities that are part of the state."""
@@ -108,6 +153,8 @@ class Rung:
     energy: float | None = None
     momentum: float | None = None
     status: str = ""
+    operations: int | None = None
+    threads: int = 1
 
 
 @dataclass(frozen=True)
@@ -116,9 +163,11 @@ class Row:
 
     Errors are those at the end: angles in rad, angular velocities in rad/s; ``p95`` is what 95 % of
     the bodies stay below. ``defect`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ on the way; the
-    drifts of energy and momentum, relative, are empty where the scene keeps neither. ``order`` is
-    that from the row before; ``plateau`` says "round-off" where a smaller step gains nothing more,
-    and there is none. ``status`` counts the bodies that carry a flag.
+    drifts of energy and momentum, relative, are empty where the scene keeps neither. ``operations``
+    are those of a body's step, an fma counted as two; ``peak`` is the part that they make of the
+    machine's peak, that of a core (``fastatt.trade.peak``) times the threads. ``order`` is that
+    from the row before; ``plateau`` says "round-off" where a smaller step gains nothing more, and
+    there is none. ``status`` counts the bodies that carry a flag.
     """
 
     input: str
@@ -136,19 +185,29 @@ class Row:
     momentum_drift_max: float | None
     seconds_per_body: float
     steps_per_second: float
+    operations: int | None
+    peak: float | None
     order: float | None
     plateau: str
     status: str
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Shortest of a few runs after a warm-up, of more where they are short, and the result."""
-    result = call()
+    """Shortest of a few runs, the first of which may compile, and the result.
+
+    There are more of short runs, and two of long ones.
+    """
     times: list[float] = []
-    while len(times) < repeats or (sum(times) < _ENOUGH and len(times) < 10 * repeats):
+    total = 0.0
+    while (
+        len(times) < 2
+        or (len(times) <= repeats and total < _AMPLE)
+        or (total < _ENOUGH and len(times) < 10 * repeats)
+    ):
         begin = perf_counter()
         result = call()
         times.append(perf_counter() - begin)
+        total += times[-1] if len(times) > 1 else 0.0
     return min(times), result
 
 
@@ -172,6 +231,8 @@ def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int
         energy=None if kept is None or kept.energy is None else float(kept.energy.max()),
         momentum=None if kept is None or kept.momentum is None else float(kept.momentum.max()),
         status=", ".join(f"{name} {count}" for name, count in counts),
+        operations=problem.operations(case),
+        threads=problem.threads,
     )
 
 
@@ -212,7 +273,7 @@ def ladder_rows(
     ``order`` is the one declared, None for that of the method's record.
     """
     rows = []
-    flat = _plateau(case, METHODS[case.method].order if order is None else order, ladder)
+    flat = _plateau(case, case.record.order if order is None else order, ladder)
     for i, rung in enumerate(ladder):
         median = float(np.median(rung.error))
         found = None
@@ -221,11 +282,12 @@ def ladder_rows(
             fall = math.log(float(np.median(before.error)) / median)
             found = fall / math.log(rung.n_steps / before.n_steps)
         rate = rung.rate_error
+        speed = rung.error.size * rung.n_steps / rung.seconds
         rows.append(
             Row(
                 input=name,
-                method=case.method,
-                representation=case.representation,
+                method=case.name,
+                representation=case.stored_as,
                 dtype=case.dtype,
                 dt=t_end / rung.n_steps,
                 error_median=median,
@@ -237,13 +299,21 @@ def ladder_rows(
                 energy_drift_max=rung.energy,
                 momentum_drift_max=rung.momentum,
                 seconds_per_body=rung.seconds / rung.error.size,
-                steps_per_second=rung.error.size * rung.n_steps / rung.seconds,
+                steps_per_second=speed,
+                operations=rung.operations,
+                peak=_part_of_peak(rung, speed, case.dtype),
                 order=found,
                 plateau=PLATEAU if flat[i] else "",
                 status=rung.status,
             )
         )
     return rows
+
+
+def _part_of_peak(rung: Rung, speed: float, dtype: str) -> float | None:
+    if rung.operations is None:
+        return None
+    return rung.operations * speed / (rung.threads * peak(KINDS[np.dtype(dtype)]))
 
 
 _COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
@@ -264,6 +334,8 @@ _COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("limit", "plateau", str),
     ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
     ("M steps/s", "steps_per_second", lambda x: f"{x / 1e6:.3g}"),
+    ("ops/step", "operations", str),
+    ("% of peak", "peak", lambda x: f"{100.0 * x:.2g}"),
     ("status", "status", str),
 )
 
@@ -337,6 +409,7 @@ def machine() -> dict[str, str | int]:
         model = names[0] if names else model
     return {
         "processor": model,
+        "model": processor().name,
         "threads": default_threads(),
         "threads of the machine": os.cpu_count() or 1,
         "system": platform.platform(),
@@ -346,7 +419,8 @@ def machine() -> dict[str, str | int]:
 
 
 def machine_line() -> str:
-    """The same in a line."""
+    """The same in a line, with the peak of a core."""
     m = machine()
     threads = f"{m['threads']} of {m['threads of the machine']} threads"
-    return f"{m['processor']}, {threads}, Python {m['python']}"
+    most = f"a core's peak {peak('double') / 1e9:.3g} GFLOP/s"
+    return f"{m['processor']} ({m['model']}), {threads}, {most}, Python {m['python']}"

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fastatt import exact
 from fastatt.arrays import euler313_to_quat, rotate, rotate_inverse
-from fastatt.energy import angular_momentum, kinetic_energy
-from fastatt.propagate import propagate
+from fastatt.running.energy import angular_momentum, kinetic_energy
+from fastatt.running.propagate import propagate
 from fastatt.trade.bodies import TOP, TRIAXIAL
 
 if TYPE_CHECKING:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
-from fastatt.ensemble import Ensemble
-from fastatt.propagate import check_order
+from fastatt.attitudes import Attitude
+from fastatt.methods import Method
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.propagate import check_order
+from fastatt.running.self_check import SelfCheck
 from fastatt.scene import Scene
-from fastatt.self_check import SelfCheck
 
 
 def self_check(
@@ -20,8 +22,8 @@ def self_check(
     r0: ArrayLike | None = None,
     dt: float,
     n_steps: int,
-    method: str | None = None,
-    representation: str = "quat",
+    method: str | Method | None = None,
+    representation: str | Attitude = "quat",
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
     t0: float = 0.0,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from fastatt import gyrolog
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.running.limits import StepWarning
 from fastatt.trade.error_budget import LEAST, error_budget
 from fastatt.trade.measure import best_time
 
@@ -36,7 +39,7 @@ _RIVALS = ("previous", "coning2")
 
 @dataclass(frozen=True)
 class LogRow:
-    """One method on one recording; angles in degrees."""
+    """One method on one recording; angles in degrees, and what was warned of."""
 
     recording: str
     method: str
@@ -47,6 +50,7 @@ class LogRow:
     difference_end: float
     half_rate_difference_max: float
     maker_difference_max: float | None
+    warning: str
 
 
 def find_recordings() -> list[Path]:
@@ -76,6 +80,14 @@ def _start(log: gyrolog.GyroLog) -> NDArray[np.float64]:
     return np.array([1.0, 0.0, 0.0, 0.0]) if log.attitudes is None else log.attitudes[0]
 
 
+@contextmanager
+def _without_warnings() -> Iterator[list[warnings.WarningMessage]]:
+    """Steps beyond a method's limit are noted rather than warned of."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", StepWarning)
+        yield said
+
+
 def log_rows(
     log: gyrolog.GyroLog,
     repeats: int,
@@ -96,11 +108,14 @@ def log_rows(
     def attitudes(name: str) -> NDArray[Any]:
         return integrate_rates(log.rates, log.dt, q0, method=name, max_gap=max_gap)
 
-    reference = attitudes(REFERENCE)
+    with _without_warnings():
+        reference = attitudes(REFERENCE)
     rows = []
     for name in methods_for_samples() if methods is None else methods:
-        seconds, q = best_time(lambda name=name: attitudes(name), repeats)  # type: ignore[misc]
-        half = integrate_rates(log.rates[even], half_dt, q0, method=name, max_gap=half_gap)
+        with _without_warnings() as said:
+            seconds, q = best_time(lambda name=name: attitudes(name), repeats)  # type: ignore[misc]
+        with _without_warnings():
+            half = integrate_rates(log.rates[even], half_dt, q0, method=name, max_gap=half_gap)
         away = angle_between(q, reference) * DEGREES
         maker = None
         if log.attitudes is not None:
@@ -116,6 +131,7 @@ def log_rows(
                 difference_end=float(away[-1]),
                 half_rate_difference_max=float(angle_between(half, q[even]).max() * DEGREES),
                 maker_difference_max=maker,
+                warning=str(said[0].message) if said else "",
             )
         )
     return rows
@@ -142,8 +158,8 @@ def compare_on_log(
     return f"{table}\n{budget}"
 
 
-def log_table(rows: Iterable[LogRow]) -> str:
-    """The rows of one or more recordings as text."""
+def log_table(rows: Sequence[LogRow]) -> str:
+    """The rows of one or more recordings as text, and below what was warned of."""
     head = (
         f"{'recording':26} {'method':16} {'ns/sample':>9} {'max diff':>9} {'end diff':>9} "
         f"{'half rate':>9} {'maker':>7}   (deg; diff from {REFERENCE})"
@@ -156,6 +172,7 @@ def log_table(rows: Iterable[LogRow]) -> str:
             f"{r.difference_max:9.2g} {r.difference_end:9.2g} "
             f"{r.half_rate_difference_max:9.2g} {maker:>7}"
         )
+    lines += [f"{r.recording}: {r.warning}" for r in rows if r.warning]
     return "\n".join(lines)
 
 
@@ -168,11 +185,12 @@ def departures(log: gyrolog.GyroLog, methods: Sequence[str] | None = None) -> pl
     def attitudes(name: str) -> NDArray[Any]:
         return integrate_rates(log.rates, log.dt, q0, method=name)
 
-    base = attitudes(REFERENCE)
-    angles = {
-        name: angle_between(attitudes(name), base)[1:] * DEGREES
-        for name in (methods_for_samples() if methods is None else methods)
-        if name != REFERENCE
-    }
+    with _without_warnings():
+        base = attitudes(REFERENCE)
+        angles = {
+            name: angle_between(attitudes(name), base)[1:] * DEGREES
+            for name in (methods_for_samples() if methods is None else methods)
+            if name != REFERENCE
+        }
     maker = None if log.attitudes is None else angle_between(base, log.attitudes)[1:] * DEGREES
     return plots.Departures(f"{log.path.name}, {log.rate:.4g} Hz", log.t[1:], angles, maker)

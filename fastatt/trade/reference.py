@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 
 from fastatt import exact, rates, torques
 from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
-from fastatt.ensemble import Ensemble
 from fastatt.methods import METHODS
 from fastatt.methods.method import FREE
-from fastatt.propagate import methods_for
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.propagate import methods_for
 from fastatt.trade.measure import Case, Problem, State
 
-CLOSED_FORM = "exact"
-# of high order; the first that fits is run tight
-_TIGHT = ("magnus6", "rk8", "rkmk4")
-# of other families than those; order 4 is extrapolated from a step and its half
+# of other families than those run tight; order 4 is extrapolated from a step and its half
 _CONFIRMING = ("dmv10", "kahan_li8", "rkmk4", "cf4", "rk4")
 _HIGH = 6
 _EPS = float(np.finfo(np.float64).eps)
@@ -136,8 +133,9 @@ def coning_attitudes(
 
 
 def _tight_method(ensemble: Ensemble) -> str:
-    fitting = methods_for(ensemble.scene, "quat")
-    return next(m for m in (*_TIGHT, *fitting) if m in fitting)
+    """The first of the highest order that fits."""
+    fitting = [METHODS[name] for name in methods_for(ensemble.scene, "quat")]
+    return max((m for m in fitting if m.is_stepped), key=lambda m: m.order).name
 
 
 def _ladder(problem: Problem, method: str, n_saves: int) -> Iterator[tuple[int, State]]:

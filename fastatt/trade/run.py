@@ -98,13 +98,13 @@ def _plan(
         checks.choice("--scene", name, SCENES)
     every = {name: _cases(name) for name in SCENES if name in scenes}
     fitting = dict.fromkeys(
-        case.method for of_scene in every.values() for cases in of_scene.values() for case in cases
+        case.name for of_scene in every.values() for cases in of_scene.values() for case in cases
     )
     for method in methods or ():
         checks.choice("--methods", method, fitting)
 
     def kept(case: Case) -> bool:
-        chosen = methods is None or case.method in methods
+        chosen = methods is None or case.name in methods
         return chosen and (not quick or case == Case(case.method))
 
     plan = {}
@@ -126,7 +126,7 @@ def _run_recordings(
 ) -> list[str]:
     from fastatt import plots
 
-    names = [case.method for case in cases[RECORDED]]
+    names = [case.name for case in cases[RECORDED]]
     rows = [row for log in logs for row in recordings.log_rows(log, repeats, methods=names)]
     print(f"\nRecordings\n{recordings.log_table(rows)}")
     write_csv(out / "recordings.csv", rows)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.engine.pool import progress_bar
-from fastatt.ensemble import Ensemble
-from fastatt.methods import METHODS
-from fastatt.propagate import methods_for
-from fastatt.representations import REPRESENTATIONS
+from fastatt.attitudes import ATTITUDES, Attitude
+from fastatt.methods import METHODS, Method
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.propagate import attitude_of, fits, methods_for
 from fastatt.scene import Scene
+from fastatt.threads import progress_bar
 from fastatt.trade.measure import (
     Case,
     Problem,
@@ -33,7 +34,6 @@ from fastatt.trade.measure import (
     write_csv,
 )
 from fastatt.trade.reference import (
-    CLOSED_FORM,
     Confirmation,
     Reference,
     confirm,
@@ -109,8 +109,8 @@ def work_precision(
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
     t0: float = 0.0,
-    methods: Sequence[str] | None = None,
-    representations: Sequence[str] = ("quat",),
+    methods: Sequence[str | Method] | None = None,
+    representations: Sequence[str | Attitude] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
     sample: int = 1024,
     repeats: int = 3,
@@ -129,7 +129,8 @@ def work_precision(
     ----------
     scene, q0, w0, v0, r0, t0, n_threads : as of :func:`fastatt.propagate`.
     t_end : duration, s, above 0.
-    methods, representations, dtypes : what to measure; None takes every method that fits.
+    methods, representations, dtypes : what to measure; None takes every method that fits. A
+        ``Method`` or an ``Attitude`` of one's own may stand beside names.
     sample : bodies to measure on: the fastest, the slowest, the others by chance from ``seed``.
     repeats : runs of which the shortest counts.
     max_seconds : time for all rows together, s, compilation not counted; each case has its share.
@@ -174,34 +175,58 @@ def work_precision(
 
 def cases_of(
     scene: Scene,
-    methods: Sequence[str] | None,
-    representations: Sequence[str],
+    methods: Sequence[str | Method] | None,
+    representations: Sequence[str | Attitude],
     dtypes: Sequence[str],
 ) -> list[Case]:
     """The combinations that exist of what is asked for.
 
-    Raises ``ValueError`` for a name that is unknown or does not fit, and where nothing is left.
+    Raises ``ValueError`` for a name that is unknown or does not fit, for one that two methods or
+    representations have, and where nothing is left.
     """
     fitting = methods_for(scene)
-    for name in methods or ():
-        checks.choice("methods", name, fitting)
+    wanted = [_own_or_named(scene, m) for m in (fitting if methods is None else methods)]
     for rep in representations:
-        checks.choice("representations", rep, REPRESENTATIONS)
+        if not isinstance(rep, Attitude):
+            checks.choice("representations", rep, ATTITUDES)
+    stored = [attitude_of(rep) for rep in representations]
+    for name, records in (("methods", wanted), ("representations", stored)):
+        names = [record.name for record in records]
+        twice = [each for each in names if names.count(each) > 1]
+        if twice:
+            raise ValueError(f"{name}: found {twice[0]!r} twice; accepted: different names")
     for dtype in dtypes:
         checks.choice("dtypes", dtype, DTYPES)
     found = [
-        Case(name, rep, dtype)
-        for name in (fitting if methods is None else methods)
-        for rep in representations
+        Case(_name_of(method, METHODS), _name_of(attitude, ATTITUDES), dtype)
+        for method in wanted
+        for attitude in stored
         for dtype in dtypes
-        if name in methods_for(scene, rep)
+        if fits(method, scene, attitude.name if attitude.name in ATTITUDES else None)
     ]
     if not found:
+        names = [m.name for m in wanted]
         raise ValueError(
-            f"methods, representations, dtypes: found {methods}, {list(representations)}, "
+            f"methods, representations, dtypes: found {names}, {[a.name for a in stored]}, "
             f"{list(dtypes)}, of which nothing fits; accepted: " + ", ".join(fitting)
         )
     return found
+
+
+def _own_or_named(scene: Scene, method: str | Method) -> Method:
+    if not isinstance(method, Method):
+        return METHODS[checks.choice("methods", method, methods_for(scene))]
+    if not fits(method, scene):
+        raise ValueError(
+            f"methods: found {method.name}, for {', '.join(method.scenes)}; accepted for this "
+            f"scene ({scene.kind}): {', '.join(methods_for(scene))}"
+        )
+    return method
+
+
+def _name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
+    """The name of one of the library's, or a user's own itself."""
+    return record.name if known.get(record.name) is record else record
 
 
 def duration(t_end: float) -> float:
@@ -242,9 +267,9 @@ def case_rows(
     is measured against what confirms it.
     """
     end = known.end
-    if case.method == CLOSED_FORM:
+    if case.record.is_exact:
         end, steps = check.end, (1,)
-    order = METHODS[case.method].order_of(problem.ensemble.scene.kind)
+    order = case.record.order_of(problem.ensemble.scene.kind)
     rungs: list[Rung] = []
     rows: list[Row] = []
     used = 0.0
@@ -259,7 +284,7 @@ def case_rows(
 
 
 def _steps(problem: Problem, case: Case) -> Iterator[int]:
-    angle = min(_COARSEST, 0.9 * METHODS[case.method].limit(case.representation))
+    angle = min(_COARSEST, 0.9 * case.record.limit(case.stored_as))
     n = max(1, math.ceil(turns(problem) / angle))
     for _ in range(_RUNGS):
         yield n

@@ -1,0 +1,19 @@
+"""Representations of the attitude: one file each, and their list."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from fastatt.attitudes.angles import ANGLES
+from fastatt.attitudes.attitude import Attitude
+from fastatt.attitudes.direction import DIRECTION
+from fastatt.attitudes.matrix import MATRIX
+from fastatt.attitudes.quaternion import COMPENSATED, QUATERNION
+from fastatt.attitudes.rotation_vector import ROTATION_VECTOR
+from fastatt.attitudes.rows import ROWS
+
+_ALL = (QUATERNION, MATRIX, ROWS, ANGLES, ROTATION_VECTOR)
+ATTITUDES: Mapping[str, Attitude] = MappingProxyType({a.name: a for a in _ALL})
+
+__all__ = ["ATTITUDES", "COMPENSATED", "DIRECTION", "QUATERNION", "Attitude"]

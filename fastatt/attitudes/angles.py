@@ -1,0 +1,30 @@
+"""3-1-3 Euler angles, three numbers, singular at θ = 0 and π."""
+
+from __future__ import annotations
+
+import math
+
+from fastatt import arrays
+from fastatt.attitudes.attitude import Attitude, coordinate_speed
+from fastatt.flat.formulas import Vector, euler313, quat
+
+
+def flip(x: Vector) -> Vector:
+    return (math.pi - x[2], x[1], math.pi - x[0])
+
+
+ANGLES = Attitude(
+    name="euler313",
+    size=3,
+    stored=3,
+    start=lambda q: euler313.from_quat(quat.normalise(q)),
+    compose=lambda x, q: euler313.from_quat(quat.mul(euler313.to_quat(x), q)),
+    quaternion=euler313.to_quat,
+    to_body=lambda x, v: quat.rotate_inverse(euler313.to_quat(x), v),
+    derivative=euler313.derivative,
+    speed_squared=coordinate_speed,
+    flip=flip,
+    finish=lambda x: (x, 0.0),
+    to_quat_array=arrays.euler313_to_quat,
+    summary="3-1-3 Euler angles, 3 numbers",
+)

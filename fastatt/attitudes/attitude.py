@@ -1,0 +1,240 @@
+"""What a representation of the attitude is to every method: one record of formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from fastatt.flat.formulas import Vector, dot, plus, quat
+from fastatt.flat.graph import Graph, flattened
+from fastatt.flat.nodes import NotStraight
+from fastatt.flat.rows import kind_of, rows
+from fastatt.flat.trace import traceable
+
+#: a function of tuples of recorded numbers; None where a representation has none
+Formula = Any
+_PACKAGE = str(Path(__file__).parents[1])
+_FORMULAS = (
+    "start", "finish", "derivative", "turn", "turn_short", "compose", "quaternion", "to_body",
+    "flip", "restore", "raw", "half_derivative", "turn_first", "turn_third", "speed_squared",
+)  # fmt: skip
+
+
+def _same(x: Any) -> Any:
+    return x
+
+
+def body_speed(xdot: Vector, w: Vector) -> Any:
+    """|w|²: where the numbers turn no faster than the body."""
+    return dot(w, w)
+
+
+def coordinate_speed(xdot: Vector, w: Vector) -> Any:
+    """|ẋ|²: of coordinates, which near a pole turn faster than the body."""
+    return dot(xdot, xdot)
+
+
+def _is_own(formula: Any) -> bool:
+    """Whether a formula is a user's, or a kernel as it stands: to be traced."""
+    if formula is None or hasattr(formula, "py_func"):
+        return formula is not None
+    code = getattr(formula, "__code__", None)
+    return code is None or not code.co_filename.startswith(_PACKAGE)
+
+
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """How an attitude is stored while it is propagated.
+
+    Formulas take and give tuples of recorded numbers; x is the state, ``size`` numbers, q a unit
+    quaternion from body to inertial axes, u a rotation vector (rad, body axes), w a rate (rad/s,
+    body axes). ``start(q)`` makes x of a quaternion of any length but zero; ``turn(x, u)`` is
+    x∘exp(u), ``turn_short`` the same for turns of at most π; ``derivative(x, w)`` is ẋ;
+    ``compose(x, q)`` is x∘q; ``quaternion(x)`` the attitude, ``to_body(x, v)`` Cᵀ v of an inertial
+    vector, ``flip(x)`` the inverse attitude. ``finish(x)`` gives (the ``stored`` numbers that a
+    trajectory holds, the departure from the group), ``restore(x)`` (the state nearer to its group,
+    that departure), ``raw(x)`` what is handed out unmended.
+
+    One's own is used wherever the name of one is taken. It needs ``start``, ``quaternion`` and
+    either ``derivative``, for Runge-Kutta methods, or ``turn``, for those by exponentials; what
+    else it does not say is made from these. Its formulas may be ordinary functions, with ``math``,
+    conditions and the kernels of ``fastatt.kernels``: they are called once, with numbers that
+    record them. The steps' limits are the least that a method has in any representation.
+
+    Raises ``TypeError`` or ``ValueError`` for formulas of one's own that cannot be recorded or do
+    not give what they should, by name.
+
+    Examples
+    --------
+    >>> import math
+    >>> import fastatt as fa
+    >>> def derivative(x, w):  # Gibbs' vector tan(θ/2) e: ẋ = ½ (w + x×w + (x·w) x)
+    ...     d = x[0] * w[0] + x[1] * w[1] + x[2] * w[2]
+    ...     c = fa.kernels.vec3.cross(x, w)
+    ...     return tuple(0.5 * (a + b + d * y) for a, b, y in zip(w, c, x))
+    >>> def quaternion(x):
+    ...     s = 1.0 / math.sqrt(1.0 + x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+    ...     return s, s * x[0], s * x[1], s * x[2]
+    >>> gibbs = fa.Attitude(
+    ...     "gibbs", size=3, stored=3, derivative=derivative, quaternion=quaternion,
+    ...     start=lambda q: (q[1] / q[0], q[2] / q[0], q[3] / q[0]),
+    ... )
+    >>> scene = fa.Scene(rate=fa.rates.Constant([0.0, 0.0, 1.0]))
+    >>> run = fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=100, representation=gibbs)
+    >>> round(2.0 * math.atan2(run.q[-1, 3], run.q[-1, 0]), 9)
+    1.0
+    """
+
+    name: str
+    size: int
+    stored: int
+    start: Formula
+    finish: Formula = lambda x: (x, 0.0)
+    derivative: Formula = None
+    turn: Formula = None
+    turn_short: Formula = None
+    compose: Formula = None
+    quaternion: Formula = None
+    to_body: Formula = None
+    flip: Formula = None
+    restore: Formula = None
+    raw: Formula = _same
+    #: ẋ at the rate 2v, where that takes less than ``derivative``
+    half_derivative: Formula = None
+    #: turned about the first and the third axis, given cosine and sine of half the angle
+    turn_first: Formula = None
+    turn_third: Formula = None
+    #: square of the rate that limits an explicit step
+    speed_squared: Formula = body_speed
+    #: whether an exponential that is spoilt shows in the length of the state's first four numbers
+    bears_witness: bool = False
+    #: the attitude without low parts, of one that carries what rounding loses
+    uncompensated: Attitude | None = None
+    #: numbers of an initial attitude: 4 of a quaternion
+    coordinates: int = 4
+    #: x + d of a compensated state, of its attitude and of a vector beside it
+    add: Formula = plus
+    add_vector: Formula = plus
+    carry: Formula = _same
+    #: matrices (…, 3, 3), or quaternions (…, 4), of what a trajectory holds (…, stored)
+    to_dcm_array: Formula = None
+    to_quat_array: Formula = None
+    summary: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        own = [name for name in _FORMULAS if _is_own(getattr(self, name))]
+        for name in own:
+            try:
+                object.__setattr__(self, name, traceable(getattr(self, name)))
+            except NotStraight as error:
+                raise TypeError(f"{name}: {error}; accepted: a function of tuples") from error
+        if own:
+            self._check(own)
+        if self.quaternion is not None:
+            self._complete()
+        if own:
+            self._read()
+
+    def _complete(self) -> None:
+        """What follows from ``start`` and ``quaternion``, where it is not said."""
+        start, quaternion = self.start, self.quaternion
+        assert quaternion is not None
+        made: dict[str, Formula] = {
+            "compose": lambda x, q: start(quat.mul(quaternion(x), q)),
+            "to_body": lambda x, v: quat.rotate_inverse(quaternion(x), v),
+            "flip": lambda x: start(quat.conj(quaternion(x))),
+        }
+        for name, formula in made.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, formula)
+
+    def _read(self) -> None:
+        """What a trajectory holds, and how quaternions come of it, where it is not said."""
+        if self.stored != self.size and self.raw is _same:
+            object.__setattr__(self, "raw", lambda x: self.finish(x)[0])
+        if self.to_quat_array is not None or self.to_dcm_array is not None:
+            return
+        if self.stored == self.size:
+            inputs = {"x": self.size}
+
+            def to_quat(state: Any) -> Any:
+                (q,) = rows(self.quaternion, inputs, (4,), kind_of(state.dtype))(state)
+                return q
+
+            object.__setattr__(self, "to_quat_array", to_quat)
+        elif self.stored != 4:
+            raise ValueError(
+                f"stored: found {self.stored} numbers of a state of {self.size}; accepted: all of "
+                "them, or the 4 of a quaternion, unless to_quat_array or to_dcm_array is given"
+            )
+
+    def _check(self, own: Sequence[str]) -> None:
+        """Whether one's own formulas give numbers as many as they should."""
+        if self.quaternion is None or (self.derivative is None and self.turn is None):
+            raise ValueError(
+                "quaternion, derivative, turn: missing; accepted: quaternion, and derivative or "
+                "turn"
+            )
+        graph = Graph()
+        q, x, w = (graph.inputs("double", *y) for y in (("q", 4), ("x", self.size), ("w", 3)))
+        calls: dict[str, tuple[Any, ...]] = {
+            "start": (q,), "derivative": (x, w), "turn": (x, w), "turn_short": (x, w),
+            "compose": (x, q), "flip": (x,), "quaternion": (x,), "to_body": (x, w),
+            "finish": (x,), "restore": (x,), "raw": (x,),
+        }  # fmt: skip
+        sizes = {
+            "quaternion": 4, "to_body": 3, "finish": self.stored + 1, "restore": self.size + 1,
+            "raw": self.stored,
+        }  # fmt: skip
+        for name in (*own, "finish"):
+            if name not in calls:
+                continue
+            try:
+                found = flattened(getattr(self, name)(*calls[name]))
+            except NotStraight as error:
+                raise TypeError(f"{name}: {error}; accepted: formulas that are recorded") from error
+            wanted = sizes.get(name, self.size)
+            if len(found) != wanted:
+                raise ValueError(f"{name}: gives {len(found)} numbers; accepted: {wanted}")
+
+    @property
+    def compensated(self) -> bool:
+        """Whether it carries what rounding loses."""
+        return self.uncompensated is not None
+
+    @property
+    def has_poles(self) -> bool:
+        """Whether its numbers turn faster than the body does, at a pole without bound."""
+        return self.speed_squared is not body_speed
+
+    @cached_property
+    def plain(self) -> Attitude:
+        """The same without low parts."""
+        return self.uncompensated or self
+
+    @cached_property
+    def short(self) -> Attitude:
+        """The same, whose turns are of at most π."""
+        if self.turn_short is None or self.turn is self.turn_short:
+            return self
+        low = self.uncompensated
+        return replace(self, turn=self.turn_short, uncompensated=None if low is None else low.short)
+
+    def value(self, x: Vector) -> Vector:
+        """The state without its low parts."""
+        return x[: len(x) // 2] if self.compensated else x
+
+    def half_rate_derivative(self, x: Vector, v: Vector) -> Any:
+        """ẋ at the rate 2v."""
+        if self.half_derivative is not None:
+            return self.half_derivative(x, v)
+        assert self.derivative is not None
+        return self.derivative(x, plus(v, v))
+
+    def seen_from(self, x: Vector, v: Vector) -> Any:
+        """Cᵀ v of an inertial vector v."""
+        assert self.to_body is not None
+        return self.to_body(x, v)

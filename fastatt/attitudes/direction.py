@@ -1,0 +1,21 @@
+"""One inertial direction in body axes, three numbers: Poisson's equation in vector form."""
+
+from __future__ import annotations
+
+from fastatt.attitudes.attitude import Attitude
+from fastatt.flat.formulas import dcm, dot, quat
+from fastatt.flat.graph import apply
+
+DIRECTION = Attitude(
+    name="direction",
+    size=3,
+    stored=3,
+    coordinates=3,
+    start=lambda v: v,
+    turn=lambda x, u: quat.rotate_inverse(quat.exp(u), x),
+    turn_short=lambda x, u: quat.rotate_inverse(quat.exp_short(u), x),
+    derivative=dcm.derivative_row,
+    flip=lambda x: x,
+    finish=lambda x: (x, apply("sqrt", dot(x, x))),
+    summary="a fixed direction seen from the body, 3 numbers",
+)

@@ -1,0 +1,41 @@
+"""Direction cosine matrices: nine numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastatt.attitudes.attitude import Attitude
+from fastatt.flat.formulas import Vector, dcm, quat
+
+
+def turn(x: Vector, u: Vector) -> Any:
+    return dcm.mul(x, dcm.exp(u))
+
+
+def turn_short(x: Vector, u: Vector) -> Any:
+    return dcm.mul(x, dcm.exp_short(u))
+
+
+def finish(x: Vector) -> Any:
+    return dcm.orthonormalise(dcm.orthonormalise(x)), dcm.defect(x)
+
+
+MATRIX = Attitude(
+    name="dcm",
+    size=9,
+    stored=9,
+    start=lambda q: dcm.from_quat(quat.normalise(q)),
+    turn=turn,
+    turn_short=turn_short,
+    compose=lambda x, q: dcm.mul(x, dcm.from_quat(q)),
+    quaternion=dcm.to_quat,
+    to_body=dcm.rotate_inverse,
+    derivative=dcm.derivative,
+    flip=dcm.transpose,
+    finish=finish,
+    restore=lambda x: (dcm.orthonormalise(x), dcm.defect(x)),
+    turn_first=dcm.turn_first,
+    turn_third=dcm.turn_third,
+    to_dcm_array=lambda state: state.reshape((*state.shape[:-1], 3, 3)),
+    summary="direction cosine matrix, 9 numbers",
+)

@@ -1,0 +1,50 @@
+"""Two rows of the matrix, six numbers; the third is their cross product (the Darboux problem)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastatt.attitudes.attitude import Attitude
+from fastatt.flat.formulas import Vector, dcm, opposite, quat
+
+
+def turned(x: Vector, r: Vector) -> Vector:
+    return (*dcm.rotate(r, x[:3]), *dcm.rotate(r, x[3:]))
+
+
+def to_dcm(x: Vector) -> Any:
+    return dcm.close_rows(x[:3], x[3:])
+
+
+def finish(x: Vector) -> Any:
+    a, b = dcm.orthonormalise_rows(*dcm.orthonormalise_rows(x[:3], x[3:]))
+    return dcm.close_rows(a, b), dcm.defect(to_dcm(x))
+
+
+def restore(x: Vector) -> Any:
+    a, b = dcm.orthonormalise_rows(x[:3], x[3:])
+    return (*a, *b), dcm.defect(to_dcm(x))
+
+
+def derivative(x: Vector, w: Vector) -> Vector:
+    return (*dcm.derivative_row(x[:3], w), *dcm.derivative_row(x[3:], w))
+
+
+ROWS = Attitude(
+    name="dcm_rows",
+    size=6,
+    stored=9,
+    start=lambda q: dcm.from_quat(quat.normalise(q))[:6],
+    turn=lambda x, u: turned(x, dcm.exp(opposite(u))),
+    turn_short=lambda x, u: turned(x, dcm.exp_short(opposite(u))),
+    compose=lambda x, q: turned(x, dcm.from_quat(quat.conj(q))),
+    quaternion=lambda x: dcm.to_quat(to_dcm(x)),
+    to_body=lambda x, v: dcm.rotate_inverse(to_dcm(x), v),
+    derivative=derivative,
+    flip=lambda x: dcm.transpose(to_dcm(x))[:6],
+    finish=finish,
+    restore=restore,
+    raw=to_dcm,
+    to_dcm_array=lambda state: state.reshape((*state.shape[:-1], 3, 3)),
+    summary="two rows of the matrix, 6 numbers; the third by their cross product",
+)

@@ -1,0 +1,345 @@
+"""A job for the engine: a method, a representation, what acts, and the formulas of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from fastatt.attitudes import Attitude
+from fastatt.engine.layout import WIDTH
+from fastatt.flat.finished import Flat
+from fastatt.flat.formulas import Vector, as_like, dot
+from fastatt.flat.graph import CLASSES, Graph, Number, choose
+from fastatt.methods.method import Method
+from fastatt.motion import (
+    Body,
+    GivenRate,
+    Moving,
+    Structure,
+    Turning,
+    carried,
+    motion_of,
+    turning_part,
+)
+from fastatt.rates import is_constant
+from fastatt.translation import Translation
+
+# a relative change is taken from invariants above this
+_TINY = 1e-37
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the formulas of a run depend on, none of its numbers.
+
+    ``kind`` is the precision of the state, "double" or "single"; ``shared`` says that all bodies
+    have the same parameters, ``known`` that some bodies' turns are known to need no look; ``raw``
+    that what is handed out is not brought back to its group, ``mends`` that the state is, now and
+    then; ``looks`` switches off what the status costs.
+    """
+
+    method: Method
+    attitude: Attitude
+    structure: Structure
+    kind: str = "double"
+    shared: bool = True
+    known: bool = False
+    raw: bool = False
+    mends: bool = False
+    looks: bool = True
+    #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
+    width: int = WIDTH
+
+    @cached_property
+    def formulas(self) -> Formulas:
+        """Its formulas, traced when they are asked for."""
+        return Formulas(self)
+
+    @property
+    def is_kinematic(self) -> bool:
+        """Whether the rate is given and nothing else is carried."""
+        return isinstance(self.structure, GivenRate)
+
+    @property
+    def parameter_kind(self) -> str:
+        """Precision of the parameters: a rate that all share is evaluated in double precision."""
+        return "double" if self.shared and self.is_kinematic else self.kind
+
+    @property
+    def has_careful_form(self) -> bool:
+        """Whether a block has another form, for lanes that the quick one does not do for."""
+        return self.looks and (self.known or self.method.exponentials > 0)
+
+    @property
+    def seen_at_times(self) -> bool:
+        """Whether a look at some steps will do.
+
+        Not near a pole, which is passed in one; of exponentials where the state's length bears them
+        witness.
+        """
+        steps = self.method.steps
+        turning = turning_part(self.structure)
+        if steps is None or not isinstance(turning, GivenRate) or not steps.at_times:
+            return False
+        if self.method.exponentials:
+            return self.attitude.bears_witness
+        return not self.attitude.has_poles
+
+    @property
+    def look(self) -> str:
+        """At which steps of a block's quick form the turns are looked at."""
+        if self.known or not self.looks:
+            return "never"
+        return "times" if self.seen_at_times else "every"
+
+
+class Forms(NamedTuple):
+    """A step as a graph: the state after it, and the same with the squared turn behind it."""
+
+    plain: Flat
+    noted: Flat
+
+
+class Formulas:
+    """The graphs of a job, each traced when it is asked for.
+
+    Inputs are named ("x", i) for the state that is stepped, ("p", i) parameters, ("e", i) what the
+    method prepared, ("invariants", i), ("y", i) initial values, ("t",), ("h",), ("k",), ("edge",)
+    and ("since",).
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self.size = carried(job.attitude, job.structure)
+        self.parameters = job.structure.n_params
+        self.coordinates = job.attitude.coordinates
+        self.given = self.coordinates + job.structure.tail
+        self.handed_out = job.attitude.stored + job.structure.tail
+        #: numbers that a scene with mass carries beside what turns
+        self.beside = job.structure.tail - turning_part(job.structure).tail
+
+    def scope(self, *, quick: bool = False, graph: Graph | None = None) -> Scope:
+        """Numbers and the motion that a formula works on."""
+        job = self.job
+        attitude = job.attitude.short if quick and job.method.exponentials else job.attitude
+        return Scope(self, attitude, graph or Graph())
+
+    def _form(self, quick: bool) -> Forms:
+        scope = self.scope(quick=quick)
+        x, z = scope.step(*scope.span(), scope.state(), scope.extras())
+        return Forms(scope.finished(x), scope.finished((*x, z)))
+
+    @cached_property
+    def quick(self) -> Forms:
+        """A step or a stage, good for turns of at most π."""
+        return self._form(True)
+
+    @cached_property
+    def _careful(self) -> Forms:
+        return self._form(False)
+
+    @property
+    def careful(self) -> Forms | None:
+        """The same for any turn, where that is another form."""
+        return self._careful if self.job.has_careful_form else None
+
+    @cached_property
+    def begin(self) -> Flat:
+        """From initial values: the state that is stepped, what is prepared, the invariants."""
+        scope = self.scope()
+        y = scope.inputs("y", self.given)
+        x = scope.begin(y[: self.coordinates], y[self.coordinates :])
+        t, h = scope.time(), scope.number("h")
+        e = scope.prepared(h, x)
+        stepped = scope.entered(t, scope.number("edge"), x, e)
+        return scope.finished((*stepped, *e, *scope.invariants(x)))
+
+    @cached_property
+    def extras(self) -> int:
+        """How many numbers a method prepares for a body."""
+        scope = self.scope()
+        return len(scope.prepared(scope.number("h"), scope.inputs("x", self.size)))
+
+    @cached_property
+    def invariants(self) -> int:
+        """How many numbers the motion keeps."""
+        scope = self.scope()
+        return len(scope.invariants(scope.inputs("x", self.size)))
+
+    @cached_property
+    def save(self) -> Flat:
+        """What is handed out, the departure from the group, the change of the invariants."""
+        scope = self.scope()
+        t, since = scope.time(), scope.number("since")
+        x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
+        y, d = scope.hand_out(x)
+        before = scope.inputs("invariants", self.invariants)
+        return scope.finished((*y, d, departure(before, scope.invariants(x))))
+
+    @cached_property
+    def mend(self) -> Flat | None:
+        """The state nearer to its group, and how far it had left it; None where it never is."""
+        if not self.job.mends:
+            return None
+        scope = self.scope()
+        x = scope.state()
+        n = self.job.attitude.size
+        if self.job.attitude.restore is None:
+            return scope.finished((*x, 0.0))
+        a, d = self.job.attitude.restore(x[:n])
+        return scope.finished((*a, *x[n:], abs(d)))
+
+    @cached_property
+    def witness(self) -> Flat | None:
+        """|q|², which an exponential that is spoilt changes; None where no witness is asked for."""
+        if self.job.look != "times" or not self.job.method.exponentials:
+            return None
+        scope = self.scope()
+        q = scope.state()[:4]
+        return scope.finished((dot(q, q),))
+
+    @cached_property
+    def resources(self) -> list[Any]:
+        """Tables and opaque functions that the formulas call, in the order of their arrays."""
+        found: dict[Any, None] = {}
+        forms = [self.quick.noted, self.begin, self.save]
+        for flat in forms:
+            for node in flat.nodes:
+                if node.op == "gather":
+                    found["table", node.args[0]] = None
+                if node.op == "opaque":
+                    found["function", node.args[0]] = None
+        return list(found)
+
+    @property
+    def operations(self) -> int:
+        """Floating-point operations of a step's quick form."""
+        return self.quick.plain.operations * max(1, len(self.job.method.stages))
+
+
+class Scope:
+    """A graph, a job's motion on it, and the pieces of a run as formulas."""
+
+    def __init__(self, formulas: Formulas, attitude: Attitude, graph: Graph) -> None:
+        job = formulas.job
+        self.formulas, self.graph = formulas, graph
+        self.kind = job.kind
+        self.job, self.attitude = job, attitude
+        p = graph.inputs(job.parameter_kind, "p", formulas.parameters)
+        self._bind(p, graph.input(job.kind, "h"))
+
+    def _bind(self, p: Vector, like: Any) -> None:
+        structure = self.job.structure
+        turning = turning_part(structure)
+        self.motion: Turning | Body = motion_of(turning, self.attitude, p[: turning.n_params], like)
+        self.translation = None
+        if isinstance(structure, Moving):
+            self.translation = Translation(self.motion, structure, p[turning.n_params :])
+
+    def inputs(self, group: str, n: int) -> tuple[Number, ...]:
+        """Numbers of the state's precision."""
+        return self.graph.inputs(self.kind, group, n)
+
+    def number(self, name: str) -> Number:
+        """One number of the state's precision, that all bodies share."""
+        return self.graph.input(self.kind, name)
+
+    def state(self) -> Vector:
+        """The state that is stepped."""
+        return self.inputs("x", self.formulas.size)
+
+    def extras(self) -> Vector:
+        """What the method prepared."""
+        return self.inputs("e", self.formulas.extras)
+
+    def time(self) -> Any:
+        """The time: of double precision where all bodies share their parameters."""
+        t = self.graph.input("double", "t")
+        return t if self.job.shared else CLASSES[self.kind](t)
+
+    def span(self) -> tuple[Any, Any, Any]:
+        """(t, h, k) of a step or a stage."""
+        return self.time(), self.number("h"), self.number("k")
+
+    def finished(self, results: Vector) -> Flat:
+        """The graph for some results."""
+        return Flat(self.graph, results, self.kind)
+
+    def parts(self, x: Vector) -> tuple[Vector, Vector]:
+        """What turns, and what is carried beside it by a scene with mass."""
+        n = len(x) - self.formulas.beside
+        return x[:n], x[n:]
+
+    def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> tuple[Vector, Any]:
+        """(state, squared turn) after one step, or one stage."""
+        steps = self.job.method.steps
+        assert steps is not None
+        own, beside = self.parts(x)
+        if steps.stage is not None:
+            y, z = steps.stage(self.motion, t, h, k, own, e)
+        elif isinstance(self.motion, Body):
+            assert steps.body is not None
+            y, z = steps.body(self.motion, t, h, own)
+        else:
+            constant = is_constant(self.motion.structure.law)
+            chosen = steps.constant if constant and steps.constant else steps.rate
+            assert chosen is not None
+            y, z = chosen(self.motion, t, h, own)
+        if self.translation is not None:
+            beside = self.translation.moved(t, h, x, y)
+        return (*y, *beside), z
+
+    def begin(self, q: Vector, beside: Vector) -> Vector:
+        """The state from an attitude as given and what is carried beside it."""
+        n = turning_part(self.job.structure).tail
+        return (*self.motion.begin(q, beside[:n]), *beside[n:])
+
+    def prepared(self, h: Any, x: Vector) -> Vector:
+        """What the method prepares for a body."""
+        steps = self.job.method.steps
+        if steps is None or steps.prepare is None:
+            return ()
+        return tuple(steps.prepare(self.motion, h, self.parts(x)[0]))
+
+    def entered(self, t: Any, edge: Any, x: Vector, e: Vector) -> Vector:
+        """The state as the method steps it."""
+        steps = self.job.method.steps
+        if steps is None or steps.enter is None:
+            return x
+        return tuple(steps.enter(self.motion, t, 0.0, edge, x, e))
+
+    def left(self, t: Any, since: Any, edge: Any, x: Vector, e: Vector) -> Vector:
+        """The state from what the method steps."""
+        steps = self.job.method.steps
+        if steps is None or steps.leave is None:
+            return x
+        return tuple(steps.leave(self.motion, t, since, edge, x, e))
+
+    def hand_out(self, x: Vector) -> tuple[Vector, Any]:
+        """(what the trajectory holds, departure from the group)."""
+        own, beside = self.parts(x)
+        attitude = self.attitude
+
+        def finish(a: Vector) -> Any:
+            y, d = attitude.finish(a)
+            return (attitude.raw(a) if self.job.raw else y), d
+
+        y, d = self.motion.hand_out(own, finish)
+        return (*y, *beside), d
+
+    def invariants(self, x: Vector) -> Vector:
+        """What the motion keeps."""
+        return self.motion.invariants(self.parts(x)[0])
+
+
+def departure(a: Vector, b: Vector) -> Any:
+    """Largest relative change from the invariants a to b, 0 where there are none."""
+    changes = []
+    for x, y in zip(a, b, strict=True):
+        there = x > _TINY
+        changes.append(abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0)))
+    if not changes:
+        return 0.0
+    x, y = changes
+    return choose(x > y, x, y)

@@ -1,0 +1,281 @@
+"""The pieces of a tile's program: what a block steps, how a tile begins, is saved and mended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+
+from fastatt.engine.job import Formulas, Job
+from fastatt.engine.layout import ARGUMENTS, Given, Rows
+from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.llvm import OPAQUE, Emitter, larger
+from fastatt.flat.machine import processor
+
+# φ⁴ steps from one look to the next: pulses of any period meet one before long
+PACE = 6.854101966249685
+
+
+def lanes(kind: str) -> int:
+    """Numbers of a precision in one of the processor's vectors."""
+    return processor().vector // (8 if kind == "double" else 4)
+
+
+class Pieces:
+    """Writes the functions that a program of one job is made of."""
+
+    def __init__(self, job: Job, formulas: Formulas) -> None:
+        self.job, self.formulas = job, formulas
+        self.kind = job.kind
+        self.real = REALS[job.kind]
+        self.lanes = lanes(job.kind)
+        self.width = job.width
+        own = 0 if job.shared else formulas.parameters
+        self.rows = Rows(
+            self.width,
+            x=formulas.size,
+            turn=1,
+            p=own,
+            e=formulas.extras,
+            invariants=formulas.invariants,
+            witness=1,
+        )
+        self.copied = Rows(self.width, x=formulas.size, turn=1)
+        self.done = Rows(self.width, y=max(formulas.handed_out, formulas.given), defect=1, change=1)
+        self.module = ir.Module("fastatt")
+
+    def _function(self, name: str, *more: Any) -> tuple[Code, Given, list[Any]]:
+        code = Code(self.module, name, [*more, *ARGUMENTS])
+        args = list(code.function.args)
+        for pointer in args[: len(more)]:
+            if isinstance(pointer.type, ir.PointerType):
+                pointer.add_attribute("noalias")
+        if name not in ("tiles", "careful"):
+            code.function.linkage = "internal"
+        given = Given(code, args[len(more) :])
+        return code, given, args[: len(more)]
+
+    def _emitter(self, code: Code, given: Given) -> Emitter:
+        resources: dict[Any, Any] = {}
+        double = REALS["double"].as_pointer()
+        for i, name in enumerate(self.formulas.resources):
+            resources[name] = given.array(i, double if name[0] == "table" else OPAQUE)
+        return Emitter(code, self.lanes, processor().fuses, resources)
+
+    def _inputs(
+        self, code: Code, given: Given, rows: Any, lane: Int, scalars: dict[str, Any],
+        source: tuple[Any, Rows] | None = None,
+    ) -> Any:  # fmt: skip
+        """Values of a formula's inputs: rows of the tile, or numbers that all lanes share."""
+        known: dict[Any, tuple[Any, bool]] = {}
+
+        def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+            if name not in known:
+                known[name] = load(name, kind)
+            return known[name]
+
+        def load(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+            group, *i = name
+            if group in scalars:
+                value = scalars[group]
+                return (value[i[0]] if i else value), False
+            if source is not None and group == "y":
+                memory, layout = source
+                return code.vector(memory, lane + layout.offset("y", i[0]), self.lanes), True
+            return code.vector(rows, lane + self.rows.offset(group, i[0]), self.lanes), True
+
+        return find
+
+    def _shared(self, code: Code, given: Given) -> dict[str, Any]:
+        """Parameters that all bodies share, as scalars."""
+        if not self.job.shared:
+            return {}
+        kind = REALS[self.job.parameter_kind]
+        array = given.array("p", kind.as_pointer())
+        return {"p": [code.load(array, i) for i in range(self.formulas.parameters)]}
+
+    def _narrow(self, code: Code, value: Any) -> Any:
+        """A double in the state's precision."""
+        return value if self.kind == "double" else code.b.fptrunc(value, self.real)
+
+    def _time(self, code: Code, given: Given, n: Any) -> Any:
+        """t0 + n h, of a number of steps."""
+        b = code.b
+        steps = b.sitofp(n.value, REALS["double"]) if isinstance(n, Int) else n
+        return b.fadd(given.number("t0"), b.fmul(steps, given.number("h")))
+
+    def _block(self, name: str, forms: Any, look: str) -> None:
+        """Steps [first, last) of every lane."""
+        code, given, (rows, first, last) = self._function(name, self.real.as_pointer(), I64, I64)
+        begin, end = Int(code, first), Int(code, last)
+        with code.lanes(self.width, self.lanes) as j:
+            zero = code.splat(code.real(self.kind, 0.0), self.lanes)
+            code.store_vector(rows, j + self.rows.offset("turn"), zero)
+        shared = self._shared(code, given)
+        emit = self._emitter(code, given)
+        h = given.number("h")
+
+        def lanes(noted: bool, t: Any, span: Any, other: Any) -> None:
+            scalars = {"t": t, "h": span, "k": other, **shared}
+            flat = forms.noted if noted else forms.plain
+            before = emit.shared(flat, scalars)
+            with code.lanes(self.width, self.lanes) as j:
+                found = emit.wide(flat, self._inputs(code, given, rows, j, scalars), before)
+                for i in range(self.formulas.size):
+                    code.store_vector(rows, j + self.rows.offset("x", i), found[i])
+                if noted:
+                    at = j + self.rows.offset("turn")
+                    most = larger(code, code.vector(rows, at, self.lanes), found[-1])
+                    code.store_vector(rows, at, most)
+
+        def step(n: Int, noted: bool) -> None:
+            b = code.b
+            if not self.job.method.stages:
+                span = self._narrow(code, h)
+                lanes(noted, self._time(code, given, n), span, span)
+                return
+            stages = given.array("stages", REALS["double"].as_pointer())
+            steps = b.sitofp(n.value, REALS["double"])
+            with code.loop(0, given.whole("stages")) as i:
+                share, other, at = (code.load(stages, i * 3 + k) for k in range(3))
+                t = self._time(code, given, code.b.fadd(steps, at))
+                spans = [self._narrow(code, code.b.fmul(x, h)) for x in (share, other)]
+                lanes(noted, t, *spans)
+
+        if look != "times":
+            with code.loop(begin, end) as n:
+                step(n, look == "every")
+        else:
+            self._at_times(code, begin, end, step)
+        code.give(0)
+
+    def _at_times(self, code: Code, begin: Int, end: Int, step: Any) -> None:
+        """Steps of which some are looked at, and the last; of few, all."""
+        b = code.b
+        double = REALS["double"]
+        pace = code.real("double", PACE)
+        few = (end - begin) <= int(PACE)
+        at = code.variable(begin)
+
+        def whole_paces(n: Int) -> Any:
+            return b.fptosi(b.fdiv(b.sitofp(n.value, double), pace), I64)
+
+        with code.repeat_while(lambda: code.get(at) < end):
+            begun = code.get(at)
+            paces = Int(code, whole_paces(begun + 1)) + 1
+            due = Int(code, b.fptosi(b.fmul(b.sitofp(paces.value, double), pace), I64))
+            later = due.at_most(end) - 1
+            seen = Int(code, b.select(few, begun.value, later.value))
+            with code.loop(begun, seen) as n:
+                step(n, False)
+            step(seen, True)
+            code.set(at, seen + 1)
+
+    def _begin(self) -> None:
+        """Load a tile: its bodies' numbers, and the states that they start from."""
+        pointer = self.real.as_pointer()
+        code, given, (rows, done, tile) = self._function("begin", pointer, pointer, I64)
+        base = Int(code, tile) * self.width
+        self._gather(code, given, done, base, ("q0", "rows_q"), 0, self.formulas.coordinates)
+        beside = self.formulas.given - self.formulas.coordinates
+        self._gather(code, given, done, base, ("y0", "rows_y"), self.formulas.coordinates, beside)
+        if not self.job.shared:
+            own = self.rows.first["p"]
+            self._gather(code, given, rows, base, ("p", "rows_p"), own, self.formulas.parameters)
+        h, edge = (self._narrow(code, given.number(x)) for x in ("h", "edge"))
+        scalars = {"t": given.number("t0"), "h": h, "edge": edge, **self._shared(code, given)}
+        emit = self._emitter(code, given)
+        with code.lanes(self.width, self.lanes) as j:
+            find = self._inputs(code, given, rows, j, scalars, (done, self.done))
+            found = emit.wide(self.formulas.begin, find)
+            at = 0
+            for name in ("x", "e", "invariants"):
+                for i in range(self.rows.sizes[name]):
+                    code.store_vector(rows, j + self.rows.offset(name, i), found[at])
+                    at += 1
+        with code.when(given.whole("first") > 0):
+            self._gather(code, given, rows, base, ("x", "bodies"), 0, self.formulas.size)
+        code.give(0)
+
+    def _gather(
+        self, code: Code, given: Given, rows: Any, base: Int, array: tuple[str, str], row: int,
+        n: int,
+    ) -> None:  # fmt: skip
+        """Columns of an array into rows; its last row stands for all bodies after it."""
+        if n == 0:
+            return
+        name, length = array
+        pointer = given.array(name, self.real.as_pointer())
+        last = given.whole(length) - 1
+        with code.lanes(self.width, 1) as j:
+            source = (base + j).at_most(last) * n
+            for i in range(n):
+                code.store(rows, j + (row + i) * self.width, code.load(pointer, source + i))
+
+    def _save(self) -> None:
+        """Hand out the states of a tile after n steps, and how far they left what they keep."""
+        pointer = self.real.as_pointer()
+        code, given, (rows, done, tile, n) = self._function("save", pointer, pointer, I64, I64)
+        b = code.b
+        steps = Int(code, n)
+        t = self._time(code, given, steps)
+        since = self._narrow(code, b.fmul(b.sitofp(n, REALS["double"]), given.number("h")))
+        edge = self._narrow(code, given.number("edge"))
+        scalars = {"t": t, "since": since, "edge": edge, **self._shared(code, given)}
+        emit = self._emitter(code, given)
+        size = self.formulas.handed_out
+        with code.lanes(self.width, self.lanes) as j:
+            found = emit.wide(self.formulas.save, self._inputs(code, given, rows, j, scalars))
+            for i, value in enumerate(found):
+                code.store_vector(done, j + self._handed(i), value)
+        base = Int(code, tile) * self.width
+        bodies = given.whole("bodies")
+        width = (bodies - base).at_most(self.width)
+        every = given.whole("save_every")
+        number = (steps - 1) // every + given.whole("slot")
+        slot = Int(code, b.select(steps > 0, number.value, code.raw(0)))
+        out, defect, watch = (given.array(x, pointer) for x in ("out", "defect", "watch"))
+        with code.loop(0, width) as j:
+            body = base + j
+            target = (slot * bodies + body) * size
+            for i in range(size):
+                code.store(out, target + i, code.load(done, j + self._handed(i)))
+            far = code.load(done, j + self._handed(size))
+            code.store(defect, slot * bodies + body, far)
+            magnitude = b.call(code.intrinsic("llvm.fabs", self.real), [far])
+            self._worse(code, watch, bodies + body, magnitude)
+            change = code.load(done, j + self._handed(size + 1))
+            self._worse(code, watch, bodies * 2 + body, change)
+        code.give(0)
+
+    def _handed(self, i: int) -> int:
+        """Row of the i-th number that is handed out, the departures after them."""
+        size = self.formulas.handed_out
+        if i < size:
+            return self.done.offset("y", i)
+        return self.done.offset("defect" if i == size else "change")
+
+    def _worse(self, code: Code, array: Any, at: Int, value: Any) -> None:
+        """Keep the larger of two numbers, or NaN."""
+        b = code.b
+        before = code.load(array, at)
+        keep = b.or_(b.fcmp_ordered(">=", before, value), b.fcmp_unordered("uno", before, before))
+        code.store(array, at, b.select(keep, before, value))
+
+    def _mend(self) -> None:
+        """Bring the states nearer to their group; how far they had left it is not forgotten."""
+        code, given, (rows, tile) = self._function("mend", self.real.as_pointer(), I64)
+        emit = self._emitter(code, given)
+        size, mend = self.formulas.size, self.formulas.mend
+        assert mend is not None
+        with code.lanes(self.width, self.lanes) as j:
+            found = emit.wide(mend, self._inputs(code, given, rows, j, {}))
+            for i in range(size):
+                code.store_vector(rows, j + self.rows.offset("x", i), found[i])
+            code.store_vector(rows, j + self.rows.offset("turn"), found[size])
+        base, bodies = Int(code, tile) * self.width, given.whole("bodies")
+        watch = given.array("watch", self.real.as_pointer())
+        with code.loop(0, (bodies - base).at_most(self.width)) as j:
+            far = code.load(rows, j + self.rows.offset("turn"))
+            self._worse(code, watch, bodies + base + j, far)
+        code.give(0)

@@ -1,0 +1,167 @@
+"""The tile loop in Python, on arrays: the same formulas, for debugging and where nothing compiles.
+
+It runs under ``NUMBA_DISABLE_JIT=1``, a hundred to a thousand times as slow; multiplications and
+additions are not fused. The loop over tiles is numpy's, over all bodies at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt.engine.job import Forms, Job
+from fastatt.engine.layout import BLOCK
+from fastatt.flat import source
+from fastatt.flat.finished import Flat
+
+Array = NDArray[Any]
+
+
+class PlainProgram:
+    """What ``fastatt.engine.ensemble.Program`` is, without machine code."""
+
+    def __init__(self, job: Job) -> None:
+        self.formulas = job.formulas
+        self.job = job
+        self._functions: dict[int, Any] = {}
+
+    def run(
+        self, arrays: Mapping[str, Any], numbers: Mapping[str, float], span: Any,
+        tiles: tuple[int, int], tables: Mapping[Any, Any],
+    ) -> None:  # fmt: skip
+        """Steps of a span on some tiles."""
+        width = self.job.width
+        first, last = tiles[0] * width, min(tiles[1] * width, len(arrays["x"]))
+        if first < last:
+            with np.errstate(all="ignore"):
+                _PlainRun(self, arrays, numbers, np.arange(first, last), tables).go(span)
+
+    def evaluate(self, flat: Flat, find: Any, tables: Mapping[Any, Any]) -> list[Array]:
+        """A graph's results on arrays."""
+        key = id(flat)
+        if key not in self._functions:
+            named = {k[1]: v for k, v in tables.items() if k[0] == "table"}
+            self._functions[key] = source.function(flat, tables=named)
+        kinds = {n.args: n.kind for n in flat.nodes if n.op == "in"}
+        given = [find(name, kinds[name]) for name in flat.inputs()]
+        return list(self._functions[key](*given))
+
+
+class _PlainRun:
+    """One run over some bodies."""
+
+    def __init__(
+        self, program: PlainProgram, arrays: Mapping[str, Any], numbers: Mapping[str, float],
+        bodies: Array, tables: Mapping[Any, Any],
+    ) -> None:  # fmt: skip
+        self.program, self.formulas, self.job = program, program.formulas, program.job
+        self.arrays, self.numbers, self.bodies, self.tables = arrays, numbers, bodies, tables
+        self.real = np.float64 if self.job.kind == "double" else np.float32
+        self.rows: dict[str, list[Array]] = {}
+        self.rows["p"] = self._columns("p")
+        self.rows["y"] = [*self._columns("q0"), *self._columns("y0")]
+        self.turn = np.zeros(len(bodies), dtype=self.real)
+
+    def _columns(self, name: str) -> list[Array]:
+        array = self.arrays[name]
+        rows = array[np.minimum(self.bodies, len(array) - 1)] if len(array) else array
+        return list(rows.T)
+
+    def _evaluate(self, flat: Flat, **scalars: Any) -> list[Array]:
+        n = len(self.bodies)
+
+        def find(name: tuple[Any, ...], kind: str) -> Any:
+            of = np.float64 if kind == "double" else np.float32
+            group, *i = name
+            if group in scalars:
+                return of(scalars[group])
+            return np.asarray(self.rows[group][i[0]], dtype=of)
+
+        found = self.program.evaluate(flat, find, self.tables)
+        return [np.broadcast_to(np.asarray(x, dtype=self.real), (n,)) for x in found]
+
+    def _time(self, steps: float) -> float:
+        return self.numbers["t0"] + steps * self.numbers["h"]
+
+    def go(self, span: Any) -> None:
+        """Steps [first, last) and their saves."""
+        forms, numbers = self.formulas, self.numbers
+        found = self._evaluate(forms.begin, t=numbers["t0"], h=numbers["h"], edge=numbers["edge"])
+        sizes = (forms.size, forms.extras, forms.invariants)
+        at = 0
+        for name, size in zip(("x", "e", "invariants"), sizes, strict=True):
+            self.rows[name] = found[at : at + size]
+            at += size
+        if span.first > 0:
+            self.rows["x"] = list(self.arrays["x"][self.bodies].T)
+        if span.first == 0 and (span.slot == 1 or span.n_steps == 0):
+            self._save(span, 0)
+        n = span.first
+        while n < span.last:
+            stop = min(n + BLOCK, span.last, (n // span.save_every + 1) * span.save_every)
+            if span.restore:
+                stop = min(stop, (n // span.restore + 1) * span.restore)
+            self._block(n, stop)
+            watch = self.arrays["watch"][0]
+            watch[self.bodies] = np.maximum(watch[self.bodies], self.turn)
+            n = stop
+            if span.restore and n % span.restore == 0 and forms.mend is not None:
+                *x, far = self._evaluate(forms.mend)
+                self.rows["x"] = list(x)
+                self._worse(1, far)
+            if n % span.save_every == 0 or n == span.n_steps:
+                self._save(span, n)
+        self.arrays["x"][self.bodies] = np.stack(self.rows["x"], axis=-1)
+
+    def _worse(self, row: int, value: Array) -> None:
+        watch = self.arrays["watch"][row]
+        before = watch[self.bodies]
+        keep = (before >= value) | np.isnan(before)
+        watch[self.bodies] = np.where(keep, before, value)
+
+    def _save(self, span: Any, n: int) -> None:
+        slot = (n - 1) // span.save_every + span.slot if n > 0 else 0
+        since = n * self.numbers["h"]
+        found = self._evaluate(
+            self.formulas.save, t=self._time(n), since=since, edge=self.numbers["edge"]
+        )
+        size = self.formulas.handed_out
+        self.arrays["out"][slot, self.bodies] = np.stack(found[:size], axis=-1)
+        self.arrays["defect"][slot, self.bodies] = found[size]
+        self._worse(1, np.abs(found[size]))
+        self._worse(2, found[size + 1])
+
+    def _block(self, first: int, last: int) -> None:
+        """The quick form, and the careful one for bodies for which that does not do."""
+        before = self.rows["x"]
+        self._steps(self.formulas.quick, self.job.look != "never", first, last)
+        if self.formulas.careful is None:
+            return
+        if self.job.known:
+            far = ~self.arrays["quiet"][self.bodies].astype(bool)
+        else:
+            far = np.greater(self.turn, math.pi**2)
+        if not far.any():
+            return
+        quick, turn = self.rows["x"], self.turn
+        self.rows["x"] = before
+        self._steps(self.formulas.careful, True, first, last)
+        self.rows["x"] = [np.where(far, a, b) for a, b in zip(self.rows["x"], quick, strict=True)]
+        self.turn = np.where(far, self.turn, turn)
+
+    def _steps(self, forms: Forms, noted: bool, first: int, last: int) -> None:
+        self.turn = np.zeros(len(self.bodies), dtype=self.real)
+        h = self.numbers["h"]
+        stages = self.job.method.stages or ((1.0, 1.0, 0.0),)
+        for n in range(first, last):
+            for share, other, at in stages:
+                scalars = {"t": self._time(n + at), "h": share * h, "k": other * h}
+                found = self._evaluate(forms.noted if noted else forms.plain, **scalars)
+                if noted:
+                    *found, z = found
+                    self.turn = np.where(z > self.turn, z, self.turn)
+                self.rows["x"] = list(found)

@@ -1,0 +1,1 @@
+"""Formulas called once with numbers that record them, and what is made of the record."""

@@ -1,0 +1,258 @@
+"""A short notation for loops and memory in LLVM's language: the engine's loops are written in it.
+
+An ``Int`` is a whole number of the program being made, with Python's operators; ``with loop(...)``
+and ``with when(...)`` open blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from llvmlite import ir
+
+I64 = ir.IntType(64)
+I32 = ir.IntType(32)
+BIT = ir.IntType(1)
+REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
+
+
+class Int:
+    """A whole number of 64 bits."""
+
+    def __init__(self, code: Code, value: Any) -> None:
+        self.code, self.value = code, value
+
+    def _with(self, make: str, other: Any) -> Int:
+        return Int(self.code, getattr(self.code.b, make)(self.value, self.code.raw(other)))
+
+    def __add__(self, other: Any) -> Int:
+        return self._with("add", other)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Int:
+        return self._with("sub", other)
+
+    def __mul__(self, other: Any) -> Int:
+        return self._with("mul", other)
+
+    __rmul__ = __mul__
+
+    def __floordiv__(self, other: Any) -> Int:
+        return self._with("sdiv", other)
+
+    def __mod__(self, other: Any) -> Int:
+        return self._with("srem", other)
+
+    def _compared(self, op: str, other: Any) -> Any:
+        return self.code.b.icmp_signed(op, self.value, self.code.raw(other))
+
+    def __lt__(self, other: Any) -> Any:
+        return self._compared("<", other)
+
+    def __le__(self, other: Any) -> Any:
+        return self._compared("<=", other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self._compared(">", other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self._compared(">=", other)
+
+    def equals(self, other: Any) -> Any:
+        """Whether it is the other."""
+        return self._compared("==", other)
+
+    def at_most(self, other: Any) -> Int:
+        """The smaller of two."""
+        return Int(self.code, self.code.b.select(self < other, self.value, self.code.raw(other)))
+
+
+class Code:
+    """A function that is being written: ``name(arguments) -> a whole number``."""
+
+    def __init__(self, module: ir.Module, name: str, arguments: Sequence[Any]) -> None:
+        self.module = module
+        self.function = ir.Function(module, ir.FunctionType(I64, list(arguments)), name)
+        # on Intel's processors LLVM halves its vectors unless it is told otherwise
+        set.add(self.function.attributes, '"prefer-vector-width"="512"')
+        # what does not fit the registers goes to the stack, a cache line a vector
+        self.function.attributes.alignstack = 64
+        self.b = ir.IRBuilder(self.function.append_basic_block("entry"))
+        self._entry = self.b.block
+
+    @classmethod
+    def within(cls, builder: Any) -> Code:
+        """Where a builder of llvmlite's stands in a function that another compiler writes."""
+        code = cls.__new__(cls)
+        code.module, code.function, code.b = builder.module, builder.function, builder
+        code._entry = builder.function.entry_basic_block  # noqa: SLF001
+        set.add(code.function.attributes, '"prefer-vector-width"="512"')
+        return code
+
+    def raw(self, x: Any) -> Any:
+        """LLVM's value of an Int or of a Python number."""
+        return x.value if isinstance(x, Int) else ir.Constant(I64, x)
+
+    def whole(self, x: Any) -> Int:
+        """x as an Int."""
+        return x if isinstance(x, Int) else Int(self, ir.Constant(I64, x))
+
+    def room(self, kind: Any, n: int = 1, align: int = 64) -> Any:
+        """Memory on the stack that lasts for the function."""
+        with self.b.goto_block(self._entry):
+            self.b.position_at_start(self._entry)
+            made = self.b.alloca(kind, ir.Constant(I32, n))
+        made.align = align
+        return made
+
+    def variable(self, value: Any) -> Any:
+        """Memory for one whole number: a pointer for ``b.load`` and ``b.store``."""
+        made = self.room(I64, align=8)
+        self.b.store(self.raw(value), made)
+        return made
+
+    def get(self, variable: Any) -> Int:
+        """What a variable holds."""
+        return Int(self, self.b.load(variable))
+
+    def set(self, variable: Any, value: Any) -> None:
+        """Change what a variable holds."""
+        self.b.store(self.raw(value), variable)
+
+    def place(self, pointer: Any, index: Any) -> Any:
+        """Address of an element."""
+        return self.b.gep(pointer, [self.raw(index)], inbounds=True)
+
+    def load(self, pointer: Any, index: Any) -> Any:
+        """An element."""
+        return self.b.load(self.place(pointer, index))
+
+    def store(self, pointer: Any, index: Any, value: Any) -> None:
+        """Change an element."""
+        self.b.store(value, self.place(pointer, index))
+
+    def vector(self, pointer: Any, index: Any, n: int) -> Any:
+        """n elements in a row."""
+        at = self._as_vector(pointer, index, n)
+        size = 8 if pointer.type.pointee == REALS["double"] else 4
+        return self.b.load(at, align=size * n)
+
+    def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
+        """Change n elements in a row."""
+        n = value.type.count
+        size = 8 if pointer.type.pointee == REALS["double"] else 4
+        self.b.store(value, self._as_vector(pointer, index, n), align=size * n)
+
+    def _as_vector(self, pointer: Any, index: Any, n: int) -> Any:
+        to = ir.VectorType(pointer.type.pointee, n).as_pointer()
+        return self.b.bitcast(self.place(pointer, index), to)
+
+    @contextmanager
+    def loop(self, first: Any, last: Any, step: int = 1) -> Iterator[Int]:
+        """for index in range(first, last, step)."""
+        b = self.b
+        before = b.block
+        head = b.append_basic_block("loop")
+        body = b.append_basic_block("body")
+        after = b.append_basic_block("after")
+        start, end = self.raw(first), self.raw(last)
+        b.branch(head)
+        b.position_at_end(head)
+        index = b.phi(I64)
+        index.add_incoming(start, before)
+        b.cbranch(b.icmp_signed("<", index, end), body, after)
+        b.position_at_end(body)
+        yield Int(self, index)
+        index.add_incoming(b.add(index, ir.Constant(I64, step)), b.block)
+        b.branch(head)
+        b.position_at_end(after)
+
+    @contextmanager
+    def lanes(self, width: int, step: int) -> Iterator[Int]:
+        """for index in range(0, width, step), which is never empty: tested at its end."""
+        b = self.b
+        before = b.block
+        body = b.append_basic_block("lanes")
+        after = b.append_basic_block("after")
+        b.branch(body)
+        b.position_at_end(body)
+        index = b.phi(I64)
+        index.add_incoming(ir.Constant(I64, 0), before)
+        yield Int(self, index)
+        following = b.add(index, ir.Constant(I64, step))
+        index.add_incoming(following, b.block)
+        b.cbranch(b.icmp_signed("<", following, ir.Constant(I64, width)), body, after)
+        b.position_at_end(after)
+
+    @contextmanager
+    def repeat_while(self, condition: Any) -> Iterator[None]:
+        """While ``condition()``, which is written at the head of the loop."""
+        b = self.b
+        head = b.append_basic_block("while")
+        body = b.append_basic_block("body")
+        after = b.append_basic_block("after")
+        b.branch(head)
+        b.position_at_end(head)
+        b.cbranch(condition(), body, after)
+        b.position_at_end(body)
+        yield
+        b.branch(head)
+        b.position_at_end(after)
+
+    @contextmanager
+    def when(self, condition: Any) -> Iterator[None]:
+        """Only where the condition holds; a block that returns ends there."""
+        b = self.b
+        then = b.append_basic_block("then")
+        after = b.append_basic_block("after")
+        b.cbranch(condition, then, after)
+        b.position_at_end(then)
+        yield
+        if not b.block.is_terminated:
+            b.branch(after)
+        b.position_at_end(after)
+
+    def give(self, value: Any) -> None:
+        """Return."""
+        self.b.ret(self.raw(value))
+
+    def real(self, kind: str, value: float) -> Any:
+        """A constant."""
+        return ir.Constant(REALS[kind], value)
+
+    def splat(self, value: Any, n: int) -> Any:
+        """A vector of n times the same."""
+        if isinstance(value, ir.Constant):
+            return ir.Constant(ir.VectorType(value.type, n), [value.constant] * n)
+        to = ir.VectorType(value.type, n)
+        one = self.b.insert_element(ir.Constant(to, ir.Undefined), value, ir.Constant(I32, 0))
+        mask = ir.Constant(ir.VectorType(I32, n), [0] * n)
+        return self.b.shuffle_vector(one, ir.Constant(to, ir.Undefined), mask)
+
+    def intrinsic(self, name: str, kind: Any, n: int = 1) -> Any:
+        """LLVM's function of that name for a type, of n arguments of it."""
+        label = f"{name}.{_suffix(kind)}"
+        found = self.module.globals.get(label)
+        if found is None:
+            found = ir.Function(self.module, ir.FunctionType(kind, [kind] * n), label)
+        return found
+
+    def prefetch(self, pointer: Any) -> None:
+        """Ask for the cache line of an address."""
+        char = ir.IntType(8).as_pointer()
+        label = "llvm.prefetch.p0"
+        found = self.module.globals.get(label)
+        if found is None:
+            kind = ir.FunctionType(ir.VoidType(), [char, I32, I32, I32])
+            found = ir.Function(self.module, kind, label)
+        read, near, data = (ir.Constant(I32, k) for k in (0, 3, 1))
+        self.b.call(found, [self.b.bitcast(pointer, char), read, near, data])
+
+
+def _suffix(kind: Any) -> str:
+    if isinstance(kind, ir.VectorType):
+        return f"v{kind.count}{_suffix(kind.element)}"
+    return "f64" if kind == REALS["double"] else "f32"

@@ -1,0 +1,227 @@
+"""A graph's operations in LLVM's language, of single numbers or of vectors with a lane a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from llvmlite import ir
+
+from fastatt.flat.code import BIT, I64, REALS, Code
+from fastatt.flat.finished import Flat
+from fastatt.flat.nodes import COMPARISONS, LIBRARY, Node, operands
+
+_INSTRUCTIONS = {
+    "abs": "llvm.fabs",
+    "sqrt": "llvm.sqrt",
+    "rint": "llvm.rint",
+    "floor": "llvm.floor",
+}
+_ARITHMETIC = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
+_LOGIC = {"and": "and_", "or": "or_"}
+
+Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
+
+
+class Emitter:
+    """Writes the operations of a graph where a ``Code`` stands.
+
+    ``given(name, kind)`` gives the value of an input and whether it has a lane a body; what depends
+    on none that has is written for one number. ``fuses`` says that the processor has fused
+    multiplications; ``resources`` finds the pointers of tables and of opaque functions.
+    """
+
+    def __init__(
+        self, code: Code, lanes: int, fuses: bool, resources: Mapping[Any, Any] | None = None
+    ) -> None:
+        self.code, self.lanes, self.fuses = code, lanes, fuses
+        self.resources = resources or {}
+        self._spread: dict[int, Any] = {}
+
+    def __call__(
+        self, flat: Flat, given: Given, before: Mapping[int, Any] | None = None
+    ) -> list[tuple[Any, bool]]:
+        """(value, whether it has lanes) of each result; ``before`` is what ``shared`` wrote."""
+        self._spread.clear()
+        values: list[tuple[Any, bool]] = []
+        known = before or {}
+        for i, node in enumerate(flat.nodes):
+            values.append(known[i] if i in known else self._node(node, values, given))
+        return [values[i] for i in flat.results]
+
+    def wide(self, flat: Flat, given: Given, before: Mapping[int, Any] | None = None) -> list[Any]:
+        """The results as vectors."""
+        return [self.spread(*found) for found in self(flat, given, before)]
+
+    def shared(self, flat: Flat, scalars: Mapping[str, Any]) -> dict[int, tuple[Any, bool]]:
+        """Values of the operations on ``scalars`` alone, written here: before a loop over lanes.
+
+        ``scalars`` are numbers, or sequences of them, by the names of a graph's inputs.
+        """
+        self._spread.clear()
+        found: dict[int, tuple[Any, bool]] = {}
+        values: list[Any] = []
+
+        def given(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+            group, *i = name
+            return (scalars[group][i[0]] if i else scalars[group]), False
+
+        for i, node in enumerate(flat.nodes):
+            known = node.op == "const" or (
+                node.args[0] in scalars
+                if node.op == "in"
+                else node.op not in ("opaque", "item") and all(k in found for k in operands(node))
+            )
+            values.append(self._node(node, values, given) if known else None)
+            if known:
+                found[i] = values[i]
+        # a number that meets others with lanes is spread once, not in every turn of the loop
+        for i, node in enumerate(flat.nodes):
+            if i not in found and self.lanes > 1:
+                for k in operands(node):
+                    if k in found and flat.nodes[k].op != "const" and flat.nodes[k].kind:
+                        found[k] = (self.spread(*found[k]), True)
+        return found
+
+    def spread(self, value: Any, has_lanes: bool) -> Any:
+        """A value as a vector, made once a graph."""
+        if has_lanes or self.lanes == 1:
+            return value
+        found = self._spread.get(id(value))
+        if found is None:
+            found = self._spread[id(value)] = self.code.splat(value, self.lanes)
+        return found
+
+    def _node(self, node: Node, values: list[tuple[Any, bool]], given: Given) -> tuple[Any, bool]:
+        op, kind = node.op, node.kind
+        if op == "const":
+            return ir.Constant(REALS[kind], node.args[0]), False
+        if op == "in":
+            return given(node.args, kind)
+        if op == "opaque":
+            return self._called(node, values), True
+        if op == "item":
+            return values[node.args[0]][0][node.args[1]], self.lanes > 1
+        if op == "gather":
+            return self._gathered(node, values[node.args[1]])
+        taken = [values[i] for i in operands(node)]
+        has_lanes = any(wide for _, wide in taken)
+        args = [self.spread(*x) if has_lanes else x[0] for x in taken]
+        return self._operation(op, kind, args, has_lanes), has_lanes
+
+    def _operation(self, op: str, kind: str, args: list[Any], has_lanes: bool) -> Any:
+        b = self.code.b
+        if op in _ARITHMETIC:
+            return getattr(b, _ARITHMETIC[op])(*args)
+        if op in ("fma", "fms", "fnma"):
+            return self._fused(op, *args)
+        if op == "neg":
+            return b.fneg(args[0])
+        if op in _INSTRUCTIONS:
+            function = self.code.intrinsic(_INSTRUCTIONS[op], args[0].type)
+            return b.call(function, args)
+        if op in LIBRARY:
+            return self._library(op, args[0], has_lanes)
+        if op == "select":
+            return b.select(*args)
+        if op in COMPARISONS:
+            if args[0].type in (BIT, ir.VectorType(BIT, self.lanes)):
+                return b.xor(*args)
+            compare = b.fcmp_unordered if op == "!=" else b.fcmp_ordered
+            return compare(op, *args)
+        if op in _LOGIC:
+            return getattr(b, _LOGIC[op])(*args)
+        if op == "not":
+            return b.not_(args[0])
+        if op == "cast":
+            to = REALS[kind]
+            to = ir.VectorType(to, self.lanes) if has_lanes and self.lanes > 1 else to
+            return (b.fpext if kind == "double" else b.fptrunc)(args[0], to)
+        if op == "larger":
+            return larger(self.code, *args)
+        raise NotImplementedError(op)
+
+    def _fused(self, op: str, x: Any, y: Any, z: Any) -> Any:
+        b = self.code.b
+        if not self.fuses:
+            product = b.fmul(x, y)
+            if op == "fnma":
+                return b.fsub(z, product)
+            return b.fadd(product, z) if op == "fma" else b.fsub(product, z)
+        x = b.fneg(x) if op == "fnma" else x
+        z = b.fneg(z) if op == "fms" else z
+        return b.call(self.code.intrinsic("llvm.fma", z.type, 3), [x, y, z])
+
+    def _library(self, op: str, x: Any, has_lanes: bool) -> Any:
+        """The C library's function, lane by lane, in double precision."""
+        double = REALS["double"]
+        function = self.code.module.globals.get(op)
+        if function is None:
+            function = ir.Function(self.code.module, ir.FunctionType(double, [double]), op)
+
+        def one(value: Any) -> Any:
+            b = self.code.b
+            single = value.type == REALS["single"]
+            result = b.call(function, [b.fpext(value, double) if single else value])
+            return b.fptrunc(result, REALS["single"]) if single else result
+
+        if not (has_lanes and self.lanes > 1):
+            return one(x)
+        return self._by_lane(x.type, lambda lane: one(self.code.b.extract_element(x, lane)))
+
+    def _by_lane(self, kind: Any, one: Callable[[Any], Any]) -> Any:
+        result = ir.Constant(kind, ir.Undefined)
+        for k in range(self.lanes):
+            lane = ir.Constant(ir.IntType(32), k)
+            result = self.code.b.insert_element(result, one(lane), lane)
+        return result
+
+    def _gathered(self, node: Node, index: tuple[Any, bool]) -> tuple[Any, bool]:
+        table = self.resources["table", node.args[0]]
+        value, has_lanes = index
+        b = self.code.b
+
+        def one(where: Any) -> Any:
+            found = b.load(b.gep(table, [b.fptosi(where, I64)]))
+            return found if node.kind == "double" else b.fptrunc(found, REALS["single"])
+
+        if not (has_lanes and self.lanes > 1):
+            return one(value), has_lanes
+        to = ir.VectorType(REALS[node.kind], self.lanes)
+        return self._by_lane(to, lambda lane: one(b.extract_element(value, lane))), True
+
+    def _called(self, node: Node, values: list[tuple[Any, bool]]) -> list[Any]:
+        """An opaque function ``f(double* arguments, double* results)``, lane by lane."""
+        number, n_results, *at = node.args
+        address = self.resources["function", number]
+        b, double = self.code.b, REALS["double"]
+        taken = self.code.room(double, max(1, len(at)))
+        made = self.code.room(double, n_results)
+        args = [self.spread(*values[i]) for i in at]
+        results = [ir.Constant(ir.VectorType(double, self.lanes), ir.Undefined)] * n_results
+        for k in range(self.lanes):
+            lane = ir.Constant(ir.IntType(32), k)
+            for i, value in enumerate(args):
+                one = value if self.lanes == 1 else b.extract_element(value, lane)
+                self.code.store(taken, i, one)
+            b.call(address, [taken, made])
+            for i in range(n_results):
+                one = self.code.load(made, i)
+                results[i] = one if self.lanes == 1 else b.insert_element(results[i], one, lane)
+        return results
+
+
+def larger(code: Code, x: Any, y: Any) -> Any:
+    """The larger of two numbers that are not negative, or NaN: compared as whole numbers."""
+    kind = x.type
+    vector = isinstance(kind, ir.VectorType)
+    bits: Any = ir.IntType(64 if (kind.element if vector else kind) == REALS["double"] else 32)
+    bits = ir.VectorType(bits, kind.count) if vector else bits
+    b = code.b
+    a, c = b.bitcast(x, bits), b.bitcast(y, bits)
+    return b.bitcast(b.select(b.icmp_signed(">", a, c), a, c), kind)
+
+
+OPAQUE = ir.FunctionType(
+    ir.VoidType(), [REALS["double"].as_pointer(), REALS["double"].as_pointer()]
+).as_pointer()

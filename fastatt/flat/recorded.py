@@ -1,0 +1,116 @@
+"""What a recorded number is to Python, of a graph or composed of such."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fastatt.flat.nodes import NotStraight
+
+
+def functions_of_numbers() -> Any:
+    """``fastatt.flat.functions``, which is made of what is here."""
+    from fastatt.flat import functions
+
+    return functions
+
+
+class Recorded:
+    """A number that is not known beforehand: of a graph, or composed of some that are.
+
+    What is composed (a dual number) has operators of its own, and says how it goes through the
+    functions below.
+    """
+
+    __slots__ = ()
+    # numpy's numbers leave operations to it
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    def precision(self) -> Callable[[Any], Any]:
+        """``type(x)``: what gives a number, or a constant, in the precision of x."""
+        return type(self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __eq__(self, other: object) -> Any:
+        raise NotImplementedError
+
+    def __ne__(self, other: object) -> Any:
+        raise NotImplementedError
+
+    def __bool__(self) -> bool:
+        return bool(self != 0.0)
+
+    def __mod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(self, other)[1]
+
+    def __rmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(other, self)[1]
+
+    def __floordiv__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(self, other)[0]
+
+    def __rfloordiv__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(other, self)[0]
+
+    def __divmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(self, other)
+
+    def __rdivmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(other, self)
+
+    def __rpow__(self, base: Any) -> Any:
+        return functions_of_numbers().raised(base, self)
+
+    def __float__(self) -> float:
+        raise NotStraight("a number that is not known beforehand, where Python wants a float")
+
+    def __int__(self) -> int:
+        raise NotStraight("a whole number made of one that is not known beforehand")
+
+    __index__ = __int__
+
+
+class Composed(Recorded):
+    """A number composed of numbers of a graph; the functions below hand it to its class."""
+
+    __slots__ = ()
+
+    def cast(self, to: Any) -> Any:
+        """It in another precision."""
+        raise NotImplementedError
+
+    def applied(self, function: str) -> Any:
+        """``apply``."""
+        raise NotImplementedError
+
+    def raised(self, power: Any) -> Any:
+        """``raised``."""
+        raise NotImplementedError
+
+    @classmethod
+    def chosen(cls, test: Any, a: Any, b: Any) -> Any:
+        """``choose``."""
+        raise NotImplementedError
+
+    @classmethod
+    def larger(cls, a: Any, b: Any) -> Any:
+        """``larger``."""
+        raise NotImplementedError
+
+    @classmethod
+    def opaque(cls, function: int, results: int, args: Sequence[Any]) -> tuple[Any, ...]:
+        """``opaque``."""
+        raise NotImplementedError
+
+    @classmethod
+    def called(cls, formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
+        """``called``."""
+        raise NotImplementedError
+
+
+def composed_of(*values: Any) -> type[Composed] | None:
+    """The class of the first that is composed, None if none is."""
+    return next((type(x) for x in values if isinstance(x, Composed)), None)

@@ -1,0 +1,361 @@
+"""A function of numbers on every row of arrays: traced and compiled once, a vector's lane a row.
+
+Rows go in blocks of a few vectors: gathered into columns, worked on, handed out. A last block is
+filled up with the last row, so that every row meets the same instructions: results depend neither
+on the number of rows nor on that of threads.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import threading
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import cached_property
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import config
+from numpy.typing import NDArray
+
+from fastatt.flat import machine
+from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.finished import Flat
+from fastatt.flat.graph import Graph, flattened
+from fastatt.flat.llvm import OPAQUE, Emitter
+
+DTYPES: dict[str, np.dtype[Any]] = {"double": np.dtype(np.float64), "single": np.dtype(np.float32)}
+_VECTORS = 4  # of a block
+_UNROLLED = 16  # columns that are copied without a loop
+_PIECE = 1 << 16  # rows between two looks at Ctrl-C
+_SMALL = 1 << 14  # rows that are not worth a thread
+
+Array = NDArray[Any]
+#: numbers in a row; None of an array that has one number a row, without an axis for it
+Width = int | None
+
+
+class Rows:
+    """``function`` of numbers, applied to every row of arrays; compiled at the first call.
+
+    Parameters
+    ----------
+    function : takes a tuple of ``width`` recorded numbers an input (one number where the width is
+        None), in the order of ``inputs``, and gives numbers in tuples, nested at will: a kernel of
+        ``flat.formulas``, or what is made of such. It may look up tables (``graph.gather``), which
+        a call is given, and call opaque functions (``graph.opaque``), which have an ``address``.
+    inputs : widths by name.
+    outputs : widths of the arrays that the numbers are handed out to, in order.
+    kind : "double" or "single", the precision of inputs and outputs.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        inputs: Mapping[str, Width],
+        outputs: Sequence[Width],
+        kind: str = "double",
+    ) -> None:
+        self._function = function
+        self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
+        self._dtype = DTYPES[kind]
+        self._lock = threading.Lock()
+
+    @cached_property
+    def flat(self) -> Flat:
+        """The function's operations."""
+        graph = Graph()
+        given = [
+            graph.input(self.kind, name, 0) if n is None else graph.inputs(self.kind, name, n)
+            for name, n in self.inputs.items()
+        ]
+        made = flattened(self._function(*given))
+        wanted = sum(map(_count, self.outputs))
+        if len(made) != wanted:
+            raise ValueError(f"function: gives {len(made)} numbers; accepted: {wanted}")
+        return Flat(graph, made, self.kind)
+
+    def __call__(
+        self,
+        *arrays: Any,
+        tables: Mapping[int, Array] | None = None,
+        n_threads: int = 1,
+    ) -> tuple[Array, ...]:
+        """(..., width) of each output from (..., width) of each input.
+
+        The leading axes broadcast against each other; nothing is copied for it. ``tables`` are what
+        the function looks up, by number. Results do not depend on ``n_threads``.
+
+        Raises ``ValueError`` for shapes that do not fit.
+        """
+        given = [
+            self._checked(name, n, x)
+            for (name, n), x in zip(self.inputs.items(), arrays, strict=True)
+        ]
+        lead = np.broadcast_shapes(*[x.shape[:-1] for x in given])
+        if without_compiler():
+            return self._in_python(lead, given, tables or {})
+        total = math.prod(lead)
+        if len(lead) > 2 and total:
+            # more axes are two: a copy only where one of the first does not follow the next
+            given = [
+                np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, lead[-1], x.shape[-1])
+                for x in given
+            ]
+        out = [np.empty((*lead, *_tail(n)), self._dtype) for n in self.outputs]
+        if total:
+            table = [total, lead[-1] if lead else 1]
+            for x in given:
+                table += [address_of(x), *_strides(x)]
+            table += map(address_of, out)
+            kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
+            table += addresses(self._resources, kept)
+            self._run((ctypes.c_int64 * len(table))(*table), total, n_threads)
+        return tuple(out)
+
+    def _checked(self, name: str, n: Width, value: Any) -> Array:
+        """An input (..., n) in the precision, with the numbers of a row side by side."""
+        x = np.asarray(value, self._dtype)
+        x = x if x.flags.aligned else x.copy()
+        if n is None:
+            return x[..., None]
+        if x.shape[-1:] != (n,):
+            raise ValueError(f"{name}: has shape {x.shape}; accepted: (..., {n})")
+        return x if n < 2 or x.strides[-1] == x.itemsize else np.ascontiguousarray(x)
+
+    def _in_python(
+        self, lead: tuple[int, ...], given: list[Array], tables: Mapping[int, Array]
+    ) -> tuple[Array, ...]:
+        names = zip(self.inputs, given, strict=True)
+        columns = {(name, i): x[..., i] for name, x in names for i in range(x.shape[-1])}
+        made = [
+            np.broadcast_to(np.asarray(x, self._dtype), lead)
+            for x in plain(self.flat, columns, tables)
+        ]
+        bounds = pairwise(accumulate(map(_count, self.outputs), initial=0))
+        return tuple(
+            np.stack(made[a:b], axis=-1).reshape((*lead, *_tail(n)))
+            for n, (a, b) in zip(self.outputs, bounds, strict=True)
+        )
+
+    @cached_property
+    def _resources(self) -> list[tuple[str, Any]]:
+        return resources_of(self.flat)
+
+    def _run(self, table: Any, total: int, n_threads: int) -> None:
+        with self._lock:
+            run = self._compiled
+        if total <= _PIECE and (n_threads == 1 or total <= _SMALL):
+            run(table, 0, total)
+            return
+
+        def task(first: int, last: int) -> Callable[[threading.Event], None]:
+            def work(stop: threading.Event) -> None:
+                if not stop.is_set():
+                    run(table, first, last)
+
+            return work
+
+        from fastatt.threads import in_threads
+
+        piece = min(_PIECE, -(-total // n_threads))
+        tasks = [task(k, min(k + piece, total)) for k in range(0, total, piece)]
+        in_threads(tasks, n_threads if total > _SMALL else 1)
+
+    @cached_property
+    def _compiled(self) -> Any:
+        code = self._code(lanes_of(self.kind))
+        program = machine.compiled(str(code.module))
+        return program.function("rows", ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+
+    def _code(self, lanes: int) -> Code:
+        """``rows(table, first, last)``: rows [first, last) of the arrays that a table describes.
+
+        The table holds the number of rows and that of the last leading axis; address and strides
+        along both leading axes of each input; the address of each output, and of each resource.
+        """
+        code = Code(ir.Module("rows"), "rows", [I64.as_pointer(), I64, I64])
+        argument, first, last = code.function.args
+        entries = Table(code, argument)
+        total, inner = entries.number(), entries.number()
+        real, block = REALS[self.kind], _VECTORS * lanes
+        sources = [
+            (entries.pointer(real), entries.number(), entries.number(), _count(n))
+            for n in self.inputs.values()
+        ]
+        targets = [(entries.pointer(real), _count(n)) for n in self.outputs]
+        resources = entries.resources(self._resources)
+        taken = code.room(real, block * max(1, sum(n for *_, n in sources)))
+        made = code.room(real, block * max(1, len(self.flat.results)))
+        at = {name: k * block for k, name in enumerate(self._names())}
+        emit = Emitter(code, lanes, machine.processor().fuses, resources)
+        outer_at, inner_at = code.variable(0), code.variable(0)
+        with code.loop(Int(code, first), Int(code, last), block) as base:
+            count = (Int(code, last) - base).at_most(block)
+            code.set(outer_at, base // inner)
+            code.set(inner_at, base % inner)
+            with code.loop(0, (count + (lanes - 1)) // lanes * lanes) as j:
+                s, b, column = code.get(outer_at), code.get(inner_at), 0
+                for pointer, outer_stride, inner_stride, n in sources:
+                    row = code.place(pointer, s * outer_stride + b * inner_stride)
+                    copy(code, n, row, 0, 1, taken, j + column, block)
+                    column += n * block
+                with code.when(base + j + 1 < total):
+                    wraps = (b + 1).equals(inner)
+                    code.set(outer_at, chosen(code, wraps, s + 1, s))
+                    code.set(inner_at, chosen(code, wraps, 0, b + 1))
+            with code.loop(0, count, lanes) as j:
+                given = columns(code, taken, {name: j + k for name, k in at.items()}, lanes)
+                for k, value in enumerate(emit.wide(self.flat, given)):
+                    code.store_vector(made, j + k * block, value)
+            with code.loop(0, count) as j:
+                column = 0
+                for pointer, n in targets:
+                    row = code.place(pointer, (base + j) * n)
+                    copy(code, n, made, j + column, block, row, 0, 1)
+                    column += n * block
+        code.give(0)
+        return code
+
+    def _names(self) -> list[tuple[str, int]]:
+        return [(name, i) for name, n in self.inputs.items() for i in range(_count(n))]
+
+
+def _count(width: Width) -> int:
+    return 1 if width is None else width
+
+
+def _strides(x: Array) -> tuple[int, int]:
+    """From row to row in numbers, along the last two leading axes; 0 along one of length 1."""
+    lengths, strides = (1, 1, *x.shape[:-1]), (0, 0, *x.strides[:-1])
+    outer, inner = (0 if lengths[axis] == 1 else strides[axis] // x.itemsize for axis in (-2, -1))
+    return outer, inner
+
+
+def _tail(width: Width) -> tuple[int, ...]:
+    return () if width is None else (width,)
+
+
+class _Key(NamedTuple):
+    function: Hashable
+    inputs: tuple[tuple[str, Width], ...]
+    outputs: tuple[Width, ...]
+    kind: str
+
+
+_KNOWN: dict[_Key, Rows] = {}
+
+
+def rows(
+    function: Callable[..., Any],
+    inputs: Mapping[str, Width],
+    outputs: Sequence[Width],
+    kind: str = "double",
+    key: Hashable = None,
+) -> Rows:
+    """The ``Rows`` of a function, made once a process for a layout and a precision.
+
+    ``key`` stands for the function where that is made anew at each call; it says all that the
+    function's operations depend on.
+    """
+    found = _Key(function if key is None else key, tuple(inputs.items()), tuple(outputs), kind)
+    made = _KNOWN.get(found)
+    if made is None:
+        made = _KNOWN.setdefault(found, Rows(function, inputs, outputs, kind))
+    return made
+
+
+def kind_of(dtype: Any) -> str:
+    """Precision in which arrays of a type are worked on."""
+    return "single" if dtype == np.float32 else "double"
+
+
+def lanes_of(kind: str) -> int:
+    """Numbers in one of the processor's vectors."""
+    return machine.processor().vector // DTYPES[kind].itemsize
+
+
+def without_compiler() -> bool:
+    """Whether ``NUMBA_DISABLE_JIT`` asks for plain Python."""
+    return bool(config.DISABLE_JIT)
+
+
+def plain(
+    flat: Flat, columns: Mapping[tuple[Any, ...], Array], tables: Mapping[int, Array]
+) -> tuple[Any, ...]:
+    """Results of a graph on columns by the names of its inputs, without a compiler."""
+    from fastatt.flat.source import function
+
+    return function(flat, tables=tables)(*(columns[name] for name in flat.inputs()))
+
+
+def resources_of(flat: Flat) -> list[tuple[str, Any]]:
+    """What a graph finds in memory: ("table", its number) and ("function", itself)."""
+    kinds = {"gather": "table", "opaque": "function"}
+    return list(dict.fromkeys((kinds[n.op], n.args[0]) for n in flat.nodes if n.op in kinds))
+
+
+def address_of(x: Array) -> int:
+    """Where an array's first number lies."""
+    return int(x.__array_interface__["data"][0])
+
+
+def addresses(resources: Sequence[tuple[str, Any]], tables: Mapping[int, Array]) -> list[int]:
+    """Where they lie, of tables in double precision."""
+    return [address_of(tables[x]) if kind == "table" else x.address for kind, x in resources]
+
+
+class Table:
+    """Reads the numbers and addresses that a program is given, one after the other."""
+
+    def __init__(self, code: Code, pointer: Any) -> None:
+        self._code, self._pointer, self._next = code, pointer, 0
+
+    def number(self) -> Int:
+        """A whole number."""
+        self._next += 1
+        return Int(self._code, self._code.load(self._pointer, self._next - 1))
+
+    def pointer(self, kind: Any) -> Any:
+        """An address of numbers."""
+        return self._code.b.inttoptr(self.number().value, kind.as_pointer())
+
+    def resources(self, keys: Sequence[tuple[str, Any]]) -> dict[tuple[str, Any], Any]:
+        """Addresses of tables (of doubles) and of opaque functions."""
+        kinds = {"table": REALS["double"].as_pointer(), "function": OPAQUE}
+        return {key: self._code.b.inttoptr(self.number().value, kinds[key[0]]) for key in keys}
+
+
+def chosen(code: Code, test: Any, a: Any, b: Any) -> Int:
+    """One of two whole numbers."""
+    return Int(code, code.b.select(test, code.raw(a), code.raw(b)))
+
+
+def copy(
+    code: Code, n: int, source: Any, first: Any, step: int, target: Any, to: Any, stride: int
+) -> None:
+    """target[to + k stride] = source[first + k step], k < n."""
+    if n <= _UNROLLED:
+        for k in range(n):
+            value = code.load(source, code.whole(first) + k * step)
+            code.store(target, code.whole(to) + k * stride, value)
+        return
+    with code.loop(0, n) as i:
+        value = code.load(source, code.whole(first) + i * step)
+        code.store(target, code.whole(to) + i * stride, value)
+
+
+def columns(
+    code: Code, memory: Any, at: Mapping[tuple[Any, ...], Any], lanes: int
+) -> Callable[[tuple[Any, ...], str], tuple[Any, bool]]:
+    """For an ``Emitter``: the inputs as vectors, from where in memory they lie."""
+    loaded: dict[tuple[Any, ...], Any] = {}
+
+    def given(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+        if name not in loaded:
+            loaded[name] = code.vector(memory, at[name], lanes)
+        return loaded[name], True
+
+    return given

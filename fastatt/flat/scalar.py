@@ -1,0 +1,288 @@
+"""A formula as a function of numbers: for a user's ``@njit`` code and for Python.
+
+The formula is traced when it is first met with arguments of some types, and its graph written where
+the call stands: there is nothing for Numba to type, and nothing left to inline. Derivatives of dual
+numbers go side by side, a lane a direction.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, config
+from numba.core.errors import TypingError
+from numba.core.imputils import lower_builtin, lower_constant
+from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import signature
+from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
+
+from fastatt.flat.code import Code
+from fastatt.flat.graph import flattened
+from fastatt.flat.recorded import Recorded
+from fastatt.flat.trace import traceable
+from fastatt.flat.traced import Traced, Tuple, trace
+from fastatt.flat.writing import POINTERS, in_memory, in_python, unpacking, write
+
+_TYPES = {"double": types.float64, "single": types.float32, "truth": types.boolean}
+_KINDS = {types.float64: "double", types.float32: "single"}
+
+
+class ScalarFunction:
+    """See :func:`scalar_function`."""
+
+    __name__: str
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        tables: Mapping[int, Any] | None,
+        arrays: Mapping[str, int] | None,
+        *,
+        rewritten: bool,
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self._function, self._rewritten = function, rewritten
+        self.tables = {
+            k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()
+        }
+        self.parameters = inspect.signature(function)
+        sizes = dict(arrays or {})
+        self.sizes = [sizes.get(name, 0) for name in self.parameters.parameters]
+        self.numba_type = _Type(self)
+        self._traced: dict[Any, Traced] = {}
+        self._compiled: dict[Any, tuple[Any, Any]] = {}
+        # what the last call from Python was of, which the next one most likely is of too
+        self._last: tuple[Callable[..., Any], Callable[..., Any]] | None = None
+
+    @functools.cached_property
+    def formula(self) -> Callable[..., Any]:
+        """What takes recorded numbers: made when all that it refers to is there."""
+        return traceable(self._function) if self._rewritten else self._function
+
+    def traced(self, forms: tuple[Any, ...]) -> Traced:
+        """The formula for arguments of some forms."""
+        found = self._traced.get(forms)
+        if found is None:
+            found = self._traced[forms] = trace(self.formula, forms)
+        return found
+
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        """Of recorded numbers more such numbers; else floats, of float32 numpy's."""
+        if self._last is not None and not named:
+            unpack, call = self._last
+            if (found := unpack(args)) is not None:
+                return call(found)
+        if named:
+            args = self.parameters.bind(*args, **named).args
+        if any(self.sizes):
+            args = tuple(
+                tuple(x[:n]) if n and isinstance(x, np.ndarray) else x
+                for x, n in zip(args, self.sizes, strict=False)
+            )
+        numbers = flattened(args)
+        if any(isinstance(x, Recorded) for x in numbers):
+            return self.formula(*args)
+        forms = tuple(_form_of(x, self.__name__) for x in args)
+        if forms not in self._compiled:
+            made = self._in_python if config.DISABLE_JIT else self._in_memory
+            self._compiled[forms] = unpacking(forms), made(forms)
+        self._last = self._compiled[forms]
+        return self._last[1](numbers)
+
+    def _in_memory(self, forms: tuple[Any, ...]) -> Callable[..., Any]:
+        traced = self.traced(forms)
+        return in_memory(traced, forms, list(self.addresses(traced).values()))
+
+    def _in_python(self, forms: tuple[Any, ...]) -> Callable[..., Any]:
+        return in_python(self.formula, forms, self.tables)
+
+    def addresses(self, traced: Traced) -> dict[Any, int]:
+        """Where the tables lie that a formula looks up and the functions that it calls."""
+        return {
+            (kind, found): self.tables[found].ctypes.data if kind == "table" else found.address
+            for kind, found in traced.resources
+        }
+
+
+def scalar_function(
+    function: Callable[..., Any],
+    tables: Mapping[int, Any] | None = None,
+    *,
+    arrays: Mapping[str, int] | None = None,
+    rewritten: bool = False,
+) -> ScalarFunction:
+    """A formula as a function for ``@njit`` code, and for Python.
+
+    ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
+    ``rewritten`` one that is written as kernels are (``fastatt.flat.trace``); or a ``Recurrence``.
+    It takes floats and tuples of them, nested and named ones too, and gives such; results are of
+    single precision where all arguments are. What the formula is made of is looked up when it is
+    first called with arguments of some types. ``tables`` are the arrays that it looks up;
+    ``arrays`` names the arguments that may be arrays too, of one axis, in place of tuples of so
+    many numbers: the first so many are read, and must be there.
+
+    Code that calls it holds the formula as it was then, which may have been edited when another
+    process runs: Numba keeps no such code on disk. Of ``@njit(cache=True)`` it warns so.
+
+    Two of them, chosen from by an ``if``, are a function of one's own that calls both.
+    """
+    rewritten = rewritten or isinstance(function, CPUDispatcher)
+    return ScalarFunction(function, tables, arrays, rewritten=rewritten)
+
+
+# forms
+
+
+def _form_of(x: Any, name: str) -> Any:
+    if isinstance(x, np.float32):
+        return "single"
+    if isinstance(x, float):
+        return "double"
+    if isinstance(x, tuple):
+        return Tuple(type(x), tuple(_form_of(part, name) for part in x))
+    raise TypeError(f"{name}: found {type(x).__name__} among the arguments; {_ACCEPTED}")
+
+
+_ACCEPTED = "accepted are float64 or float32 and tuples of them: write 1.0 instead of 1"
+
+
+def _form_of_type(ty: Any, name: str, size: int = 0) -> Any:
+    if ty in _KINDS:
+        return _KINDS[ty]
+    if size and isinstance(ty, types.Array) and ty.ndim == 1 and ty.dtype in _KINDS:
+        return Tuple(tuple, (_KINDS[ty.dtype],) * size)
+    if isinstance(ty, types.BaseTuple):
+        named = isinstance(ty, types.BaseNamedTuple)
+        parts = tuple(_form_of_type(part, name) for part in ty.types)
+        return Tuple(ty.instance_class if named else tuple, parts)
+    raise TypingError(f"{name}: found {ty} among the arguments; {_ACCEPTED}")
+
+
+def _type_of_form(form: Any) -> Any:
+    if isinstance(form, Tuple):
+        named = None if form.cls is tuple else form.cls
+        return types.BaseTuple.from_types([_type_of_form(part) for part in form.parts], named)
+    return _TYPES[form]
+
+
+# Numba's side
+
+
+class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
+    """A formula's type, one for each."""
+
+    def __init__(self, scalar: ScalarFunction) -> None:
+        self.scalar = scalar
+        super().__init__(name=f"{scalar.__name__}:{uuid.uuid4().hex}")
+        lower_builtin(self, types.VarArg(types.Any))(self._lower)
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Signature of a call."""
+        name = self.scalar.__name__
+        try:
+            bound = self.scalar.parameters.bind(*args, **kws).args
+            given = [types.unliteral(ty) for ty in bound]
+            result = self.scalar.traced(self._forms(given)).form
+        except TypeError as error:
+            raise TypingError(f"{name}: {error}") from error
+        return signature(_type_of_form(result), *given).replace(pysig=self.scalar.parameters)
+
+    def _forms(self, given: Sequence[Any]) -> tuple[Any, ...]:
+        sizes = self.scalar.sizes
+        return tuple(
+            _form_of_type(ty, self.scalar.__name__, n) for ty, n in zip(given, sizes, strict=False)
+        )
+
+    def get_call_signatures(self) -> Any:
+        """None known beforehand."""
+        return (), False
+
+    def get_impl_key(self, sig: Any) -> _Type:
+        """What the lowering is registered for."""
+        return self
+
+    def _lower(self, context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        forms = self._forms(sig.args)
+        traced = self.scalar.traced(forms)
+        code = Code.within(builder)
+        _never_kept(builder.module)
+        pointers = {}
+        for key, at in self.scalar.addresses(traced).items():
+            pointer = context.add_dynamic_addr(builder, at, info=self.scalar.__name__)
+            pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])
+        given: list[Any] = []
+        for form, ty, x in zip(forms, sig.args, args, strict=True):
+            of_array = isinstance(ty, types.Array)
+            given += _read(context, builder, ty, x, form) if of_array else _taken(builder, form, x)
+        results = iter(write(code, traced, given, pointers))
+        return _made(context, builder, traced.form, results)
+
+
+def _never_kept(module: Any) -> None:
+    """Tell Numba that code of this module, and what it is linked into, is for this process alone.
+
+    It keeps nothing on disk that has a variable of such a name; ``llvm.used`` are those that no
+    pass may take out.
+    """
+    name = "numba.dynamic.globals.formula"
+    if name in module.globals:
+        return
+    byte = ir.IntType(8)
+    mark = ir.GlobalVariable(module, byte, name)
+    mark.linkage, mark.initializer = "internal", ir.Constant(byte, 0)
+    marks = ir.ArrayType(byte.as_pointer(), 1)
+    used = ir.GlobalVariable(module, marks, "llvm.used")
+    used.linkage, used.section = "appending", "llvm.metadata"
+    used.initializer = ir.Constant(marks, [mark])
+
+
+def _taken(builder: Any, form: Any, value: Any) -> Iterator[Any]:
+    """The numbers of an argument."""
+    if isinstance(form, Tuple):
+        for i, part in enumerate(form.parts):
+            yield from _taken(builder, part, builder.extract_value(value, i))
+    else:
+        yield value
+
+
+def _read(context: Any, builder: Any, ty: Any, value: Any, form: Any) -> Iterator[Any]:
+    """The numbers of an array, as many as its form has."""
+    array = context.make_array(ty)(context, builder, value)
+    (step,) = cgutils.unpack_tuple(builder, array.strides, 1)
+    for i in range(len(form.parts)):
+        at = builder.mul(step, ir.Constant(step.type, i))
+        yield builder.load(cgutils.pointer_add(builder, array.data, at))
+
+
+def _made(context: Any, builder: Any, form: Any, numbers: Iterator[Any]) -> Any:
+    """Numbers in a form."""
+    if isinstance(form, Tuple):
+        parts = [_made(context, builder, part, numbers) for part in form.parts]
+        return context.make_tuple(builder, _type_of_form(form), parts)
+    x = next(numbers)
+    return builder.fcmp_unordered("!=", x, ir.Constant(x.type, 0.0)) if form == "truth" else x
+
+
+register_model(_Type)(models.OpaqueModel)
+
+
+@typeof_impl.register(ScalarFunction)  # type: ignore[untyped-decorator]
+def _typeof(value: ScalarFunction, c: Any) -> _Type:
+    return value.numba_type
+
+
+@lower_constant(_Type)  # type: ignore[untyped-decorator]
+def _constant(context: Any, builder: Any, ty: Any, value: Any) -> Any:
+    return context.get_dummy_value()
+
+
+@unbox(_Type)  # type: ignore[untyped-decorator]
+def _unboxed(ty: Any, value: Any, c: Any) -> NativeValue:
+    return NativeValue(c.context.get_dummy_value())

@@ -1,0 +1,233 @@
+"""Traced formulas in LLVM's language, derivatives side by side, and as functions of numbers."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+
+from fastatt.flat import machine
+from fastatt.flat.code import I32, I64, REALS, Code, Int
+from fastatt.flat.llvm import OPAQUE, Emitter
+from fastatt.flat.nodes import Node, operands
+from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
+
+#: LLVM's types of what a formula finds in memory
+POINTERS = {"table": REALS["double"].as_pointer(), "function": OPAQUE}
+
+
+class _Emitter(Emitter):
+    """With lanes for the directions of dual numbers, of which single numbers are taken."""
+
+    def _node(self, node: Node, values: list[tuple[Any, bool]], given: Any) -> tuple[Any, bool]:
+        if node.op == "lane":
+            k, at = node.args
+            value, has_lanes = values[at]
+            if has_lanes and self.lanes > 1:
+                value = self.code.b.extract_element(value, ir.Constant(I32, k))
+            return value, False
+        # a function of values alone is called once
+        if node.op == "opaque" and not any(values[i][1] for i in operands(node)):
+            return Emitter(self.code, 1, self.fuses, self.resources)._called(node, values), False  # noqa: SLF001
+        if node.op == "item":
+            made, has_lanes = values[node.args[0]]
+            return made[node.args[1]], has_lanes
+        return super()._node(node, values, given)
+
+
+class _Written:
+    """The graphs of a formula, one after the other."""
+
+    def __init__(
+        self, code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]
+    ) -> None:
+        self.code, self.traced = code, traced
+        fuses = machine.processor().fuses
+        self.emit = _Emitter(code, traced.lanes, fuses, resources)
+        self.found: dict[str, Any] = {"x": given}
+
+    def input(self, name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+        """A number that is given, for the emitter."""
+        group, k = name
+        if group == "s":
+            return self.found["s"][k]  # type: ignore[no-any-return]
+        if group != "direction":
+            return self.found[group][k], False
+        lanes = self.traced.lanes
+        if lanes == 1:
+            return ir.Constant(REALS[kind], 1.0), False
+        units = [float(i == k) for i in range(lanes)]
+        return ir.Constant(ir.VectorType(REALS[kind], lanes), units), True
+
+    def results(self) -> list[Any]:
+        """The numbers of the result."""
+        if self.traced.loop is not None:
+            self._repeated(self.traced.loop)
+        return [value for value, _ in self.emit(self.traced.flat, self.input)]
+
+    def _repeated(self, loop: Loop) -> None:
+        state = self.emit(loop.begin, self.input)
+        n = len(loop.step.results)
+        wide = [k in loop.wide and self.traced.lanes > 1 for k in range(n)]
+        first = self._alike(state[:n], wide)
+        rooms = [self.code.room(x.type) for x in first]
+        self._put(rooms, first)
+        row = _Table(self.code, loop)
+        with self.code.loop(0, len(loop.table)) as i:
+            self.found["s"] = [*self._got(rooms, wide), *state[n:]]
+            self.found["row"] = row.at(i)
+            self._put(rooms, self._alike(self.emit(loop.step, self.input), wide))
+        self.found["s"] = [*self._got(rooms, wide), *state[n:]]
+
+    def _alike(self, values: Sequence[tuple[Any, bool]], wide: Sequence[bool]) -> list[Any]:
+        """Each with lanes where it has any."""
+        pairs = zip(values, wide, strict=True)
+        return [self.emit.spread(*x) if lanes else x[0] for x, lanes in pairs]
+
+    # a vector of many directions is wider than what memory on the stack is aligned to
+
+    def _put(self, rooms: Sequence[Any], values: Sequence[Any]) -> None:
+        for room, value in zip(rooms, values, strict=True):
+            self.code.b.store(value, room, align=8)
+
+    def _got(self, rooms: Sequence[Any], wide: Sequence[bool]) -> list[tuple[Any, bool]]:
+        pairs = zip(rooms, wide, strict=True)
+        return [(self.code.b.load(room, align=8), lanes) for room, lanes in pairs]
+
+
+class _Table:
+    """The constants of a loop, in the program."""
+
+    def __init__(self, code: Code, loop: Loop) -> None:
+        self.code, self.size = code, len(loop.table[0])
+        kinds = {node.args[1]: node.kind for node in loop.step.nodes if node.args[:1] == ("row",)}
+        kind = REALS[next(iter(kinds.values()), "double")]
+        numbers = [x for row in loop.table for x in row]
+        of = ir.ArrayType(kind, len(numbers))
+        name = code.module.get_unique_name("table")
+        table = ir.GlobalVariable(code.module, of, name)
+        table.linkage, table.global_constant = "internal", True
+        table.initializer = ir.Constant(of, numbers)
+        self.start = code.b.bitcast(table, kind.as_pointer())
+
+    def at(self, i: Int) -> list[Any]:
+        """A row."""
+        return [self.code.load(self.start, i * self.size + k) for k in range(self.size)]
+
+
+def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
+    """The results, each of its kind, of values that are given."""
+    return _Written(code, traced, given, resources).results()
+
+
+# functions of numbers, for Python
+
+
+def in_memory(
+    traced: Traced, forms: Sequence[Any], addresses: Sequence[int]
+) -> Callable[[Sequence[float]], Any]:
+    """A formula compiled, as a function of its arguments' numbers."""
+    kinds = list(flattened_forms(forms))
+    pointer = ctypes.c_void_p
+    program = machine.compiled(_program(traced, kinds))
+    run = program.function("scalar", ctypes.c_char_p, pointer, pointer)
+    count = len(traced.flat.results)
+    room = ctypes.c_double * max(1, count)
+    places = (ctypes.c_int64 * max(1, len(addresses)))(*addresses)
+    # Python's own way to lay numbers in a row takes a third of the time of ctypes'
+    pack, unpack = struct.Struct(f"{len(kinds)}d").pack, struct.Struct(f"{count}d").unpack_from
+    assembled = _assembling(traced.form)
+
+    def call(numbers: Sequence[float]) -> Any:
+        found = room()
+        run(pack(*numbers), found, places)
+        return assembled(unpack(found))
+
+    return call
+
+
+def in_python(
+    formula: Callable[..., Any], forms: Sequence[Any], tables: Mapping[int, Any]
+) -> Callable[[Sequence[float]], Any]:
+    """The same without a compiler."""
+    traced = trace(formula, forms, 0)
+    run, assembled = plain(traced, tables), _assembling(traced.form)
+    return lambda numbers: assembled(run(numbers))
+
+
+def _program(traced: Traced, kinds: Sequence[str]) -> str:
+    """A program with ``scalar(arguments, results, addresses)``, of arrays of float64 and int64."""
+    module = ir.Module("scalar")
+    double = REALS["double"]
+    code = Code(module, "scalar", [double.as_pointer(), double.as_pointer(), I64.as_pointer()])
+    b = code.b
+    source, target, places = code.function.args
+    given = []
+    for k, kind in enumerate(kinds):
+        x = code.load(source, k)
+        given.append(x if kind == "double" else b.fptrunc(x, REALS[kind]))
+    pointers = {
+        key: b.inttoptr(code.load(places, i), POINTERS[key[0]])
+        for i, key in enumerate(traced.resources)
+    }
+    for i, x in enumerate(write(code, traced, given, pointers)):
+        code.store(target, i, x if x.type == double else b.fpext(x, double))
+    code.give(0)
+    return str(module)
+
+
+def unpacking(forms: Sequence[Any]) -> Callable[[Any], tuple[float, ...] | None]:
+    """A function of arguments: their numbers, in order; None unless they are floats so nested."""
+    scope: dict[str, Any] = {}
+    lines = ["def unpacked(a):"]
+    leaves: list[str] = []
+
+    def taken(parts: Sequence[Any], name: str) -> None:
+        names = [f"{name}_{k}" for k in range(len(parts))]
+        lines.append(f"    if len({name}) != {len(parts)}: return None")
+        if names:
+            lines.append(f"    {', '.join(names)}, = {name}")
+        for part, own in zip(parts, names, strict=True):
+            if not isinstance(part, Tuple):
+                leaves.append(own)
+                continue
+            scope[f"class{own}"] = part.cls
+            lines.append(f"    if type({own}) is not class{own}: return None")
+            taken(part.parts, own)
+
+    taken(forms, "a")
+    numbers = "".join(f"{leaf}, " for leaf in leaves)
+    lines.append(f"    numbers = ({numbers})")
+    lines.append("    return numbers if {*map(type, numbers)} == {float} else None")
+    if any(kind != "double" for kind in flattened_forms(forms)):
+        return lambda args: None
+    exec("\n".join(lines), scope)
+    found: Callable[[Any], tuple[float, ...] | None] = scope["unpacked"]
+    return found
+
+
+_OF_KIND = {"single": "single({})", "double": "{}", "truth": "bool({})"}
+
+
+def _assembling(form: Any) -> Callable[[Sequence[Any]], Any]:
+    """A function of a list of numbers: they in a form."""
+    scope: dict[str, Any] = {"single": np.float32}
+    places = iter(range(len(list(flattened_forms((form,))))))
+
+    def made(part: Any) -> str:
+        if not isinstance(part, Tuple):
+            return _OF_KIND[part].format(f"r[{next(places)}]")
+        inner = "".join(f"{made(x)}, " for x in part.parts)
+        if part.cls is tuple:
+            return f"({inner})"
+        name = f"class{len(scope)}"
+        scope[name] = part.cls
+        return f"{name}({inner})"
+
+    exec(f"def assembled(r):\n    return {made(form)}", scope)
+    found: Callable[[Sequence[Any]], Any] = scope["assembled"]
+    return found

@@ -1,0 +1,1 @@
+"""Sampled rates and angle increments, gyro logs, to attitudes."""

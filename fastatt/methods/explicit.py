@@ -1,0 +1,249 @@
+"""Explicit Runge-Kutta methods on the numbers of the state: a method is its tableau.
+
+A tableau is checked when it is made: row sums, and the order conditions of every rooted tree up to
+its order. Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations I* (1993), §II.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fastatt.flat.formulas import Vector, axpy, largest, scale, weighted
+from fastatt.methods.method import BODIES, Method, Steps
+
+#: representations whose numbers obey a differential equation
+STEPPED = ("quat", "dcm", "dcm_rows", "euler313", "rotation_vector")
+# of trees beyond, 486 of order 9 and more, the conditions are not looked at
+_CHECKED = 8
+_CLOSE = 1e-12
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """c, a and b of a method of s stages: a has a row for each stage but the first.
+
+    Raises ``ValueError`` where a row does not sum to its node, or an order condition does not hold.
+    """
+
+    order: int
+    c: tuple[float, ...]
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        numbers = (*self.c, *(x for row in self.a for x in row), *self.b)
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("c, a, b: found numbers that are not finite; accepted: finite ones")
+        s = len(self.b)
+        if len(self.c) != s or len(self.a) != s - 1:
+            raise ValueError(
+                f"c, a, b: found {len(self.c)} nodes, {len(self.a)} rows and {s} weights; "
+                "accepted: as many nodes as weights, and a row for each stage but the first"
+            )
+        for i, row in enumerate(self.a, 1):
+            if len(row) != i:
+                raise ValueError(f"a[{i - 1}]: found {len(row)} numbers; accepted: {i}")
+            if abs(math.fsum(row) - self.c[i]) > _CLOSE * max(1.0, *map(abs, row)):
+                raise ValueError(
+                    f"a[{i - 1}]: its sum is {math.fsum(row)!r}; accepted: the node c[{i}], "
+                    f"{self.c[i]!r}"
+                )
+        if self.c[0] != 0.0:
+            raise ValueError(f"c[0]: found {self.c[0]!r}; accepted: 0, of an explicit method")
+        self._check_order()
+
+    def _check_order(self) -> None:
+        s = len(self.b)
+        matrix = np.zeros((s, s))
+        for i, row in enumerate(self.a, 1):
+            matrix[i, :i] = row
+        b = np.array(self.b)
+        size = max(1.0, float(np.abs(matrix).sum(axis=1).max()), float(np.abs(b).sum()))
+        values: dict[Any, Any] = {}
+
+        def of(tree: Any) -> Any:
+            if tree not in values:
+                values[tree] = np.prod([matrix @ of(child) for child in tree], axis=0) * np.ones(s)
+            return values[tree]
+
+        for n in range(1, min(self.order, _CHECKED) + 1):
+            for tree in trees(n):
+                found, wanted = float(b @ of(tree)), 1.0 / density(tree)
+                if abs(found - wanted) > _CLOSE * size**2:
+                    raise ValueError(
+                        f"a, b: a condition of order {n} gives {found:.15g}, not {wanted:.15g}; "
+                        f"accepted: a tableau of order {self.order}, or a lower order declared"
+                    )
+
+    @property
+    def stages(self) -> int:
+        """Evaluations a step."""
+        return len(self.b)
+
+
+@cache
+def trees(n: int) -> tuple[Any, ...]:
+    """Rooted trees of n nodes: a tree is the sorted tuple of its root's branches."""
+    if n == 1:
+        return ((),)
+    found = set()
+    for k in range(1, n):
+        for rest in trees(n - k):
+            for branch in trees(k):
+                found.add(tuple(sorted((*rest, branch))))
+    return tuple(sorted(found))
+
+
+def nodes(tree: Any) -> int:
+    """Number of nodes."""
+    return 1 + sum(nodes(branch) for branch in tree)
+
+
+def density(tree: Any) -> int:
+    """γ: the product of the sizes of all subtrees."""
+    return nodes(tree) * math.prod(density(branch) for branch in tree)
+
+
+def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
+    """The step of a tableau on any motion.
+
+    z is that of the fastest stage; ``first_turn`` takes the body's own rate of its start rather
+    than that of the last stage.
+    """
+
+    def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+        start = motion.base(x)
+        given: dict[float, Any] = {}
+        slopes: list[Vector] = []
+        y = start
+        for c, row in zip(tableau.c, ((), *tableau.a), strict=True):
+            if any(row):
+                k, d = weighted(row, slopes)
+                y = axpy(h * k, d, start)
+            if c not in given:
+                given[c] = motion.at(t + c * h)
+            slopes.append(motion.field(given[c], y))
+        k, d = weighted(tableau.b, slopes)
+        # of coordinates, which a stage may bring nearer to their pole than the start is
+        most = largest(slopes) if motion.attitude.has_poles else slopes[0]
+        z = h * h * motion.turning(given[tableau.c[0]], most, start if first_turn else y)
+        return motion.advanced(x, scale(h * k, d)), z
+
+    return step
+
+
+def explicit_method(
+    name: str,
+    tableau: Tableau,
+    limits: Mapping[str, float],
+    *,
+    scenes: tuple[str, ...] = ("rate", *BODIES),
+    first_turn: bool = False,
+    **fields: Any,
+) -> Method:
+    """Record of a tableau."""
+    step = stepped(tableau, first_turn=first_turn)
+    return Method(
+        name=name,
+        order=tableau.order,
+        scenes=scenes,
+        representations=STEPPED,
+        uses=("derivative",),
+        conserves=(),
+        rate_calls=len(set(tableau.c)) if "rate" in scenes else tableau.stages,
+        exponentials=0,
+        compensates=True,
+        limits=limits,
+        steps=Steps(rate=step if "rate" in scenes else None, body=step, at_times=True),
+        **fields,
+    )
+
+
+def explicit(
+    name: str,
+    *,
+    order: int,
+    c: Sequence[float],
+    a: Sequence[Sequence[float]],
+    b: Sequence[float],
+) -> Method:
+    """An explicit Runge-Kutta method of one's own, wherever a method's name is taken.
+
+    Parameters
+    ----------
+    name : what tables call it.
+    order : the order declared; up to order 8 all its conditions are checked here.
+    c : the nodes, the first of them 0.
+    a : a row for each stage but the first, of one number, two, and so on.
+    b : the weights.
+
+    Raises
+    ------
+    ValueError, TypeError : numbers that are no tableau, rows that do not sum to their nodes, an
+        order condition that does not hold, with what was found.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> rk3 = fa.explicit(
+    ...     "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)),
+    ...     b=(2 / 9, 1 / 3, 4 / 9),
+    ... )
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> fa.propagate(scene, [1, 0, 0, 0], [0.1, 0.2, 0.3], dt=0.01, n_steps=10, method=rk3).method
+    'ralston3'
+    """
+    from fastatt.methods.lie import _named, _ordered
+
+    try:
+        numbers = (
+            tuple(map(float, c)),
+            tuple(tuple(map(float, row)) for row in a),
+            tuple(map(float, b)),
+        )
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"c, a, b: {error}; accepted: sequences of numbers") from error
+    tableau = Tableau(_ordered(order), *numbers)
+    turn = {k: _trusted(tableau, k) for k in (0.5, 1.0)}
+    limits = {"quat": turn[0.5], **dict.fromkeys(("dcm", "dcm_rows", "direction"), turn[1.0])}
+    limits |= dict.fromkeys(("euler313", "rotation_vector"), 0.3)
+    return explicit_method(
+        _named(name),
+        tableau,
+        limits,
+        damping_limit=_damping(tableau),
+        summary="a user's own",
+        source="a user's own",
+    )
+
+
+def _growth(tableau: Tableau, z: complex) -> complex:
+    """The factor of one step of y' = z y."""
+    slopes: list[complex] = []
+    for row in ((), *tableau.a):
+        slopes.append(z * (1.0 + sum(w * k for w, k in zip(row, slopes, strict=True))))
+    return 1.0 + sum(w * k for w, k in zip(tableau.b, slopes, strict=True))
+
+
+def _trusted(tableau: Tableau, k: float) -> float:
+    """Largest turn (rad) at a constant rate whose angle is right to 5 % and whose size to 20 %."""
+    for theta in np.arange(0.05, 6.0, 0.05):
+        factor = _growth(tableau, 1j * k * theta)
+        angle = math.atan2(factor.imag, factor.real) / k
+        if abs(angle - theta) > 0.05 * theta or abs(abs(factor) - 1.0) > 0.2:
+            return max(0.05, float(theta) - 0.05)
+    return 6.0
+
+
+def _damping(tableau: Tableau) -> float:
+    """Largest c h/I whose factor is right to 0.1."""
+    for x in np.arange(0.05, 8.0, 0.05):
+        if abs(_growth(tableau, -x) - math.exp(-x)) > 0.1:
+            return max(0.05, float(x) - 0.05)
+    return 8.0

@@ -1,0 +1,200 @@
+"""Where a run leaves what its method can do: each body's status, warnings with a remedy."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import torques
+from fastatt.attitudes import Attitude
+from fastatt.methods.method import Method
+from fastatt.motion import GivenRate, turning_part
+from fastatt.rates import bound, lengths
+from fastatt.running.energy import angular_momentum
+from fastatt.running.trajectory import Status
+from fastatt.scene import Packed, Scene
+
+# |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
+NORM_BOUND = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
+# relative change of the energy or of |m|² of a free body
+INVARIANT_BOUND = 1e-2
+# evaluations a step of one stage beside which a look at its turn is nothing
+_STAGES = 4
+
+
+class StepWarning(UserWarning):
+    """A step beyond what the method can do, or too small for the precision."""
+
+
+def turn_limit(scene: Scene, method: Method, representation: str) -> float:
+    """Largest |w|h, rad, of one step; ``inf`` where one exponential is the whole answer."""
+    if scene.is_constant and method.exact_for_constant:
+        return math.inf
+    return method.limit(representation, body=scene.kind != "rate")
+
+
+def first_step(scene: Scene, method: Method, w: NDArray[Any], h: float) -> NDArray[np.float64]:
+    """What the method's limit holds for, of the first step of each body, rad; w (3,) or (N, 3)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if method.measure == "turn":
+            return lengths(_finite(w)) * abs(h)
+        m = _fastest(scene, w) * abs(h)
+        if method.measure == "momentum":
+            return m
+        least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
+        between = (1.0 - least / middle) * (least / middle - least / most)
+        return np.asarray(m * np.sqrt(np.abs(between)))
+
+
+def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
+    rates = np.atleast_2d(w).astype(np.float64, copy=False)
+    if np.isfinite((rates @ np.ones(3)).sum()):  # a tenth of the time
+        return rates
+    return np.nan_to_num(rates, posinf=0.0, neginf=0.0)
+
+
+def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
+    """|m|/I_min of each body, rad/s: a free one never turns faster."""
+    given = np.asarray(scene.inertia)
+    least = scene.principal.moments.min(axis=-1)
+    rates = _finite(w)
+    if given.shape == (3,):  # a fifth of the time
+        return np.asarray(np.sqrt(np.square(rates) @ np.square(given / least)))
+    return np.asarray(lengths(angular_momentum(rates, given)) / least)
+
+
+def known_turns(
+    scene: Scene,
+    choice: Any,
+    packed: Packed,
+    w: NDArray[Any] | None,
+    first: NDArray[np.float64] | None,
+    clock: Any,
+) -> NDArray[np.float64] | None:
+    """No less than what the method's limit holds for, rad a step, of each body; None if unknown.
+
+    Known are rates by their model and free bodies by their momentum; ``first`` is the first step's.
+    Coordinates have poles; of rk8's twelve stages the look is 1 %, and not worth a second program.
+    ``choice`` and ``clock`` are those of a run.
+    """
+    method: Method = choice.method
+    if choice.attitude.has_poles or (method.rate_calls > _STAGES and not method.stages):
+        return None
+    turning = turning_part(packed.structure)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if isinstance(turning, GivenRate):
+            params = packed.params[..., : turning.n_params]
+            rates = bound(turning.law, params, clock.longest)
+            return None if rates is None else rates * abs(clock.h)
+        if scene.kind == "torqued" or w is None:
+            return None
+        if method.measure != "turn":
+            return first
+        return np.asarray(_fastest(scene, w) * abs(clock.h))
+
+
+def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
+    """Largest known turn, rad a step, of bodies whose steps need no look."""
+    if limit == math.inf:
+        return 3.0  # of exponentials good up to π
+    if method.measure == "asymmetry":
+        return limit
+    # within π with all a method's brackets; DMV converges up to 0.5
+    return min(limit, 0.4 if method.measure == "momentum" else 1.0)
+
+
+def decay(scene: Scene, h: float) -> NDArray[np.float64]:
+    """Largest c h/I of the damping in a scene, of each body or of all."""
+    if scene.kind != "torqued":
+        return np.zeros(1)
+    with np.errstate(over="ignore"):
+        return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
+
+
+def status(
+    x: NDArray[Any],
+    watch: NDArray[Any],
+    damped: NDArray[np.float64],
+    limit: float,
+    method: Method,
+    attitude: Attitude,
+) -> NDArray[np.uint8]:
+    """The flags of each body, from its last state and from what the run watched."""
+    bound = math.inf if attitude.restore is None else NORM_BOUND[x.dtype]
+    turn, norm, invariant = watch
+    found = np.zeros(turn.shape, dtype=np.uint8)
+    if _all_well(x, watch, limit, bound) and not (damped > method.damping_limit).any():
+        return found
+    # 0 times infinity is NaN; a matrix product is 8 times as fast as a reduction of short rows
+    with np.errstate(invalid="ignore"):
+        bad = np.isnan(x @ np.zeros(x.shape[1], dtype=x.dtype))
+    large = Status.SINGULAR if attitude.has_poles else Status.STEP_TOO_LARGE
+    for where, flag in (
+        (bad, Status.NON_FINITE),
+        (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
+        ((np.sqrt(turn) > limit) & np.isfinite(turn), large),
+        (np.broadcast_to(damped > method.damping_limit, turn.shape), Status.STEP_TOO_LARGE),
+        (~(invariant <= INVARIANT_BOUND) & ~bad, Status.INVARIANT),
+        (~(norm <= bound) & ~bad, Status.NORM_LOST),
+    ):
+        found[where] |= np.uint8(flag)
+    return found
+
+
+def _all_well(x: NDArray[Any], watch: NDArray[Any], limit: float, bound: float) -> bool:
+    """Whether no body has a flag of its own: a third of the time of asking for each flag."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        turn, norm, invariant = watch.max(axis=-1) if watch.size else np.zeros(3, watch.dtype)
+        return bool(
+            np.isfinite(x.sum())
+            and np.isfinite(turn)
+            and np.sqrt(turn) <= limit
+            and norm <= bound
+            and invariant <= INVARIANT_BOUND
+        )
+
+
+def warn(
+    turn: NDArray[Any],
+    damped: NDArray[np.float64],
+    limit: float,
+    method: Method,
+    h: float,
+    kind: np.dtype[Any],
+    *,
+    compensated: bool,
+    level: int,
+) -> bool:
+    """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
+    seen = np.asarray(turn)
+    most = float(seen.max()) if seen.size else 0.0
+    if not math.isfinite(most):
+        seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
+        most = float(seen.max())
+    eps = float(np.finfo(kind).eps)
+    text = ""
+    if most > limit:
+        text = (
+            f"dt: a step of body {seen.argmax()} is {most:.3g} rad, {method.name}'s limit is "
+            f"{limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
+            f"|dt| <= {abs(h) * limit / most:.3g}"
+        )
+    elif (damped > method.damping_limit).any():
+        worst = float(damped.max())
+        text = (
+            f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
+            f"to {method.damping_limit:.3g}: take |dt| <= "
+            f"{abs(h) * method.damping_limit / worst:.3g}, or strang2, which damps exactly"
+        )
+    elif 0.0 < most < eps and not compensated:
+        text = (
+            f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
+            f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"
+        )
+    if text:
+        warnings.warn(text, StepWarning, stacklevel=level)
+    return bool(text)

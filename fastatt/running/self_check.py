@@ -1,0 +1,153 @@
+"""A run's own order and error, by halving its step on a sample of its bodies."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt.arrays import angle_between
+from fastatt.methods.method import Method
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.limits import StepWarning
+from fastatt.running.trajectory import Trajectory
+
+_HALVINGS = 7
+# of a declared order: what is found may lie so far below
+_SLACK = 0.5
+# turns, rad, between two steps' results: more is no order yet
+_LARGE = 0.3
+_STEPS = 2_000_000  # body-steps that the check may take
+
+
+class OrderWarning(UserWarning):
+    """A method's error falls more slowly with the step than its order says."""
+
+
+@dataclass(frozen=True)
+class SelfCheck:
+    """What halving the step of a run showed on a sample of its bodies.
+
+    ``error`` is the largest angle at the end, rad, that the run's own step is estimated to be off
+    by; ``order`` the one observed, None where rounding hides it (``limited_by`` "round-off") or the
+    steps were too large for any ("step"); ``declared`` that of the method. ``passed`` is false
+    where an order was observed and is below the declared one. ``norm`` is the largest departure of
+    the state from its group, | |q| − 1 | or ‖C Cᵀ − 1‖.
+    """
+
+    method: str
+    declared: int
+    order: float | None
+    error: float
+    limited_by: str
+    norm: float
+    n_bodies: int
+    passed: bool
+
+    def __str__(self) -> str:
+        found = "no order to be seen" if self.order is None else f"order {self.order:.2f}"
+        return (
+            f"{self.method}: {found}, declared {self.declared}; error {self.error:.1e} rad on "
+            f"{self.n_bodies} bodies, limited by {self.limited_by}; norm off by {self.norm:.1e}"
+        )
+
+
+def examine(
+    run: Callable[[Ensemble, float, int], Trajectory],
+    ensemble: Ensemble,
+    dt: float,
+    n_steps: int,
+    order_of: Callable[[Method], int],
+    *,
+    sample: int = 64,
+) -> SelfCheck:
+    """Halve the step until the order shows, and warn with ``OrderWarning`` where it is too low.
+
+    ``run(ensemble, dt, n_steps)`` propagates a sample, the fastest bodies and others evenly spaced;
+    ``order_of`` gives the order declared of a method by its name.
+    The differences of the results at h, h/2, h/4, … fall by 2^order each; where the first do not
+    yet, as large steps have no order, the step is halved further, until rounding ends it.
+    """
+    some = ensemble.take(_sample(ensemble, sample))
+
+    def quiet(h: float, n: int) -> Trajectory:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", StepWarning)
+            return run(some, h, n)
+
+    first = quiet(dt, n_steps)
+    declared = order_of(first.record)
+    floor = _rounding(first, abs(dt) * n_steps)
+    before = first.q[-1]
+    changes: list[NDArray[np.float64]] = []
+    orders: list[float] = []
+    for k in range(1, _HALVINGS + 1):
+        n = n_steps * 2**k
+        if k > 2 and n * some.size > _STEPS:
+            break
+        after = quiet(dt / 2**k, n).q[-1]
+        changes.append(np.nan_to_num(angle_between(before, after), nan=np.pi))
+        before = after
+        if k > 1:
+            found = _order(changes[-2], changes[-1], floor * math.sqrt(2.0**k))
+            if found is None:
+                break
+            if not math.isnan(found):
+                orders.append(found)
+            if orders and found >= declared - _SLACK:
+                break
+    order = max(orders, default=None)
+    worst = float(changes[0].max())
+    passed = declared == 0 or order is None or order >= declared - _SLACK
+    limited = "truncation"
+    if order is None:
+        limited = "step" if worst > _LARGE else "round-off"
+    check = SelfCheck(
+        method=first.method,
+        declared=declared,
+        order=order,
+        error=worst / (1.0 - 0.5 ** max(1, declared)),
+        limited_by=limited,
+        norm=float(np.abs(first.defect).max()),
+        n_bodies=some.size,
+        passed=passed,
+    )
+    if not passed:
+        warnings.warn(
+            f"{check}: the error falls more slowly than it should; either the method is not what "
+            "it says, or what acts on the bodies is not smooth",
+            OrderWarning,
+            stacklevel=4,
+        )
+    return check
+
+
+def _sample(ensemble: Ensemble, size: int) -> NDArray[np.intp]:
+    n = ensemble.size
+    rows = np.linspace(0, n - 1, min(n, size)).astype(np.intp)
+    if ensemble.w0 is not None and ensemble.w0.ndim == 2 and n > size:
+        fastest = np.argsort(np.linalg.norm(ensemble.w0, axis=1))[-(size // 4) :]
+        rows = np.unique(np.concatenate([rows[:: 2 if size > 1 else 1], fastest]))
+    return rows
+
+
+def _rounding(run: Trajectory, seconds: float) -> float:
+    """Angles, rad, below which two runs of a step may differ by rounding."""
+    eps = float(np.finfo(run.state.dtype).eps)
+    turned = float(np.linalg.norm(run.w, axis=-1).max()) * seconds
+    return 20.0 * eps * (1.0 + turned + math.sqrt(seconds / abs(run.dt)))
+
+
+def _order(coarse: NDArray[np.float64], fine: NDArray[np.float64], floor: float) -> float | None:
+    """The order that the bodies show, median; NaN if none yet, None if rounding hides it."""
+    clear = (fine > floor) & (coarse > floor)
+    if not clear.any():
+        return None
+    small = clear & (coarse < _LARGE)
+    if not small.any():
+        return math.nan
+    return float(np.median(np.log2(coarse[small] / fine[small])))

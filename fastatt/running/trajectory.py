@@ -1,0 +1,152 @@
+"""What a run gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntFlag
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import arrays
+from fastatt.attitudes import Attitude
+from fastatt.flat.rows import rows
+from fastatt.motion import GivenRate, turning_part
+from fastatt.scene import Packed
+
+if TYPE_CHECKING:
+    from fastatt.methods.method import Method
+    from fastatt.running.self_check import SelfCheck
+
+
+class Status(IntFlag):
+    """What went wrong with one body; 0 where nothing did.
+
+    Of a user's rate function on quaternions one step in seven is looked at: a single burst that is
+    shorter may pass without ``STEP_TOO_LARGE``.
+    """
+
+    OK = 0
+    NON_FINITE = 1  #: the state holds NaN or infinity
+    STEP_TOO_LARGE = 2  #: a step turned further than the method's limit
+    INVARIANT = 4  #: the energy or |m|² of a free body changed by more than 1 %
+    SINGULAR = 8  #: the representation's coordinates passed too near their singularity
+    NOT_CONVERGED = 16  #: an implicit step's iteration did not converge
+    NORM_LOST = 32  #: the state left its group by more than round-off explains
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Saved attitudes of one body or of an ensemble, time first.
+
+    ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
+    in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
+    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``defect``
+    (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
+    ‖C Cᵀ − 1‖ of a matrix; ``check`` the order observed, where ``propagate`` was asked for it.
+    """
+
+    t: NDArray[np.float64]
+    state: NDArray[Any]
+    defect: NDArray[Any]
+    status: NDArray[np.uint8]
+    method: str
+    representation: str
+    dt: float
+    one_body: bool
+    packed: Packed = field(repr=False)
+    attitude: Attitude = field(repr=False)
+    record: Method = field(repr=False)
+    #: w, v and r where the scene carries them, each (S, N, 3)
+    carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    check: SelfCheck | None = None
+
+    @cached_property
+    def q(self) -> NDArray[Any]:
+        """Unit quaternions, body to inertial."""
+        if self.attitude.to_quat_array is not None:
+            return self._shaped(self.attitude.to_quat_array(self.state))
+        if self.attitude.to_dcm_array is not None:
+            return arrays.dcm_to_quat(self.C)
+        return self._shaped(self.state)
+
+    @cached_property
+    def C(self) -> NDArray[Any]:
+        """Direction cosine matrices, body to inertial."""
+        if self.attitude.to_dcm_array is not None:
+            return self._shaped(self.attitude.to_dcm_array(self.state))
+        return arrays.quat_to_dcm(self.q)
+
+    @cached_property
+    def euler313(self) -> NDArray[Any]:
+        """3-1-3 Euler angles (φ, θ, ψ), rad."""
+        if self.representation == "euler313":
+            return self._shaped(self.state)
+        return arrays.quat_to_euler313(self.q)
+
+    @cached_property
+    def w(self) -> NDArray[Any]:
+        """Angular velocity in body axes at the saved times, rad/s."""
+        if "w" in self.carried:
+            return self._shaped(self.carried["w"])
+        turning = turning_part(self.packed.structure)
+        assert isinstance(turning, GivenRate)
+        w = self._shaped(self._given(turning))
+        if turning.inertial:
+            w = np.einsum("...ji,...j->...i", self.C, w)
+        with np.errstate(over="ignore"):
+            return w.astype(self.state.dtype, copy=False)
+
+    def _given(self, turning: GivenRate) -> NDArray[np.float64]:
+        """w (S, N, 3) of a rate that is given, along the axes in which it is."""
+        law = turning.law
+        rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)
+        params = self.packed.params[..., : law.count]
+        (found,) = rates(self.t[:, None], params, tables=self.packed.tables)
+        return np.broadcast_to(found, (*self.state.shape[:2], 3))
+
+    @property
+    def v(self) -> NDArray[Any]:
+        """Velocity in body axes, m/s, of a scene with mass."""
+        return self._shaped(self._carried("v", "mass"))
+
+    @property
+    def r(self) -> NDArray[Any]:
+        """Position in inertial axes, m, of a scene with mass where r0 was given."""
+        return self._shaped(self._carried("r", "mass, propagated from an r0"))
+
+    def _carried(self, name: str, needs: str) -> NDArray[Any]:
+        if name not in self.carried:
+            raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
+        return self.carried[name]
+
+    def status_counts(self) -> dict[str, int]:
+        """How many bodies carry each flag; empty when all are fine."""
+        found = {f.name or "": int(np.count_nonzero(self.status & f)) for f in Status if f}
+        return {name: count for name, count in found.items() if count}
+
+    def summary(self) -> str:
+        """What was run and what went wrong, in a few lines."""
+        n = self.status.size
+        bodies = "1 body" if n == 1 else f"{n} bodies"
+        far = np.nan_to_num(np.abs(self.defect)).max()
+        first = (
+            f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
+            f"t = {self.t[-1]:g} s by {self.dt:g} s, {self.t.size} saves; largest departure from "
+            f"the group {far:.1e}"
+        )
+        lines = [first]
+        for flag in (f for f in Status if f):
+            where = np.flatnonzero(self.status & flag)
+            if where.size:
+                shown = ", ".join(str(b) for b in where[:5]) + (", …" if where.size > 5 else "")
+                lines.append(f"{flag.name} ({int(flag)}): {where.size} of {n}, body {shown}")
+        if self.check is not None:
+            lines.append(str(self.check))
+        return "\n".join(lines)
+
+    def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
+        return value[:, 0] if self.one_body else value

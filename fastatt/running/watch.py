@@ -1,0 +1,111 @@
+"""Drift statistics gathered while a run goes on: a fixed number of bytes a body, no history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.running.drift import drift
+from fastatt.running.propagate import propagate
+from fastatt.running.trajectory import Trajectory
+from fastatt.scene import Scene
+
+# a share of powers of 2: below round-off of float64 up to a motion that is lost
+_LOWEST, _BINS = -56, 64
+
+
+class Measure:
+    """The values of one measure at the saves of every body, as their maximum and a histogram.
+
+    ``maximum`` (N,). 64 bins of a factor of 2 hold the rest: 256 bytes a body.
+    """
+
+    def __init__(self, n_bodies: int) -> None:
+        self.maximum = np.zeros(n_bodies)
+        self._counts = np.zeros((n_bodies, _BINS), dtype=np.uint32)
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Values (S, N) of some saves."""
+        self.maximum = np.maximum(self.maximum, values.max(axis=0))
+        with np.errstate(divide="ignore"):
+            power = np.nan_to_num(np.log2(values), nan=_BINS, posinf=_BINS, neginf=_LOWEST)
+        place = np.clip(np.floor(power).astype(np.int64) - _LOWEST, 0, _BINS - 1)
+        n = self.maximum.size
+        flat = (place + _BINS * np.arange(n)).ravel()
+        self._counts += np.bincount(flat, minlength=n * _BINS).reshape(n, _BINS).astype(np.uint32)
+
+    def percentile(self, percent: float) -> NDArray[np.float64]:
+        """What so many percent of a body's saves do not exceed, (N,); right to a factor of 2.
+
+        Raises ``ValueError`` for what is not between 0 and 100.
+        """
+        share = checks.real("percent", percent) / 100.0
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"percent: found {percent}; accepted: 0 to 100")
+        running = self._counts.cumsum(axis=1)
+        wanted = np.maximum(np.ceil(share * running[:, -1:]), 1.0)
+        upper = 2.0 ** (np.argmax(running >= wanted, axis=1) + _LOWEST + 1)
+        return np.asarray(np.minimum(upper, self.maximum))
+
+
+@dataclass(frozen=True, eq=False)
+class DriftStatistics:
+    """Drifts of a run, as ``fastatt.drift`` defines them, over its saves.
+
+    Each is a :class:`Measure` or, where the scene does not keep it, None. ``trajectory`` holds the
+    final state and the status.
+    """
+
+    norm: Measure
+    orthogonality: Measure
+    energy: Measure | None
+    momentum: Measure | None
+    saves: int
+    trajectory: Trajectory
+
+
+def watch_drift(
+    scene: Scene,
+    q0: ArrayLike,
+    w0: ArrayLike | None = None,
+    *,
+    every: int,
+    **options: Any,
+) -> DriftStatistics:
+    """Propagate and gather the drift every so many steps, without storing a history.
+
+    ``options`` are those of :func:`fastatt.propagate` but ``save_every``, ``sink`` and
+    ``progress``; 17 saves are in memory at a time, and 1 kB of counts a body. Energies and momenta
+    are in relation to the largest of those 17.
+
+    Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+    """
+    for name in ("save_every", "sink", "progress"):
+        if name in options:
+            raise TypeError(f"{name}: found; accepted: every, the steps between two looks")
+    found: dict[str, Measure] = {}
+    saves = 0
+
+    def sink(piece: Trajectory) -> None:
+        nonlocal saves
+        measured = drift(piece, scene)
+        saves += piece.t.size - 1
+        for name in ("norm", "orthogonality", "energy", "momentum"):
+            values = getattr(measured, name)
+            if values is not None:
+                rows = values.reshape(piece.t.size, -1)[1:]
+                found.setdefault(name, Measure(rows.shape[1])).add(rows)
+
+    last = propagate(scene, q0, w0, save_every=every, sink=sink, **options)
+    return DriftStatistics(
+        norm=found["norm"],
+        orthogonality=found["orthogonality"],
+        energy=found.get("energy"),
+        momentum=found.get("momentum"),
+        saves=saves,
+        trajectory=last,
+    )

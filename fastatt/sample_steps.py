@@ -1,0 +1,227 @@
+"""Windows of gyro samples one at a time, from Python and from a user's ``@njit`` code.
+
+The formulas are those of :func:`fastatt.integrate_rates`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from fastatt import checks
+from fastatt._jit import helper, kernel
+from fastatt.flat.scalar import scalar_function
+from fastatt.gyro.turns import products
+from fastatt.gyro.windows import Iteration, Window
+from fastatt.kernels import quat
+from fastatt.methods import METHODS
+from fastatt.methods import coning2 as _coning2
+from fastatt.methods import coning3 as _coning3
+from fastatt.methods import hold as _hold
+from fastatt.methods import previous as _previous
+from fastatt.methods import trapezoid as _trapezoid
+
+# squared angle up to which the short exponential holds, less a margin
+_SHORT = 9.0
+
+
+@kernel
+def turned(q, u):
+    """q∘exp(u): bit for bit the same by the short exponential, where it holds, as by the other."""
+    F = type(q[0])
+    if u[0] * u[0] + u[1] * u[1] + u[2] * u[2] < F(_SHORT):
+        return quat.mul(q, quat.exp_short(u))
+    return quat.mul(q, quat.exp(u))
+
+
+@kernel
+def turned_twice(q, u):
+    """(q∘exp(u1), q∘exp(u2)) of two rotation vectors, flat."""
+    return turned(q, u[:3]), turned(q, u[3:])
+
+
+@kernel
+def turned_thrice(q, u):
+    """(q∘exp(u1), q∘exp(u2), q∘exp(u3)) of three rotation vectors, flat."""
+    return turned(q, u[:3]), turned(q, u[3:6]), turned(q, u[6:])
+
+
+@kernel
+def hold(q, w, h):
+    """Attitude h s later at the rate w (rad/s, body axes), held: q∘exp(h w)."""
+    return turned(q, _hold.rates(w, (h,)))
+
+
+@kernel
+def hold_increments(q, u):
+    """Attitude after the angle increment u (rad), taken for a rotation vector: q∘exp(u)."""
+    return turned(q, u)
+
+
+@kernel
+def trapezoid(q, w0, w1, h):
+    """Attitude h s later by the mean of the rates w0 before and w1 after (rad/s)."""
+    return turned(q, _trapezoid.rates(w0 + w1, (h,)))
+
+
+@kernel
+def previous(q, w0, w1, w2, h0, h1):
+    """Attitude at the newest sample from q at w1's instant: a parabola through three rates.
+
+    w0, w1, w2 (rad/s) were sampled h0 and h1 s apart, w2 the newest: causal, order 3.
+    """
+    return turned(q, _previous.rates(w0 + w1 + w2, (h0, h1)))
+
+
+@kernel
+def previous_increments(q, u0, u1, h0, h1):
+    """Attitude after the newest increment u1 (rad) over h1 s, u0 the one over the h0 s before."""
+    return turned(q, _previous.increments(u0 + u1, (h0, h1)))
+
+
+@kernel
+def coning2(q, w0, w1, w2, h0, h1):
+    """(q1, q2): attitudes h0 and h0 + h1 s after q, from rates at all three instants; order 4."""
+    return turned_twice(q, _coning2.rates(w0 + w1 + w2, (h0, h1)))
+
+
+@kernel
+def coning2_increments(q, u0, u1, h0, h1):
+    """(q1, q2): attitudes after each of two increments (rad) over h0 and h1 s."""
+    return turned_twice(q, _coning2.increments(u0 + u1, (h0, h1)))
+
+
+@kernel
+def coning3(q, w0, w1, w2, w3, h0, h1, h2):
+    """(q1, q2, q3): attitudes at the ends of three intervals, from rates at all four instants."""
+    return turned_thrice(q, _coning3.rates(w0 + w1 + w2 + w3, (h0, h1, h2)))
+
+
+@kernel
+def coning3_increments(q, u0, u1, u2, h0, h1, h2):
+    """(q1, q2, q3): attitudes after each of three increments (rad) over h0, h1 and h2 s."""
+    return turned_thrice(q, _coning3.increments(u0 + u1 + u2, (h0, h1, h2)))
+
+
+@kernel
+def coning3_optimal_increments(q, u0, u1, u2):
+    """(q1, q2, q3) of increments (rad) over equal intervals, the last optimal for pure coning."""
+    one = type(u0[0])(1.0)
+    return turned_thrice(q, _coning3.increments_optimal(u0 + u1 + u2, (one, one, one)))
+
+
+@dataclass(frozen=True)
+class SampleStepper:
+    """One window of gyro samples, made by :func:`sample_step`.
+
+    The window covers ``span`` intervals and looks ``history`` intervals back; it holds ``samples``
+    rates at the ends of all these intervals, rad/s, or increments over them, rad.
+
+    ``step(q, v, h)`` gives the ``span`` attitudes after q, flat: v are the samples and h the
+    intervals (s), flat tuples, the oldest first.
+    ``step_into(samples, intervals, out, work)`` fills out[1:]: samples (``samples``, 3), intervals
+    (``history + span``,), out (``span`` + 1, 4) whose first row is the attitude at the window's
+    start, work (``work``,), which no method needs any more; arrays of one float type, contiguous.
+    """
+
+    method: str
+    history: int
+    span: int
+    samples: int
+    work: int
+    step: Any
+    step_into: Any
+
+
+def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
+    """One window of a method for sampled rates or angle increments, by its name.
+
+    The formulas are those of :func:`fastatt.integrate_rates`, which gives the same attitudes bit
+    for bit as far as the compiler fuses the same operations, but for the first and last ones of a
+    log, where it has to extrapolate.
+
+    Raises ``ValueError`` for a method that does not take such samples.
+    """
+    scene = "increments" if increments else "sampled rates"
+    known = [m.name for m in METHODS.values() if scene in m.scenes]
+    window = METHODS[checks.choice("method", method, known)].window
+    step, step_into = _functions(window, increments)
+    return SampleStepper(
+        method=method,
+        history=window.history,
+        span=window.span,
+        samples=window.samples(increments),
+        work=0,
+        step=step,
+        step_into=step_into,
+    )
+
+
+@helper
+def one_quaternion(q, u):
+    """``turned`` of one rotation vector, flat."""
+    return turned(q, u)
+
+
+@helper
+def two_quaternions(q, u):
+    """``turned_twice``, flat."""
+    a, b = turned_twice(q, u)
+    return a + b
+
+
+@helper
+def three_quaternions(q, u):
+    """``turned_thrice``, flat."""
+    a, b, c = turned_thrice(q, u)
+    return a + b + c
+
+
+_FLAT: dict[int, Any] = {1: one_quaternion, 2: two_quaternions, 3: three_quaternions}
+
+
+def _functions(window: Window, increments: bool) -> tuple[Any, Any]:
+    """``step`` and ``step_into``."""
+    if window.iteration is not None:
+        step = scalar_function(_straight(window.iteration, increments))
+        into = _into(step, 3 * window.samples(increments), window.intervals, 4 * window.span)
+        return step, kernel(into, cache=False)
+    # they close over plain functions and numbers alone, which Numba's disk cache knows again
+    functions = _stepped(_FLAT[window.span], window.formula(increments), 4 * window.span)
+    return kernel(functions[0]), kernel(functions[1])
+
+
+def _stepped(apply: Any, formula: Any, size: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    def step(q, v, h):
+        return apply(q, formula(v, h))
+
+    def step_into(samples, intervals, out, work):
+        q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
+        d = apply(q, formula(samples.reshape(-1), intervals))
+        flat = out.reshape(-1)
+        for i in range(size):
+            flat[4 + i] = d[i]
+
+    return step, step_into
+
+
+def _straight(iteration: Iteration, increments: bool) -> Callable[..., Any]:
+    def step(q: Any, v: Any, h: Any) -> Any:
+        return tuple(products(q, iteration.attitudes(increments, v, h)))
+
+    return step
+
+
+def _into(step: Any, n_samples: int, n_intervals: int, size: int) -> Callable[..., Any]:
+    def step_into(samples, intervals, out, work):
+        q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
+        v = to_fixed_tuple(samples.reshape(-1), n_samples)
+        d = step(q, v, to_fixed_tuple(intervals, n_intervals))
+        flat = out.reshape(-1)
+        for i in range(size):
+            flat[4 + i] = d[i]
+
+    return step_into

@@ -1,0 +1,66 @@
+"""Pieces of work on a few threads, with progress and a way out between pieces.
+
+Compiled loops let go of the GIL: a small pool that calls them nests under other schedulers, and
+needs no compiler's own threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Event
+
+from fastatt import checks
+
+
+def default_threads() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def number_of(n_threads: int | None) -> int:
+    """A number of threads, all by default.
+
+    Raises ``ValueError`` or ``TypeError`` for what is none.
+    """
+    return default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
+
+
+@contextmanager
+def progress_bar(wanted: bool, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+    """A tqdm bar's ``update``, or a function that does nothing.
+
+    Raises ``ImportError`` when a bar is wanted and tqdm is not installed.
+    """
+    if not wanted:
+        yield lambda done: None
+        return
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        raise ImportError(
+            "progress: needs tqdm; install it with pip install 'fastatt[progress]'"
+        ) from None
+    with tqdm(total=total, unit=unit, unit_scale=True) as bar:
+        yield bar.update
+
+
+def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:
+    """Run tasks, each of which looks at the event between its pieces and stops when it is set."""
+    stop = Event()
+    if n_threads == 1 or len(tasks) == 1:
+        for task in tasks:
+            task(stop)
+        return
+    with ThreadPoolExecutor(min(n_threads, len(tasks))) as pool:
+        futures = [pool.submit(task, stop) for task in tasks]
+        try:
+            for future in futures:
+                future.result()
+        except BaseException:
+            stop.set()
+            for future in futures:
+                future.cancel()
+            raise

@@ -1,0 +1,339 @@
+"""The search for the cheapest case: how many steps each needs, and which is the best of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fastatt import torques
+from fastatt.arrays import angle_between
+from fastatt.engine.layout import WIDTH
+from fastatt.models import Sum
+from fastatt.scene import Scene
+from fastatt.threads import default_threads
+from fastatt.trade.measure import Case, best_time, is_flat
+from fastatt.trade.recommendation import Point, Recommendation, told
+from fastatt.trade.reference import reference
+from fastatt.trade.sample import Look, Sample
+from fastatt.trade.work_precision import DTYPES
+
+_SINGLE = 1e-6  # rad: nothing is that exact in float32
+_WORTH = 4.0  # a guessed time this much over the best known is not looked into
+_NEAR = 1.5  # times as long as the best: timed again beside it
+_CLOSE = 0.06  # of a number of steps: near enough to the least
+_LOOKS = 10  # at numbers of steps, a case
+_AHEAD = 16.0  # times the steps, from one look to the next: the order may not show yet
+_MOST = 3e7  # body-steps of a look, 1 or 2 s
+_SHORT = 0.05  # s: a run that is timed as a whole
+_WHOLE = 1.0  # s: a run beside which a call does not count
+_WHY = "whose motion magnifies rounding, or where what acts jumps"
+
+
+def _rounds(cases: Sequence[Case]) -> list[list[Case]]:
+    """Closed forms, then steps in double precision, then in single."""
+    closed = [c for c in cases if not c.record.order]
+    stepped = [c for c in cases if c.record.order]
+    kinds = [[c for c in stepped if c.dtype == dtype] for dtype in DTYPES]
+    return [some for some in (closed, *kinds) if some]
+
+
+class Search(Sample):
+    """The least steps of each case that meet a tolerance, or the best within a time."""
+
+    def least(self, look: Look, tol: float, best: float) -> int | None:
+        """The least number of steps that meets the tolerance, near enough; None where none can."""
+        if not look.order:
+            n = min(look.errors)
+            return n if look.errors[n] <= tol else None
+        for _ in range(_LOOKS):
+            bad = max((n for n, e in look.errors.items() if e > tol), default=0)
+            good = min((n for n, e in look.errors.items() if e <= tol and n > bad), default=None)
+            if good is not None and (
+                good <= look.first or good - bad <= max(self.unit, _CLOSE * good)
+            ):
+                return good
+            n_next = self._next(look, tol, bad, good)
+            if n_next is None or look.seconds(n_next) > _WORTH * best or self._too_long(n_next):
+                return good
+            self.error(look, n_next)
+        return good
+
+    def _too_long(self, n: int) -> bool:
+        """Whether n steps of the sample are more than any look may take."""
+        return bool(n / self.divide * self.sampled > _MOST)
+
+    def _next(self, look: Look, tol: float, bad: int, good: int | None) -> int | None:
+        """The next number of steps to look at."""
+        tried = sorted(look.errors)
+        near = tried[-2:] if good is None else [n for n in tried if n >= bad][:2]
+        a, b = near[0], near[-1]
+        ea, eb = look.errors[a], look.errors[b]
+        p = float(look.order)
+        if a != b and 0.0 < eb < ea < math.inf:
+            p = float(np.clip(math.log(ea / eb) / math.log(b / a), 0.5 * p, 2.0 * p))
+        if good is None:
+            if a != b and b >= 1.4 * a and is_flat(look.case, look.order, (a, ea), (b, eb)):
+                return None
+            if eb > 0.5:
+                return self.rounded(2.0 * b)
+            ahead = self.rounded(1.02 * b * min((eb / tol) ** (1.0 / p), _AHEAD))
+            return max(ahead, b + self.unit)
+        error = look.errors[good]
+        back = 1.02 * good * (error / tol) ** (1.0 / p)
+        if bad == 0:
+            return min(self.rounded(max(back, look.first, good // 8)), good - self.unit)
+        # between the two, away from either
+        apart = 0.25 * (good - bad)
+        n = self.rounded(min(max(back, bad + apart), good - apart))
+        return min(n, good - self.unit)
+
+    def cheapest(self, cases: Sequence[Case], tol: float, done: Any) -> Recommendation:
+        """The case that meets the tolerance in the shortest time."""
+        self._check_reference(tol)
+        within = tol / 1.1 if self.sampled < self.whole.ensemble.size else tol
+        met: list[tuple[Look, int]] = []
+        best = math.inf
+
+        def guess(look: Look) -> float:
+            return look.seconds(look.steps_for(within))
+
+        looks: list[Look] = []
+        for some in _rounds(cases):
+            # in single precision a method is no more than some 2.5 times as fast
+            slow = {
+                look.case._replace(dtype="float32") for look in looks if guess(look) > 2.5 * best
+            }
+            stepped = best > self.least_seconds
+            new = [
+                self.look(case)
+                for case in some
+                if case not in slow and (stepped or not case.record.order)
+            ]
+            looks += new
+            done(2 * len(some))
+            for look in sorted(new, key=guess):
+                if guess(look) > _WORTH * best:
+                    continue
+                n = self.least(look, within, best)
+                if n is not None:
+                    met.append((look, n))
+                    best = min(best, look.seconds(n))
+        met.sort(key=lambda found: found[0].seconds(found[1]))
+        sure: list[tuple[Look, int, float]] = []
+        for look, n in met[:3]:
+            if sure and look.seconds(n) > _NEAR * sure[0][0].seconds(sure[0][1]):
+                sure.append((look, n, self.unseen))  # which is not what will be run
+            elif found := self._sure(look, n, tol):
+                sure.append(found)
+        if not sure:
+            raise ValueError(f"tol: found {tol:g}; {self._reachable(looks)}")
+        return self._advise(sure, tol=tol)
+
+    def _sure(self, look: Look, n: int, tol: float) -> tuple[Look, int, float] | None:
+        """Steps that are enough for the bodies outside the sample too, and their safety."""
+        for _ in range(_LOOKS):
+            safety = self.safety(look, n)
+            error = safety * self.error(look, n)
+            if error <= tol:
+                return look, n, safety
+            if not look.order:
+                return None
+            more = 1.3 if error == math.inf else 1.01 * (error / tol) ** (1.0 / look.order)
+            further = max(self.rounded(min(more, _AHEAD) * n), n + self.unit)
+            if self._too_long(further):
+                return None
+            before = (n, look.errors[n])
+            n = further
+            if is_flat(look.case, look.order, before, (n, self.error(look, n))):
+                return None
+        return None
+
+    def most_accurate(self, cases: Sequence[Case], budget: float, done: Any) -> Recommendation:
+        """The case of least error within the time; of those within twice that, the cheapest."""
+        met: list[tuple[Look, int]] = []
+        looks: list[Look] = []
+        least = math.inf
+        for some in _rounds(cases):
+            if least < _SINGLE and some and some[0].dtype == "float32":
+                break
+            new = [self.look(case) for case in some]
+            looks += new
+            done(2 * len(some))
+            for look in sorted(new, key=lambda look: -look.order):
+                n = self._within(look, budget, least)
+                if n is not None:
+                    met.append((look, n))
+                    least = min(least, look.errors[n])
+        if not met:
+            fastest = min(looks, key=lambda look: look.seconds(look.first))
+            raise ValueError(
+                f"budget: found {budget:g} s; accepted: at least the "
+                f"{told(fastest.seconds(fastest.first))} that {fastest.case} takes in "
+                f"{fastest.first} steps"
+            )
+        sure = [(look, n, self.safety(look, n)) for look, n in met if look.errors[n] <= 2.0 * least]
+        return self._advise(sure, budget=budget)
+
+    def _within(self, look: Look, budget: float, least: float) -> int | None:
+        """The number of steps with the least error that the time allows, if that may be least."""
+        most = look.first
+        if look.order:
+            most = int((0.95 * budget - look.fixed) / look.slope) // self.unit * self.unit
+        if most < look.first or look.seconds(most) > budget:
+            return None
+        n = min(look.errors)
+        if n > most:
+            self.error(look, most)
+        while look.order and n < most:
+            if look.errors[n] < 1.0 and look.errors[n] * (n / most) ** look.order > 4.0 * least:
+                return None
+            further = min(most, 2 * n)
+            if is_flat(
+                look.case,
+                look.order,
+                (n, look.errors[n]),
+                (further, self.error(look, further)),
+            ):
+                break
+            n = further
+        allowed = {n: e for n, e in look.errors.items() if n <= most and e < math.inf}
+        return min(allowed, key=lambda n: allowed[n]) if allowed else None
+
+    def _check_reference(self, tol: float) -> None:
+        own = float(self.known.own_error.max()) * self.divide
+        if own > 0.25 * tol:
+            raise ValueError(
+                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.known.source}, the "
+                f"reference, is good to {own:.1e} rad of some body, {_WHY}"
+            )
+
+    def _reachable(self, looks: Sequence[Look]) -> str:
+        tried = [(e, n, look) for look in looks for n, e in look.errors.items()]
+        error, n, look = min(tried, key=lambda found: found[0])
+        return f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, {_WHY}"
+
+    def _advise(
+        self,
+        met: list[tuple[Look, int, float]],
+        tol: float | None = None,
+        budget: float | None = None,
+    ) -> Recommendation:
+        """Time the best again, side by side, and say what limits the first of them."""
+        met.sort(key=lambda found: found[0].seconds(found[1]))
+        close = [f for f in met if f[0].seconds(f[1]) < _NEAR * met[0][0].seconds(met[0][1])]
+        threads = self.whole.n_threads or default_threads()
+        threads = max(1, min(threads, -(-self.whole.ensemble.size // WIDTH)))
+        timed = {id(look): math.inf for look, _, _ in close}
+        long = met[0][0].seconds(met[0][1]) > _WHOLE
+        for _ in range(1 if long else 2):  # they take turns
+            for look, n, _ in close:
+                timed[id(look)] = min(timed[id(look)], self._clock(look, n))
+        # what was not timed beside the best was not made sure of either
+        met.sort(
+            key=lambda found: (
+                id(found[0]) not in timed,
+                timed.get(id(found[0]), found[0].seconds(found[1])),
+            )
+        )
+        look, n, safety = met[0]
+        seconds = timed.get(id(look), look.seconds(n))
+        while budget is not None and seconds > budget and look.order:
+            less = self.rounded(0.9 * n * budget / seconds) - self.unit
+            if less < look.first:
+                break
+            n, safety = less, self.safety(look, less)
+            self.error(look, n)
+            seconds = self._clock(look, n)
+        if self.whole.n_threads is None and threads > 1 and seconds < 5e-3:
+            alone = self._clock(look, n, 1)
+            if alone < seconds:
+                threads, seconds = 1, alone
+        up = None
+        if len(met) > 1:
+            other, m, factor = met[1]
+            taken = timed.get(id(other), other.seconds(m))
+            up = Point(other.case, m, factor * other.errors[m], taken)
+        error = safety * look.errors[n]
+        sampling = self._sampling_error()
+        limit = self._limit(look, n)
+        if sampling is not None and sampling > error:
+            limit = "sampling"
+        return Recommendation(
+            method=look.case.name,
+            representation=look.case.stored_as,
+            dtype=look.case.dtype,
+            dt=self.whole.t_end / n,
+            n_steps=n,
+            save_every=n // self.n_saves if self.saved else None,
+            n_threads=threads,
+            expected_error=error,
+            expected_seconds=seconds,
+            runner_up=up,
+            margin=None if up is None else up.seconds / seconds,
+            limited_by=limit,
+            tol=tol,
+            budget=budget,
+            n_bodies=self.whole.ensemble.size,
+            sampled=self.sampled,
+            safety=safety,
+            reference=self.known.source,
+            reference_error=float(self.known.own_error.max()),
+            sampling_error=sampling,
+            extrapolated_from=self.problem.t_end if self.divide > 1 else None,
+            case=look.case,
+            curve=self.points,
+        )
+
+    def _clock(self, look: Look, n: int, threads: int | None = None) -> float:
+        """Seconds of the whole call: measured where it is short, else from fewer steps."""
+        every = n // self.n_saves if self.saved else None
+        threads = self.whole.n_threads if threads is None else threads
+        whole = replace(self.whole, n_threads=threads)
+        if look.seconds(n) < _SHORT:
+            return best_time(lambda: whole.run(look.case, n, every), 2)[0]
+        if not look.order:
+            return look.seconds(n)
+        self.time(look, n)
+        one = replace(whole, t_end=whole.t_end / n)
+        once = best_time(lambda: one.run(look.case, 1), 1)[0]
+        return once + look.slope * (n - 1)
+
+    def _limit(self, look: Look, n: int) -> str:
+        if not look.order:
+            return "round-off"
+        finer = self.error(look, 2 * n)
+        return "round-off" if finer > look.errors[n] * 0.5 ** (0.5 * look.order) else "truncation"
+
+    def _sampling_error(self) -> float | None:
+        """What the interval of a sampled torque costs: linear between samples, of order 2."""
+        scene = self.whole.ensemble.scene
+        coarse = _decimated(scene.torque)
+        if coarse is None:
+            return None
+        fewer = replace(self.problem.ensemble, scene=replace(self._scene, torque=coarse))
+        problem = replace(self.problem, ensemble=fewer)
+        apart = angle_between(reference(problem).end.q, self.known.end.q)
+        return float(apart.max()) / 3.0
+
+    @cached_property
+    def _scene(self) -> Scene:
+        return self.problem.ensemble.scene
+
+
+def _decimated(model: Any) -> Any:
+    """The torque with every second sample of its histories; None where it has none."""
+    if isinstance(model, torques.Sampled):
+        samples = np.asarray(model.torques)
+        if len(samples) % 2 == 0:  # the history ends where it did: its last line goes on
+            samples = np.concatenate([samples, 2.0 * samples[-1:] - samples[-2:-1]])
+        return model._replace(torques=samples[::2], dt=2.0 * model.dt)
+    if isinstance(model, Sum):
+        terms = [(term, _decimated(term)) for term in model.terms]
+        if any(coarse is not None for _, coarse in terms):
+            return Sum(tuple(term if coarse is None else coarse for term, coarse in terms))
+    return None

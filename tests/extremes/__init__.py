@@ -1,0 +1,1 @@
+"""Every method at the extremes: what ``extremes.page`` writes down."""

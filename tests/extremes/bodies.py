@@ -1,0 +1,319 @@
+"""Free bodies of all shapes, damping and weights, against closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.special import ellipj
+
+import fastatt as fa
+from extremes.cases import (
+    ANGLES,
+    ANGLES_PROMISE,
+    OF_BODIES,
+    OF_PENDULA,
+    OF_PENDULA_IN_MATRICES,
+    ONE,
+    PROMISE,
+    START,
+    Array,
+    Case,
+    Column,
+    Outcome,
+    angle,
+    exp,
+    mul,
+    propagate,
+    rounding,
+    share,
+    single,
+)
+from extremes.rates import AXES
+
+
+def truncation_of_body(case: Case, inertia: Array, w: Array, h: float) -> Array:
+    """The same of a free body's step, rad or |Δm|/|m|."""
+    theta = abs(h) * np.linalg.norm(w, axis=-1)
+    if case.representation in ANGLES:
+        return np.full_like(theta, ANGLES_PROMISE * case.record.limit(case.representation))
+    order = case.record.order_of("free")
+    grows = measured(case, inertia, w, h)
+    if case.record.sorted_axes:
+        # a commutator has both rotors' angles; the others of its factors may be either's
+        grows = (grows**2 * turn_of_body(inertia, w, h) ** (order - 2)) ** (1.0 / order)
+    return theta * share(OF_BODIES, case.method, order, grows)
+
+
+# free bodies
+
+V = (0.6, 0.8, 1.0)
+H = (2.0, 1.0, 0.625)  # of the literature's body, numbers that both precisions hold
+SHAPES: Mapping[str, tuple[float, float, float]] = {
+    "V": V,
+    "rod 1e-3": (1e-3, 1.0, 1.0),
+    "needle 1e3": (1.0, 1e3, 1000.5),
+    "needle 1e6": (1.0, 1e6, 1000000.5),
+    "rod 1e6": (1.0, 1e6, 1e6),
+    "disc": (1.0, 1.0, 2.0),
+    "disc ±2 %": (0.5, 0.52, 1.0),
+    "1+1e-6": (1.0, 1.0 + 2.0**-20, 1.0 + 2.0**-19),
+    "1, 2, 2.9": (1.0, 2.0, 2.9),
+    "1, 1e6, 2e6": (1.0, 1e6, 2e6),
+    "1, 2, 1e6": (1.0, 2.0, 1e6),
+}
+BODY_STEPS = 16
+
+
+def spins(inertia: Array) -> Array:
+    """Rates of size 1: random ones, random momenta, and turning about each axis, (11, 3)."""
+    rng = np.random.default_rng(4)
+    w = np.vstack([rng.normal(size=(4, 3)), rng.normal(size=(4, 3)) / inertia, np.eye(3)])
+    return w / np.linalg.norm(w, axis=1, keepdims=True)
+
+
+def rolled(rows: Array) -> Array:
+    """Rows whose axes are the first in turn: what a method does to the order of axes shows."""
+    return np.take_along_axis(rows, (np.arange(3) + np.arange(len(rows))[:, None]) % 3, axis=1)
+
+
+def asymmetry(inertia: Array, m: Array, h: float) -> Array:
+    """|m|h times the geometric mean of both rotors' 1/I: what a splitting errs by, 0 if exact."""
+    low, middle, high = np.sort(inertia, axis=-1).T
+    size = np.linalg.norm(m, axis=-1)
+    return np.asarray(
+        abs(h) * size * np.sqrt((1.0 / low - 1.0 / middle) * (1.0 / middle - 1.0 / high))
+    )
+
+
+def turn_of_body(inertia: Array, w: Array, h: float) -> Array:
+    """Turn in a step, rad: Euler's equations of what can't exist turn faster than the body does."""
+    apart = np.abs(np.roll(inertia, 1, axis=-1) - np.roll(inertia, -1, axis=-1)) / inertia
+    return np.asarray(abs(h) * np.linalg.norm(w, axis=-1) * np.maximum(1.0, apart.max(axis=-1)))
+
+
+def measured(case: Case, inertia: Array, w: Array, h: float) -> Array:
+    """What the error of a step of a free body grows with."""
+    m = inertia * w
+    if case.record.sorted_axes:
+        return asymmetry(inertia, m, h)
+    if case.method.startswith("dmv"):
+        return np.asarray(abs(h) * np.linalg.norm(m, axis=-1) / np.abs(inertia).min(axis=-1))
+    return turn_of_body(inertia, w, h)
+
+
+def closed(inertia: Array, q0: Array, w0: Array, t: float) -> tuple[Array, Array]:
+    q, w = fa.exact.free_body(q0, w0, inertia, t, allow_unphysical=True)
+    return q, w
+
+
+def conditioning(inertia: Array, q0: Array, w0: Array, t: float) -> Array:
+    """How many times a change of the momentum, relative, is found in the state after t s."""
+    most = np.ones(len(w0))
+    size = 1e-7
+    m = inertia * w0
+    length = np.linalg.norm(m, axis=1, keepdims=True)
+    for at in (0.5 * t, t):
+        q, w = closed(inertia, q0, w0, at)
+        for direction in np.eye(3):
+            p, v = closed(inertia, q0, (m + size * length * direction) / inertia, at)
+            apart = np.maximum(
+                angle(p, q), np.linalg.norm(inertia * (v - w), axis=1) / length[:, 0]
+            )
+            with np.errstate(invalid="ignore"):
+                most = np.fmax(most, 1.0 + apart / size)
+    return most
+
+
+def invariants_lost(inertia: Array, q0: Array, w0: Array, q: Array, w: Array) -> Array:
+    """Largest relative change of the momentum in space and of the energy."""
+
+    def kept(q: Array, w: Array) -> tuple[Array, Array]:
+        in_space = np.einsum("nij,nj->ni", fa.quat_to_dcm(q), inertia * w)
+        return in_space, 0.5 * (inertia * w * w).sum(axis=-1)
+
+    (before, energy), (after, work) = kept(q0, w0), kept(q, w)
+    size = above_zero(np.linalg.norm(before, axis=1))
+    energy = above_zero(energy)
+    # dT = w·dm: a needle's energy is in the least of its momenta
+    ratio = 1.0 + np.linalg.norm(w0, axis=1) * size / energy
+    off = np.abs(work / energy - 1.0) / ratio
+    return np.maximum(np.linalg.norm(after - before, axis=1) / size, off)
+
+
+def above_zero(x: Array) -> Array:
+    return np.where(x > 0.0, x, 1.0)
+
+
+def free(inertia: Any, w0: Array, h: float, n_steps: int) -> Callable[[Case], Outcome]:
+    """Free bodies against the closed form; where rounding alone decides, their invariants."""
+
+    def run(case: Case) -> Outcome:
+        rows = rolled(single(np.broadcast_to(inertia, w0.shape)))
+        w = rolled(w0 if case.dtype == "float64" else single(w0))
+        q0 = np.tile(START, (len(w), 1))
+        scene = fa.Scene(inertia=rows, allow_unphysical=True)
+        got = propagate(case, scene, q0, w, dt=h, n_steps=n_steps)
+        return compare(case, rows, q0, w, h, n_steps, got)
+
+    return run
+
+
+def compare(
+    case: Case, inertia: Array, q0: Array, w0: Array, h: float, n_steps: int, got: Any
+) -> Outcome:
+    size = above_zero(np.linalg.norm(inertia * w0, axis=1))
+    turn = abs(h) * np.linalg.norm(w0, axis=1)
+    step = truncation_of_body(case, inertia, w0, h)
+    work = rounding(case, n_steps, n_steps * turn)
+    q, w = closed(inertia, q0, w0, n_steps * h)
+    end_q, end_w = np.asarray(got.q[-1], float), np.asarray(got.w[-1], float)
+    with np.errstate(all="ignore"):
+        grown = conditioning(inertia, q0, w0, n_steps * h)
+        allowed = step * (1.0 + (n_steps - 1) * grown) + work * grown
+        error = np.maximum(angle(end_q, q), np.linalg.norm(inertia * (end_w - w), axis=1) / size)
+        lost = invariants_lost(inertia, q0, w0, end_q, end_w)
+    chaotic = allowed > 1.0
+    error = np.where(chaotic, lost, error)
+    return Outcome(error, np.where(chaotic, n_steps * step + work, allowed), got.status)
+
+
+def shape(name: str, theta: float = 0.1) -> Column:
+    inertia = np.array(SHAPES[name])
+    return Column(name, free(inertia, theta * spins(inertia), 1.0, BODY_STEPS))
+
+
+def turning(name: str, theta: float) -> Column:
+    return Column(name, free(np.array(V), theta * spins(np.array(V)), 1.0, BODY_STEPS))
+
+
+def about_intermediate(perturbation: float) -> Column:
+    """Body H about its intermediate axis, perturbed along both others, 20 s."""
+    sides = np.array([[1, 0], [0, 1], [1, 1], [-1, 1]]) * perturbation
+    m = np.column_stack([sides[:, 0], np.ones(4), sides[:, 1]])
+    m /= np.linalg.norm(m, axis=1, keepdims=True)
+    return Column(f"{perturbation:g}", free(np.array(H), m / H, 0.05, 400))
+
+
+def scaled(name: str, factor: float) -> Column:
+    """Inertia in other units: bit for bit by a power of two, else to round-off."""
+
+    def run(case: Case) -> Outcome:
+        inertia = single(V)
+        w = single(0.1 * spins(inertia))
+        q0 = np.tile(START, (len(w), 1))
+        ends = []
+        for s in (1.0, factor):
+            scene = fa.Scene(inertia=np.tile(inertia * s, (len(w), 1)))
+            ends.append(propagate(case, scene, q0, w, dt=1.0, n_steps=BODY_STEPS))
+        a, b = ends
+        gap = np.abs(a.q[-1] - b.q[-1]).max(axis=-1) + np.abs(a.w[-1] - b.w[-1]).max(axis=-1) / 0.1
+        exact = math.frexp(factor)[0] == 0.5
+        cond = conditioning(np.tile(inertia, (len(w), 1)), q0, w, float(BODY_STEPS))
+        work = rounding(case, BODY_STEPS, 0.1 * BODY_STEPS * cond)
+        allowed = cond * (0.0 if exact else work)
+        return Outcome(gap.astype(float), allowed, b.status)
+
+    return Column(name, run)
+
+
+# damping and weights
+
+TORQUED_STEPS = 32
+
+
+def torqued(inertia: Array, drag: Array | None, weight: Array, arm: Array) -> fa.Scene:
+    """Gravity gradient, weight and, if not None, damping: one type of scene, zeros switch off."""
+    n = len(inertia)
+    terms: tuple[Any, ...] = (
+        fa.torques.GravityGradient(np.zeros(n)),
+        fa.torques.HeavyTop(arm, weight),
+    )
+    if drag is not None:
+        terms = (*terms, fa.torques.Damping(drag))
+    return fa.Scene(inertia=inertia, torque=fa.torques.Sum(terms))
+
+
+def takes(case: Case, damped: bool) -> bool:
+    record = case.record
+    return "torqued" in record.scenes and (
+        not damped or record.takes != fa.torques.Dependence.POSITION
+    )
+
+
+def damping(x: float) -> Column:
+    """Bodies turning about a principal axis, or spheres about any: w decays as exp(−ct/I)."""
+    inertia = np.array([[1.0, 2.0, 2.5], [2.0, 1.0, 2.5], [1.0, 2.0, 2.5], [1.0, 1.0, 1.0]])
+    theta = 0.0625
+    w0 = theta * np.vstack([np.eye(3), AXES[1:2]])
+    moment = np.array([1.0, 1.0, 2.5, 1.0])
+
+    def run(case: Case) -> Outcome:
+        drag = single(x * inertia.min(axis=1))
+        w = single(w0)
+        n = len(w)
+        scene = torqued(inertia, drag, np.zeros(n), np.zeros((n, 3)))
+        rate = drag / moment
+        q0 = np.tile(START, (n, 1))
+        error = np.zeros(n)
+        got = propagate(case, scene, q0, w, dt=1.0, n_steps=TORQUED_STEPS, save_every=1)
+        for s, t in enumerate(got.t):
+            left = np.exp(-rate * t)[:, None]
+            turned = w * -np.expm1(-rate * t)[:, None] / rate[:, None]
+            size = np.linalg.norm(w, axis=1)
+            off = np.linalg.norm(np.asarray(got.w[s], float) - left * w, axis=1) / size
+            off = np.maximum(off, angle(got.q[s], mul(q0, exp(turned))) / size)
+            error = np.maximum(error, off)  # NaN stays
+        order = case.record.order
+        step = np.minimum(PROMISE, np.minimum(rate, 10.0) ** order / math.factorial(order))
+        own = rounding(case, TORQUED_STEPS, np.zeros(n)) / theta
+        allowed = step / -np.expm1(-rate) + own
+        return Outcome(error, allowed, got.status)
+
+    return Column(f"{x:g}", run, lambda case: takes(case, True))
+
+
+def pendulum(x: float) -> Column:
+    """A weight that swings 90° to each side, frequency times step x: Jacobi's functions."""
+    inertia = np.array([[0.6, 0.8, 1.0], [0.6, 1.0, 0.8], [1.0, 0.6, 0.8], [0.8, 1.0, 0.6]])
+    # of the swing, that of the least or largest moment; the weight hangs along −e3
+    axis = np.array([0, 1, 0, 1])
+    k = math.sin(math.radians(45.0))
+
+    def run(case: Case) -> Outcome:
+        rows = single(inertia)
+        n = len(rows)
+        moment = rows[np.arange(n), axis]
+        arm = np.tile([0.0, 0.0, -1.0], (n, 1))
+        weight = single(moment * x * x)
+        frequency = np.sqrt(weight / moment)
+        w0 = np.zeros((n, 3))
+        w0[np.arange(n), axis] = single(2.0 * k * frequency)
+        modulus = w0[np.arange(n), axis] / (2.0 * frequency)
+        damped = None if case.record.takes == fa.torques.Dependence.POSITION else np.zeros(n)
+        scene = torqued(rows, damped, weight, arm)
+        q0 = np.tile(ONE, (n, 1))
+        error, turn = np.zeros(n), np.abs(w0).max(axis=1)
+        got = propagate(case, scene, q0, w0, dt=1.0, n_steps=TORQUED_STEPS, save_every=1)
+        for s, t in enumerate(got.t):
+            sn, cn, dn, _ = ellipj(frequency * t, modulus**2)
+            half = np.arctan2(modulus * sn, dn)
+            turned = np.zeros((n, 3))
+            turned[np.arange(n), axis] = 2.0 * half
+            speed = np.zeros((n, 3))
+            speed[np.arange(n), axis] = 2.0 * modulus * frequency * cn
+            off = np.linalg.norm(np.asarray(got.w[s], float) - speed, axis=1) / turn
+            error = np.maximum(error, np.maximum(off, angle(got.q[s], exp(turned))))
+        known = OF_PENDULA
+        if case.representation.startswith("dcm"):
+            known = OF_PENDULA | OF_PENDULA_IN_MATRICES
+        step = share(known, case.method, case.record.order_of("torqued"), turn)
+        # an error of the frequency grows with time: the phase's with its square
+        along = 1.0 + TORQUED_STEPS * frequency
+        own = rounding(case, TORQUED_STEPS, TORQUED_STEPS * turn)
+        allowed = along * (TORQUED_STEPS * step + own)
+        return Outcome(error, allowed, got.status)
+
+    return Column(f"{x:g}", run, lambda case: takes(case, False))

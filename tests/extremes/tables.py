@@ -1,0 +1,223 @@
+"""The tables: extremes side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+import fastatt as fa
+from extremes.agreement import (
+    doubling_bodies,
+    doubling_rates,
+    passage,
+    reversal_bodies,
+    reversal_rates,
+)
+from extremes.bodies import (
+    SHAPES,
+    V,
+    about_intermediate,
+    damping,
+    free,
+    pendulum,
+    scaled,
+    shape,
+    spins,
+    turning,
+)
+from extremes.cases import ANGLES, Case, Column, Outcome, Table
+from extremes.rates import THETAS, coning, constant, least, long_rates, times
+from extremes.samples import sampled
+
+# the tables
+
+
+def scales() -> list[Column]:
+    def column(factor: float) -> Column:
+        fits_single = 1e-30 <= factor <= 1e30
+        return Column(
+            f"{factor:g}",
+            coning(0.1, times(factor)),
+            lambda case: fits_single or case.dtype == "float64",
+        )
+
+    factors = (1e200, 1e-200, 1e300, 1e-300, 1e30, 1e-30, 2.5)
+    return [*map(column, factors), Column("least", coning(0.1, least))]
+
+
+def has_order(case: Case) -> bool:
+    """Whether half the step tells the error: not of angles near a pole, nor of the closed form."""
+    return case.representation not in ANGLES and case.record.order > 0
+
+
+def poles(*, body: bool) -> list[Column]:
+    def column(name: str, kind: str, distance: float, representation: str) -> Column:
+        return Column(
+            name,
+            passage(kind, distance, body=body),
+            lambda case: case.representation == representation,
+        )
+
+    euler, vector = ANGLES
+    return [
+        column("3-1-3 at 0", "at 0", 0.0, euler),
+        column("at π", "at π", 0.0, euler),
+        *[column(f"past 0 by {d:g}", "past 0", d, euler) for d in (0.1, 1e-3, 0.0)],
+        *[column(f"2π by {d:g}", "past 2π", d, vector) for d in (0.5, 1e-3, 0.0)],
+    ]
+
+
+TABLES = (
+    Table(
+        "A constant rate",
+        "Columns: |w|h, rad a step; 8 steps along three axes. Error, rad.",
+        "rate",
+        [Column(name, constant(theta)) for name, theta in THETAS.items()],
+    ),
+    Table(
+        "Coning",
+        "Columns: |w|h; 8 steps on cones with half angles of 0.5, 1 and 2 rad. Error, rad.",
+        "rate",
+        [Column(name, coning(theta)) for name, theta in THETAS.items()],
+    ),
+    Table(
+        "Initial quaternions",
+        "Columns: length of q0, least: of subnormal numbers; cones at |w|h = 0.1. Error, rad.",
+        "rate",
+        scales(),
+    ),
+    Table(
+        "Free bodies of all shapes",
+        "Columns: principal moments, V is (0.6, 0.8, 1), the last two can't exist; 16 steps of "
+        "|w|h = 0.1 in 11 directions, axes in three orders. Error: angle, rad, or |Δm|/|m|.",
+        "free",
+        [shape(name) for name in SHAPES],
+    ),
+    Table(
+        "A free body's step",
+        "Columns: |w|h of body V in 11 directions, 16 steps. Error: angle, rad, or |Δm|/|m|; where "
+        "rounding alone would lose the trajectory, energy or momentum, relative.",
+        "free",
+        [turning(name, theta) for name, theta in THETAS.items()],
+    ),
+    Table(
+        "About the intermediate axis",
+        "Columns: perturbation of the momentum, 1 N·m·s, of moments (2, 1, 0.625) kg·m², 400 steps "
+        "of 0.05 s. Error as above.",
+        "free",
+        [about_intermediate(x) for x in (1.0, 1e-4, 1e-8, 1e-16, 0.0)],
+    ),
+    Table(
+        "Units of inertia",
+        "Columns: factor. Change of the result, of powers of two 0.",
+        "free",
+        [
+            scaled("1e-12", 1e-12),
+            scaled("1e12", 1e12),
+            scaled("2^-40", 2.0**-40),
+            scaled("2^40", 2.0**40),
+        ],
+    ),
+    Table(
+        "Damping",
+        "Columns: c h/I_min; 32 steps of |w|h = 0.0625, w exp(−ct/I) exactly. Error over the "
+        "initial |w|, or over the turn of the first step.",
+        "torqued",
+        [damping(x) for x in (0.1, 1.0, 2.5, 3.0, 10.0, 100.0, 1000.0)],
+    ),
+    Table(
+        "A weight on a pendulum",
+        "Columns: frequency times step; 32 steps, 90° to each side. Error, rad, or of w, relative.",
+        "torqued",
+        [pendulum(x) for x in (1e-6, 1e-3, 0.1, 0.3, 1.0, 3.0, 10.0)],
+    ),
+    *(
+        Table(
+            f"Poles, {'free bodies' if body else 'given rates'}",
+            "3-1-3 angles that start at a nutation of 0 and π or pass 0 so far away, rad; rotation "
+            "vectors that pass 2π. 64 steps. Error, rad.",
+            "free" if body else "rate",
+            poles(body=body),
+        )
+        for body in (False, True)
+    ),
+    *(
+        Table(
+            f"Agreement with itself, {name}",
+            "Half the step: error as a run of half the step tells it, less the true one, rad. "
+            "Reversal: 200 steps of 0.05 s and back, rad.",
+            scene,
+            [Column("half the step", half, has_order), Column("reversal", back)],
+        )
+        for name, scene, half, back in (
+            ("coning", "rate", doubling_rates, reversal_rates),
+            ("free bodies", "free", doubling_bodies, reversal_bodies),
+        )
+    ),
+    Table(
+        "Many steps, constant rate",
+        "Columns: steps of 0.006 rad. Error, rad.",
+        "rate",
+        [Column("1e4", long_rates(10_000)), Column("1e6", long_rates(1_000_000))],
+    ),
+    Table(
+        "Many steps, free body",
+        "Columns: steps of 0.01 rad of body V. Error as above.",
+        "free",
+        [
+            Column(
+                f"{n:.0e}".replace("e+0", "e"),
+                free(np.array(V), 0.01 * spins(np.array(V))[:4], 1.0, n),
+            )
+            for n in (10_000, 1_000_000)
+        ],
+    ),
+    *(
+        Table(
+            f"Sampled {'increments' if increments else 'rates'}, {name}",
+            "Columns: |w|h between samples; 6 intervals. Error, rad. A log has no status: "
+            "STEP_TOO_LARGE stands for a warning, or for a refusal.",
+            "increments" if increments else "sampled rates",
+            [Column(k, sampled(theta, a, increments=increments)) for k, theta in THETAS.items()],
+        )
+        for increments in (False, True)
+        for name, a in (("constant", 0.0), ("coning", 1.0))
+    ),
+)
+
+
+def cases(*, quick: bool = False) -> list[Case]:
+    """All rows there are."""
+    return [
+        Case(m.name, r, d)
+        for m in fa.METHODS.values()
+        for r in (m.representations[:1] if quick else m.representations)
+        for d in (("float64",) if quick else ("float64", "float32"))
+    ]
+
+
+def row(case: Case) -> dict[tuple[str, str], Outcome]:
+    """All cells of a row, by table and column."""
+    return {
+        (table.title, column.name): column.run(case)
+        for table in TABLES
+        if table.scene in case.record.scenes
+        for column in table.columns
+        if column.fits(case)
+    }
+
+
+def lines(table: Table, rows: Mapping[Case, Mapping[tuple[str, str], Outcome]]) -> Iterable[str]:
+    """A table in Markdown."""
+    names = [column.name for column in table.columns]
+    yield from (f"## {table.title}", "", table.text, "")
+    yield f"| method | on | {' | '.join(names)} |"
+    yield f"| --- | --- |{' --- |' * len(names)}"
+    for case, cells in rows.items():
+        found = [cells.get((table.title, name)) for name in names]
+        if any(found):
+            on = case.representation + (" f32" if case.dtype == "float32" else "")
+            text = " | ".join(cell.text if cell else "" for cell in found)
+            yield f"| {case.method} | {on} | {text} |"
+    yield ""

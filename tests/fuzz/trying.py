@@ -1,0 +1,195 @@
+"""Hostile input to every public function, to the log reader and to ``fastatt integrate``.
+
+``python -m fuzz --inputs 100000 --seed 1`` (with ``tests`` on the path) prints what was tried and
+what was found. A call passes when it gives back finite numbers and unit attitudes (of each body
+with status 0, and right ones where the right ones are known), or refuses in one line that names the
+argument. Anything else is a finding: another exception, a warning but ``StepWarning``, more than
+5 s, numbers that are not finite with status 0, a log read otherwise than it was written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import faulthandler
+import re
+import sys
+import tempfile
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+import fastatt as fa
+from fastatt import gyrolog
+from fuzz.arrays import (
+    METHODS,
+    combined,
+    converted,
+    differentiated,
+    drifted,
+    energetic,
+    integrated,
+    listed,
+)
+from fuzz.draw import Draw
+from fuzz.judge import Call, Refused, anything
+from fuzz.models import closed_form, scened
+from fuzz.reading import commanded, read
+from fuzz.runs import RUNS, Run, directed, propagated
+
+SLOW = 5.0  # s; a call that takes longer twice hangs
+HUNG = 300.0  # s, after which the process shows where it is and ends
+
+
+class Finding(NamedTuple):
+    """A class of findings: where, what, and the first example."""
+
+    target: str
+    what: str
+    example: str
+
+
+def _shown(call: Call) -> str:
+    path = call.arguments[0] if call.arguments else None
+    if isinstance(path, Path) and path.is_file():
+        return f"{path.read_bytes()[:600]!r}, {dict(call.options)}"
+    given = [repr(a) for a in call.arguments] + [f"{k}={v!r}" for k, v in call.options.items()]
+    return f"{getattr(call.function, '__name__', call.function)}({', '.join(given)})"
+
+
+def tried(call: Call) -> tuple[str, str | None]:
+    """("returned" or "refused", what is wrong or None)."""
+    began = time.perf_counter()
+    outcome, wrong, result = "returned", None, None
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            result = call.function(*call.arguments, **call.options)
+        except call.refusals as error:
+            outcome, text = "refused", str(error)
+            if isinstance(error, OSError):
+                pass
+            elif len(text.splitlines()) != 1:
+                wrong = f"{type(error).__name__} of several lines: {text[:10]!r}"
+            elif len(text) > 1500:
+                wrong = f"{type(error).__name__} of {len(text)} characters: {text[:10]!r}"
+            elif not any(re.search(rf"(?<!\w){re.escape(n)}(?!\w)", text) for n in call.names):
+                wrong = f"{type(error).__name__} names no argument: {text[:90]!r}"
+        except (Exception, SystemExit) as error:  # noqa: BLE001
+            outcome = "refused"
+            wrong = f"{type(error).__name__}: {str(error)[:110]!r}"
+        took = time.perf_counter() - began
+        if isinstance(result, Refused):
+            outcome = "refused"
+        elif wrong is None and outcome == "returned":
+            wrong = call.judge(result)
+    others = [w for w in said if not issubclass(w.category, fa.StepWarning)]
+    if wrong is None and others:
+        wrong = f"{others[0].category.__name__}: {str(others[0].message)[:60]!r}"
+    if wrong is None and took > SLOW:
+        began = time.perf_counter()
+        with contextlib.suppress(Exception), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            call.function(*call.arguments, **call.options)
+        if time.perf_counter() - began > SLOW:
+            wrong = f"takes {took:.0f} s"
+    return outcome, wrong
+
+
+Target = tuple[str, float, Callable[[Draw], Call]]
+
+
+def targets(
+    folder: Path, runs: tuple[Run, ...] = RUNS, methods: tuple[str, ...] = METHODS
+) -> list[Target]:
+    """Name, weight and maker of calls."""
+    return [
+        ("propagate", 4.0, lambda d: propagated(d, runs)),
+        ("propagate_directions", 1.0, lambda d: directed(d, runs)),
+        ("Scene", 4.0, scened),
+        ("exact", 2.0, closed_form),
+        ("conversions", 2.0, converted),
+        ("products, angle_between", 2.0, combined),
+        ("integrate_rates", 3.0, lambda d: integrated(d, methods)),
+        ("angular_velocity", 1.0, differentiated),
+        ("energies", 1.0, energetic),
+        ("drift", 0.1, drifted),
+        ("methods_for, single_step", 0.4, listed),
+        ("read_log", 5.0, lambda d: read(d, folder)),
+        ("fastatt integrate", 1.5, lambda d: commanded(d, folder, methods)),
+    ]  # fmt: skip
+
+
+def fuzz(
+    inputs: int, seed: int, chosen: list[Target], progress: Callable[[int], object] = anything
+) -> tuple[dict[str, Counter[str]], Counter[tuple[str, str]], list[Finding]]:
+    """Outcomes by target, counts of findings by class, and each class once."""
+    d = Draw(seed)
+    outcomes: dict[str, Counter[str]] = {name: Counter() for name, _, _ in chosen}
+    counts: Counter[tuple[str, str]] = Counter()
+    found: list[Finding] = []
+    weights = [w for _, w, _ in chosen]
+    rows = gyrolog._ROWS
+    try:
+        for i in range(inputs):
+            name, _, make = d.random.choices(chosen, weights)[0]
+            with np.errstate(all="ignore"), warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                call = make(d)
+            gyrolog._ROWS = d.one((rows, 1, 4))  # blocks end anywhere
+            faulthandler.dump_traceback_later(HUNG, exit=True)
+            outcome, wrong = tried(call)
+            outcomes[name][outcome] += 1
+            if wrong is not None:
+                kind = name, re.sub(r"\bfound .*|'.*?'|-?\d+(\.\d+)?(e[+-]?\d+)?", "#", wrong)[:90]
+                counts[kind] += 1
+                if counts[kind] == 1:
+                    found.append(Finding(name, wrong, f"input {i}: {_shown(call)[:1500]}"))
+            progress(i)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        gyrolog._ROWS = rows
+    return outcomes, counts, found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--inputs", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", help="one target by the start of its name")
+    parser.add_argument(
+        "--examples", action="store_true", help="show the first input of each class"
+    )
+    arguments = parser.parse_args()
+    began = time.perf_counter()
+
+    def progress(i: int) -> None:
+        if sys.stderr.isatty() and i % 1000 == 0:
+            print(f"\r{i} of {arguments.inputs}", end="", file=sys.stderr)
+
+    with tempfile.TemporaryDirectory() as folder:
+        chosen = targets(Path(folder))
+        if arguments.only:
+            chosen = [t for t in chosen if t[0].startswith(arguments.only)]
+        outcomes, counts, found = fuzz(arguments.inputs, arguments.seed, chosen, progress)
+    print(
+        f"seed {arguments.seed}: {arguments.inputs} inputs in {time.perf_counter() - began:.0f} s"
+    )
+    print(f"{'target':26}{'inputs':>8}{'returned':>10}{'refused':>9}{'findings':>10}{'classes':>9}")
+    for name, own in outcomes.items():
+        classes = [n for (target, _), n in counts.items() if target == name]
+        print(
+            f"{name:26}{own.total():8}{own['returned']:10}{own['refused']:9}{sum(classes):10}"
+            f"{len(classes):9}"
+        )
+    for (name, what), n in counts.most_common():
+        print(f"{n:6}  {name}: {what}")
+    if arguments.examples:
+        for finding in found:
+            print(f"\n{finding.target}: {finding.what}\n    {finding.example}")
+    return 1 if counts else 0

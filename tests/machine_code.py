@@ -1,0 +1,89 @@
+"""The assembly of a run's loops, and what is in it."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from llvmlite import binding
+
+from fastatt.engine import ensemble
+from fastatt.engine.tiles import Writer
+from fastatt.flat.machine import assembly_of, processor
+
+needs_avx = pytest.mark.skipif(
+    not binding.get_host_cpu_features().get("avx"), reason="no AVX: nothing to pack into"
+)
+ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\w*?|mul|add|sub|div|sqrt)([ps])([ds])\s(.*)")
+CONVERSION = re.compile(r"^\s+v?cvt(?:ps2pd|pd2ps|ss2sd|sd2ss)\s")
+CALL = re.compile(r"^\s+call\w*\s+(.*)")
+REGISTER = {64: "zmm", 32: "ymm", 16: "xmm"}
+LARGE = 30  # operations that tell a step from a copy or a comparison
+
+
+def jobs_of(monkeypatch, run):
+    """The jobs whose programs a run asks for."""
+    seen = []
+    real = ensemble.program
+
+    def record(job):
+        seen.append(job)
+        return real(job)
+
+    monkeypatch.setattr(ensemble, "program", record)
+    run()
+    monkeypatch.undo()
+    assert seen
+    return seen
+
+
+def assemblies(job):
+    """Of the program of a job and, where it has one, of the careful form of a block."""
+    texts = [Writer(job, job.formulas).quick()]
+    if job.formulas.careful is not None:
+        texts.append(Writer(job, job.formulas).careful())
+    return [assembly_of(text) for text in texts]
+
+
+def innermost_loops(assembly):
+    """Lines from each label to a jump back to it, with no other such pair between."""
+    lines = [line for line in assembly.splitlines() if line.strip()]
+    labels, spans = {}, []
+    for i, line in enumerate(lines):
+        if label := re.match(r"^(\.L\w+):", line):
+            labels[label[1]] = i
+        elif (jump := re.match(r"^\s+j\w+\s+(\.L\w+)", line)) and jump[1] in labels:
+            spans.append((labels[jump[1]], i))
+    inner = [
+        (a, b)
+        for a, b in spans
+        if not any((c, d) != (a, b) and a <= c and d <= b for c, d in spans)
+    ]
+    return [lines[a:b] for a, b in inner]
+
+
+def arithmetic(lines):
+    """Arithmetic instructions by kind: packed or scalar (p, s), double or single (d, s)."""
+    found = {"pd": 0, "sd": 0, "ps": 0, "ss": 0}
+    for line in lines:
+        if match := ARITHMETIC.match(line):
+            found[match[1] + match[2]] += 1
+    return found
+
+
+def is_full(line):
+    """Whether an arithmetic instruction works on the machine's widest vectors."""
+    match = ARITHMETIC.match(line)
+    return match is None or REGISTER[processor().vector] in match[3]
+
+
+def large_loops(assembly):
+    """Innermost loops with a step's worth of arithmetic of any kind."""
+    return [x for x in innermost_loops(assembly) if sum(arithmetic(x).values()) >= LARGE]
+
+
+def is_packed(lines, kind="pd"):
+    """Whether a loop has full packed arithmetic of one kind alone, and no call."""
+    found = arithmetic(lines)
+    alone = sum(found.values()) == found[kind]
+    return alone and all(map(is_full, lines)) and not any(map(CALL.match, lines))

@@ -1,0 +1,112 @@
+"""The scripts in bench/ that figures rest on, run small."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.trade import Case, body_scene, body_trade, coning_trade
+from fastatt.trade.measure import write_csv
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
+
+import advice
+import check_cost
+import long_runs
+import method_table
+
+
+@pytest.mark.parametrize("representation", ["quat", "dcm"])
+def test_every_stepped_method_has_a_cost(representation):
+    found = [name for name, _ in check_cost.pairs(representation, n=4)]
+    fitting = {
+        f"{title}, {name}"
+        for title, (scene, _) in check_cost.scenes(4).items()
+        for name, method in fa.METHODS.items()
+        if method.is_stepped and name in fa.methods_for(scene, representation)
+    }
+    assert set(found) == fitting
+    assert len(found) == len(fitting)
+
+
+def test_the_cost_is_that_of_looks(monkeypatch):
+    """A run that takes 1.5 times as long with looks costs 50 %, whoever goes first."""
+    ((name, pair),) = check_cost.pairs("quat", "coning, magnus4", n=4)
+    assert name == "coning, magnus4"
+    assert pair.seconds(3, looks=True) > 0.0
+    asked = []
+
+    def seconds(steps, looks):
+        asked.append(looks)
+        return 1.5 if looks else 1.0
+
+    monkeypatch.setattr(pair, "seconds", seconds)
+    assert pair.cost(3, 4) == (0.5, 0.0)
+    assert asked == [False, True, True, False] * 2
+
+
+def test_the_switch_takes_the_looks_away():
+    """Without them a step beyond the limit goes unseen."""
+    scene, w0 = check_cost.scenes(4)["gravity gradient"]
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    runs = []
+    for looks in (True, False):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", fa.StepWarning)
+            options = {"dt": 0.01, "n_steps": 9, "method": "rk4", "looks": looks}
+            runs.append(fa.propagate(scene, q0, 300 * w0, **options))
+    assert runs[0].status.all()
+    assert not (runs[1].status & fa.Status.STEP_TOO_LARGE).any()
+
+
+def test_the_method_table(tmp_path, capsys):
+    """A line a method and input: errors, speed, operations, part of the peak."""
+    steps = (50, 400)
+    cases = [Case("rk4"), Case("exact"), Case("rk4", "dcm")]
+    rows = body_trade("free", body_scene("free", 8), steps, 1, bar=False, cases=cases)
+    write_csv(tmp_path / "bodies.csv", rows)
+    method_table.main(tmp_path / "bodies.csv")
+    head, _, rk4, exact = capsys.readouterr().out.splitlines()
+    assert "| operations a step | % of the peak |" in head
+    assert len({line.count("|") for line in (head, rk4, exact)}) == 1
+    by_step = {r.dt: r for r in rows if (r.method, r.representation) == ("rk4", "quat")}
+    cells = [cell.strip() for cell in rk4.split("|")][1:]
+    assert cells[:3] == ["`rk4`", "free bodies", "4"]
+    assert cells[3:5] == [f"{by_step[dt].error_median:.1e}" for dt in (0.2, 0.025)]
+    assert cells[6] == str(by_step[0.025].operations)
+    assert [c.strip() for c in exact.split("|")][1:4] == ["`exact`", "free bodies", "exact"]
+
+
+def test_the_method_table_of_given_rates(tmp_path, capsys):
+    cases = {"rate function": [Case("magnus4")], "samples": [Case("previous")]}
+    write_csv(tmp_path / "trade.csv", coning_trade(8, (100, 800), 1, bar=False, cases=cases))
+    method_table.main(tmp_path / "trade.csv")
+    lines = capsys.readouterr().out.splitlines()[2:]
+    assert [line.split("|")[1].strip() for line in lines] == ["`magnus4`", "`previous`"]
+    cases = {"samples": [Case("previous")]}
+    write_csv(tmp_path / "quick.csv", coning_trade(8, (10, 20), 1, bar=False, cases=cases))
+    with pytest.raises(SystemExit, match=r"previous has no step of 0\.2 or 0\.025 s"):
+        method_table.main(tmp_path / "quick.csv")
+
+
+def test_long_runs_tell_how_errors_grow():
+    rows, _ = long_runs.grow("magnus4", "compensated", 2000, 8, "float64")
+    steps, errors, lengths = np.array(rows).T
+    assert steps[-1] == 2000
+    assert errors.max() < 1e-14
+    assert lengths.max() < 1e-15
+    assert long_runs.exponent(np.array([1.0, 10.0]), np.array([1.0, 100.0])) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("kind", ["coning", "gravity"])
+def test_advice_is_compared_with_a_sweep(kind):
+    number = list(advice.KINDS).index(kind)
+    found = advice.trial(1, number, 32, 0.01)
+    assert found.kind == kind
+    assert found.refused or found.met
+    assert found.advice_seconds > 0.0

@@ -1,0 +1,337 @@
+"""Every kernel traced: its text and its machine code against the kernel, in both precisions."""
+
+import ctypes
+import math
+import types
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from llvmlite import ir
+from numba.core.dispatcher import Dispatcher
+from test_kernels_grammar import ARGUMENTS, KERNELS, cast, every_kernel, leaves
+
+from fastatt.flat import machine, source
+from fastatt.flat.code import REALS, Code
+from fastatt.flat.finished import Flat
+from fastatt.flat.functions import larger
+from fastatt.flat.graph import Double, Graph, choose, flattened
+from fastatt.flat.llvm import Emitter
+from fastatt.flat.nodes import NotStraight, operands
+from fastatt.flat.trace import traceable
+
+FLOATS = {"double": np.float64, "single": np.float32}
+every_precision = pytest.mark.parametrize("kind", ["double", "single"])
+
+
+# the kernels as they stand, in the precision of what they are given: math.sqrt gives a double
+PLAIN_MATH = types.SimpleNamespace(sqrt=np.sqrt, pi=math.pi)
+
+
+def plain(value):
+    """A kernel, or what it refers to, without Numba."""
+    if value is math:
+        return PLAIN_MATH
+    if isinstance(value, types.ModuleType) and value is not np:
+        return types.SimpleNamespace(**{k: plain(v) for k, v in vars(value).items()})
+    if not isinstance(value, Dispatcher):
+        return value
+    return lambda *args: function(value.py_func)(*args)
+
+
+def function(f):
+    found = {k: plain(f.__globals__[k]) for k in f.__code__.co_names if k in f.__globals__}
+    return types.FunctionType(f.__code__, f.__globals__ | found)
+
+
+def kernel_values(name, kind):
+    arguments = cast(ARGUMENTS[name], FLOATS[kind])
+    with np.errstate(all="ignore"):
+        return leaves(plain(KERNELS[name])(*arguments))
+
+
+def shaped(graph, kind, x, *name):
+    if isinstance(x, tuple):
+        return tuple(shaped(graph, kind, y, *name, i) for i, y in enumerate(x))
+    return graph.input(kind, *name)
+
+
+def recorded(name, kind):
+    graph = Graph()
+    result = traceable(KERNELS[name])(*shaped(graph, kind, ARGUMENTS[name], "x"))
+    return Flat(graph, flattened(result), kind)
+
+
+def given(flat, name, scale=1.0):
+    """The arguments that a graph takes, in the order in which it does."""
+    found = []
+    for _, *at in flat.inputs():
+        x = ARGUMENTS[name]
+        for i in at:
+            x = x[i]
+        found.append(scale * x)
+    return found
+
+
+@every_precision
+@every_kernel
+def test_text_is_the_kernel_to_the_bit(name, kind):
+    flat = recorded(name, kind)
+    F = FLOATS[kind]
+    assert {n.kind for n in flat.nodes} <= {kind, ""}
+    found = source.function(flat)(*map(F, given(flat, name)))
+    np.testing.assert_array_equal(found, kernel_values(name, kind))
+
+
+@every_precision
+@every_kernel
+def test_text_takes_arrays(name, kind):
+    flat = recorded(name, kind)
+    F = FLOATS[kind]
+    run = source.function(flat)
+    rows = [list(map(F, given(flat, name, scale))) for scale in (1.0, 0.5, -0.75, 1.25)]
+    columns = [np.array(column, F) for column in zip(*rows, strict=True)]
+    found = run(*columns)
+    assert all(np.asarray(x).dtype == F for x in found)
+    expected = np.array([run(*row) for row in rows])
+    for k, column in enumerate(found):
+        np.testing.assert_array_equal(np.broadcast_to(column, len(rows)), expected[:, k])
+
+
+def exactly_fused(flat, values):
+    """The graph in double precision, its fused operations rounded once."""
+    given = iter(values)
+    found = []
+    with np.errstate(all="ignore"):
+        for node in flat.nodes:
+            args = [found[i] for i in operands(node)]
+            if node.op == "in":
+                found.append(np.float64(next(given)))
+            elif node.op in ("fma", "fms", "fnma") and all(map(math.isfinite, args)):
+                a, b, c = map(Fraction, map(float, args))
+                exact = {"fma": a * b + c, "fms": a * b - c, "fnma": c - a * b}[node.op]
+                found.append(np.float64(float(exact)))
+            else:
+                found.append(OPERATIONS[node.op](node, *args))
+    return [found[i] for i in flat.results]
+
+
+OPERATIONS = {
+    "const": lambda node: np.float64(node.args[0]),
+    "+": lambda node, a, b: a + b,
+    "-": lambda node, a, b: a - b,
+    "*": lambda node, a, b: a * b,
+    "/": lambda node, a, b: a / b,
+    "fma": lambda node, a, b, c: a * b + c,
+    "fms": lambda node, a, b, c: a * b - c,
+    "fnma": lambda node, a, b, c: c - a * b,
+    "neg": lambda node, a: -a,
+    "abs": lambda node, a: abs(a),
+    "sqrt": lambda node, a: np.sqrt(a),
+    "rint": lambda node, a: np.rint(a),
+    "floor": lambda node, a: np.floor(a),
+    "select": lambda node, c, a, b: a if c else b,
+    "<": lambda node, a, b: a < b,
+    "<=": lambda node, a, b: a <= b,
+    ">": lambda node, a, b: a > b,
+    ">=": lambda node, a, b: a >= b,
+    "==": lambda node, a, b: a == b,
+    "!=": lambda node, a, b: a != b,
+    "and": lambda node, a, b: a and b,
+    "or": lambda node, a, b: a or b,
+    "not": lambda node, a: not a,
+}
+
+
+class Programs:
+    """Functions of numbers in memory, all compiled at once."""
+
+    def __init__(self, flats, kind, fuses):
+        module = ir.Module("test")
+        real = REALS[kind]
+        self.kind = kind
+        for name, flat in flats.items():
+            code = Code(module, name, [real.as_pointer(), real.as_pointer()])
+            x, y = code.function.args
+            order = {parts: i for i, parts in enumerate(flat.inputs())}
+            values = Emitter(code, 1, fuses)(
+                flat, lambda parts, _, x=x, o=order, c=code: (c.load(x, o[parts]), False)
+            )
+            for i, (value, _) in enumerate(values):
+                code.store(y, i, value)
+            code.give(0)
+        self.program = machine.Compiled(machine.object_of(str(module)))
+
+    def __call__(self, name, values, n):
+        F = FLOATS[self.kind]
+        x, y = np.array(values, F), np.empty(n, F)
+        function = self.program.function(name, ctypes.c_void_p, ctypes.c_void_p)
+        function(x.ctypes.data, y.ctypes.data)
+        return y
+
+
+@every_precision
+def test_machine_code_is_the_text_to_the_bit(kind):
+    flats = {name: recorded(name, kind) for name in ARGUMENTS}
+    programs = Programs(flats, kind, False)
+    for name, flat in flats.items():
+        values = given(flat, name)
+        expected = source.function(flat)(*map(FLOATS[kind], values))
+        found = programs(name, values, len(expected))
+        np.testing.assert_array_equal(found, expected, err_msg=name)
+
+
+@pytest.mark.skipif(not machine.processor().fuses, reason="a processor without fused operations")
+@every_precision
+def test_fused_machine_code(kind):
+    """In double precision as with fused operations rounded once, to the bit.
+
+    In both beside the kernel: each of a few roundings differs by half an ulp of the terms' size.
+    """
+    flats = {name: recorded(name, kind) for name in ARGUMENTS}
+    programs = Programs(flats, kind, True)
+    for name, flat in flats.items():
+        values = given(flat, name)
+        expected = np.array(kernel_values(name, kind))
+        found = programs(name, values, len(expected))
+        if kind == "double":
+            np.testing.assert_array_equal(found, exactly_fused(flat, values), err_msg=name)
+        size = max(1.0, *np.abs(expected))
+        assert np.abs(found - expected).max() <= 4 * np.finfo(FLOATS[kind]).eps * size, name
+
+
+# numbers
+
+
+def numbers(n=2, kind="double"):
+    graph = Graph()
+    return graph, *graph.inputs(kind, "x", n)
+
+
+def value(graph, result, *given, kind="double"):
+    (found,) = source.function(Flat(graph, [result], kind))(*given)
+    return found
+
+
+def test_equal_operations_are_one_and_known_numbers_drop_out():
+    graph, x, y = numbers()
+    same = (x * y + 0.0) * 1.0 + x * y
+    flat = Flat(graph, [same, 0.0 * x, x - x], "double")
+    assert [n.op for n in flat.nodes] == ["in", "in", "*", "+", "const"]
+    assert source.function(flat)(3.0, 5.0) == (30.0, 0.0, 0.0)
+
+
+def test_a_product_used_twice_is_not_fused():
+    graph, x, y = numbers()
+    z = x * y
+    flat = Flat(graph, [z + x, z - y], "double")
+    assert sorted(n.op for n in flat.nodes) == ["*", "+", "-", "in", "in"]
+    assert flat.operations == 3
+
+
+@every_precision
+def test_two_constants_are_of_the_precision_of_what_is_compared(kind):
+    _, x, y = numbers(kind=kind)
+    found = choose((x < y) & (x > 0.0), 1.0, 2.0) * y
+    assert type(found).kind == kind
+
+
+@pytest.mark.parametrize("y", [0.1, -0.1, 1.0, 3.0, -7.25, 1e-3])
+def test_remainders_are_pythons(y):
+    """To the bit where multiplications are fused."""
+    rng = np.random.default_rng(3)
+    for x in [0.0, 5.0, -5.0, 3.0, -1e-20, 1e-20, *rng.normal(size=200) * 1e4]:
+        for divisor in (y, None):
+            graph, a, b = numbers()
+            d = b if divisor is None else y
+            flat = Flat(graph, [a // d, a % d], "double")
+            given = [{"0": x, "1": y}[str(i)] for _, i in flat.inputs()]
+            assert exactly_fused(flat, given) == [x // y, x % y], x
+    graph, a, _ = numbers()
+    assert value(graph, 7.5 % a, 2.0) == 1.5
+    assert value(graph, 7.5 // a, -2.0) == -4.0
+    assert value(graph, divmod(a, 2.0)[1], 7.5) == 1.5
+
+
+@pytest.mark.parametrize("power", [1, 2, 3, 7, -1, -2, 0.5, 1.5, 2.5, -0.5, -1.5])
+def test_powers(power):
+    graph, x, _ = numbers()
+    assert value(graph, x**power, 1.7) == pytest.approx(1.7**power, rel=4e-16)
+    assert x**0 == 1.0
+
+
+@pytest.mark.parametrize("power", [0.3, 65, math.inf, math.nan])
+def test_powers_that_are_refused(power):
+    _, x, y = numbers()
+    with pytest.raises(NotStraight, match="a power of"):
+        x**power
+    with pytest.raises(NotStraight, match="not known beforehand"):
+        2.0**x
+    with pytest.raises(NotStraight, match="not known beforehand"):
+        x**y
+
+
+def test_larger_keeps_nan():
+    graph, x, y = numbers()
+    assert value(graph, larger(x, y), 2.0, 3.0) == 3.0
+    assert math.isnan(value(graph, larger(x, y), 2.0, math.nan))
+
+
+@pytest.mark.parametrize("use", [float, int, bool, lambda x: [1.0, 2.0][x], lambda x: 0 < x < 2])
+def test_what_must_be_known_is_refused(use):
+    _, x, _ = numbers()
+    with pytest.raises(NotStraight, match="not known beforehand"):
+        use(x)
+
+
+# text
+
+
+def test_text():
+    graph, x, y = numbers()
+    p = graph.inputs("double", "p", 2)
+    z = x * p[0] + y
+    flat = Flat(graph, [choose(z < p[1], -z, 1.0), (z + 2.0) / y], "double")
+    assert source.text(flat) == (
+        "t1 = x0 * p0 + x1\nt2 = where(t1 < p1, -t1, 1.0)\nt3 = (t1 + 2.0) / x1\nreturn t2, t3"
+    )
+
+
+def test_expressions_are_nested_to_a_depth():
+    graph, x, y = numbers()
+    z = x
+    for _ in range(12):
+        z = (z + y) / y
+    *lines, last = source.text(Flat(graph, [z], "double")).splitlines()
+    assert last == "return t5"
+    operations = [sum(map(line.count, "+/")) for line in lines]
+    assert operations == [5, 5, 5, 5, 4]
+
+
+def test_names_are_told_apart():
+    graph = Graph()
+    x = [graph.input("double", *n) for n in [("x1", 0), ("x", 10), ("t", 1), ("sqrt",), ("a b",)]]
+    flat = Flat(graph, [x[0] - x[1] * x[2] + x[3] / x[4]], "double")
+    assert len(set(source.Text(flat).names)) == 5
+    (found,) = source.function(flat)(2.0, 3.0, 5.0, 7.0, 14.0)
+    assert found == 2.0 - 3.0 * 5.0 + 7.0 / 14.0
+
+
+def test_tables_and_opaque_functions():
+    from fastatt.flat.functions import gather, opaque
+
+    graph, x, y = numbers()
+    a, b = opaque("swap", 2, [x, y], x)
+    flat = Flat(graph, [a, b - x, gather(0, x, "double")], "double")
+    run = source.function(
+        flat, tables={0: [5.0, 7.0, 9.0]}, functions={"swap": lambda x, y: (y, x)}
+    )
+    assert run(2.0, 4.0) == (4.0, 0.0, 9.0)
+    columns = run(np.array([0.0, 1.0]), np.array([3.0, 4.0]))
+    np.testing.assert_array_equal(columns, [[3.0, 4.0], [0.0, 0.0], [5.0, 7.0]])
+
+
+def test_floats_divide_by_zero_as_processors_do():
+    graph, x, y = numbers()
+    assert value(graph, x / y, 1.0, 0.0) == math.inf
+    assert math.isnan(value(graph, Double(x / y) * 0.5, 0.0, 0.0))

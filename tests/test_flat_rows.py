@@ -1,0 +1,259 @@
+"""Functions over rows of arrays: against numpy, whatever the number of rows, threads and axes."""
+
+from __future__ import annotations
+
+import ctypes
+import operator
+
+import numpy as np
+import pytest
+
+from fastatt import exact
+from fastatt.flat import formulas, functions, graph, machine
+from fastatt.flat import rows as module
+from fastatt.flat.rows import Rows, lanes_of, rows
+
+RNG = np.random.default_rng(5)
+LANES = {kind: lanes_of(kind) for kind in ("double", "single")}
+BLOCK = 4  # vectors
+TYPES = {"double": np.float64, "single": np.float32}
+EPS = {"double": 2.0**-53, "single": 2.0**-24}
+
+
+def blend(q, v, t):
+    """Something of every input, and a number that depends on none."""
+    turned = formulas.quat.rotate(q, v)
+    return (turned[0] + t, turned[1] * t, turned[2] / t), graph.choose(t > 0.5, q[0], -q[3]), 2.5
+
+
+def blend_in_numpy(q, v, t):
+    q, v, t = (np.asarray(x, dtype=np.float64) for x in (q, v, t))
+    x = np.cross(q[..., 1:], v)
+    turned = v + 2.0 * (q[..., :1] * x + np.cross(q[..., 1:], x))
+    first = np.stack([turned[..., 0] + t, turned[..., 1] * t, turned[..., 2] / t], axis=-1)
+    second = np.where(t > 0.5, q[..., 0], -q[..., 3])
+    return first, np.broadcast_to(second, first.shape[:-1]), np.full(first.shape[:-1], 2.5)
+
+
+SHAPE = {"q": 4, "v": 3, "t": None}
+OUTPUTS = (3, None, None)
+
+
+def given(q=(), v=(), t=(), dtype=np.float64):
+    """Arrays with these leading axes."""
+    q = RNG.normal(size=(*q, 4))
+    return (
+        (q / np.linalg.norm(q, axis=-1, keepdims=True)).astype(dtype),
+        RNG.normal(size=(*v, 3)).astype(dtype),
+        RNG.uniform(0.2, 0.9, size=t).astype(dtype),
+    )
+
+
+def assert_as_numpy(kind, arrays, **options):
+    found = rows(blend, SHAPE, OUTPUTS, kind)(*arrays, **options)
+    known = blend_in_numpy(*arrays)
+    for x, y in zip(found, known, strict=True):
+        assert x.shape == y.shape
+        assert x.dtype == TYPES[kind]
+        assert np.allclose(x, y, rtol=0.0, atol=128 * EPS[kind])
+    return found
+
+
+def sizes(kind):
+    n = LANES[kind]
+    return sorted({0, 1, n - 1, n, n + 1, BLOCK * n - 1, BLOCK * n, BLOCK * n + 1, 1000})
+
+
+CASES = [(kind, n) for kind in TYPES for n in sizes(kind)]
+
+
+@pytest.mark.parametrize(("kind", "n"), CASES)
+def test_any_number_of_rows(kind, n):
+    """Each row alone gives the same bits."""
+    arrays = given((n,), (n,), (n,), TYPES[kind])
+    found = assert_as_numpy(kind, arrays)
+    for b in {0, n // 2, n - 1} if n else ():
+        alone = rows(blend, SHAPE, OUTPUTS, kind)(*(x[b] for x in arrays))
+        assert all(map(np.array_equal, alone, (x[b] for x in found)))
+
+
+@pytest.mark.parametrize(
+    "leads",
+    [
+        ((), (), ()),
+        ((), (37,), (37,)),
+        ((37,), (), ()),
+        ((1,), (37,), (1,)),
+        ((5, 37), (37,), (5, 1)),
+        ((37,), (5, 1), ()),
+        ((3, 1, 7), (2, 1), (3, 2, 7)),
+        ((2, 3, 2, 5), (3, 1, 5), (1, 5)),
+        ((0,), (), ()),
+        ((4, 0), (4, 1), ()),
+        ((3, 4, 0), (4, 1), ()),
+    ],
+)
+@pytest.mark.parametrize("kind", TYPES)
+def test_leading_axes_broadcast(kind, leads):
+    assert_as_numpy(kind, given(*leads, TYPES[kind]))
+
+
+def test_views_are_read_where_they_lie():
+    """Rows from the back, every other one, columns of a wider array; other types are converted."""
+    wide = RNG.normal(size=(2, 50, 9))
+    q, v, t = wide[0, ::-2, 1:5], wide[1, :25, 4:7], RNG.uniform(0.2, 0.9, 75)[::3]
+    assert_as_numpy("double", (q, v, t))
+    assert_as_numpy("double", (q[:, ::-1], np.asfortranarray(v), t.astype(">f8")))
+    packed = np.zeros(25, dtype=[("mark", "i1"), ("v", "f8", 3)])
+    packed["v"] = v
+    assert_as_numpy("double", (q, packed["v"], 1))
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_threads_change_nothing(kind):
+    arrays = given((40, 1), (5001,), (40, 5001), TYPES[kind])
+    made = rows(blend, SHAPE, OUTPUTS, kind)
+    one, three = made(*arrays), made(*arrays, n_threads=3)
+    assert all(map(np.array_equal, one, three))
+    assert_as_numpy(kind, [x[..., -20:, :] if x.ndim > 1 and x.shape[-1] < 5 else x[..., -20:]
+                           for x in arrays])  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_one_row_does_not_harm_others(bad):
+    arrays = given((30,), (30,), (30,))
+    made = rows(blend, SHAPE, OUTPUTS)
+    clean = made(*arrays)
+    arrays[1][[3, 29]] = bad
+    found = made(*arrays)
+    others = np.setdiff1d(np.arange(30), (3, 29))
+    assert np.array_equal(found[0][others], clean[0][others])
+    assert np.isnan(found[0][[3, 29]]).all()
+
+
+def test_many_columns():
+    """More of them than are copied one by one."""
+    made = Rows(lambda x, p: [a * x + 1.0 for a in p], {"x": None, "p": 40}, (33, 7))
+    p = RNG.normal(size=(70, 40))
+    first, second = made(3.0, p)
+    assert np.allclose(np.concatenate([first, second], axis=1), 3.0 * p + 1.0, rtol=1e-15)
+
+
+# what a function finds in memory
+
+
+class Opaque:
+    """What ``functions.opaque`` calls, written here in Python."""
+
+    name = "swap"
+
+    def __init__(self):
+        double = ctypes.POINTER(ctypes.c_double)
+        self._kept = ctypes.CFUNCTYPE(None, double, double)(self._call)
+        self.address = ctypes.cast(self._kept, ctypes.c_void_p).value
+
+    @staticmethod
+    def _call(given, made):
+        made[0], made[1] = given[1], given[0] * 10.0
+
+    def __call__(self, a, b):
+        return b, 10.0 * a
+
+
+@pytest.mark.parametrize("compiler", [True, False])
+def test_opaque_functions_and_tables(compiler, monkeypatch):
+    monkeypatch.setattr(module, "without_compiler", lambda: not compiler)
+    swap = Opaque()
+
+    def looked_up(x):
+        a, b = functions.opaque(swap, 2, (x[0], x[1]), x[0])
+        return a, b, functions.gather(3, x[2], "double"), functions.gather(5, x[2], "double")
+
+    made = Rows(looked_up, {"x": 3}, (2, 2))
+    tables = {5: np.arange(10)[::-1], 3: np.arange(10.0) ** 2}
+    x = np.column_stack([RNG.normal(size=(21, 2)), np.arange(21) % 10])
+    called, found = made(x, tables=tables)
+    assert np.array_equal(called, np.column_stack([x[:, 1], 10.0 * x[:, 0]]))
+    k = x[:, 2].astype(int)
+    assert np.array_equal(found, np.column_stack([tables[3][k], tables[5][k]]))
+    other = {**tables, 3: -tables[3]}
+    assert np.array_equal(made(x, tables=other)[1][:, 0], -found[:, 0])
+
+
+# what is kept
+
+
+def test_made_once():
+    same = rows(blend, SHAPE, OUTPUTS)
+    assert rows(blend, dict(SHAPE), list(OUTPUTS)) is same
+    assert rows(blend, SHAPE, OUTPUTS, "single") is not same
+    assert rows(blend, SHAPE, (3, 2)) is not same
+
+    def doubled(factor):
+        return rows(lambda x: x * factor, {"x": None}, (None,), key=("times", factor))
+
+    assert doubled(2.0) is doubled(2.0)
+    assert doubled(2.0)(1.5)[0] == 3.0
+    assert doubled(3.0)(1.5)[0] == 4.5
+
+
+def test_traced_and_compiled_once(monkeypatch):
+    calls = []
+    compiled = machine.compiled
+    monkeypatch.setattr(machine, "compiled", lambda text: calls.append("c") or compiled(text))
+
+    def half(x):
+        calls.append("t")
+        return x * 0.5
+
+    made = Rows(half, {"x": None}, (None,))
+    assert calls == []
+    for n in (1, 5, 100):
+        made(np.ones(n))
+    assert sorted(calls) == ["c", "t"]
+
+
+def test_the_program_does_not_depend_on_addresses():
+    """What is kept on disk serves the next process."""
+    texts = [str(Rows(blend, SHAPE, OUTPUTS)._code(4).module) for _ in range(2)]
+    assert operator.eq(*texts)
+
+
+# without a compiler
+
+
+@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("leads", [((), (), ()), ((9,), (9,), (9,)), ((2, 1, 4), (3, 1), (4,))])
+def test_in_python(kind, leads, monkeypatch):
+    monkeypatch.setattr(module, "without_compiler", lambda: True)
+    monkeypatch.setattr(machine, "compiled", None)
+    assert_as_numpy(kind, given(*leads, TYPES[kind]))
+
+
+@pytest.mark.parametrize("tensors", [False, True])
+def test_closed_form_in_python(tensors, monkeypatch):
+    q0, w0, _ = given((6,), (6,))
+    inertia = RNG.uniform(0.5, 0.9, (6, 3))
+    if tensors:
+        inertia = np.einsum("ni,ij->nij", inertia, np.eye(3)) + 0.05
+    t = np.linspace(-2.0, 3.0, 7)
+    compiled = exact.free_body(q0, w0, inertia, t)
+    monkeypatch.setattr(exact, "without_compiler", lambda: True)
+    monkeypatch.setattr(machine, "compiled", None)
+    q, w = exact.free_body(q0, w0, inertia, t)
+    assert np.abs(q - compiled[0]).max() <= 4e-15
+    assert np.abs(w - compiled[1]).max() <= 1e-14
+
+
+# refusals
+
+
+def test_refusals():
+    made = rows(blend, SHAPE, OUTPUTS)
+    q, v, t = given((4,), (4,), (4,))
+    with pytest.raises(ValueError, match=r"v: has shape \(4, 4\); accepted: \(..., 3\)"):
+        made(q, q, t)
+    with pytest.raises(ValueError, match="broadcast"):
+        made(q, v[:3], t)
+    with pytest.raises(ValueError, match="function: gives 5 numbers; accepted: 4"):
+        rows(blend, SHAPE, (3, None))(q, v, t)

@@ -1,0 +1,422 @@
+"""A formula as one function of numbers, for ``@njit`` code and for Python."""
+
+import math
+import os
+import re
+import subprocess
+import sys
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba import cfunc, config, njit, types
+from numba.core.errors import TypingError
+from oracle import EPS
+
+from fastatt.flat import dual, functions, graph, nodes
+from fastatt.flat.finished import Flat
+from fastatt.flat.formulas import axpy, quat, rigid, scale, so3
+from fastatt.flat.graph import Graph
+from fastatt.flat.nodes import NotStraight
+from fastatt.flat.scalar import scalar_function
+from fastatt.flat.traced import Traced
+from fastatt.kernels import quat as kernels
+
+SINGLE = np.float32
+P = (0.25, 0.5, 0.75, -0.5, 0.75, -0.4)
+START = (1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3)
+
+
+def field(x, p):
+    q, m = x[:4], x[4:]
+    v = tuple(a * b for a, b in zip(p[:3], m, strict=True))
+    return (*quat.mul_vector(q, v), *rigid.gyroscopic(m, p[3:]))
+
+
+def rk4(x, p, h):
+    k1 = field(x, p)
+    k2 = field(axpy(0.5 * h, k1, x), p)
+    k3 = field(axpy(0.5 * h, k2, x), p)
+    k4 = field(axpy(h, k3, x), p)
+    total = [a + 2.0 * (b + c) + d for a, b, c, d in zip(k1, k2, k3, k4, strict=True)]
+    return axpy(1.0 / 6.0 * h, total, x)
+
+
+step = scalar_function(rk4)
+
+
+@njit
+def run(x, p, h, n):
+    for _ in range(n):
+        x = step(x, p, h)
+    return x
+
+
+class State(NamedTuple):
+    q: tuple
+    w: tuple
+    t: float
+
+
+class Pair(NamedTuple):
+    state: State
+    past: bool
+
+
+def nested(s, h, unused):
+    (a, b), c = unused
+    u = scale(h, s.w)
+    return Pair(State(quat.mul(s.q, quat.exp(u)), s.w, s.t + h), c > 3.0), (a, b, 2.0), ()
+
+
+GIVEN = State((0.5, -0.5, 0.5, 0.5), (0.1, -0.2, 0.3), 1.0), 0.5, ((1.0, 2.0), 4.0)
+
+
+def test_python_and_users_code_give_the_same():
+    ends = run(START, P, 0.1, 1), step(START, P, 0.1)
+    assert ends[0] == ends[1]
+    assert {type(x) for x in ends[1]} == {float}
+    # the kernels themselves, which fuse other products
+    q = scalar_function(kernels.exp)
+    u = (0.3, -2.0, 5.0)
+    assert np.abs(np.subtract(q(u), kernels.exp(u))).max() <= 2 * EPS
+
+
+@pytest.mark.parametrize("kind", [float, SINGLE])
+def test_forms_of_tuples(kind):
+    made = scalar_function(nested)
+
+    @njit
+    def user(s, h, unused):
+        return made(s, h, unused)
+
+    given = State(tuple(map(kind, GIVEN[0].q)), tuple(map(kind, GIVEN[0].w)), kind(1.0))
+    given = given, kind(0.5), ((kind(1.0), kind(2.0)), kind(4.0))
+    compiled, plain = user(*given), made(*given)
+    assert compiled == plain
+    for found in (compiled, plain):
+        assert isinstance(found[0], Pair)
+        assert isinstance(found[0].state, State)
+        assert found[0].past is True
+        assert found[1:] == ((1.0, 2.0, 2.0), ())
+    true = kernels.mul(GIVEN[0].q, kernels.exp((0.05, -0.1, 0.15)))
+    eps = np.finfo(kind).eps
+    assert np.abs(np.subtract(plain[0].state.q, true)).max() <= 4 * eps
+    (signature,) = user.nopython_signatures
+    number = {float: types.float64, SINGLE: types.float32}[kind]
+    assert leaves(signature.return_type) == {number, types.boolean}
+    assert type(plain[0].state.t) is kind
+
+
+def leaves(ty):
+    if isinstance(ty, types.BaseTuple):
+        return set().union(*map(leaves, ty.types))
+    return {ty}
+
+
+def test_precisions_meet_in_the_wider_one():
+    def formula(x, t):
+        return x * t, x, 2.0
+
+    made = scalar_function(formula)
+
+    @njit
+    def user(x, t):
+        return made(x, t)
+
+    found = user(SINGLE(0.1), 3.0)
+    assert found == made(SINGLE(0.1), 3.0)
+    assert [type(x) for x in made(SINGLE(0.1), 3.0)] == [float, SINGLE, float]
+    (signature,) = user.nopython_signatures
+    assert signature.return_type.types == (types.float64, types.float32, types.float64)
+
+
+def test_names_of_arguments_and_functions_as_arguments():
+    @njit
+    def by_name(x, p, h):
+        return step(h=h, x=x, p=p)
+
+    @njit
+    def handed(f, x, p, h):
+        return f(x, p, h)
+
+    once = step(START, P, 0.1)
+    assert step(h=0.1, p=P, x=START) == once
+    assert by_name(START, P, 0.1) == once
+    assert handed(step, START, P, 0.1) == once
+
+
+@pytest.mark.parametrize("kind", [float, SINGLE])
+def test_an_array_in_place_of_a_tuple(kind):
+    made = scalar_function(lambda x, p: (x * p[0], p[2] - p[1]), arrays={"p": 3})
+
+    @njit
+    def user(x, p):
+        return made(x, p)
+
+    numbers = np.arange(1.0, 13.0, dtype=kind)
+    expected = made(kind(2.0), tuple(map(kind, numbers[1:4])))
+    for p in (numbers[1:], numbers[1:4]):
+        assert user(kind(2.0), p) == made(kind(2.0), p) == expected == (4.0, 1.0)
+    strided = numbers[::4]
+    assert user(kind(2.0), strided) == made(kind(2.0), strided) == (2.0, 4.0)
+    assert type(made(kind(2.0), strided)[1]) is kind
+    with pytest.raises(TypingError, match=r"found array\(float64, 2d, C\) among the arguments"):
+        user(kind(2.0), np.ones((3, 3)))
+    with pytest.raises(TypingError, match=r"found array\(int64, 1d, C\) among the arguments"):
+        user(kind(2.0), np.arange(3))
+
+
+def test_short_form_or_the_form_for_any_angle():
+    """Two formulas, and a branch between them at run time."""
+    asked = []
+
+    def near(u):
+        asked.append("near")
+        return quat.exp_short(u), sum(x * x for x in u)
+
+    def far(u):
+        asked.append("far")
+        return quat.exp(u)
+
+    short, wide = scalar_function(near), scalar_function(far)
+
+    @njit
+    def turn(u):
+        q, z = short(u)
+        if z > math.pi**2:
+            q = wide(u)
+        return q
+
+    assert asked == []
+    for u in ((0.1, 0.2, 0.3), (3.0, 3.0, -3.0)):
+        assert np.abs(np.subtract(turn(u), kernels.exp(u))).max() <= 2 * EPS
+    assert asked == ["near", "far"]
+    body = main_function(turn)
+    assert re.search(r"\bbr i1 ", body)
+
+
+def main_function(dispatcher):
+    """LLVM's text of a compiled function itself, without its entries from Python."""
+    (text,) = dispatcher.inspect_llvm().values()
+    found = re.finditer(r"^define [^@]*@\"?([^(\"]+).*?^}", text, flags=re.DOTALL | re.MULTILINE)
+    return next(m[0] for m in found if m[1].startswith("_ZN"))
+
+
+def test_a_loop_allocates_nothing_and_holds_the_operations_alone():
+    run(START, P, 0.1, 1)
+    body = main_function(run)
+    called = {m[1] for m in re.finditer(r"call [^@]*@([\w.]+)", body)}
+    assert {name.rsplit(".", 1)[0] for name in called} <= {"llvm.fma"}, called
+    assert "NRT_" not in body
+    made = Graph()
+    x, p = made.inputs("double", "x", 7), made.inputs("double", "p", 6)
+    wanted = Flat(made, rk4(x, p, made.input("double", "h")), "double").nodes
+    wanted = sum(n.op in ("+", "-", "*", "/", "fma", "fms", "fnma") for n in wanted)
+    found = len(re.findall(r" = f(?:add|sub|mul|div) |call double @llvm.fma", body))
+    # what does not change in the loop is done before it, once
+    assert found <= wanted
+
+
+def test_functions_of_the_c_library():
+    def formula(x):
+        e = graph.apply("exp", x)
+        return reduce(lambda s, name: s + graph.apply(name, 0.1 * x), nodes.LIBRARY[1:], e)
+
+    made = scalar_function(formula)
+
+    @njit
+    def user(x):
+        return made(x)
+
+    true = math.exp(0.7) + sum(getattr(math, name)(0.07) for name in nodes.LIBRARY[1:])
+    for found in (user(0.7), made(0.7)):
+        assert abs(found - true) <= 8 * EPS
+    assert abs(user(SINGLE(0.7)) - true) <= 8 * np.finfo(SINGLE).eps
+
+
+def test_derivatives_side_by_side():
+    def jacobian(u):
+        q = quat.exp(dual.seed(u, 3))
+        r = quat.mul(quat.conj(dual.value(q)), q)
+        return tuple(2.0 * x for c in r[1:] for x in dual.derivatives(c, 3))
+
+    made = scalar_function(jacobian)
+
+    @njit
+    def user(u):
+        return made(u)
+
+    u = (0.3, -1.0, 2.0)
+    assert user(u) == made(u)
+    true = scalar_function(so3.right_jacobian)(u)
+    assert np.abs(np.subtract(user(u), true)).max() <= 4 * EPS
+    (traced,) = made._traced.values()
+    assert traced.lanes == 4
+    # in another's recording they are apart
+    outer = Graph()
+    flat = Flat(outer, made(outer.inputs("double", "x", 3)), "double")
+    assert not any(node.op == "lane" for node in flat.nodes)
+    single = user(tuple(map(SINGLE, u)))
+    assert 0 < np.abs(np.subtract(single, true)).max() <= 4 * np.finfo(SINGLE).eps
+
+
+TABLE = np.array([3.0, 5.0, 7.0])
+
+
+def looked_up(x):
+    k = graph.apply("floor", x)
+    return functions.gather(0, k, "double") * x
+
+
+class Machine:
+    """An opaque function: f(a, b) -> (a² b, b)."""
+
+    name = "machine"
+
+    def __init__(self):
+        self.calls = 0
+
+        @cfunc(types.void(types.CPointer(types.float64), types.CPointer(types.float64)))
+        def entry(given, made):
+            made[0] = given[0] * given[0] * given[1]
+            made[1] = given[1]
+
+        self._entry = entry
+
+    @property
+    def address(self):
+        return self._entry.address
+
+    def __call__(self, a, b):
+        self.calls += 1
+        return a * a * b, b
+
+
+MACHINE = Machine()
+
+
+def opaque(x, y):
+    a, b = dual.seed((x, y), 2)
+    u, v = functions.opaque(MACHINE, 2, (a, b), x)
+    return dual.value(u), dual.derivatives(u, 2), dual.derivatives(v * a, 2)
+
+
+def test_tables_and_opaque_functions():
+    table, called = scalar_function(looked_up, {0: TABLE}), scalar_function(opaque)
+
+    @njit
+    def user(x, y):
+        return table(x), called(x, y)
+
+    found = user(1.5, 2.5)
+    assert found == (table(1.5), called(1.5, 2.5))
+    assert found[0] == 7.5
+    value, slopes, others = found[1]
+    assert value == 1.5**2 * 2.5
+    assert slopes == pytest.approx((7.5, 2.25), abs=1e-9)
+    assert others == pytest.approx((2.5, 1.5), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("function", "given", "tables"),
+    [(rk4, (START, P, 0.1), None), (nested, GIVEN, None), (looked_up, (1.5,), {0: TABLE}),
+     (opaque, (1.5, 2.5), None)],
+)  # fmt: skip
+def test_without_a_compiler(function, given, tables, monkeypatch):
+    compiled = scalar_function(function, tables)(*given)
+    monkeypatch.setattr(config, "DISABLE_JIT", True)
+    calls = MACHINE.calls
+    plain = scalar_function(function, tables)(*given)
+    assert (MACHINE.calls > calls) == (function is opaque)
+    a, b = graph.flattened([compiled]), graph.flattened([plain])
+    # without fused multiplications; differences over 2⁻¹⁶ of the opaque one's
+    assert a == pytest.approx(b, rel=8 * EPS, abs=(2**16 if function is opaque else 1) * 8 * EPS)
+    assert type(plain) is type(compiled)
+
+
+KEPT = """
+import edited
+from numba import njit
+from fastatt.flat.scalar import scalar_function
+
+share = scalar_function(edited.formula)
+
+@njit
+def between(x):
+    return share(x)
+
+@njit(cache=True)
+def user(x):
+    return between(x)
+
+@njit(cache=True)
+def other(x):
+    return x + 1.0
+
+print(user(2.0), other(2.0), len(other.stats.cache_hits))
+"""
+
+
+def test_code_that_holds_a_formula_is_never_found_stale(tmp_path):
+    """A formula edited in another file than the function that calls it, which Numba could keep."""
+    (tmp_path / "kept.py").write_text(KEPT)
+    paths = os.pathsep.join(p for p in sys.path if p)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": paths}
+    found = []
+    for factor in (3.0, 5.0):
+        (tmp_path / "edited.py").write_text(f"formula = lambda x: {factor} * x\n")
+        done = subprocess.run(
+            [sys.executable, "kept.py"],
+            cwd=tmp_path, env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert 'Cannot cache compiled function "user"' in done.stderr
+        found.append(done.stdout.split())
+    # what holds none is kept
+    assert found == [["6.0", "3.0", "0"], ["10.0", "3.0", "1"]]
+
+
+REFUSED = "found {} among the arguments; accepted are float64 or float32 and tuples of them"
+
+
+def test_refusals():
+    with pytest.raises(TypeError, match="rk4: " + REFUSED.format("int")):
+        step(START, P, 1)
+    with pytest.raises(TypeError, match="rk4: " + REFUSED.format("ndarray")):
+        step(np.array(START), P, 0.1)
+    with pytest.raises(TypingError, match="rk4: " + REFUSED.format("int64")):
+        run(START, P, 1, 1)
+    with pytest.raises(TypeError, match="missing a required argument: 'h'"):
+        step(START, P, q=0.1)
+
+    @njit
+    def two(x):
+        return step(x, x)
+
+    with pytest.raises(TypingError, match="rk4: missing a required argument: 'h'"):
+        two(START)
+
+
+def test_what_is_no_straight_line_is_refused():
+    branching = scalar_function(lambda x: x if x > 0.0 else -x)
+
+    @njit
+    def user(x):
+        return branching(x)
+
+    with pytest.raises(NotStraight, match="a branch on a condition"):
+        branching(1.0)
+    with pytest.raises(TypingError, match="a branch on a condition"):
+        user(1.0)
+    with pytest.raises(NotStraight, match="a result of str"):
+        scalar_function(lambda x: "x")(1.0)
+
+
+def test_forms_are_traced_once():
+    made = scalar_function(quat.normalise)
+    made((1.0, 2.0, 3.0, 4.0))
+    ((key, traced),) = made._traced.items()
+    made((4.0, 2.0, 3.0, 4.0))
+    assert made._traced == {key: traced}
+    assert isinstance(traced, Traced)

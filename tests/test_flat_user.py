@@ -1,0 +1,436 @@
+"""A user's functions: traced where they are straight lines, compiled or called back where not."""
+
+import ctypes
+import gc
+import math
+import subprocess
+import sys
+import textwrap
+import weakref
+
+import numpy as np
+import pytest
+from llvmlite import ir
+from numba import njit
+
+from fastatt.flat import machine, source, user
+from fastatt.flat.code import I64, REALS, Code
+from fastatt.flat.finished import Flat
+from fastatt.flat.graph import Double, Graph
+from fastatt.flat.llvm import OPAQUE, Emitter
+from fastatt.flat.nodes import NotStraight
+from fastatt.flat.user import UserFunction, user_function
+
+P = (0.3, -0.7)
+
+
+def spin(t, p):
+    return p[0] * math.sin(t), p[1] * math.cos(t), t if t > 1.0 else 0.5
+
+
+@njit
+def jitted_spin(t, p):
+    return spin_part(t, p[0]), 0.0, -p[1]
+
+
+@njit
+def spin_part(t, k):
+    if t > 2.0:
+        return k
+    return k * t
+
+
+def drag(t, q, w, p):
+    size = math.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
+    return -p[0] * size * w[0], -p[0] * size * w[1], q[0] * t
+
+
+def push(t, q, w, v, p):
+    return v[0] + q[1], w[2] * t, p[1]
+
+
+def energy(t, q, p):
+    return p[0] * q[0] * q[0] + t
+
+
+def until(t, p):
+    """No straight line: a loop over data."""
+    x = t
+    while x > p[0]:
+        x = x - 1.0
+    return x, p[0], p[1]
+
+
+@njit
+def opaque_energy(t, q, p):
+    x = t
+    while x > 0.5:
+        x -= 0.5
+    return x + q[3] + p[1]
+
+
+def inputs(graph, made, kind="double"):
+    """Recorded arguments, and the names of their numbers."""
+    numbers = []
+    for k, n in enumerate(made.sizes):
+        is_tuple = n or k == len(made.sizes) - 1
+        group = graph.inputs(kind, "abcdefgh"[k], n if is_tuple else 1)
+        numbers.append(group if is_tuple else group[0])
+    return numbers
+
+
+def values_of(made, *given):
+    """What it gives, through the graph's text."""
+    graph = Graph()
+    result = made.call(*inputs(graph, made))
+    results = result if isinstance(result, tuple) else (result,)
+    flat = Flat(graph, results, "double")
+    by_name = {}
+    for k, x in enumerate(given):
+        by_name |= {
+            ("abcdefgh"[k], i): y for i, y in enumerate(x if isinstance(x, tuple) else (x,))
+        }
+    return source.function(flat)(*(by_name[name] for name in flat.inputs()))
+
+
+Q, W, V = (0.5, -0.5, 0.1, 0.7), (0.3, -0.2, 0.9), (1.0, 2.0, -3.0)
+STRAIGHT = [
+    (spin, "rate", (1.5, P)),
+    (spin, "rate", (0.5, P)),
+    (jitted_spin, "rate", (1.5, P)),
+    (jitted_spin, "rate", (2.5, P)),
+    (drag, "torque", (1.5, Q, W, P)),
+    (push, "force", (1.5, Q, W, V, P)),
+    (energy, "potential", (1.5, Q, P)),
+]
+
+
+@pytest.mark.parametrize(("function", "argument", "given"), STRAIGHT)
+def test_straight_functions_are_traced(function, argument, given):
+    made = user_function(function, argument, 2)
+    assert made.straight
+    assert not made.reason
+    expected = getattr(function, "py_func", function)(*given)
+    expected = expected if isinstance(expected, tuple) else (expected,)
+    np.testing.assert_allclose(values_of(made, *given), expected, rtol=4e-16, atol=4e-16)
+
+
+def test_what_is_traced_is_of_the_precision_of_what_is_given():
+    graph = Graph()
+    made = user_function(spin, "rate", 2)
+    found = made.call(*inputs(graph, made, "single"))
+    assert {n.kind for n in Flat(graph, found, "single").nodes} <= {"single", ""}
+
+
+@pytest.mark.parametrize(
+    ("function", "argument", "given"),
+    [(until, "rate", (3.2, P)), (opaque_energy, "potential", (1.3, Q, P))],
+)
+def test_others_are_called(function, argument, given):
+    made = user_function(function, argument, 2)
+    assert not made.straight
+    assert "a loop whose end is not known" in made.reason
+    assert __file__ in made.reason
+    expected = getattr(function, "py_func", function)(*given)
+    expected = expected if isinstance(expected, tuple) else (expected,)
+    np.testing.assert_allclose(values_of(made, *given), expected, rtol=0, atol=4e-16)
+    known = made.call(*given)
+    np.testing.assert_allclose(known, expected[0] if argument == "potential" else expected)
+
+
+def aligned(n):
+    """Memory as vectors are loaded from."""
+    memory = np.empty(n + 8)
+    start = -memory.ctypes.data // 8 % 8
+    return memory[start : start + n]
+
+
+@pytest.mark.parametrize("lanes", [1, 4])
+def test_called_from_machine_code(lanes):
+    made = user_function(until, "rate", 2)
+    graph = Graph()
+    t, p = inputs(graph, made)
+    x = [Double(y) for y in made.call(t, p)]
+    flat = Flat(graph, [x[0] + p[1], x[1], x[2] * 2.0], "double")
+    module = ir.Module("test")
+    double = REALS["double"]
+    code = Code(module, "run", [double.as_pointer(), double.as_pointer(), I64])
+    given, results, address = code.function.args
+    resources = {("function", made): code.b.inttoptr(address, OPAQUE)}
+
+    def load(name, kind):
+        at = [("a", 0), ("b", 0), ("b", 1)].index(name) * lanes
+        return (code.vector(given, at, lanes) if lanes > 1 else code.load(given, at)), lanes > 1
+
+    for i, value in enumerate(Emitter(code, lanes, True, resources).wide(flat, load)):
+        (code.store_vector if lanes > 1 else code.store)(results, i * lanes, value)
+    code.give(0)
+    program = machine.Compiled(machine.object_of(str(module)))
+    run = program.function("run", ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+    times = np.array([3.2, -1.0, 0.75, 9.0])[:lanes]
+    a, b = aligned(3 * lanes), aligned(3 * lanes)
+    a[:] = [*times, *[P[0]] * lanes, *[P[1]] * lanes]
+    run(a.ctypes.data, b.ctypes.data, made.address)
+    for k, t in enumerate(times):
+        x = until(t, P)
+        np.testing.assert_array_equal(b[k::lanes], [x[0] + P[1], x[1], x[2] * 2.0])
+
+
+def raising(t, p):
+    if t > 5.0:
+        raise ValueError
+    return t, 0.0, 0.0
+
+
+def test_an_error_leaves_nan():
+    made = user_function(raising, "rate", 0)
+    assert "ValueError" in made.reason
+    assert made.call(1.0, ()) == (1.0, 0.0, 0.0)
+    assert np.isnan(made.call(6.0, ())).all()
+
+
+def test_made_once_and_let_go():
+    def function(t, p):
+        return t, p[0], 0.0
+
+    made = user_function(function, "rate", 1)
+    assert user_function(function, "rate", 1) is made
+    assert user_function(function, "rate", 2) is not made
+    alive = weakref.ref(function)
+    del function
+    gc.collect()
+    assert alive() is None
+    assert made.straight
+
+
+# what is compared
+
+
+calls = []
+
+
+def traced_differently(t, p):
+    """Gives something else each time."""
+    calls.append(t)
+    return float(len(calls)), 0.0, 0.0
+
+
+def edited(t, p):
+    return t, 2.0 * t, p[0]
+
+
+def test_another_value_in_python_is_not_trusted(monkeypatch):
+    monkeypatch.setattr(user, "traceable", lambda f: lambda t, p: (t, 2.0 * t, p[0] + 1e-6))
+    made = UserFunction(edited, "rate", 1)
+    assert not made.straight
+    assert made.reason == "other values in Python than as it was traced"
+    assert values_of(made, 1.5, (0.25,)) == (1.5, 3.0, 0.25)
+
+
+def test_rounding_is_no_difference():
+    def function(t, p):
+        """The second is 0 but for rounding."""
+        s, c = math.sin(t), math.cos(t)
+        return 1e3 * s, 1e3 * (s * s + c * c - 1.0), p[0]
+
+    assert UserFunction(function, "rate", 1).straight
+
+
+def test_points_where_python_raises_are_left_out():
+    def function(t, p):
+        return math.sqrt(t - 5.0), 1.0 / p[0], 0.0
+
+    assert UserFunction(function, "rate", 1).straight
+    made = UserFunction(function, "rate", 1, np.array([0.0]))
+    assert not made.straight
+    assert made.reason == "an error in Python at every point where it was tried"
+
+
+def test_given_parameters_are_tried():
+    seen = []
+
+    def function(t, p):
+        return p[0], t, 0.0
+
+    def in_python(f):
+        return lambda t, p: seen.append(p) or f(t, p)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(user, "interpreted", in_python)
+        UserFunction(function, "rate", 1, np.arange(16.0)[:, None])
+    assert seen == [(float(k),) for k in range(0, 16, 2)]
+
+
+def test_known_numbers_that_python_refuses():
+    def function(t, p):
+        return t / p[0], 1.0 / p[0], p[1]
+
+    graph = Graph()
+    made = UserFunction(function, "rate", 2)
+    flat = Flat(graph, made.call(graph.input("double", "t"), (0.0, 2.0)), "double")
+    assert source.function(flat)(1.0) == (math.inf, math.inf, 2.0)
+
+
+def test_jitted_functions_are_not_compiled_to_be_traced():
+    @njit
+    def inner(x):
+        return 2.0 * x
+
+    @njit
+    def function(t, p):
+        return inner(t), 0.0, 0.0
+
+    assert UserFunction(function, "rate", 0).straight
+    assert not inner.signatures
+    assert not function.signatures
+
+
+# what is refused
+
+
+def two(t, p):
+    return t, t
+
+
+def one(t, p):
+    return t
+
+
+def array(t, p):
+    return np.array([t, t, t])
+
+
+def a_list(t, p):
+    return [t, t, t]
+
+
+def nothing(t, p):
+    pass
+
+
+def truth(t, p):
+    return t > 0.0, t, t
+
+
+def unknown_name(t, p):
+    return (
+        t,
+        nowhere(t),  # noqa: F821
+        t,
+    )
+
+
+def too_few(t):
+    return t, t, t
+
+
+def beyond(t, p):
+    return p[0], p[1], p[2]
+
+
+def calls_unknown(t, p):
+    return math.isqrt(t), t, t
+
+
+def three_energies(t, q, p):
+    return t, t, t
+
+
+@pytest.mark.parametrize(
+    ("function", "argument", "message"),
+    [
+        (two, "rate", r"two\(t, p\) returns UniTuple\(float64 x 2\); accepted is a tuple of three"),
+        (one, "rate", r"one\(t, p\) returns float64; accepted is a tuple of three floats, rad/s$"),
+        (array, "rate", r"array\(t, p\) returns array\(float64, 1d, C\); accepted is a tuple of"),
+        (a_list, "rate", r"a_list\(t, p\) returns .*list\(float64\)"),
+        (nothing, "rate", r"nothing\(t, p\) returns none; accepted"),
+        (truth, "rate", r"truth\(t, p\) returns Tuple\(bool, float64, float64\)"),
+        (three_energies, "potential", r"returns .*; accepted is a float, J$"),
+        (
+            unknown_name,
+            "rate",
+            (
+                r"unknown_name\(t, p\) does not compile for floats, with p a tuple of 2 floats: "
+                rf"NameError: name 'nowhere' is not defined \({__file__}:\d+\); accepted is a"
+            ),
+        ),
+        (too_few, "rate", rf"Signature mismatch: .* \({__file__}:\d+\); accepted is a function"),
+        (beyond, "rate", rf"tuple index out of range \({__file__}:\d+\); accepted"),
+        (calls_unknown, "rate", rf"Unknown attribute 'isqrt' .*\({__file__}:\d+\); accepted"),
+        (3.0, "rate", r"found 3.0; accepted: a function rate\(t, p\)"),
+        (math.sin, "torque", r"accepted: a function torque\(t, q, w, p\)"),
+    ],
+)
+def test_wrong_functions_are_refused_each_time(function, argument, message):
+    for _ in range(2):
+        with pytest.raises(TypeError, match=f"^{argument}: .*{message}") as error:
+            user_function(function, argument, 2)
+        assert not isinstance(error.value, NotStraight)
+
+
+def test_the_line_is_that_of_the_problem():
+    with pytest.raises(TypeError, match="nowhere") as error:
+        user_function(calls_nowhere, "rate", 0)
+    number = int(str(error.value).split(f"{__file__}:")[1].split(")")[0])
+    with open(__file__) as text:  # noqa: PTH123
+        assert "nowhere(t)" in text.read().splitlines()[number - 1]
+
+
+def calls_nowhere(t, p):
+    x = 2.0 * t
+    y = nowhere(t)  # noqa: F821
+    return x, y, t
+
+
+# without Numba's compiler
+
+SCRIPT = """
+    import math, numpy as np
+    from numba import njit
+    from fastatt.flat.user import user_function
+
+    @njit
+    def straight(t, p):
+        return math.sqrt(t), p[0] if t > 1.0 else t, 0.0
+
+    @njit
+    def until(t, p):
+        while t > p[0]:
+            t -= 1.0
+        return t, p[0], 1.0 / p[1]
+
+    def two(t, p):
+        return t, t
+
+    def beyond(t, p):
+        return p[5], t, t
+
+    assert user_function(straight, "rate", 1).straight
+    made = user_function(until, "rate", 2)
+    assert not made.straight
+    assert made.call(2.5, (1.0, 4.0)) == (0.5, 1.0, 0.25)
+    assert np.isnan(made.call(2.5, (1.0, 0.0))).all()
+    for function in (two, beyond, 3.0):
+        try:
+            user_function(function, "rate", 1)
+        except TypeError as error:
+            print(error)
+"""
+
+
+def test_without_numbas_compiler(tmp_path):
+    (tmp_path / "script.py").write_text(textwrap.dedent(SCRIPT))
+    run = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")],
+        env={"NUMBA_DISABLE_JIT": "1", "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert not run.stderr
+    first, second, third = run.stdout.splitlines()
+    assert first == (
+        "rate: two(t, p) returns (0.0, 0.0); accepted is a tuple of three floats, rad/s"
+    )
+    assert second.startswith("rate: beyond(t, p) raises IndexError: tuple index out of range; ")
+    assert third == "rate: found 3.0; accepted: a function rate(t, p)"

@@ -1,0 +1,121 @@
+"""Windows of gyro samples: their shape, their loops on any processor, what is compiled when."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.flat.machine import Processor, processor
+from fastatt.gyro import chunk, engine, turns
+from fastatt.gyro.windows import CHUNK, Window
+
+LOG = np.random.default_rng(2).normal(size=(3000, 3))
+SAMPLED = [
+    (m.name, increments)
+    for m in fa.METHODS.values()
+    if m.window is not None
+    for increments in (False, True)
+    if m.window.takes(increments)
+]
+
+
+@pytest.fixture
+def fresh():
+    """Nothing compiled before the test, and nothing of it after."""
+    engine.windows.cache_clear()
+    engine._loops.cache_clear()
+    yield
+    engine.windows.cache_clear()
+    engine._loops.cache_clear()
+
+
+@pytest.mark.parametrize(("span", "history"), [(0, 0), (5, 0), (96, 0), (1, -1), (1, 9)])
+def test_windows_that_a_chunk_does_not_hold_are_refused(span, history):
+    with pytest.raises(ValueError, match=r"^(span|history): found"):
+        Window(history=history, span=span)
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_samples_of_a_window(method, increments):
+    """As many as its formula takes: one more is never looked at, one less is missed."""
+    window = fa.METHODS[method].window
+    assert CHUNK % window.span == 0
+    n = 3 * window.samples(increments)
+    rng = np.random.default_rng(0)
+    v, h = tuple(rng.normal(size=n).tolist()), (0.1,) * window.intervals
+    formula = window.formula(increments)
+    if formula is None:
+        formula = lambda v, h: window.iteration.attitudes(increments, v, h)  # noqa: E731
+    found = formula(v, h)
+    assert len(found) == (4 if window.iteration else 3) * window.span
+    assert formula((*v, 1e300), h) == found
+    if (method, increments) != ("hold", False):  # which leaves out that at the interval's end
+        with pytest.raises(IndexError):
+            formula(v[:-1], h)
+
+
+@pytest.mark.parametrize("features", ["", "+avx", "+avx512f"])
+@pytest.mark.parametrize(
+    ("method", "increments"), [("hold", True), ("previous", False), ("picard", True)]
+)
+def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments, features):
+    """The lanes of a processor with short vectors, on this one."""
+    logs = LOG.reshape(30, 100, 3) * 0.02, LOG * 0.02
+    spans = 0.1, np.linspace(0.09, 0.11, 100 - (not increments))
+    options = {"method": method, "increments": increments}
+    cases = [
+        (data.astype(dtype), dt)
+        for dtype in ("f8", "f4")
+        for data, dt in ((logs[0], spans[0]), (logs[0], spans[1]), (logs[1], 0.1))
+    ]
+    expected = [fa.integrate_rates(data, dt, **options) for data, dt in cases]
+    own = processor()
+    other = Processor(own.name, features + (",+fma" if own.fuses else ""))
+    for module in (chunk, turns):
+        monkeypatch.setattr(module, "processor", lambda: other)
+    engine.windows.cache_clear()
+    engine._loops.cache_clear()
+    assert chunk.lanes_of("double") == other.vector // 8
+    for (data, dt), one in zip(cases, expected, strict=True):
+        assert fa.integrate_rates(data, dt, **options).tobytes() == one.tobytes()
+
+
+@pytest.mark.parametrize("n", [400, 3000])
+def test_windows_for_any_angle_are_compiled_when_one_turns_past_a_half(fresh, monkeypatch, n):
+    """Turns of at most π a window need them not; picard has one form."""
+    made = []
+    compiled = engine.windows
+    monkeypatch.setattr(
+        engine, "windows", lambda *given: made.append(given[-1]) or compiled(*given)
+    )
+    fa.integrate_rates(0.01 * LOG[:n], 1.0, method="coning2")
+    assert made == [False]
+    fast = 0.01 * LOG[:n]
+    fast[n // 2] = 2.0
+    q = fa.integrate_rates(fast, 1.0, method="coning2")
+    assert made == [False, False, True]
+    made.clear()
+    assert np.array_equal(fa.integrate_rates(fast, 1.0, method="coning2", n_threads=1), q)
+    fa.integrate_rates(0.01 * LOG[:n], 1.0, method="picard")
+    assert made == [False, True, True]
+
+
+def test_threads_that_need_a_program_together_make_it_once(fresh):
+    """Else one would run what another has let go."""
+    logs = np.tile(LOG[:20], (4000, 1, 1))
+    fa.integrate_rates(logs, 1.0, method="coning3", n_threads=8)
+    assert engine.windows.cache_info().misses == 2
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_both_exponentials_give_small_turns_the_same_bits(fresh, monkeypatch, fast):
+    """What lets a chunk go from one to the other for the sake of one lane."""
+    data = LOG * (0.9 if fast else 0.2)
+    for dtype in ("f8", "f4"):
+        short = fa.integrate_rates(data.astype(dtype), 0.1, method="coning3")
+        near = property(lambda window: 1e-9)
+        with monkeypatch.context() as patched:
+            patched.setattr(Window, "near", near)
+            wide = fa.integrate_rates(data.astype(dtype), 0.1, method="coning3")
+        assert wide.tobytes() == short.tobytes()

@@ -1,0 +1,185 @@
+"""``NUMBA_DISABLE_JIT=1``: the same formulas in Python; and what the looks at turns change."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact import EPS, START, generic
+from numba import njit
+
+import fastatt as fa
+
+ROOT = Path(fa.__file__).resolve().parents[1]
+N, STEPS = 70, 40
+BODIES = generic(N)
+Q0 = np.tile(START, (N, 1))
+RNG = np.random.default_rng(9)
+INERTIA = np.sort(1.0 + 0.5 * RNG.random((N, 3)))
+W0, V0 = RNG.normal(size=(2, N, 3))
+ARM = (0.1, 0.2, 0.3)
+TENSOR = np.array([[2.0, 0.2, 0.1], [0.2, 2.5, -0.3], [0.1, -0.3, 3.0]])
+
+
+@njit
+def straight(t, p):
+    speed = p[0] if math.sin(3.0 * t) > p[1] else p[2]
+    return speed, 0.2 * math.cos(t), -speed
+
+
+@njit
+def winding(t, p):
+    return p[0] * math.gamma(1.5 + math.sin(t)), p[1], p[2]
+
+
+@njit
+def field(t, q, w, p):
+    x = fa.kernels.quat.rotate_inverse(q, (0.0, 0.0, p[0]))
+    return x[0] - 0.1 * w[0], x[1], x[2] * math.exp(-t)
+
+
+HEAVY = fa.torques.HeavyTop(ARM, 2.0)
+SAMPLED = fa.torques.Sampled(RNG.normal(size=(9, 3)) * 0.2, 0.25)
+ALL = fa.torques.Sum((HEAVY, SAMPLED, fa.torques.AxisDamping((0.1, 0.2, 0.3))))
+SHARED = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
+INERTIAL = fa.Scene(rate=BODIES.model, frame="inertial")
+USERS = fa.Scene(rate=straight, params=BODIES.c[:, 0])
+CALLED = fa.Scene(rate=winding, params=BODIES.c[:, 0])
+FREE = fa.Scene(inertia=INERTIA)
+TOP = fa.Scene(inertia=(1.0, 1.0, 1.6))
+BALL = fa.Scene(inertia=(1.0, 1.0, 1.0))
+TORQUED = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=ALL)
+KICKED = fa.Scene(inertia=INERTIA, torque=fa.torques.Sum((HEAVY, SAMPLED)))
+DAMPED = fa.Scene(inertia=INERTIA, torque=fa.torques.Damping(0.1))
+TURNED = fa.Scene(inertia=TENSOR, torque=field, params=[0.3])
+FALLING = fa.Scene(inertia=TENSOR, mass=2.0, force=fa.forces.ConstantInertial((0.0, 0.0, -9.8)))
+GLIDING = fa.Scene(rate=BODIES.model, mass=1.5, force=fa.forces.Drag(0.2))
+FAR = fa.Scene(rate=fa.rates.Polynomial(BODIES.c * np.linspace(1.0, 100.0, N)[:, None, None]))
+
+# name: scene, method, representation, other options
+RUNS = {
+    "shared coning": (SHARED, "magnus4", "quat", {}),
+    "each coning": (BODIES.scene, "magnus6", "quat", {}),
+    "matrices": (BODIES.scene, "cf4", "dcm", {"normalise": 8}),
+    "rows": (INERTIAL, "cg3", "dcm_rows", {}),
+    "angles": (BODIES.scene, "rk4", "euler313", {}),
+    "vector": (BODIES.scene, "rk4", "rotation_vector", {}),
+    "compensated": (BODIES.scene, "rkmk4", "quat", {"compensated": True}),
+    "traced": (USERS, "lie_euler", "quat", {"normalise": "never"}),
+    "called": (CALLED, "lie_midpoint", "quat", {}),
+    "beyond": (FAR, "lie_midpoint", "quat", {}),
+    "free": (FREE, "rk8", "quat", {}),
+    "free, compensated": (FREE, "dmv10", "quat", {"compensated": True}),
+    "symmetric": (TOP, "strang2", "quat", {}),
+    "spherical": (BALL, "dmv4", "dcm", {}),
+    "torqued": (TORQUED, "rk4", "quat", {"t0": 0.3}),
+    "kicked": (KICKED, "srkn6", "quat", {}),
+    "damped": (DAMPED, "kahan_li6", "dcm", {}),
+    "turned": (TURNED, "rkmk4", "quat", {}),
+    "falling": (FALLING, "rk4", "quat", {"r0": V0}),
+    "gliding": (GLIDING, "magnus4", "quat", {}),
+}
+
+
+def run(name, dtype="float64", **options):
+    scene, method, representation, more = RUNS[name]
+    w0 = None if scene.kind == "rate" else W0
+    v0 = V0 if scene.moves else None
+    return fa.propagate(
+        scene, Q0, w0, v0=v0, dt=0.05, n_steps=STEPS, method=method, save_every=16,
+        representation=representation, dtype=dtype, **more, **options,
+    )  # fmt: skip
+
+
+def results(name, dtype):
+    traj = run(name, dtype)
+    found = {"t": traj.t, "state": traj.state, "w": traj.w, "defect": traj.defect, "q": traj.q}
+    return {**found, **traj.carried, "status": traj.status}
+
+
+@pytest.fixture(scope="module")
+def in_python(tmp_path_factory):
+    """The results of all runs in a process that compiles nothing."""
+    path = tmp_path_factory.mktemp("plain") / "runs.npz"
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", __file__, str(path)],
+        cwd=ROOT,
+        env={
+            **os.environ,
+            "NUMBA_DISABLE_JIT": "1",
+            "FASTATT_CACHE": "0",
+            "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests"))),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["0", "programs"]
+    with np.load(path) as file:
+        return dict(file)
+
+
+@pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("name", RUNS)
+def test_python_gives_what_machine_code_gives(name, dtype, in_python):
+    """But for fused products: 40 steps of some roundings each."""
+    eps = EPS if dtype == "float64" else 2.0**-23
+    compiled = results(name, dtype)
+    for key, value in compiled.items():
+        other = in_python[f"{name}/{dtype}/{key}"]
+        assert other.shape == value.shape, key
+        assert other.dtype == value.dtype, key
+        if key == "status":
+            assert other.tolist() == value.tolist()
+            continue
+        fine = compiled["status"] == 0 if key != "t" else slice(None)
+        a, b = (x if key == "t" else x[:, fine] for x in (value, other))
+        assert a.size
+        size = max(1.0, float(np.abs(a).max()))
+        assert np.abs(a - b).max() < 450 * eps * size, key  # 1e-13 in double precision
+
+
+# the looks at how far a step turns
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("name", [name for name in RUNS if name != "beyond"])
+def test_without_looks_the_states_are_the_same_bits(name, dtype):
+    """Where no step turns beyond π; the status then knows of no step."""
+    with_looks, without = run(name, dtype), run(name, dtype, looks=False)
+    for a, b in (
+        (with_looks.state, without.state),
+        (with_looks.defect, without.defect),
+        (with_looks.w, without.w),
+    ):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_without_looks_turns_beyond_pi_go_unseen():
+    """Else the switch would switch nothing."""
+    with pytest.warns(fa.StepWarning):
+        seen = run("beyond")
+    unseen = run("beyond", looks=False)
+    turning = seen.status & fa.Status.STEP_TOO_LARGE != 0
+    assert turning.any()
+    assert not turning.all()
+    assert not (unseen.status & fa.Status.STEP_TOO_LARGE).any()
+    assert seen.state[:, ~turning].tobytes() == unseen.state[:, ~turning].tobytes()
+
+
+if __name__ == "__main__":
+    from fastatt.flat import store
+
+    found = {}
+    for name in RUNS:
+        for dtype in ("float64", "float32"):
+            found |= {f"{name}/{dtype}/{k}": v for k, v in results(name, dtype).items()}
+    np.savez(sys.argv[1], **found)
+    print(store.hits + store.made, "programs")

@@ -1,0 +1,133 @@
+"""Single windows of gyro samples beside the engine, from Python, jitted code and threads."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from allocations import counted, is_made_in
+from exact import EPS, START, generic
+from numba import njit
+
+import fastatt as fa
+from fastatt import steps
+
+H = 0.05
+ULPS = 4 * EPS
+MOTION = generic(3)
+SAMPLED = [
+    (m.name, inc)
+    for m in fa.METHODS.values()
+    for inc in (False, True)
+    if ("increments" if inc else "sampled rates") in m.scenes
+]
+
+
+@pytest.fixture
+def allocations():
+    with counted() as number:
+        yield number
+
+
+def sample_log(method, increments, n):
+    t = np.arange(n + 1) * H
+    values = MOTION.increments(t) if increments else MOTION.rate(t)
+    return np.ascontiguousarray(np.moveaxis(values, 0, 1)[0])
+
+
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_windows_of_samples_are_the_engines(method, increments, allocations):
+    """The first whole window of a log, in tuples and in arrays."""
+    window = steps.sample_step(method, increments=increments)
+    n = window.history + window.span
+    log = sample_log(method, increments, n)
+    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
+    out = np.empty((window.span + 1, 4))
+    gaps, work = np.full(n, H), np.empty(window.work)
+    assert log.shape == (window.samples, 3)
+    for _ in range(2):
+        before = allocations()
+        out[0] = engine[window.history]
+        window.step_into(log, gaps, out, work)
+    assert allocations() == before + 4  # Numba's own, of each array handed over
+    assert np.abs(out - engine[window.history :]).max() <= ULPS
+    if method == "coning2":  # the named functions call the same kernel for the others
+        flat = window.step(tuple(out[0]), tuple(log.ravel().tolist()), tuple(gaps.tolist()))
+        assert np.array_equal(np.reshape(flat, (-1, 4)), out[1:])
+
+
+CALLS = {
+    ("hold", False): lambda q, v: steps.hold(q, v[0], H),
+    ("hold", True): lambda q, v: steps.hold_increments(q, v[0]),
+    ("trapezoid", False): lambda q, v: steps.trapezoid(q, *v, H),
+    ("previous", False): lambda q, v: steps.previous(q, *v, H, H),
+    ("previous", True): lambda q, v: steps.previous_increments(q, *v, H, H),
+    ("coning2", False): lambda q, v: steps.coning2(q, *v, H, H),
+    ("coning2", True): lambda q, v: steps.coning2_increments(q, *v, H, H),
+    ("coning3", False): lambda q, v: steps.coning3(q, *v, H, H, H),
+    ("coning3", True): lambda q, v: steps.coning3_increments(q, *v, H, H, H),
+    ("coning3_optimal", True): lambda q, v: steps.coning3_optimal_increments(q, *v),
+}
+
+
+def test_every_method_of_samples_has_its_functions():
+    assert set(CALLS) == {s for s in SAMPLED if s[0] != "picard"}
+
+
+@pytest.mark.parametrize(("method", "increments"), CALLS)
+def test_functions_of_samples(method, increments):
+    window = fa.METHODS[method].window
+    n = window.history + window.span
+    log = sample_log(method, increments, n)
+    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
+    samples = [tuple(row) for row in log.tolist()]
+    found = CALLS[method, increments](tuple(engine[window.history].tolist()), samples)
+    assert np.abs(np.reshape(found, (-1, 4)) - engine[window.history + 1 :]).max() <= ULPS
+
+
+def test_large_angles_of_samples():
+    u = (4.0, -3.0, 2.0)
+    q = fa.integrate_rates([u], 1.0, START, method="hold", increments=True)[-1]
+    assert np.abs(steps.hold_increments(tuple(START), u) - q).max() <= ULPS
+    assert np.abs(steps.hold(tuple(START), (8.0, -6.0, 4.0), 0.5) - q).max() <= ULPS
+
+
+# from a user's own code
+
+
+@njit(nogil=True)
+def with_samples(q, rates, h):
+    for i in range(rates.shape[0] - 1):
+        a = (rates[i, 0], rates[i, 1], rates[i, 2])
+        b = (rates[i + 1, 0], rates[i + 1, 1], rates[i + 1, 2])
+        q = steps.trapezoid(steps.hold(q, a, h), a, b, h)
+    return q
+
+
+def test_from_jitted_code(allocations):
+    rates = sample_log("trapezoid", False, 8)
+    with_samples(tuple(START), rates, H)
+    before = allocations()
+    q = with_samples(tuple(START), rates, H)
+    assert allocations() == before + 1  # Numba's own, of the array handed over
+    slow = tuple(START)
+    for a, b in pairwise(rates):
+        slow = steps.trapezoid(steps.hold(slow, tuple(a), H), tuple(a), tuple(b), H)
+    assert np.abs(np.subtract(q, slow)).max() <= 16 * ULPS
+    for text in with_samples.inspect_llvm().values():
+        assert not is_made_in(text)
+
+
+def test_in_threads():
+    logs = [np.random.default_rng(k).normal(size=(2000, 3)) for k in range(8)]
+    alone = [with_samples(tuple(START), log, H) for log in logs]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda log: with_samples(tuple(START), log, H), logs))
+    assert together == alone
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="method: found 'rk4'; accepted: hold"):
+        steps.sample_step("rk4")

@@ -1,0 +1,363 @@
+"""Machine code on disk: whole or not there, trusted or not used, never stale, of limited size."""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fastatt.cli import main
+from fastatt.flat import machine, store
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = 'define i64 @"answer"() {{ ret i64 {} }}\n'
+# one run, its result and what became of programs
+RUN = """
+import numpy as np
+import fastatt as fa
+from fastatt.flat import store
+run = fa.propagate(fa.Scene(rate=fa.rates.Coning(0.5, 1.0)), [1, 0, 0, 0], dt=0.1, n_steps=5)
+print(run.q[-1, 0], store.made, store.hits)
+"""
+
+
+def process(code, cache, *, package=ROOT, **env):
+    """Last line that a new process prints, in words."""
+    names = {"FASTATT_CACHE": str(cache), "PYTHONPATH": str(package), **env}
+    given = {k: v for k, v in {**os.environ, **names}.items() if v is not None}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env=given, cwd=package, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.splitlines()[-1].split()
+
+
+def answer(n):
+    return machine.compiled(TEXT.format(n)).function("answer")()
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty folder that this process uses."""
+    path = tmp_path / "cache"
+    monkeypatch.setenv("FASTATT_CACHE", str(path))
+    store._found.cache_clear()
+    monkeypatch.setattr(store, "hits", 0)
+    monkeypatch.setattr(store, "made", 0)
+    yield path
+    store._found.cache_clear()
+
+
+# files
+
+
+def test_a_program_is_made_once_and_found_then(cache):
+    assert [answer(42), answer(42), answer(43)] == [42, 42, 43]
+    assert (store.made, store.hits) == (2, 1)
+    files, size = store.usage()
+    assert (files, size) == (2, sum(f.stat().st_size for f in cache.iterdir()))
+    store.clear()
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        lambda data: b"",
+        lambda data: data[:20],
+        lambda data: data[:-1],
+        lambda data: b"x" + data[1:],
+        lambda data: data[:100] + bytes([data[100] ^ 1]) + data[101:],
+    ],
+    ids=["empty", "head", "end", "mark", "bit"],
+)
+def test_a_damaged_file_is_made_anew(cache, damaged):
+    assert answer(42) == 42
+    (file,) = cache.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(damaged(whole))
+    assert answer(42) == 42
+    assert (store.made, store.hits) == (2, 0)
+    assert file.read_bytes()[:40] == whole[:40]
+    assert answer(42) == 42
+    assert store.hits == 1
+
+
+def test_the_files_not_used_for_longest_go(cache, monkeypatch):
+    for n in range(4):
+        answer(n)
+    names = [f"{machine.key_of(TEXT.format(n))}.o" for n in range(4)]
+    for age, name in enumerate(names):
+        past = time.time() - 1000.0 * (4 - age)
+        os.utime(cache / name, (past, past))
+    answer(0)  # the oldest, used again
+    left = cache / "left.part"
+    left.write_bytes(b"")
+    os.utime(left, (0.0, 0.0))
+    young = cache / "young.part"
+    young.write_bytes(b"")
+    sizes = [(cache / name).stat().st_size for name in names]
+    monkeypatch.setattr(store, "LIMIT", sum(sizes) - 1)
+    store._trim(cache)
+    assert {f.name for f in cache.iterdir()} == {names[0], *names[2:], "young.part"}
+
+
+def test_the_limit_holds_while_programs_are_written(cache, monkeypatch):
+    answer(0)
+    (file,) = cache.iterdir()
+    code = file.read_bytes()[40:]
+    monkeypatch.setattr(store, "LIMIT", 3 * file.stat().st_size)
+    for n in range(70):
+        store.write(f"key{n}", code)
+    assert 3 <= len(list(cache.iterdir())) < 3 + 64
+
+
+def test_what_cannot_be_written_is_compiled_in_memory(cache, monkeypatch):
+    """A folder that may not be written to, on a disk that is full: no file is half there."""
+
+    def full(*args, **options):
+        raise OSError(28, "No space left on device")
+
+    assert store.folder() == cache
+    monkeypatch.setattr(store.tempfile, "mkstemp", full)
+    assert [answer(42), answer(42)] == [42, 42]
+    assert (store.made, store.hits) == (2, 0)
+    assert list(cache.iterdir()) == []
+
+
+def test_a_file_that_may_not_be_renamed_leaves_nothing(cache, monkeypatch):
+    store.folder()
+
+    def refused(*args):
+        raise PermissionError("no")
+
+    monkeypatch.setattr(Path, "replace", refused)
+    assert answer(42) == 42
+    assert list(cache.iterdir()) == []
+
+
+# folders
+
+
+@pytest.mark.parametrize("value", ["0", "off", " No ", ""])
+def test_it_can_be_switched_off(cache, monkeypatch, value):
+    monkeypatch.setenv("FASTATT_CACHE", value)
+    assert store.folder() is None
+    assert store.reason() == f"FASTATT_CACHE={value} switches it off"
+    assert answer(42) == 42
+    assert store.usage() == (0, 0)
+    store.clear()
+    assert not cache.exists()
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o722])
+def test_a_folder_that_others_may_write_to_is_not_trusted(cache, mode):
+    answer(42)
+    cache.chmod(mode)
+    store._found.cache_clear()
+    assert store.folder() is None
+    assert "others may write to it" in store.reason()
+    assert answer(42) == 42
+    assert (store.made, store.hits) == (2, 0)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root may chown")
+def test_another_users_folder_is_not_trusted(cache):
+    cache.mkdir(mode=0o700)
+    os.chown(cache, 4321, -1)
+    assert store.folder() is None
+    assert "another user's" in store.reason()
+
+
+def test_the_folder_is_the_users_own(cache):
+    assert store.folder() == cache
+    assert cache.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_read_only_folder_is_read(cache, monkeypatch):
+    """What was kept there is used; without anything in it, it is of no use."""
+    answer(42)
+    monkeypatch.setattr(store.os, "access", lambda *about: False)
+    store._found.cache_clear()
+    assert store.folder() == cache
+    assert answer(42) == 42
+    assert store.hits == 1
+    store.clear()
+    store._found.cache_clear()
+    assert store.folder() is None
+    assert "may not be written to" in store.reason()
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        {"FASTATT_CACHE": "0"},
+        {"FASTATT_CACHE": "/dev/null/cache"},
+        {"FASTATT_CACHE": None, "XDG_CACHE_HOME": None, "HOME": None},
+        {"FASTATT_CACHE": None, "XDG_CACHE_HOME": None, "HOME": "/dev/null"},
+    ],
+    ids=["off", "no folder", "no home", "home is none"],
+)
+def test_it_works_where_nothing_can_be_kept(tmp_path, env):
+    # without a home of one's own, that of the user: not to be written to here
+    if env.get("HOME", "") is None:
+        env = {**env, "XDG_CACHE_HOME": "/dev/null"}
+    q, made, hits = process(RUN, tmp_path, NUMBA_CACHE_DIR=None, **env)
+    assert 0.0 < float(q) < 1.0
+    assert (int(made) > 0, int(hits)) == (True, 0)
+
+
+def test_the_home_is_used_where_no_folder_is_named(tmp_path):
+    env = {"FASTATT_CACHE": None, "XDG_CACHE_HOME": None, "HOME": str(tmp_path)}
+    code = "from fastatt.flat import store; print(store.folder())"
+    (found,) = process(code, tmp_path, **env)
+    assert Path(found).is_relative_to(tmp_path)
+    assert process(code, "~/there", HOME=str(tmp_path)) == [str(tmp_path / "there")]
+
+
+# processes
+
+
+def test_a_second_process_only_reads(tmp_path):
+    first = process(RUN, tmp_path / "c")
+    second = process(RUN, tmp_path / "c")
+    assert first[0] == second[0]
+    assert int(first[1]) > 0
+    assert second[1:] == ["0", first[1]]
+
+
+TOGETHER = """
+import multiprocessing as mp, sys
+from fastatt.flat import machine
+def work(barrier, queue):
+    barrier.wait()
+    text = 'define i64 @"answer"() {{ ret i64 {} }}'
+    queue.put([machine.compiled(text.format(n)).function("answer")() for n in range(20)])
+if __name__ == "__main__":
+    context = mp.get_context(sys.argv[1])
+    barrier, queue = context.Barrier(3), context.Queue()
+    some = [context.Process(target=work, args=(barrier, queue)) for _ in range(3)]
+    [p.start() for p in some]
+    found = [queue.get() for _ in some]
+    [p.join() for p in some]
+    print(found == [list(range(20))] * 3)
+"""
+
+
+@pytest.mark.parametrize("start", ["spawn", "fork"])
+def test_processes_may_write_at_once(tmp_path, start):
+    if start not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"no {start} here")
+    script = tmp_path / "together.py"
+    script.write_text(TOGETHER)
+    folder = tmp_path / "cache"
+    done = subprocess.run(
+        [sys.executable, str(script), start],
+        env={**os.environ, "FASTATT_CACHE": str(folder), "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.stdout == "True\n", done.stderr
+    assert len(list(folder.glob("*.o"))) == 20
+    assert list(folder.glob("*.part")) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_fork_while_another_thread_compiles_does_not_hang(tmp_path):
+    """The child's lock is free, whoever held it."""
+    code = """
+import os
+from fastatt.flat import machine
+with machine._LOCK:
+    child = os.fork()
+    if not child:
+        text = 'define i64 @"answer"() { ret i64 7 }'
+        os._exit(machine.compiled(text).function("answer")())
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    assert process(code, tmp_path / "c") == ["7"]
+
+
+def test_an_edited_source_is_never_served_stale(tmp_path):
+    """A coefficient of a method changed: another result; changed back: the first, from disk."""
+    package = tmp_path / "copy"
+    shutil.copytree(
+        ROOT / "fastatt", package / "fastatt", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    file = package / "fastatt" / "methods" / "magnus4.py"
+    source = file.read_text(encoding="utf-8")
+    changed = source.replace("0.14433756729740643", "0.15")
+    assert changed != source
+    env = {"package": package, "PYTHONDONTWRITEBYTECODE": "1"}
+    first = process(RUN, tmp_path / "c", **env)
+    file.write_text(changed, encoding="utf-8")
+    other = process(RUN, tmp_path / "c", **env)
+    file.write_text(source, encoding="utf-8")
+    again = process(RUN, tmp_path / "c", **env)
+    assert other[0] != first[0]
+    assert int(other[1]) > 0
+    assert again == [first[0], "0", first[1]]
+
+
+# what is said
+
+
+class Screen(io.StringIO):
+    def __init__(self, terminal):
+        super().__init__()
+        self.terminal = terminal
+
+    def isatty(self):
+        return self.terminal
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_long_wait_is_said_once_and_only_at_a_terminal(cache, monkeypatch, terminal):
+    screen = Screen(terminal)
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(machine, "_WAIT", machine._Wait())
+    machine._WAIT.add(0.6 * machine.LONG)
+    assert screen.getvalue() == ""
+    machine._WAIT.add(0.6 * machine.LONG)
+    machine._WAIT.add(2.0 * machine.LONG)
+    line = "fastatt: compiling for this machine, once; 'fastatt warm' does it beforehand\n"
+    assert screen.getvalue() == (line if terminal else "")
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_only_what_is_compiled_counts(cache, monkeypatch, silent):
+    screen = Screen(terminal=True)
+    answer(42)
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(machine, "_WAIT", machine._Wait())
+    monkeypatch.setattr(machine, "LONG", 0.0)
+    if silent:
+        machine.say_nothing()
+    answer(42)
+    assert screen.getvalue() == ""
+    answer(43)
+    assert screen.getvalue().count("\n") == (0 if silent else 1)
+
+
+def test_the_command_tells_where_and_clears(cache, capsys):
+    answer(42)
+    size = sum(f.stat().st_size for f in cache.iterdir())
+    for command in (["cache"], ["warm", "--where"]):
+        assert main(command) == 0
+        assert capsys.readouterr().out == f"1 programs, {size / 1e6:.1f} MB in {cache}\n"
+    assert main(["cache", "--clear"]) == 0
+    assert capsys.readouterr().out == f"0 programs, 0.0 MB in {cache}\n"
+
+
+def test_warming_without_a_folder_is_refused(cache, capsys, monkeypatch):
+    monkeypatch.setenv("FASTATT_CACHE", "0")
+    assert main(["warm"]) == 2
+    found = capsys.readouterr().err
+    assert found == "fastatt: nothing is kept: FASTATT_CACHE=0 switches it off\n"
