@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -91,6 +91,10 @@ class Scene:
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
         self.packed(None)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What was given; what was found from it is found again."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def _acting(self) -> Any:

@@ -32,6 +32,8 @@ from fastatt.threads import default_threads, progress_bar
 # those of a whole tile: of 2 to 32 bodies it is narrower, and compiled when it is needed
 _BODIES = WIDTH
 _STEPS = 3
+# away from the poles of Euler's angles
+_TILTED = (0.8, 0.5, 0.3, 0.1)
 _USUAL = ("quat", "dcm")
 _OWN = np.linspace(0.9, 1.1, _BODIES)
 _MOMENTS = np.array([2.0, 1.0, 0.7])
@@ -88,7 +90,7 @@ class Task:
 
 
 def _steps(task: Task, scene: Scene, n: int) -> None:
-    q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    q = np.tile(_TILTED, (n, 1))
     w = None if scene.kind == "rate" else np.tile([0.1, 0.2, 0.3], (n, 1))
     still = np.zeros((n, 3))
     carried = {"v0": still} if scene.moves else {}

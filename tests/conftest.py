@@ -28,5 +28,7 @@ gc.disable()
 
 @pytest.fixture(scope="module", autouse=True)
 def _collect_garbage():
+    """Once a module; what is alive after it, compiled code above all, is not looked at again."""
     yield
     gc.collect()
+    gc.freeze()

@@ -34,7 +34,7 @@ def process(code, cache, *, package=ROOT, **env):
     given = {k: v for k, v in {**os.environ, **names}.items() if v is not None}
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
-        env=given, cwd=package, capture_output=True, text=True, check=False,
+        env=given, cwd=package, capture_output=True, text=True, check=False, timeout=120,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.splitlines()[-1].split()

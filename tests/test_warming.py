@@ -139,6 +139,13 @@ def test_everything_is_every_representation_and_precision():
     assert len(tasks) == len(set(map(str, tasks)))
 
 
+@pytest.mark.parametrize("representation", fa.METHODS["rk4"].representations)
+@pytest.mark.parametrize("scene", ["coning", "free"])
+def test_every_representation_is_run(scene, representation):
+    """Coordinates too, which have poles."""
+    warming.Task(scene, "rk4", representation).run()
+
+
 def test_a_scene_with_mass_and_rows_of_its_own():
     """Each body's numbers are taken as they are, with and without positions."""
     moments = np.array([[2.0, 1.5, 1.0], [2.0, 1.6, 1.1]])

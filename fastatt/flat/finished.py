@@ -38,7 +38,15 @@ class Flat:
             made[i] = nodes[i]
             if nodes[i].op in ("+", "-"):
                 product = self._product(nodes, uses, i)
-                if product is not None:
+                left = nodes[i].args[0]
+                k = self._negated_product(nodes, uses, left)
+                if product is None and nodes[i].op == "-" and k is not None:
+                    # −(a b) − c: the sign goes to a, for which there is an instruction
+                    a, b = nodes[k].args
+                    made[left] = Node("neg", nodes[i].kind, (a,))
+                    made[i] = Node("fms", nodes[i].kind, (left, b, nodes[i].args[1]))
+                    fused.add(k)
+                elif product is not None:
                     op, k, other = product
                     a, b = nodes[k].args
                     made[i] = Node(op, nodes[i].kind, (a, b, other))
@@ -66,6 +74,14 @@ class Flat:
         if nodes[b].op == "*" and uses[b] == 1:
             return "fnma" if minus else "fma", b, a
         return None
+
+    @staticmethod
+    def _negated_product(nodes: list[Node], uses: dict[int, int], i: int) -> int | None:
+        """The product of which i is the negative, if neither has another use."""
+        if nodes[i].op != "neg" or uses[i] != 1:
+            return None
+        (k,) = nodes[i].args
+        return k if nodes[k].op == "*" and uses[k] == 1 else None
 
     @property
     def operations(self) -> int:

@@ -116,26 +116,44 @@ def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
     z is that of the fastest stage; ``first_turn`` takes the body's own rate of its start rather
     than that of the last stage.
     """
+    s = len(tableau.b)
+    # after which stage's state each slope of the sum is needed no more
+    rows = (*((), *tableau.a), ())
+    last = [max((i for i in range(j + 1, s) if rows[i][j]), default=s) for j in range(s)]
+    done = [[j for j in range(s) if last[j] == i and tableau.b[j]] for i in range(s + 1)]
+    # weights are taken over the first one's, a product less, or over the largest if that is small
+    k = next(tableau.b[j] for part in done for j in part)
+    k = k if abs(k) > 0.1 * max(map(abs, tableau.b)) else max(tableau.b, key=abs)
 
     def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
         start = motion.base(x)
         given: dict[float, Any] = {}
         slopes: list[Vector] = []
+        d: Vector | None = None
         y = start
-        for c, row in zip(tableau.c, ((), *tableau.a), strict=True):
+        for i, (c, row) in enumerate(zip(tableau.c, ((), *tableau.a), strict=True)):
             if any(row):
-                k, d = weighted(row, slopes)
-                y = axpy(h * k, d, start)
+                factor, sum_ = weighted(row, slopes)
+                y = axpy(h * factor, sum_, start)
+            # a slope that no later stage needs is added now: fewer numbers wait in registers
+            for j in done[i]:
+                d = _added(tableau.b[j] / k, slopes[j], d)
             if c not in given:
                 given[c] = motion.at(t + c * h)
             slopes.append(motion.field(given[c], y))
-        k, d = weighted(tableau.b, slopes)
+        for j in done[len(tableau.b)]:
+            d = _added(tableau.b[j] / k, slopes[j], d)
+        assert d is not None
         # of coordinates, which a stage may bring nearer to their pole than the start is
         most = largest(slopes) if motion.attitude.has_poles else slopes[0]
         z = h * h * motion.turning(given[tableau.c[0]], most, start if first_turn else y)
         return motion.advanced(x, scale(h * k, d)), z
 
     return step
+
+
+def _added(weight: float, slope: Vector, total: Vector | None) -> Vector:
+    return scale(weight, slope) if total is None else axpy(weight, slope, total)
 
 
 def explicit_method(
