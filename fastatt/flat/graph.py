@@ -273,7 +273,7 @@ def _sum(a: Any, b: Any) -> Any:
         return b if _is(a, 0.0) else a
     if (y := _negative(b)) is not None:
         return _difference(a, y)
-    if (x := _negative(a)) is not None:
+    if (x := _negative(a)) is not None and not isinstance(b, Composed):
         return _difference(b, x)
     return _binary("+", a, b)
 
@@ -299,7 +299,7 @@ def _product(a: Any, b: Any) -> Any:
         if _is(x, -1.0):
             return -y
         # a sign goes outwards, where a sum takes it up: −k b beside k b is one product
-        if (positive := _negative(x)) is not None:
+        if (positive := _negative(x)) is not None and not isinstance(y, Composed):
             return -_product(positive, y)
     return _binary("*", a, b)
 

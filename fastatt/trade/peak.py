@@ -9,7 +9,7 @@ from time import perf_counter
 from llvmlite import ir
 
 from fastatt.flat import machine
-from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.code import I64, REALS, Code
 from fastatt.flat.rows import lanes_of
 
 # enough that no chain waits: two units of a latency of four or five cycles; they fit the registers
@@ -29,17 +29,29 @@ def program(kind: str) -> str:
     lanes = lanes_of(kind)
     wide = ir.VectorType(real, lanes)
     factor, term = code.splat(a, lanes), code.splat(b, lanes)
-    chains = [code.room(wide) for _ in range(_CHAINS)]
-    for k, x in enumerate(chains):
-        code.b.store(code.splat(code.real(kind, float(k)), lanes), x)
     fma = code.intrinsic("llvm.fma" if machine.processor().fuses else "llvm.fmuladd", wide, 3)
-    with code.loop(0, Int(code, n)):
-        for _ in range(_UNROLLED):
-            for x in chains:
-                code.b.store(code.b.call(fma, [code.b.load(x), factor, term]), x)
-    total = code.b.load(chains[0])
-    for x in chains[1:]:
-        total = code.b.fadd(total, code.b.load(x))
+    b_ = code.b
+    before, loop, after = b_.block, b_.append_basic_block("loop"), b_.append_basic_block("after")
+    b_.branch(loop)
+    b_.position_at_end(loop)
+    left = b_.phi(I64)
+    left.add_incoming(n, before)
+    # in registers: no pass brings there what lies in memory
+    chains = [b_.phi(wide) for _ in range(_CHAINS)]
+    for k, x in enumerate(chains):
+        x.add_incoming(code.splat(code.real(kind, float(k)), lanes), before)
+    values = list(chains)
+    for _ in range(_UNROLLED):
+        values = [b_.call(fma, [x, factor, term]) for x in values]
+    rest = b_.sub(left, ir.Constant(I64, 1))
+    left.add_incoming(rest, loop)
+    for x, value in zip(chains, values, strict=True):
+        x.add_incoming(value, loop)
+    b_.cbranch(b_.icmp_signed(">", rest, ir.Constant(I64, 0)), loop, after)
+    b_.position_at_end(after)
+    total = values[0]
+    for x in values[1:]:
+        total = b_.fadd(total, x)
     code.b.store(total, code.b.bitcast(result, wide.as_pointer()), align=4)
     code.give(0)
     return str(module)
