@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import pickle
 import re
 
 import mpmath as mp
@@ -675,3 +676,27 @@ def test_params_stand_beside_a_function_only():
         fa.Scene(inertia=INERTIA, torque=T.Damping(0.1), params=(1.0,))
     with pytest.raises(ValueError, match=r"params: found .* beside the model NoneType; accepted: "):
         fa.Scene(inertia=INERTIA, params=(1.0,))
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_numbers_of_each_body_beside_an_inertia_that_all_share(dtype):
+    """Rows of parameters lie one after the other, whatever they were put together from."""
+    n = 70
+    q0, w0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.tile([0.1, 0.3, -0.2], (n, 1))
+    runs = [
+        fa.propagate(
+            fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Damping(coefficient)),
+            q0, w0, dt=0.05, n_steps=40, method="rk4", dtype=dtype,
+        )
+        for coefficient in (0.02, np.full(n, 0.02))
+    ]  # fmt: skip
+    assert np.array_equal(runs[0].q, runs[1].q)
+    assert np.array_equal(runs[0].w, runs[1].w)
+
+
+def test_a_scene_that_was_used_can_be_pickled():
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Damping(0.02))
+    fa.propagate(scene, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.05, n_steps=1)
+    copied = pickle.loads(pickle.dumps(scene))
+    assert copied == scene
+    assert copied.kind == "torqued"
