@@ -316,8 +316,8 @@ def torque_of(law: Law, t: Any, pose: Pose, p: Vector) -> Vector:
         ((part, own),) = law.split(p)
         return quat.rotate_inverse(p[:4], torque_of(part, t, _turned_pose(pose, p[:4]), own))  # type: ignore[no-any-return]
     if law.function is not None:
-        found = law.function.call(t, pose.quaternion, pose.w, p)
-        return as_like(found, pose.moments[0])  # type: ignore[no-any-return]
+        given = (t, pose.quaternion, pose.w, p)
+        return as_like(law.function.call(*given), pose.moments[0])  # type: ignore[no-any-return]
     if law.table is not None:
         return law.record.formula(t, pose, p, law.table)  # type: ignore[no-any-return]
     return law.record.formula(t, pose, p)  # type: ignore[no-any-return]
@@ -344,9 +344,8 @@ def damping_rates(law: Law, moments: Vector, p: Vector) -> Vector | None:
     if law.record is TURNED:
         # of damping along other axes than principal ones no flow is known
         return None
-    if law.record.damping is None:
-        return None
-    return tuple(c / i for c, i in zip(law.record.damping(p), moments, strict=True))
+    coefficients = law.record.damping
+    return coefficients and tuple(c / i for c, i in zip(coefficients(p), moments, strict=True))
 
 
 def is_free(law: Law) -> bool:
@@ -359,9 +358,8 @@ def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float6
     if isinstance(model, Sum):
         return sum((fastest_decay(term, moments) for term in model.terms), np.zeros(()))
     record = RECORDS.get(type(model))
-    if record is None or record.decay is None:
-        return np.zeros(())
-    return np.asarray(record.decay(model) / moments.min(axis=-1))
+    decay = None if record is None else record.decay
+    return np.zeros(()) if decay is None else np.asarray(decay(model) / moments.min(axis=-1))
 
 
 def has_potential(law: Law) -> bool:
@@ -417,9 +415,8 @@ def _pack_custom(model: Custom, n_bodies: int | None) -> Packed:
     params = join([params_of(model.params)], n_bodies, "params")
     n = params.shape[-1]
     function = user_function(model.function, "torque", n, params)
-    energy = None
-    if model.potential is not None:
-        energy = user_function(model.potential, "potential", n, params)
+    own = model.potential
+    energy = None if own is None else user_function(own, "potential", n, params)
     record = USER[Dependence.RATE if model.uses_rate else Dependence.POSITION]
     return Packed(Law(record, (n,), function=function, potential=energy), params, {})
 
@@ -432,9 +429,9 @@ def _pack_sampled(model: Sampled, argument: str) -> Packed:
     if dt <= 0.0:
         raise ValueError(f"{argument}: Sampled.dt is {dt}; accepted: above 0")
     start = checks.real(f"{argument}: Sampled.start", model.start)
-    table = np.ascontiguousarray(samples, dtype=np.float64)
-    params = np.array([start, dt, len(table) - 1.0])
-    return Packed(Law(SAMPLED, (3,), table=0), params, {0: table})
+    params = np.array([start, dt, len(samples) - 1.0])
+    tables = {0: np.ascontiguousarray(samples, dtype=np.float64)}
+    return Packed(Law(SAMPLED, (3,), table=0), params, tables)
 
 
 __all__ = [

@@ -21,8 +21,8 @@ ONE = (1.0, 0.0, 0.0, 0.0)
 
 # the reference: power series in fixed point, whose integers are many times as fast as mpmath
 
-BITS = 240
-ORDER = 40
+BITS = 160
+ORDER = 30
 
 
 def fixed(x):
