@@ -19,8 +19,7 @@ from fastatt import checks
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.flat.formulas import Vector, as_like, dot, plus, quat, rigid, vec3
 from fastatt.flat.functions import gather
-from fastatt.flat.graph import Double, choose
-from fastatt.flat.trace import stand_in
+from fastatt.flat.graph import Double, apply, choose
 from fastatt.flat.user import user_function
 from fastatt.models import (
     SUM,
@@ -215,7 +214,7 @@ def _sampled(t: Any, pose: Pose, p: Vector, table: int = 0) -> Any:
     s = (t - p[0]) / p[1]
     s = choose(s > 0.0, s, 0.0)
     s = choose(s < p[2], s, p[2])
-    below = _FLOOR(s)
+    below = apply("floor", s)
     k = choose(below < p[2], below, p[2] - 1.0)
     f = s - k
     a, b = (
@@ -229,7 +228,6 @@ def _turned_pose(pose: Pose, axes: Vector) -> Pose:
     return Pose(QUATERNION, q, quat.rotate(axes, pose.w), pose.moments)
 
 
-_FLOOR: Any = stand_in(np).floor
 _VECTOR, _NUMBER = Field((3,)), Field()
 _POSITION, _DAMPED, _RATE = Dependence
 FREE = TorqueRecord(
