@@ -24,11 +24,13 @@ settings.load_profile("fastatt")
 
 # the compiler's short-lived objects: collecting them on the way takes an eighth of the time
 gc.disable()
+_MANY = 3_000_000  # of them, about 1 GB
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _collect_garbage():
-    """Once a module; what is alive after it, compiled code above all, is not looked at again."""
+    """Now and then; what is alive then, compiled code above all, is not looked at again."""
     yield
-    gc.collect()
-    gc.freeze()
+    if gc.get_count()[0] > _MANY:
+        gc.collect()
+        gc.freeze()

@@ -125,7 +125,11 @@ def test_the_packed_loop_is_the_one_that_runs():
         run(n=n, h=1e-4, dtype=dtype)
         return time.perf_counter() - begin
 
-    best = {d: min(seconds(d) for _ in range(7)) for d in ("float64", "float32")}
+    best = {"float64": math.inf, "float32": math.inf}
+    for _ in range(20):  # other processes only ever add time
+        best = {d: min(least, *(seconds(d) for _ in range(3))) for d, least in best.items()}
+        if best["float32"] < 0.8 * best["float64"]:
+            break
     assert best["float32"] < 0.8 * best["float64"]
 
 
@@ -206,7 +210,7 @@ def fresh(code, *arguments, folder=ROOT, **environment):
 
 
 CALLED = """
-import json, math, sys
+import json, math
 import fastatt as fa
 from fastatt.flat import store
 from numba import njit
@@ -219,27 +223,30 @@ def straight(t, p):
 def winding(t, p):
     return 0.1, p[0], math.gamma(1.5 + t * t)
 
-constant = fa.rates.Constant([[0.1, 0.2, 0.3]] * 3)
-rate = {"built-in": constant, "traced": straight, "called": winding}[sys.argv[1]]
-scene = fa.Scene(rate=rate, params=None if sys.argv[1] == "built-in" else [0.2])
-fa.propagate(scene, [[1.0, 0, 0, 0]] * 3, dt=0.1, n_steps=3, method="lie_euler")
-print(json.dumps([store.hits, store.made]))
+for rate in (fa.rates.Constant([[0.1, 0.2, 0.3]] * 3), straight, winding):
+    scene = fa.Scene(rate=rate, params=[0.2] if callable(rate) else None)
+    assert [f.straight for f in scene.functions] == [rate is straight] * callable(rate)
+    fa.propagate(scene, [[1.0, 0, 0, 0]] * 3, dt=0.1, n_steps=3, method="lie_euler")
+    print(json.dumps([store.hits, store.made]))
 """
 
 
-@pytest.mark.parametrize("which", ["built-in", "traced", "called"])
-def test_second_process_compiles_nothing(tmp_path, which):
+def test_second_process_compiles_nothing(tmp_path):
     """Nor does the folder grow; nor with a user's own function, traced or called."""
+    script = tmp_path / "called.py"  # a traced function's source has to be somewhere
+    script.write_text(CALLED, encoding="utf-8")
+    run_it = f"import runpy; runpy.run_path({str(script)!r})"
 
     def call():
-        out = fresh(CALLED, which, FASTATT_CACHE=str(tmp_path / "cache"))
-        files = {p.name for p in (tmp_path / "cache").iterdir()}
-        return json.loads(out), files
+        out = fresh(run_it, FASTATT_CACHE=str(tmp_path / "cache")).splitlines()
+        found = {p.name: p.stat() for p in (tmp_path / "cache").iterdir()}
+        files = {name: (s.st_ino, s.st_size) for name, s in found.items()}
+        return [json.loads(line) for line in out], files
 
-    (hits, made), before = call()
-    assert hits == 0
-    assert made == len(before) > 0
-    assert call() == ([made, 0], before)
+    first, before = call()
+    assert first == [[0, 1], [0, 2], [0, 3]]
+    assert len(before) == 3
+    assert call() == ([[1, 0], [2, 0], [3, 0]], before)
 
 
 EDITED = """

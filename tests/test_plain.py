@@ -149,8 +149,11 @@ def test_python_gives_what_machine_code_gives(name, dtype, in_python):
 # the looks at how far a step turns
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize("name", [name for name in RUNS if name != "beyond"])
+WITHIN = [(name, "float64") for name in RUNS if name != "beyond"]
+WITHIN += [(name, "float32") for name in ("each coning", "angles", "kicked")]
+
+
+@pytest.mark.parametrize(("name", "dtype"), WITHIN)
 def test_without_looks_the_states_are_the_same_bits(name, dtype):
     """Where no step turns beyond π; the status then knows of no step."""
     with_looks, without = run(name, dtype), run(name, dtype, looks=False)
