@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -42,7 +42,7 @@ class Packed(NamedTuple):
         return {name[1]: array for name, array in self.resources.items() if name[0] == "table"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """What is propagated.
 
@@ -59,6 +59,11 @@ class Scene:
     A scene with ``mass`` (kg, a number or (N,)) and ``force`` also carries the velocity V in body
     axes, by μ(V̇ + Ω×V) = F. ``force`` is a model of ``fastatt.forces``, (3,) or (N, 3) in N along
     body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters.
+
+    A scene keeps read-only copies of its numbers: a change to the arrays that it was given does not
+    reach it, ``dataclasses.replace`` makes another. Scenes of equal numbers are equal.
+    ``scene[bodies]``, an index, a slice or an array, is the scene of these alone; numbers that all
+    bodies share stay shared.
 
     Raises ``TypeError`` or ``ValueError`` for an unknown model, frame, or numbers of wrong shape,
     and for bodies that can't exist.
@@ -91,10 +96,38 @@ class Scene:
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
         self.packed(None)
+        for field in fields(self):
+            object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
 
-    def __getstate__(self) -> dict[str, Any]:
+    @property
+    def _given(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    def __reduce__(self) -> Any:
         """What was given; what was found from it is found again."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return type(self), self._given
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scene) and _key(self._given) == _key(other._given)
+
+    def __hash__(self) -> int:
+        return hash(_key(self._given))
+
+    def __getitem__(self, bodies: Any) -> Scene:
+        params = self.packed(None).params
+        if params.ndim == 1:
+            return self
+        rows = np.arange(len(params))[bodies]
+        dims = {"rate": 1, "params": 1, "torque": 1, "mass": 0, "force": 1}
+        own = {name: _of_rows(getattr(self, name), rows, n) for name, n in dims.items()}
+        inertia: Any = self.inertia
+        if inertia is not None and self.principal.moments.ndim == 2:
+            own["inertia"] = chosen = inertia[rows]
+            if inertia.ndim == 2 and chosen.shape == (3, 3):  # else taken for one tensor
+                own["inertia"] = chosen[:, :, None] * np.eye(3)
+        return replace(self, **own)
+
+    __iter__ = None  # numbers that all bodies share have no end
 
     @property
     def _acting(self) -> Any:
@@ -228,6 +261,43 @@ def _resources(packed: models.Packed) -> dict[Any, Any]:
             if function is not None and not function.straight:
                 found["function", function] = function.address
     return found
+
+
+def _kept(value: Any) -> Any:
+    """Numbers, a model's too, in copies that can't be changed."""
+    if isinstance(value, models.Sum):
+        return models.Sum(tuple(map(_kept, value.terms)))
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*map(_kept, value))
+    if value is None or callable(value):
+        return value
+    array = np.array(value)
+    array.setflags(write=False)
+    return array if array.ndim else array.item()
+
+
+def _key(value: Any) -> Any:
+    """What is equal, and has a hash, for equal numbers."""
+    if isinstance(value, tuple):
+        return (type(value), *map(_key, value))
+    if isinstance(value, np.ndarray):
+        return value.shape, (value.astype(np.float64) + 0.0).tobytes()  # −0 equals 0
+    return value
+
+
+def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
+    """Numbers, a model's too, of some bodies; those of one body have so many axes."""
+    if isinstance(value, models.Sum):
+        return models.Sum(tuple(_of_rows(term, rows) for term in value.terms))
+    if isinstance(value, (torques.Custom, forces.Custom)):
+        return value._replace(params=_of_rows(value.params, rows))
+    if type(value) in _RECORDS:
+        each = zip(value, _RECORDS[type(value)].fields, strict=True)
+        return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
+    return value[rows] if isinstance(value, np.ndarray) and value.ndim > dims else value
+
+
+_RECORDS: dict[type, models.Record] = {**rates.RECORDS, **torques.RECORDS, **forces.RECORDS}
 
 
 def as_scene(scene: object) -> Scene:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from fastatt.attitudes import Attitude
 from fastatt.engine.layout import WIDTH
-from fastatt.flat.finished import Flat
+from fastatt.flat.finished import Constants, Flat
 from fastatt.flat.formulas import Vector, as_like, dot
 from fastatt.flat.graph import CLASSES, Graph, Number, choose
 from fastatt.methods.method import Method
@@ -105,8 +105,8 @@ class Formulas:
     """The graphs of a job, each traced when it is asked for.
 
     Inputs are named ("x", i) for the state that is stepped, ("p", i) parameters, ("e", i) what the
-    method prepared, ("invariants", i), ("y", i) initial values, ("t",), ("h",), ("k",), ("edge",)
-    and ("since",).
+    method prepared, ("c", i) constants of a body, ("invariants", i), ("y", i) initial values, and
+    ("t",), ("h",), ("k",), ("edge",) and ("since",).
     """
 
     def __init__(self, job: Job) -> None:
@@ -128,7 +128,20 @@ class Formulas:
     def _form(self, quick: bool) -> Forms:
         scope = self.scope(quick=quick)
         x, z = scope.step(*scope.span(), scope.state(), scope.extras())
-        return Forms(scope.finished(x), scope.finished((*x, z)))
+        noted, plain = scope.finished((*x, z)), scope.finished(x)
+        if not self.job.shared:
+            noted, plain = (self._constants.without(f, more=quick) for f in (noted, plain))
+        return Forms(plain, noted)
+
+    @cached_property
+    def _constants(self) -> Constants:
+        return Constants("p", "c", self.job.kind)
+
+    @cached_property
+    def constants(self) -> Flat:
+        """What steps need of a body's own parameters and nothing else, computed once."""
+        assert self.quick
+        return self._constants.flat
 
     @cached_property
     def quick(self) -> Forms:

@@ -37,6 +37,7 @@ class Pieces:
             turn=1,
             p=own,
             e=formulas.extras,
+            c=len(formulas.constants.results),
             invariants=formulas.invariants,
             witness=1,
         )
@@ -182,6 +183,12 @@ class Pieces:
         if not self.job.shared:
             own = self.rows.first["p"]
             self._gather(code, given, rows, base, ("p", "rows_p"), own, self.formulas.parameters)
+        if self.rows.sizes["c"]:
+            emit = self._emitter(code, given)
+            with code.lanes(self.width, self.lanes) as j:
+                find = self._inputs(code, given, rows, j, {})
+                for i, value in enumerate(emit.wide(self.formulas.constants, find)):
+                    code.store_vector(rows, j + self.rows.offset("c", i), value)
         h, edge = (self._narrow(code, given.number(x)) for x in ("h", "edge"))
         scalars = {"t": given.number("t0"), "h": h, "edge": edge, **self._shared(code, given)}
         emit = self._emitter(code, given)

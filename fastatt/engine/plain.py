@@ -92,6 +92,7 @@ class _PlainRun:
         forms, numbers = self.formulas, self.numbers
         found = self._evaluate(forms.begin, t=numbers["t0"], h=numbers["h"], edge=numbers["edge"])
         sizes = (forms.size, forms.extras, forms.invariants)
+        self.rows["c"] = self._evaluate(forms.constants)
         at = 0
         for name, size in zip(("x", "e", "invariants"), sizes, strict=True):
             self.rows[name] = found[at : at + size]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fastatt.flat.graph import Graph, number
-from fastatt.flat.nodes import SPECIAL, Node, operands
+from fastatt.flat.nodes import SPECIAL, Node, operands, renamed
+
+#: operations that a value must take to be kept in memory rather than computed again
+_WORTH = 3
 
 
 class Flat:
@@ -30,8 +33,6 @@ class Flat:
             if i not in live:
                 live.add(i)
                 todo += operands(nodes[i])
-        self._place: dict[int, int] = {}
-        self.nodes: list[Node] = []
         fused: set[int] = set()
         made: dict[int, Node] = {}
         for i in sorted(live):
@@ -51,19 +52,17 @@ class Flat:
                     a, b = nodes[k].args
                     made[i] = Node(op, nodes[i].kind, (a, b, other))
                     fused.add(k)
-        for i in sorted(live - fused):
+        self._number(made, sorted(live - fused), ends)
+
+    def _number(self, made: Mapping[int, Node], order: Iterable[int], ends: Sequence[int]) -> None:
+        """Take operations that refer to each other by the keys of ``made``."""
+        place: dict[int, int] = {}
+        self.nodes: list[Node] = []
+        for i in order:
             node = made[i]
-            ops = operands(node)
-            rest = node.args[: len(node.args) - len(ops)] if node.op in SPECIAL else ()
-            if node.op in ("const", "in"):
-                rest = node.args
-            if node.op == "item":
-                renamed = (self._place[node.args[0]], node.args[1])
-            else:
-                renamed = (*rest, *(self._place[k] for k in ops))
-            self._place[i] = len(self.nodes)
-            self.nodes.append(Node(node.op, node.kind, renamed))
-        self.results = [self._place[i] for i in ends]
+            place[i] = len(self.nodes)
+            self.nodes.append(renamed(node, [place[k] for k in operands(node)]))
+        self.results = [place[i] for i in ends]
 
     @staticmethod
     def _product(nodes: list[Node], uses: dict[int, int], i: int) -> tuple[str, int, int] | None:
@@ -94,3 +93,63 @@ class Flat:
     def inputs(self) -> list[tuple[Any, ...]]:
         """Names of the numbers that are given."""
         return [n.args for n in self.nodes if n.op == "in"]
+
+
+class Constants:
+    """What of some graphs depends on the inputs of one group alone: to be computed once.
+
+    ``without`` gives a graph in which such values are inputs (``name``, k); ``flat`` computes them.
+    No rounding changes: multiplications are fused already.
+    """
+
+    def __init__(self, group: str, name: str, kind: str) -> None:
+        self.group, self.name, self.kind = group, name, kind
+        self._graph = Graph()
+        self._costs: list[int] = []
+        self._picked: dict[int, int] = {}
+
+    @property
+    def flat(self) -> Flat:
+        """The graph of the values, in the order of their inputs."""
+        nodes = self._graph.nodes
+        live = set(self._picked)
+        for i in reversed(range(len(nodes))):
+            if i in live:
+                live.update(operands(nodes[i]))
+        found = Flat.__new__(Flat)
+        found._number(dict(enumerate(nodes)), sorted(live), list(self._picked))  # noqa: SLF001
+        return found
+
+    def without(self, flat: Flat, *, more: bool = True) -> Flat:
+        """The rest of a graph; with no ``more`` only what is computed for another one is taken."""
+        own = self._own(flat.nodes)
+        made: dict[int, Node] = {}
+        wanted = set(flat.results)
+        for i in reversed(range(len(flat.nodes))):
+            if i not in wanted:
+                continue
+            node = flat.nodes[i]
+            at = own.get(i)
+            if at is not None and node.kind == self.kind and self._costs[at] >= _WORTH:
+                if more:
+                    self._picked.setdefault(at, len(self._picked))
+                if at in self._picked:
+                    node = Node("in", self.kind, (self.name, self._picked[at]))
+            made[i] = node
+            wanted.update(operands(node))
+        found = Flat.__new__(Flat)
+        found._number(made, sorted(made), flat.results)  # noqa: SLF001
+        return found
+
+    def _own(self, nodes: Sequence[Node]) -> dict[int, int]:
+        """Which operations are of the group alone: their numbers among all such."""
+        own: dict[int, int] = {}
+        for i, node in enumerate(nodes):
+            ops = operands(node)
+            given = node.op == "const" or (node.op == "in" and node.args[0] == self.group)
+            if given or (node.op not in SPECIAL and all(k in own for k in ops)):
+                args = [own[k] for k in ops] if ops else node.args
+                own[i] = self._graph.add(node.op, node.kind, *args)
+                if own[i] == len(self._costs):
+                    self._costs.append(sum(self._costs[k] for k in args) + 1 if ops else 0)
+        return own

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
@@ -41,3 +41,11 @@ SPECIAL: dict[str, Callable[[tuple[Any, ...]], tuple[int, ...]]] = {
 def operands(node: Node) -> tuple[int, ...]:
     """Numbers of the operations that a node takes."""
     return SPECIAL[node.op](node.args) if node.op in SPECIAL else node.args
+
+
+def renamed(node: Node, taken: Sequence[int]) -> Node:
+    """The same operation of others."""
+    if node.op == "item":
+        return Node(node.op, node.kind, (*taken, node.args[1]))
+    rest = node.args[: len(node.args) - len(taken)] if node.op in SPECIAL else ()
+    return Node(node.op, node.kind, (*rest, *taken))

@@ -20,6 +20,7 @@ from fastatt.scene import Scene, as_scene
 _LEGEND = {
     "x": "state: the attitude's numbers, then what the scene carries",
     "p": "parameters of the scene, of each body or of all",
+    "c": "constants of each body, computed once",
     "e": "what the method prepared for the body",
     "t": "time of the step, s",
     "h": "step, s",
@@ -53,13 +54,17 @@ def show_loop(
     formulas = job.formulas
     flat = formulas.quick.plain
     text = source.Text(flat)
-    groups = dict.fromkeys(name[0] for name in flat.inputs())
+    constants = source.Text(formulas.constants)
+    groups = dict.fromkeys(name[0] for f in (formulas.constants, flat) for name in f.inputs())
     stages = len(job.method.stages)
     each = f" in {stages} stages" if stages > 1 else ""
     counted = f"{formulas.operations} floating-point operations a step{each}"
+    once = [*constants.lines, *(f"c{i} = {x}" for i, x in enumerate(constants.results))]
     lines = [
         f"# {job.method.name}, {scene.kind}, {job.attitude.name}, {job.kind}: {counted}",
         *(f"# {name}: {_LEGEND[name]}" for name in groups if name in _LEGEND),
+        *(f"for lane in range({WIDTH}):" for _ in once[:1]),
+        *(f"    {line}" for line in once),
         "for n in range(first, last):",
         "    t = t0 + n*h",
         f"    for lane in range({WIDTH}):",
