@@ -133,14 +133,15 @@ def read_log(
     ``TypeError`` for arguments that are something else; ``FileNotFoundError`` and other ``OSError``
     of the file itself.
     """
-    for name, given, known in (("unit", unit, _UNITS), ("time_unit", time_unit, _TIME_UNITS)):
-        if given is not None:
-            checks.choice(name, given, known)
+    for name, word, known in (("unit", unit, _UNITS), ("time_unit", time_unit, _TIME_UNITS)):
+        if word is not None:
+            checks.choice(name, word, known)
     if rate is not None:
         rate = checks.real("rate", rate)
         if not (rate > 0.0 and math.isfinite(1.0 / rate)):
             raise LogError(f"rate: found {rate}; accepted: a sample rate above 0, Hz")
-    if not isinstance(path, (str, PathLike)) or "\0" in str(path):
+    given: Any = path
+    if not isinstance(given, (str, PathLike)) or "\0" in str(path):
         raise TypeError(f"path: found {checks.brief(path)}; accepted: a file's name")
     path = Path(path)
     with path.open(encoding="utf-8", errors="replace", newline="") as file:
@@ -167,6 +168,7 @@ def read_log(
         table = _table(file, layout, wanted, progress)
     names = tuple(layout.name(i) for i in gyro)
     found = unit or _unit_of(layout, names)
+    dt: float | NDArray[np.float64]
     if clock is None:
         dt, t, timing = _at_a_rate(layout, len(table), rate)
     else:

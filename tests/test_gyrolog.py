@@ -83,6 +83,67 @@ def test_maker_orientation(tmp_path):
     assert read_log(path, rate=1.0).attitudes.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 3
 
 
+EUROC = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2]"
+)
+NANOSECONDS = [1403636579758555392 + 5_000_000 * k for k in range(3)]
+STAMPED = "\n".join(
+    ",".join(map(str, (t, *r, 9.8))) for t, r in zip(NANOSECONDS, RATES, strict=True)
+)
+
+
+def test_names_and_units_in_a_comment(tmp_path):
+    """EuRoC's logs."""
+    log = read_log(write(tmp_path / "a.csv", f"{EUROC}\n{STAMPED}\n"))
+    assert np.array_equal(log.rates, RATES)
+    assert log.unit == "rad/s"
+    # stamps near 1.4e18 stand 256 apart in double precision
+    assert np.abs(log.dt - 5e-3).max() <= 256e-9
+
+
+def test_a_comment_that_names_no_gyro_is_none(tmp_path):
+    path = write(tmp_path / "a.csv", f"# a,b,deg/s,d\n{rows(',', '7,')}")
+    log = read_log(path, columns=["2", "3", "4"], rate=1.0)
+    assert (log.unit, log.columns[0]) == ("rad/s (assumed)", "column 2")
+
+
+NAMED = {"columns": ["2", "3", "4"], "time_column": "1"}
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit", "found"),
+    [
+        (NANOSECONDS, "ns", r"column 1 gives 2e-07 Hz in s; .*\(0\.2 Hz in us or 200 Hz in ns\)"),
+        ([0, 20_000, 40_000], "us", r"5e-05 Hz in s; .*\(50 Hz in us or 5e\+04 Hz in ns\)"),
+        ([0, 10, 20], "ms", r"0\.1 Hz in s; .*\(100 Hz in ms or 1e\+05 Hz in us\)"),
+        # a gap of the log does not make it slow, nor does one short interval make it fast
+        ([0, 0.5e-6, 1e-6, 1e3], "s", r"2e\+06 Hz in s; .*\(none fits\)"),
+    ],
+)
+def test_rates_that_no_gyro_has_are_refused_unless_they_are_said(tmp_path, stamps, unit, found):
+    text = "\n".join(f"{t},1,2,3" for t in stamps)
+    path = write(tmp_path / "a.csv", text)
+    with pytest.raises(LogError, match=f"a.csv: {found}" if "column" in found else found):
+        read_log(path, **NAMED)
+    log = read_log(path, **NAMED, time_unit=unit)
+    scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    assert log.t == pytest.approx((np.array(stamps) - stamps[0]) * scale, abs=256e-9)
+    assert read_log(path, columns=["2", "3", "4"], rate=2e-7).rate == pytest.approx(2e-7)
+
+
+@pytest.mark.parametrize("stamps", [[0, 1e-6, 2e-6], [0, 9.9, 19.8], [0, 1, 2, 3, 1000]])
+def test_rates_within_the_bounds(tmp_path, stamps):
+    text = "\n".join(f"{t},1,2,3" for t in stamps)
+    assert read_log(write(tmp_path / "a.csv", text), **NAMED).t[-1] == stamps[-1]
+
+
+def test_the_unit_of_time_that_is_said_stands_above_a_name(tmp_path):
+    path = write(tmp_path / "a.csv", "time [s],wx,wy,wz\n0,1,2,3\n2000,1,2,3\n")
+    with pytest.raises(LogError, match=r"time \[s\] gives 0\.0005 Hz in s; .*0\.5 Hz in ms"):
+        read_log(path)
+    assert read_log(path, time_unit="us").dt == pytest.approx([2e-3], rel=1e-15)
+
+
 GOOD = "t,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
 
 
@@ -122,6 +183,13 @@ GOOD = "t,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
         (GOOD, {"rate": 0.0}, "rate: found 0.0"),
         (GOOD, {"rate": float("nan")}, "rate: found nan"),
         (GOOD, {"unit": "rpm"}, "unit: found 'rpm'; accepted: rad/s, deg/s"),
+        (GOOD, {"time_unit": "h"}, "time_unit: found 'h'; accepted: s, ms, us, ns"),
+        (
+            "# sample rate: 1e7 Hz\nwx,wy,wz\n1,2,3\n",
+            {},
+            "found 1e\\+07 Hz; accepted: above 0.1 Hz",
+        ),
+        ("# sample rate: 0.1 Hz\nwx,wy,wz\n1,2,3\n", {}, "found 0.1 Hz; accepted: above 0.1 Hz"),
         ("t,wx,wy,wz\n0,1,2,3\n", {}, "at least two"),
         (
             "// sample rate: 0 Hz\nwx,wy,wz\n1,2,3\n",
@@ -235,6 +303,14 @@ def test_no_row_is_lost_after_blank_lines_and_comments(tmp_path, monkeypatch, bl
     lines[12:12] = ["//"] * 8
     path = write(tmp_path / "a.csv", "wx,wy,wz\n" + "\n".join(lines))
     assert np.array_equal(read_log(path, rate=1.0).rates, numbers)
+
+
+@pytest.mark.parametrize("block", [1, 3, 100])
+def test_the_line_of_a_bad_row_in_any_block(tmp_path, monkeypatch, block):
+    monkeypatch.setattr(gyrolog, "_ROWS", block)
+    path = write(tmp_path / "a.csv", "wx,wy,wz\n" + "1,2,3\n\n" * 6 + "1,inf,3\n1,2,x\n")
+    with pytest.raises(LogError, match="line 14: wy is 'inf'"):
+        read_log(path, rate=1.0)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npy"])
