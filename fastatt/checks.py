@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterable
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def any_real(name: str, value: Any, accepted: str) -> float:
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}") from None
+        raise _not_numbers(name, value, accepted) from None
 
 
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
@@ -81,7 +82,7 @@ def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[in
     """The same, finite or not."""
     found = numbers(name, value, f"real numbers of shape {shapes}")
     if not any(_fits(found.shape, tail) for tail in tails):
-        raise ValueError(f"{name}: has shape {found.shape}; accepted: {shapes}")
+        raise ValueError(f"{name}: {shape(found)}; accepted: {shapes}")
     return found
 
 
@@ -92,7 +93,7 @@ def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
     except (TypeError, ValueError):
         found = np.asarray(None)
     if found.dtype.kind not in "fiu":
-        raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
+        raise _not_numbers(name, value, accepted)
     if found.dtype not in (np.dtype(np.float64), np.dtype(np.float32)):
         with np.errstate(over="ignore"):
             found = found.astype(np.float64)
@@ -134,6 +135,18 @@ def _fits(shape: tuple[int, ...], tail: tuple[int, ...]) -> bool:
     return len(shape) == len(tail) and all(
         n == m or (m == -1 and n > 0) for n, m in zip(shape, tail, strict=True)
     )
+
+
+def _not_numbers(name: str, value: object, accepted: str) -> TypeError:
+    # a duration's number is of any unit
+    if isinstance(value, timedelta) or getattr(getattr(value, "dtype", None), "kind", "") == "m":
+        accepted += ", of a duration in s: duration / np.timedelta64(1, 's')"
+    return TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
+
+
+def shape(found: NDArray[Any]) -> str:
+    """An array's shape as it is told in a message."""
+    return f"has shape {found.shape}{'' if found.size else ' and is empty'}"
 
 
 def brief(value: object) -> str:

@@ -85,3 +85,7 @@ def pack(model: Model, n_bodies: int | None, argument: str = "force") -> Packed:
 
 
 __all__ = ["Constant", "ConstantInertial", "Custom", "Drag", "Sum"]
+
+
+def __dir__() -> list[str]:
+    return __all__

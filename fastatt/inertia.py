@@ -38,25 +38,31 @@ def principal(
 ) -> Principal:
     """Principal moments and axes of inertia given as moments or tensors, for all bodies or each.
 
-    Raises ``ValueError`` for shapes other than (3,), (3, 3), (N, 3), (N, 3, 3) (a (3, 3) array is
-    one tensor), for a number of bodies other than ``n_bodies``, and for bodies that can't exist:
-    moments not above 0, the largest more than 1.25 times the sum of the others, tensors not
-    symmetric. ``allow_unphysical`` lets those pass, but for moments of 0; of a tensor it takes the
-    symmetric part.
+    Raises ``ValueError`` for shapes other than (3,), (3, 3), (N, 3), (N, 3, 3), as ``is_tensor``,
+    for a number of bodies other than ``n_bodies``, and for bodies that can't exist: moments not
+    above 0, the largest more than 1.25 times the sum of the others, tensors not symmetric.
+    ``allow_unphysical`` lets those pass, but for moments of 0; of a tensor it takes the symmetric
+    part.
     """
     given = checks.array("inertia", inertia, _SHAPES, [(3,), (3, 3), (-1, 3), (-1, 3, 3)])
     found = given.astype(np.float64)
-    rows = found.shape[0] if found.shape not in ((3,), (3, 3)) else None
-    if rows is not None and n_bodies not in (None, rows):
-        raise ValueError(f"inertia: found {rows} bodies; accepted: one, or {n_bodies}")
-    tensor = found.shape[-2:] == (3, 3) and (rows is None or found.ndim == 3)
     if (np.abs(found) > _LARGEST).any():
         raise ValueError(f"inertia: found {np.abs(found).max():.6g}; accepted: up to {_LARGEST:g}")
+    tensor = is_tensor(found)
+    rows = None if found.ndim == 1 + tensor else len(found)
+    if rows is not None and n_bodies not in (None, rows):
+        raise ValueError(f"inertia: found {rows} bodies; accepted: one, or {n_bodies}")
     if not tensor:
         _check_moments(found, allow_unphysical)
         return Principal(found, None)
-    if not allow_unphysical:
-        _check_symmetry(found)
+    gap = np.atleast_1d(_asymmetry(found))
+    if gap.any() and not allow_unphysical:
+        b = int(np.argmax(gap > 0.0))
+        raise ValueError(
+            f"inertia{'' if rows is None else [b]}: the tensor is not symmetric, elements differ "
+            f"by {gap[b]:.3g}; accepted: a symmetric tensor, or allow_unphysical=True for its "
+            "symmetric part"
+        )
     found = 0.5 * (found + np.swapaxes(found, -1, -2))
     if not found[..., [0, 0, 1], [1, 2, 2]].any():
         moments, axes = np.ascontiguousarray(np.diagonal(found, axis1=-2, axis2=-1)), None
@@ -66,6 +72,26 @@ def principal(
         axes = dcm_to_quat(columns)
     _check_moments(moments, allow_unphysical)
     return Principal(moments, axes)
+
+
+def is_tensor(given: NDArray[Any]) -> bool:
+    """Whether (3,), (3, 3), (N, 3) or (N, 3, 3) numbers are tensors: a (3, 3) array is one.
+
+    Raises ``ValueError`` where it may be the moments of three bodies: all elements above 0, and
+    rows that bodies have or a matrix that is not symmetric. No body is lost by it. Of a tensor
+    moments that bodies have mean λ ≤ 5/9 of the trace, so that the elements off the diagonal add up
+    to at most 2/3 of the trace; rows that bodies have mean at least 4/5 of it.
+    """
+    one = given.shape == (3, 3)
+    rows_may_be = one and (_asymmetry(given) > 0.0 or not _past_triangle(*given.T).any())
+    if rows_may_be and (given > 0.0).all():
+        raise ValueError(
+            "inertia: a (3, 3) array is one tensor, and the rows of this one may be moments of "
+            "three bodies; accepted: a symmetric tensor; moments of three bodies as (3, 3, 3), "
+            "moments[:, :, None] * np.eye(3); a tensor of no body as (1, 3, 3), with "
+            "allow_unphysical=True"
+        )
+    return given.shape[-2:] == (3, 3)
 
 
 def sort_axes(found: Principal) -> Principal:
@@ -106,18 +132,16 @@ def is_spherical(moments: NDArray[Any]) -> NDArray[np.bool_]:
     return equal
 
 
-def _check_symmetry(tensor: NDArray[Any]) -> None:
+def _asymmetry(tensor: NDArray[Any]) -> NDArray[Any]:
+    """Largest difference across the diagonal of tensors (..., 3, 3), 0 where it is rounding."""
     gap = np.abs(tensor - np.swapaxes(tensor, -1, -2)).max(axis=(-2, -1))
-    bad = gap > _ASYMMETRY * np.abs(tensor).max(axis=(-2, -1))
-    if bad.any():
-        where = [int(np.argmax(bad))] if tensor.ndim == 3 else ""
-        found = np.atleast_1d(gap)[np.argmax(bad)]
-        hint = "; moments of three bodies go in as (3, 3, 3)" if tensor.ndim == 2 else ""
-        raise ValueError(
-            f"inertia{where}: the tensor is not symmetric, elements differ by {found:.3g}; "
-            "accepted: a symmetric tensor, or allow_unphysical=True for its symmetric "
-            f"part{hint}"
-        )
+    return np.where(gap > _ASYMMETRY * np.abs(tensor).max(axis=(-2, -1)), gap, 0.0)
+
+
+def _past_triangle(a: Any, b: Any, c: Any) -> Any:
+    """Where one moment is above the sum of the others by more than ``TRIANGLE`` lets it."""
+    largest = np.maximum(np.maximum(a, b), c)
+    return largest > TRIANGLE * (a + b + c - largest)
 
 
 def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
@@ -132,10 +156,9 @@ def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
     insist = "or allow_unphysical=True"
     reason = "a principal moment is not above 0"
     _refuse(moments, smallest <= 0.0, reason, f"moments above 0, {insist}")
-    largest = np.maximum(np.maximum(a, b), c)
     _refuse(
         moments,
-        largest > TRIANGLE * (a + b + c - largest),
+        _past_triangle(a, b, c),
         f"no body has one moment above the sum of the others, here by more than {TRIANGLE - 1:.0%}",
         f"moments that a body can have, {insist}",
     )

@@ -126,7 +126,7 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
         if not fits or any(n not in (m, -1) for m, n in zip(tail, shape, strict=True)):
             sizes_ = ["K" if n == -1 else str(n) for n in shape]
             accepted = f"{_tuple(sizes_)} and {_tuple(['N', *sizes_])}"
-            raise ValueError(f"{label} has shape {array.shape}; accepted are {accepted}")
+            raise ValueError(f"{label} {checks.shape(array)}; accepted are {accepted}")
         if above_zero and (array <= 0.0).any():
             first = np.argwhere(np.atleast_1d(array) <= 0.0)[0, 0]
             where = f"[{first}]" if array.ndim else ""
@@ -200,7 +200,7 @@ def params_of(value: ArrayLike | None) -> NDArray[np.float64]:
     """
     array = np.atleast_1d(np.zeros(0) if value is None else numbers("params", value))
     if array.ndim > 2 or (len(array.shape) == 2 and not len(array)):
-        raise ValueError(f"params: has shape {array.shape}; accepted are (P,) and (N, P)")
+        raise ValueError(f"params: {checks.shape(array)}; accepted are (P,) and (N, P)")
     return array
 
 

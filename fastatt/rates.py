@@ -232,3 +232,7 @@ __all__ = [
     "Slew",
     "Sum",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

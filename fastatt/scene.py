@@ -103,15 +103,19 @@ class Scene:
     def _given(self) -> tuple[Any, ...]:
         return tuple(getattr(self, field.name) for field in fields(self))
 
+    @property
+    def _key(self) -> tuple[Any, ...]:
+        return tuple(map(_key, self._given))
+
     def __reduce__(self) -> Any:
         """What was given; what was found from it is found again."""
         return type(self), self._given
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Scene) and _key(self._given) == _key(other._given)
+        return isinstance(other, Scene) and self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(_key(self._given))
+        return hash(self._key)
 
     def __getitem__(self, bodies: Any) -> Scene:
         params = self.packed(None).params
@@ -158,7 +162,7 @@ class Scene:
         """Principal moments and axes of ``inertia``."""
         if self.inertia is None:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
-        return principal(self.inertia, allow_unphysical=self.allow_unphysical)
+        return _kept(principal(self.inertia, allow_unphysical=self.allow_unphysical))  # type: ignore[no-any-return]
 
     @cached_property
     def _law(self) -> Law:
@@ -264,11 +268,13 @@ def _resources(packed: models.Packed) -> dict[Any, Any]:
 
 
 def _kept(value: Any) -> Any:
-    """Numbers, a model's too, in copies that can't be changed."""
+    """Numbers, a model's too, that can't be changed: tuples of numbers, else copies."""
     if isinstance(value, models.Sum):
         return models.Sum(tuple(map(_kept, value.terms)))
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
+    if hasattr(value, "_fields"):
         return type(value)(*map(_kept, value))
+    if isinstance(value, (list, tuple)) and all(map(np.isscalar, value)):
+        return tuple(value)
     if value is None or callable(value):
         return value
     array = np.array(value)
@@ -278,10 +284,12 @@ def _kept(value: Any) -> Any:
 
 def _key(value: Any) -> Any:
     """What is equal, and has a hash, for equal numbers."""
-    if isinstance(value, tuple):
+    if isinstance(value, models.Sum):
+        return (models.Sum, *map(_key, value.terms))
+    if hasattr(value, "_fields"):
         return (type(value), *map(_key, value))
-    if isinstance(value, np.ndarray):
-        return value.shape, (value.astype(np.float64) + 0.0).tobytes()  # −0 equals 0
+    if isinstance(value, (tuple, np.ndarray)):
+        return np.shape(value), (np.asarray(value, np.float64) + 0.0).tobytes()  # −0 equals 0
     return value
 
 
@@ -294,7 +302,9 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
     if type(value) in _RECORDS:
         each = zip(value, _RECORDS[type(value)].fields, strict=True)
         return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
-    return value[rows] if isinstance(value, np.ndarray) and value.ndim > dims else value
+    if isinstance(value, torques.Sampled) or np.ndim(value) <= dims:  # shared
+        return value
+    return np.asarray(value)[rows]
 
 
 _RECORDS: dict[type, models.Record] = {**rates.RECORDS, **torques.RECORDS, **forces.RECORDS}
@@ -309,8 +319,8 @@ def as_scene(scene: object) -> Scene:
 
 def _masses(value: ArrayLike) -> NDArray[np.float64]:
     mass = numbers("mass", value)
-    if mass.ndim > 1:
-        raise ValueError(f"mass: has shape {mass.shape}; accepted: a number or (N,), kg")
+    if mass.ndim > 1 or not mass.size:
+        raise ValueError(f"mass: {checks.shape(mass)}; accepted: a number or (N,), kg")
     with np.errstate(divide="ignore", over="ignore"):
         bad = (np.atleast_1d(mass) <= 0.0) | np.isinf(1.0 / np.atleast_1d(mass))
     if bad.any():

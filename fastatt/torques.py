@@ -447,3 +447,7 @@ __all__ = [
     "Sampled",
     "Sum",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

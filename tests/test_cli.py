@@ -186,10 +186,10 @@ def test_scene_files(tmp_path, suffix):
     path = tmp_path / f"scene{suffix}"
     path.write_text(SCENE_FILES[suffix], encoding="utf-8")
     scene = read_scene(path)
-    assert scene.inertia == [2.0, 1.0, 1.5]
+    assert scene.inertia == (2.0, 1.0, 1.5)
     damping, top = scene.torque.terms
     assert damping == fa.torques.Damping(0.1)
-    assert top == fa.torques.HeavyTop(arm=[0.0, 0.0, 0.1], weight=10.0)
+    assert top == fa.torques.HeavyTop(arm=(0.0, 0.0, 0.1), weight=10.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,14 @@ import pytest
 from exact import EPS, exp, matrix
 
 import fastatt as fa
-from fastatt.inertia import TRIANGLE, is_spherical, is_symmetric, principal, sort_axes
+from fastatt.inertia import (
+    TRIANGLE,
+    is_spherical,
+    is_symmetric,
+    is_tensor,
+    principal,
+    sort_axes,
+)
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 AXES = exp([[0.3, -0.5, 0.7], [2.0, 1.0, -0.4], [0.0, 0.0, 0.0], [0.0, np.pi / 2, 0.0]])
@@ -111,7 +118,7 @@ REFUSED = [
     ),
     (
         [[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [1.0, 1.0, 1.0]],
-        "moments of three bodies go in as (3, 3, 3)",
+        "moments of three bodies as (3, 3, 3)",
     ),
     (
         [np.eye(3), [[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]]],
@@ -165,6 +172,57 @@ def test_allow_unphysical():
     assert np.abs(rebuilt(found) - 0.5 * (skew + skew.T)).max() < 8 * EPS
     with pytest.raises(ValueError, match="a principal moment is 0; accepted: any other"):
         fa.Scene(inertia=[1.0, 0.0, 1.0], allow_unphysical=True)
+
+
+def rows_of_bodies(rng, n):
+    """Moments that bodies have, (n, 3)."""
+    rows = rng.uniform(0.0, 1.0, (8 * n, 3))
+    return rows[rows.max(axis=1) <= TRIANGLE * (rows.sum(axis=1) - rows.max(axis=1))][:n]
+
+
+THREE = [
+    ([[1.0, 0.9, 0.8], [0.9, 1.0, 0.7], [0.8, 0.7, 1.0]], "bodies"),  # symmetric
+    ([[1.0, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 3.0, 4.0]], "bodies"),
+    ([[0.6, 0.8, 1.0], [0.6, 0.8, 1.0], [0.6, 0.8, 1.0]], "bodies"),
+    ([[1.0, 1.0, 9.0], [1.0, 2.0, 3.0], [2.0, 3.0, 4.0]], "bodies"),  # one that no body has
+    ([[1.0, 0.1, 0.1], [0.1, 1.0, 0.1], [0.1, 0.1, 1.0]], "tensor"),
+    ([[1.0, 0.1, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 1.0]], "tensor"),
+    ([[1.0, 0.9, -0.1], [0.9, 1.0, -0.1], [-0.1, -0.1, 1.0]], "tensor"),
+]
+
+
+@pytest.mark.parametrize(("inertia", "reading"), THREE)
+def test_three_bodies_moments_are_not_taken_for_a_tensor(inertia, reading):
+    """Not even where what no body has is allowed."""
+    inertia = np.array(inertia)
+    calls = [
+        lambda: fa.Scene(inertia=inertia, allow_unphysical=True).kind,
+        lambda: fa.exact.free_body(
+            [1, 0, 0, 0], [0.1, 0.2, 0.3], inertia, 1.0, allow_unphysical=True
+        ),
+    ]
+    for call in calls:
+        if reading == "tensor":
+            call()
+            continue
+        with pytest.raises(ValueError, match=re.escape("three bodies as (3, 3, 3), moments[")):
+            call()
+    each = inertia[:, :, None] * np.eye(3)
+    if (inertia > 0.0).all():
+        found = fa.Scene(inertia=each, allow_unphysical=True).principal
+        assert found.axes is None
+        assert np.array_equal(found.moments, inertia)
+    one = fa.Scene(inertia=inertia[None], allow_unphysical=True)
+    assert one.principal.moments.shape == (1, 3)
+
+
+def test_no_tensor_of_a_body_reads_as_three_bodies():
+    """As the bounds of both readings say: of any axes, and moments up to the triangle."""
+    rng = np.random.default_rng(0)
+    moments = np.concatenate([rows_of_bodies(rng, 300), [[1.0, 1.0, 2.5], [1e-3, 1.0, 1.0]]])
+    for m in moments:
+        turned = tensors(m, exp(rng.normal(size=3)))
+        assert is_tensor(0.5 * (turned + turned.T))
 
 
 def test_number_of_bodies():
