@@ -25,6 +25,7 @@ from fastatt.estimation.derivatives import (
     sample_transitions,
     step_tangent,
 )
+from fastatt.estimation.directions import attitude_from_vectors
 from fastatt.estimation.filters import (
     Motion,
     attitude_error,
@@ -56,6 +57,7 @@ __all__ = [
     "StepTangent",
     "Transition",
     "attitude_error",
+    "attitude_from_vectors",
     "body_tangent",
     "covariance_to_body",
     "covariance_to_inertial",

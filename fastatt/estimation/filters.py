@@ -7,6 +7,8 @@ function of a user's own will do as well.
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -88,6 +90,31 @@ def attitude_covariance(sigma: ArrayLike) -> Floats:
     if found.ndim == 2:
         return np.ascontiguousarray(found, dtype=np.float64)
     return np.diag(np.broadcast_to(np.square(found, dtype=np.float64), (3,)))
+
+
+def largest_square(gate: float | None) -> float:
+    """The largest normalised innovation squared that is used; None: any that is finite."""
+    if gate is None:
+        return sys.float_info.max
+    found = checks.any_real("gate", gate, "a number above 0, or None")
+    if not found > 0.0:
+        raise ValueError(f"gate: found {found}; accepted: a number above 0, or None")
+    return min(found, sys.float_info.max)
+
+
+def measured_attitudes(value: ArrayLike, *, skips: bool) -> Floats:
+    """Attitudes (4,) or (N, 4); what is none is refused, or NaN where it is skipped."""
+    rows = checks.attitudes("measured", value, flag=skips)
+    none = (rows == 0.0).all(axis=-1, keepdims=True)
+    return np.where(none, np.nan, rows).astype(np.float64)
+
+
+def deviation(sigma: float) -> float:
+    """A standard deviation, at least 0."""
+    found = sigma if type(sigma) is float else checks.real("sigma", sigma)
+    if not 0.0 <= found < math.inf:
+        raise ValueError(f"sigma: found {found}; accepted: at least 0")
+    return found
 
 
 def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:

@@ -16,6 +16,9 @@ from fastatt.estimation.filters import (
     Motion,
     attitude_covariance,
     attitude_error,
+    deviation,
+    largest_square,
+    measured_attitudes,
     normalised_square,
     number_of_filters,
     rows_of,
@@ -39,16 +42,26 @@ class UKF:
     y : (K,) or (N, K), what is estimated beside them: a gyro's bias, an angular velocity.
     covariance : (D, D) or (N, D, D), of (δθ, δy).
     kappa : κ, above −D; below 0 the covariance may lose its sign.
+    invalid : "raise" refuses measurements that are not finite; "skip" leaves them out, for the
+        filters that they are for.
 
     Attributes
     ----------
     q, y, covariance : the estimates, with the shapes above.
 
-    Raises ``numpy.linalg.LinAlgError`` in a call that meets a covariance that is not positive.
+    Updates give the normalised innovation squared, do not use what is beyond ``gate``, and give NaN
+    for what was left out: see :class:`MEKF`. Raises ``numpy.linalg.LinAlgError`` in a call that
+    meets a covariance that is not positive.
     """
 
     def __init__(
-        self, q: ArrayLike, y: ArrayLike, covariance: ArrayLike, *, kappa: float = 1.0
+        self,
+        q: ArrayLike,
+        y: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        kappa: float = 1.0,
+        invalid: str = "raise",
     ) -> None:
         start = checks.attitudes("q", q)
         beside = checks.array("y", y, "(K,) or (N, K)", [(-1,), (-1, -1)])
@@ -68,6 +81,7 @@ class UKF:
         self._kappa = checks.real("kappa", kappa)
         if self._kappa <= -size:
             raise ValueError(f"kappa: found {kappa}; accepted: above {-size}")
+        self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
         self._weights = np.full(2 * size + 1, 0.5 / (size + self._kappa))
         self._weights[0] = self._kappa / (size + self._kappa)
 
@@ -115,13 +129,21 @@ class UKF:
         self._P = spread + self._noise(noise, d.shape[-1])
 
     def update(
-        self, observe: Callable[[Floats, Floats], Floats], measured: ArrayLike, noise: ArrayLike
+        self,
+        observe: Callable[[Floats, Floats], Floats],
+        measured: ArrayLike,
+        noise: ArrayLike,
+        *,
+        gate: float | None = None,
     ) -> Any:
         """Use a measurement (m,) or (N, m) with a noise of covariance (m, m) or (N, m, m).
 
         ``observe(q, y)`` gives what the points, (M, 4) and (M, K), would measure, (M, m). Gives the
-        normalised innovation squared, a number or (N,).
+        normalised innovation squared, χ² with m degrees of freedom, a number or (N,).
         """
+        seen = np.asarray(measured, dtype=np.float64)
+        if not self._skips:
+            checks.finite("measured", seen)
         q, y = self.sigma_points()
         n, points, size = len(q), q.shape[1], self._P.shape[1]
         z = observe(q.reshape(-1, 4), y.reshape(-1, size - 3)).reshape(n, points, -1)
@@ -130,12 +152,20 @@ class UKF:
         d = np.concatenate([attitude_error(self._q[:, None], q), y - self._y[:, None]], axis=-1)
         weighted = self._weights[:, None] * away
         return self._correct(
-            np.asarray(measured, dtype=np.float64) - expected,
+            seen - expected,
             np.swapaxes(d, 1, 2) @ weighted,
             np.swapaxes(away, 1, 2) @ weighted + self._noise(noise, z.shape[-1]),
+            gate,
         )
 
-    def update_vector(self, measured: ArrayLike, reference: ArrayLike, sigma: float) -> Any:
+    def update_vector(
+        self,
+        measured: ArrayLike,
+        reference: ArrayLike,
+        sigma: float,
+        *,
+        gate: float | None = None,
+    ) -> Any:
         """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
 
         ``sigma`` is the standard deviation of each component, in the vectors' unit.
@@ -147,13 +177,15 @@ class UKF:
         def observe(q: Floats, y: Floats) -> Floats:
             return np.asarray(rotate_inverse(q, each))
 
-        return self.update(observe, measured, float(sigma) ** 2 * np.eye(3))
+        return self.update(observe, measured, deviation(sigma) ** 2 * np.eye(3), gate=gate)
 
-    def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> Any:
+    def update_attitude(
+        self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
+    ) -> Any:
         """Use attitudes, (4,) or (N, 4), unit; ``sigma`` as for :meth:`MEKF.update_attitude`."""
-        error = attitude_error(self._q, checks.attitudes("measured", measured))
+        error = attitude_error(self._q, measured_attitudes(measured, skips=self._skips))
         P = self._P[:, :, :3]
-        return self._correct(error, P, P[:, :3] + attitude_covariance(sigma))
+        return self._correct(error, P, P[:, :3] + attitude_covariance(sigma), gate)
 
     def _noise(self, noise: ArrayLike, size: int) -> Floats:
         found = np.asarray(noise, dtype=np.float64)
@@ -164,14 +196,19 @@ class UKF:
             )
         return found
 
-    def _correct(self, innovation: Floats, cross: Floats, spread: Floats) -> Any:
+    def _correct(
+        self, innovation: Floats, cross: Floats, spread: Floats, gate: float | None
+    ) -> Any:
+        found = normalised_square(innovation, spread)
+        used = found <= largest_square(gate)
+        innovation = np.where(used[:, None], innovation, 0.0)
         gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, 1, 2)), 1, 2)
+        gain = np.where(used[:, None, None], gain, 0.0)
         d = (gain @ innovation[..., None])[..., 0]
         self._q = np.asarray(quat_multiply(self._q, rotation_vector_to_quat(d[:, :3])))
         self._y = self._y + d[:, 3:]
         P = self._P - gain @ np.swapaxes(cross, 1, 2)
         self._P = 0.5 * (P + np.swapaxes(P, 1, 2))
-        found = normalised_square(innovation, spread)
         return float(found[0]) if self._one else found
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
