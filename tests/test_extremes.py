@@ -73,6 +73,15 @@ def test_torques(method):
     assert complaints(cells(Case(method), "torqued")) == []
 
 
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize(
+    ("method", "scene"), [("magnus4", "rate"), ("rk4", "rate"), ("rk4", "free"), ("dmv10", "free")]
+)
+def test_compensated(method, scene, dtype):
+    """Low parts spoil no status, whatever becomes of them."""
+    assert complaints(cells(Case(method, dtype=dtype, compensated=True), scene)) == []
+
+
 @pytest.mark.parametrize("scene", ["sampled rates", "increments"])
 @pytest.mark.parametrize("method", [m for m in fa.METHODS if not set(of("rate")) & {m}])
 def test_samples(method, scene):

@@ -9,6 +9,8 @@ from numpy.testing import assert_array_equal
 from rigid_oracle import integrate
 
 import fastatt as fa
+from fastatt.attitudes import COMPENSATED
+from fastatt.flat.rows import rows
 from fastatt.kernels import compensated
 
 STEP = 1.0 / 128.0  # a power of two: products with it are exact
@@ -135,12 +137,57 @@ def test_the_return_to_the_group(representation):
         assert handed[0] < 1e-15 + shrunk["output"] ** 4
 
 
-def test_normalising_hides_no_blow_up():
-    scene = fa.Scene(rate=fa.rates.Polynomial([[0.0, 0.0, 7.0]]))
+@pytest.mark.parametrize("every", [1, 3, 8, 24, 48, 64, 100])
+def test_every_return_to_the_group_is_on_time(every):
+    """Of 70 steps that each shrink the state by one factor; a return is a step of Newton's."""
+    turn, length = 0.25, 1.0
+    factor = abs(1.0 + 1j * turn - turn**2 / 2.0 - 1j * turn**3 / 6.0 + turn**4 / 24.0)
+    lengths = [length]
+    for step in range(1, 71):
+        length *= factor
+        if step % every == 0:
+            length *= 1.5 - 0.5 * length**2
+        lengths.append(length)
+    saved = [*range(0, 70, 7), 70]
+    scene = fa.Scene(rate=fa.rates.Polynomial([[0.0, 1.2 * turn, 1.6 * turn]]))
+    for representation, scale in (("quat", 1.0), ("dcm", 0.5)):  # of which a matrix turns by φ
+        run = fa.propagate(
+            scene, [1, 0, 0, 0], dt=scale, n_steps=70, method="rk4", normalise=every, save_every=7,
+            representation=representation,
+        )  # fmt: skip
+        expected = np.array(lengths)[saved]
+        if representation == "dcm":  # C Cᵀ is as long as its square in the plane of the turn
+            expected = 1.0 + np.sqrt(2.0) * (expected**2 - 1.0)
+        assert np.abs(np.abs(run.defect[:, 0]) - np.abs(expected - 1.0)).max() < 70 * 8 * EPS
+
+
+@pytest.mark.parametrize(
+    ("representation", "turn"), [("quat", 1.65), ("dcm", 1.05), ("dcm_rows", 1.05)]
+)
+def test_a_return_to_the_group_hides_nothing(representation, turn):
+    """RK4 below its limit, by steps whose departure is flagged; mended at once it would not be."""
+    scene = fa.Scene(rate=fa.rates.Polynomial([[0.0, 0.6 * turn, 0.8 * turn]]))
     for policy in ("output", "never", 8, 1):
-        run = fa.propagate(scene, [1, 0, 0, 0], dt=1.0, n_steps=200, method="rk4", normalise=policy)
-        assert run.status[0] & fa.Status.STEP_TOO_LARGE
-        assert run.status[0] & (fa.Status.NORM_LOST | fa.Status.NON_FINITE)
+        run = fa.propagate(
+            scene, [1, 0, 0, 0], dt=1.0, n_steps=8, method="rk4", normalise=policy,
+            representation=representation,
+        )  # fmt: skip
+        assert run.status.tolist() == [fa.Status.NORM_LOST]
+        assert policy != 1 or abs(float(run.defect[-1, 0])) < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["double", "single"])
+def test_a_compensated_state_is_mended_from_16_ulps_on(kind):
+    """Below that the departure is rounding's own, and a mend would turn the attitude."""
+    eps = float(np.finfo("f8" if kind == "double" else "f4").eps)
+    off = eps * np.array([1.0, -1.0, 8.0, -15.0, 17.0, -17.0, 100.0])
+    x = np.zeros((off.size, 8), dtype="f8" if kind == "double" else "f4")
+    x[:, 0], x[:, 4] = 1.0, off
+    mended, departure = rows(COMPENSATED.restore, {"x": 8}, (8, None), kind)(x)
+    assert_array_equal(departure, x[:, 4])
+    left = mended[:, :4].astype(np.longdouble) + mended[:, 4:] - x[:, :4]
+    assert_array_equal(left[:, 0], np.where(np.abs(off) > 16.0 * eps, 0.0, off))
+    assert not left[:, 1:].any()
 
 
 def test_refusals():
@@ -186,21 +233,27 @@ def test_watched_drift_is_that_of_the_history():
 
 
 @pytest.mark.parametrize("method", ["rk4", "exact"])
-def test_sink_gets_every_save_once(method):
+@pytest.mark.parametrize("n_steps", [0, 9, 160, 333])
+@pytest.mark.parametrize("bodies", [1, 70])
+def test_sink_gets_every_save_once(method, n_steps, bodies):
+    """Of more than a tile of bodies, in turn; what is handed out is that of the whole run."""
     scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
-    options = {"dt": 0.05, "n_steps": 333, "save_every": 10, "method": method}
-    stored = fa.propagate(scene, [1, 0, 0, 0], [0.1, 1.0, 0.2], **options)
-    times, found = [], []
+    q0, w0 = np.random.default_rng(2).normal(size=(2, bodies, 4))
+    options = {"dt": 0.05, "n_steps": n_steps, "save_every": 10, "method": method}
+    stored = fa.propagate(scene, q0, w0[:, 1:], **options)
+    names = ("t", "q", "w", "defect")
+    found = {name: [] for name in names}
 
     def keep(piece):
-        times.append(piece.t[1:].copy())
-        found.append(piece.q[1:].copy())
-        assert_array_equal(piece.q[0], stored.q[0])
+        for name in names:
+            found[name].append(np.copy(getattr(piece, name)))
 
-    last = fa.propagate(scene, [1, 0, 0, 0], [0.1, 1.0, 0.2], sink=keep, **options)
-    assert_array_equal(np.concatenate(times), stored.t[1:])
-    assert_array_equal(np.concatenate(found), stored.q[1:])
-    assert_array_equal(last.q, stored.q[-1:])
+    last = fa.propagate(scene, q0, w0[:, 1:], sink=keep, n_threads=2, **options)
+    for name in names:
+        assert_array_equal(np.concatenate(found[name]), getattr(stored, name))
+        assert_array_equal(getattr(last, name), getattr(stored, name)[-1:])
+    assert max(map(len, found["t"])) <= 17
+    assert_array_equal(last.status, stored.status)
 
 
 def test_watch_refusals():

@@ -52,11 +52,12 @@ ONE = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class Case(NamedTuple):
-    """A row: a method on a representation in a precision."""
+    """A row: a method on a representation in a precision, carrying what rounding loses or not."""
 
     method: str
     representation: str = "quat"
     dtype: str = "float64"
+    compensated: bool = False
 
     @property
     def record(self) -> fa.Method:
@@ -163,7 +164,7 @@ def propagate(
         warnings.simplefilter("ignore")
         return fa.propagate(
             scene, q0, w0, method=case.method, representation=case.representation,
-            dtype=case.dtype, n_threads=1, invalid="flag", **options,
+            dtype=case.dtype, n_threads=1, invalid="flag", compensated=case.compensated, **options,
         )  # fmt: skip
 
 
