@@ -12,19 +12,16 @@ from typing import Any, NamedTuple
 from numpy.typing import ArrayLike
 
 from fastatt.flat.formulas import quat, scale
-from fastatt.flat.user import user_function
 from fastatt.models import (
     Field,
-    Law,
     Model,
     Packed,
     Record,
     Sum,
-    join,
     no_model,
     pack_fields,
     pack_sum,
-    params_of,
+    pack_user,
 )
 
 
@@ -56,7 +53,6 @@ class Custom(NamedTuple):
     params: ArrayLike | None = None
 
 
-_CALL = "force(t, q, w, v, p)"
 # formulas of (t, q, w, v, p): force (N) along body axes at an attitude, a rate and a velocity
 _ALL = (
     Record(Constant, (Field((3,)),), lambda t, q, w, v, p: p),
@@ -76,11 +72,9 @@ def pack(model: Model, n_bodies: int | None, argument: str = "force") -> Packed:
     if type(model) is Sum:
         return pack_sum(model, pack, n_bodies, argument)
     if type(model) is Custom:
-        params = join([params_of(model.params)], n_bodies, "params")
-        made = user_function(model.function, "force", params.shape[-1], params)
-        return Packed(Law(USER, (params.shape[-1],), function=made), params, {})
+        return pack_user(model.function, "force", USER, model.params, n_bodies)
     if type(model) not in RECORDS:
-        raise no_model(model, argument, "forces", (*RECORDS, Custom, Sum), _CALL)
+        raise no_model(model, argument, "forces", (*RECORDS, Custom, Sum))
     return pack_fields(model, RECORDS[type(model)], n_bodies, argument)
 
 

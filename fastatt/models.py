@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.flat.trace import traceable
+from fastatt.flat.user import FORMS, user_function
 
 Model = Any  # an instance of a model's class
 
@@ -157,14 +158,29 @@ def pack_sum(
     return Packed(Law(SUM, (), tuple(laws)), params, tables)
 
 
-def no_model(
-    model: Model, argument: str, module: str, known: Iterable[type], call: str
-) -> TypeError:
+def pack_user(
+    function: Callable[..., Any],
+    form: str,
+    record: Record,
+    params: ArrayLike | None,
+    n_bodies: int | None,
+) -> Packed:
+    """The same for a user's function, of a form of ``FORMS``, with (P,) or (N, P) parameters."""
+    given = np.atleast_1d(np.zeros(0) if params is None else numbers("params", params))
+    if given.ndim > 2 or (given.ndim == 2 and not len(given)):
+        raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
+    joined = join([given], n_bodies, "params")
+    n = joined.shape[-1]
+    made = user_function(function, form, n, joined)
+    return Packed(Law(record, (n,), function=made), joined, {})
+
+
+def no_model(model: Model, argument: str, module: str, known: Iterable[type]) -> TypeError:
     """The refusal of something that is no model."""
     names = ", ".join(sorted(c.__name__ for c in known))
     return TypeError(
         f"{argument}: found {type(model).__name__}; accepted is a model of fastatt.{module} "
-        f"({names}) or an @njit function {call}"
+        f"({names}) or an @njit function {FORMS[module[:-1]].call}"
     )
 
 
@@ -191,17 +207,6 @@ def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str
     n = rows.pop()
     together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
     return np.ascontiguousarray(together)
-
-
-def params_of(value: ArrayLike | None) -> NDArray[np.float64]:
-    """A user's parameters, (P,) shared or (N, P).
-
-    Raises ``ValueError`` for other shapes.
-    """
-    array = np.atleast_1d(np.zeros(0) if value is None else numbers("params", value))
-    if array.ndim > 2 or (len(array.shape) == 2 and not len(array)):
-        raise ValueError(f"params: {checks.shape(array)}; accepted are (P,) and (N, P)")
-    return array
 
 
 def _tuple(sizes: Sequence[str]) -> str:

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt.flat.formulas import axpy, trig
 from fastatt.flat.graph import choose
-from fastatt.flat.user import UserFunction, user_function
 from fastatt.models import (
     SUM,
     Field,
@@ -24,11 +23,9 @@ from fastatt.models import (
     Packed,
     Record,
     Sum,
-    join,
     no_model,
     pack_fields,
     pack_sum,
-    params_of,
 )
 
 _VECTOR = Field((3,))
@@ -148,7 +145,6 @@ def lengths(v: NDArray[Any]) -> Numbers:
     return np.asarray(np.sqrt((v * v) @ np.ones(3)))
 
 
-_CALL = "rate(t, p)"
 _ALL = (
     RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lambda p, T: lengths(p), constant=True),
     RateRecord(Polynomial, (Field((-1, 3)),), _polynomial, bound=_longest_polynomial),
@@ -210,17 +206,8 @@ def pack(model: Model, n_bodies: int | None, argument: str = "rate") -> Packed:
     if type(model) is Sum:
         return pack_sum(model, pack, n_bodies, argument)
     if type(model) not in RECORDS:
-        raise no_model(model, argument, "rates", (*RECORDS, Sum), _CALL)
+        raise no_model(model, argument, "rates", (*RECORDS, Sum))
     return pack_fields(model, RECORDS[type(model)], n_bodies, argument)
-
-
-def pack_user(
-    function: Callable[..., Any], params: ArrayLike | None, n_bodies: int | None
-) -> Packed:
-    """The same for a user's function and its parameters, (P,) shared or (N, P)."""
-    joined = join([params_of(params)], n_bodies, "params")
-    made: UserFunction = user_function(function, "rate", joined.shape[-1], joined)
-    return Packed(Law(USER, (joined.shape[-1],), function=made), joined, {})
 
 
 __all__ = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -227,9 +226,8 @@ class Scene:
         )
 
     def _rate(self, n_bodies: int | None) -> Packed:
-        function: Callable[..., Any] | None = self.rate if callable(self.rate) else None
-        if function is not None:
-            packed = rates.pack_user(function, self.params, n_bodies)
+        if callable(self.rate):
+            packed = models.pack_user(self.rate, "rate", rates.USER, self.params, n_bodies)
         else:
             packed = rates.pack(self.rate, n_bodies)
         structure = GivenRate(packed.law, self.frame == "inertial")

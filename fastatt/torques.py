@@ -7,7 +7,7 @@ body axes; fields and weights that are fixed in space are given along inertial a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.arrays import normalised
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.flat.formulas import Vector, as_like, dot, plus, quat, rigid, vec3
 from fastatt.flat.functions import gather
 from fastatt.flat.graph import Double, apply, choose
-from fastatt.flat.user import user_function
+from fastatt.flat.nodes import NotStraight
+from fastatt.flat.user import UserFunction, user_function
 from fastatt.models import (
     SUM,
     Field,
@@ -33,7 +35,7 @@ from fastatt.models import (
     no_model,
     pack_fields,
     pack_sum,
-    params_of,
+    pack_user,
 )
 
 
@@ -64,14 +66,7 @@ class Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class _Formulas(Record):
-    depends: Dependence
-    #: the same along all axes, or given along principal ones
-    axis_free: bool
-
-
-@dataclass(frozen=True, eq=False)
-class TorqueRecord(_Formulas):
+class TorqueRecord(Record):
     """A class of torques: ``formula(t, pose, p)``, N·m along the axes of the pose.
 
     ``depends`` says how on w, and has no default: taken for independent, a torque is evaluated at
@@ -80,6 +75,9 @@ class TorqueRecord(_Formulas):
     potential energy, J, where there is one.
     """
 
+    depends: Dependence
+    #: the same along all axes, or given along principal ones
+    axis_free: bool
     potential: Callable[..., Any] | None = None
     damping: Callable[[Any], Vector] | None = None
     decay: Callable[[Any], Any] | None = None
@@ -186,7 +184,8 @@ class Custom(NamedTuple):
     """A user's ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes.
 
     t in s, q and w as tuples, p the tuple of ``params``, (P,) or (N, P). ``uses_rate=False``
-    promises that w is not used, which opens the splitting methods; ``potential(t, q, p)``, J, an
+    promises that w is not used, which opens the splitting methods (and is looked into at a few
+    points); ``potential(t, q, p)``, J, an
     ``@njit`` function too, is what ``drift`` takes the energy from.
     """
 
@@ -237,64 +236,39 @@ _ALL = (
     TorqueRecord(Constant, (_VECTOR,), lambda t, pose, p: p, _POSITION, False),
     TorqueRecord(ConstantInertial, (_VECTOR,), lambda t, pose, p: pose.to_body(p), _POSITION, True),
     TorqueRecord(
-        Damping,
-        (_NUMBER,),
-        lambda t, pose, p: rigid.damping(pose.w, (p[0], p[0], p[0])),
-        _DAMPED,
-        True,
-        damping=lambda p: (p[0], p[0], p[0]),
+        Damping, (_NUMBER,), lambda t, pose, p: rigid.damping(pose.w, (p[0],) * 3), _DAMPED, True,
+        damping=lambda p: (p[0],) * 3,
         decay=lambda model: np.abs(model.coefficient),
     ),
     TorqueRecord(
-        AxisDamping,
-        (_VECTOR,),
-        lambda t, pose, p: rigid.damping(pose.w, p),
-        _DAMPED,
-        False,
+        AxisDamping, (_VECTOR,), lambda t, pose, p: rigid.damping(pose.w, p), _DAMPED, False,
         damping=lambda p: p,
         decay=lambda model: np.abs(np.asarray(model.coefficients)).max(axis=-1),
     ),
     TorqueRecord(
-        QuadraticDamping,
-        (_NUMBER,),
-        lambda t, pose, p: rigid.quadratic_damping(pose.w, p[0]),
-        _RATE,
-        True,
+        QuadraticDamping, (_NUMBER,), lambda t, pose, p: rigid.quadratic_damping(pose.w, p[0]),
+        _RATE, True,
     ),
     TorqueRecord(GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True),
     TorqueRecord(
-        HeavyTop,
-        (_VECTOR, _NUMBER),
-        lambda t, pose, p: vec3.cross(p[:3], pose.to_body((0.0, 0.0, -p[3]))),
-        _POSITION,
-        False,
+        HeavyTop, (_VECTOR, _NUMBER),
+        lambda t, pose, p: vec3.cross(p[:3], pose.to_body((0.0, 0.0, -p[3]))), _POSITION, False,
         potential=lambda t, pose, p: p[3] * dot(p[:3], pose.to_body((0.0, 0.0, 1.0))),
     ),
     TorqueRecord(
-        MagneticDipole,
-        (_VECTOR, _VECTOR),
-        lambda t, pose, p: vec3.cross(p[:3], pose.to_body(p[3:])),
-        _POSITION,
-        False,
+        MagneticDipole, (_VECTOR, _VECTOR),
+        lambda t, pose, p: vec3.cross(p[:3], pose.to_body(p[3:])), _POSITION, False,
         potential=lambda t, pose, p: -dot(p[:3], pose.to_body(p[3:])),
     ),
     TorqueRecord(
-        QuaternionPD,
-        (_NUMBER, _NUMBER, Field((4,))),
-        _quaternion_pd,
-        _RATE,
-        False,
+        QuaternionPD, (_NUMBER, _NUMBER, Field((4,))), _quaternion_pd, _RATE, False,
         decay=lambda model: np.abs(model.damping),
     ),
     TorqueRecord(
-        Rotor,
-        (_VECTOR,),
-        lambda t, pose, p: vec3.cross(p, pose.w),
-        _RATE,
-        False,
+        Rotor, (_VECTOR,), lambda t, pose, p: vec3.cross(p, pose.w), _RATE, False,
         potential=_no_potential,
     ),
-)
+)  # fmt: skip
 RECORDS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}
 SAMPLED = TorqueRecord(Sampled, (), _sampled, _POSITION, False, differentiable=False)
 #: beneath principal axes that lie elsewhere: four parameters say where
@@ -303,7 +277,6 @@ USER = {
     dependence: TorqueRecord(None, (), lambda *given: given[-1], dependence, False)
     for dependence in Dependence
 }
-_CALL = "torque(t, q, w, p)"
 
 
 def torque_of(law: Law, t: Any, pose: Pose, p: Vector) -> Vector:
@@ -396,27 +369,48 @@ def pack(
     if cls is Sum:
         return pack_sum(model, lambda term, n, name: pack(term, n, axes, name), n_bodies, argument)
     if cls is Custom:
-        packed = _pack_custom(model, n_bodies)
+        packed = _pack_custom(model, n_bodies, argument)
     elif cls is Sampled:
         packed = _pack_sampled(model, argument)
     elif cls in RECORDS:
         packed = pack_fields(model, RECORDS[cls], n_bodies, argument)
     else:
-        raise no_model(model, argument, "torques", {*RECORDS, Custom, Sampled, Sum}, _CALL)
+        raise no_model(model, argument, "torques", {*RECORDS, Custom, Sampled, Sum})
     if axes is None or packed.law.record.axis_free:
         return packed
     params = join([axes, packed.params], n_bodies, argument)
     return packed._replace(law=Law(TURNED, (4,), (packed.law,)), params=params)
 
 
-def _pack_custom(model: Custom, n_bodies: int | None) -> Packed:
-    params = join([params_of(model.params)], n_bodies, "params")
-    n = params.shape[-1]
-    function = user_function(model.function, "torque", n, params)
-    own = model.potential
-    energy = None if own is None else user_function(own, "potential", n, params)
+def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
+    """Whether a user's torque at a few points differs from that at a standstill."""
+    rng = np.random.default_rng(4)
+    rows = np.atleast_2d(params)
+    for k in range(8):
+        at = rng.uniform(0.0, 10.0), tuple(normalised(rng.normal(size=4)).tolist())
+        w, p = rng.normal(size=3).tolist(), tuple(rows[k * len(rows) // 8].tolist())
+        try:
+            there, rest = (np.array(function.call(*at, v, p)) for v in (w, [0.0] * 3))
+        except NotStraight:  # an error in Python at these numbers
+            continue
+        if not np.allclose(there, rest, rtol=0.0, atol=1e-9 * np.abs(rest).max(), equal_nan=True):
+            return True
+    return False
+
+
+def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
     record = USER[Dependence.RATE if model.uses_rate else Dependence.POSITION]
-    return Packed(Law(record, (n,), function=function, potential=energy), params, {})
+    law, params, tables = pack_user(model.function, "torque", record, model.params, n_bodies)
+    # where the scene is made, not at each run of it
+    if not model.uses_rate and n_bodies is None and _uses_rate(law.function, params):
+        raise ValueError(
+            f"{argument}: found Custom.uses_rate False with {law.function.name}, which gives other "
+            "torques at some w than at w = 0; accepted: True, or a function that does not use w"
+        )
+    if model.potential is not None:
+        energy = user_function(model.potential, "potential", law.count, params)
+        law = replace(law, potential=energy)
+    return Packed(law, params, tables)
 
 
 def _pack_sampled(model: Sampled, argument: str) -> Packed:
@@ -433,20 +427,9 @@ def _pack_sampled(model: Sampled, argument: str) -> Packed:
 
 
 __all__ = [
-    "AxisDamping",
-    "Constant",
-    "ConstantInertial",
-    "Custom",
-    "Damping",
-    "GravityGradient",
-    "HeavyTop",
-    "MagneticDipole",
-    "QuadraticDamping",
-    "QuaternionPD",
-    "Rotor",
-    "Sampled",
-    "Sum",
-]
+    "AxisDamping", "Constant", "ConstantInertial", "Custom", "Damping", "GravityGradient",
+    "HeavyTop", "MagneticDipole", "QuadraticDamping", "QuaternionPD", "Rotor", "Sampled", "Sum",
+]  # fmt: skip
 
 
 def __dir__() -> list[str]:

@@ -10,8 +10,8 @@ from numba import njit
 import fastatt as fa
 from fastatt import rates
 from fastatt.flat.rows import rows
-from fastatt.models import SUM, Law
-from fastatt.rates import pack, pack_user
+from fastatt.models import SUM, Law, pack_user
+from fastatt.rates import USER, pack
 
 TIMES = [0.0, 0.3, 1.7, -2.4, 60.0]
 A, B, C, D = np.array([[0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2.0, -1.0]])
@@ -104,7 +104,7 @@ def test_bound_of_any_polynomial(degree):
 
 
 def test_no_bound_is_known_of_a_users_function():
-    given = pack_user(njit(lambda t, p: (p[0], 0.0, t)), [0.3], None)
+    given = pack_user(njit(lambda t, p: (p[0], 0.0, t)), "rate", USER, [0.3], None)
     assert rates.bound(given.law, given.params, 1.0) is None
     constant = pack(rates.Constant(A), None)
     both = Law(SUM, (), (constant.law, given.law))

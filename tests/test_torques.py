@@ -556,10 +556,74 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
     assert found <= said
 
 
-def test_dependence_of_a_users_function_is_seen_where_it_says_it_has_none():
-    """What the test above is there to see."""
-    wrong = ft.Custom(weight_and_damping, (*ARM, 2.0, 0.2), uses_rate=False)
-    assert observed_dependence(wrong, None) > ft.dependence(ft.pack(wrong, None).law)
+def test_every_torque_of_the_package_is_among_the_models():
+    assert set(MODELS) == {record.__name__ for record in (*ft.RECORDS, ft.Sampled)}
+    assert set(MODELS) == set(ft.__all__) - {"Custom", "Sum"}
+
+
+def test_a_record_says_how_its_torque_depends_on_the_rate():
+    """There is nothing that it would be taken for."""
+    with pytest.raises(TypeError, match="'depends' and 'axis_free'"):
+        ft.TorqueRecord(ft.Constant, (), lambda t, pose, p: p)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_damping_that_splittings_take_exactly_is_the_torques(name):
+    """All of what depends on w, of a torque that they take."""
+    model = MODELS[name][0]
+    packed = ft.pack(model, None)
+    rates = ft.damping_rates(packed.law, INERTIA, packed.params)
+    if DEPENDENCE[name] != Dependence.DAMPED:
+        assert rates is None
+        return
+    t, q, w = next(iter(states()))
+    values = [found_torque(model, "quat", t, q, w + d, None) for d in displaced(3, 0.1)]
+    assert close(np.diag(rates * INERTIA), -derivative(np.array(values), 0.1)) < 100 * EPS
+    assert ft.fastest_decay(model, INERTIA) >= max(rates)
+
+
+@njit
+def damped_at_times(t, q, w, p):
+    """What is called, not traced."""
+    n = 0
+    while n < t:
+        n += 1
+    return -p[0] * w[0], 0.0 * n, q[1]
+
+
+def rate_that_cancels(t, q, w, p):
+    return q[1] + (w[0] - w[0]), 0.0 * w[1], p[0]
+
+
+ROWS = np.array([[0.0], [0.0], [0.0], [0.1]])
+
+
+def test_a_users_function_that_uses_the_rate_is_seen_where_it_says_it_does_not():
+    """Splittings would ask for it at w = 0."""
+    assert observed_dependence(ft.Custom(weight_and_damping, (*ARM, 2.0, 0.2)), None) == (
+        Dependence.DAMPED
+    )
+    for function, params in (
+        (weight_and_damping, (*ARM, 2.0, 0.2)),
+        (weight_and_damping, (*ARM, 2.0, 1e-6)),
+        (damped_at_times, (0.1,)),
+        (damped_at_times, ROWS),
+    ):
+        promised = ft.Custom(function, params, uses_rate=False)
+        for torque in (promised, Sum((ft.Damping(0.1), promised))):
+            with pytest.raises(
+                ValueError, match=r"uses_rate False with \w+, which gives other tor"
+            ):
+                fa.Scene(inertia=INERTIA, torque=torque)
+        fa.Scene(inertia=INERTIA, torque=ft.Custom(function, params))
+    for function, params in (
+        (rate_that_cancels, (0.1,)),
+        (damped_at_times, (0.0,)),
+        (weight_and_damping, (*ARM, 2.0, 0.0)),
+        (potential_v, None),
+    ):
+        promised = ft.Custom(function, params, uses_rate=False)
+        assert fa.Scene(inertia=INERTIA, torque=promised).dependence() == Dependence.POSITION
 
 
 # potentials
