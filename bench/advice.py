@@ -28,7 +28,7 @@ from fastatt.kernels.trig import sincos
 from fastatt.running.ensemble import Ensemble
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, machine_line, write_csv
-from fastatt.trade.reference import reference, turns
+from fastatt.trade.reference import Reference, reference, turns
 from fastatt.trade.work_precision import cases_of
 
 N_BODIES = 4096
@@ -153,9 +153,11 @@ def draw(seed: int, number: int, n: int) -> tuple[str, Problem, float]:
     return kind, Problem(Ensemble(scene, q0, w0), t_end), 10.0 ** rng.uniform(-10.0, -2.0)
 
 
-def error(problem: Problem, case: Case, n: int, exact: np.ndarray) -> float:
-    run = problem.run(case, n)
-    apart = fa.angle_between(run.q[-1], exact).max()
+def error(problem: Problem, case: Case, n: int, known: Reference) -> float:
+    """The largest over the run, at up to 16 even times."""
+    every, exact = known.beside(n)
+    run = problem.run(case, n, every)
+    apart = fa.angle_between(run.q[1:], exact).max()
     return math.inf if run.status.any() or not np.isfinite(apart) else float(apart)
 
 
@@ -165,20 +167,26 @@ def once(problem: Problem, case: Case, n: int) -> float:
     return perf_counter() - begin
 
 
+def steps(first: float, k: int) -> int:
+    """The k-th number of a ladder, in which large ones have 8 times in common."""
+    n = math.ceil(first * RATIO**k)
+    return n if n < 64 else -(-n // 8) * 8
+
+
 def least(
-    problem: Problem, case: Case, tol: float, exact: np.ndarray, best: float
+    problem: Problem, case: Case, tol: float, known: Reference, best: float
 ) -> tuple[int, float] | None:
     """The least number of steps on a fine ladder that meets the tolerance, and its time."""
     method = case.record
     if not method.order:
-        return (1, once(problem, case, 1)) if error(problem, case, 1, exact) <= tol else None
+        return (1, once(problem, case, 1)) if error(problem, case, 1, known) <= tol else None
     turn = turns(problem)
     constant = problem.ensemble.scene.is_constant and method.exact_for_constant
     first = 1.0 if constant else max(1.0, turn / 3.0)
     low, k = -1, 0
     while True:
-        n = math.ceil(first * RATIO**k)
-        if error(problem, case, n, exact) <= tol:
+        n = steps(first, k)
+        if error(problem, case, n, known) <= tol:
             break
         if min(once(problem, case, n) for _ in range(2)) > SLOWER * best or n > 3e6:
             return None
@@ -186,14 +194,14 @@ def least(
     high = k
     while high - low > 1:
         k = (low + high) // 2
-        good = error(problem, case, math.ceil(first * RATIO**k), exact) <= tol
+        good = error(problem, case, steps(first, k), known) <= tol
         low, high = (low, k) if good else (k, high)
-    n = math.ceil(first * RATIO**high)
+    n = steps(first, high)
     return n, min(once(problem, case, n) for _ in range(3))
 
 
 def sweep(
-    problem: Problem, tol: float, exact: np.ndarray, best: float
+    problem: Problem, tol: float, known: Reference, best: float
 ) -> list[tuple[float, Case, int]]:
     """The best of every method and precision that is not far slower than ``best`` s."""
     found = []
@@ -201,25 +209,21 @@ def sweep(
     for case in sorted(cases, key=lambda c: -(c.record.order or 99)):
         if case.dtype == "float32" and tol < 1e-7:
             continue
-        result = least(problem, case, tol, exact, best)
+        result = least(problem, case, tol, known, best)
         if result is not None:
             found.append((result[1], case, result[0]))
             best = min(best, result[1])
     return sorted(found, key=lambda item: item[0])
 
 
-def side_by_side(
-    problem: Problem, runs: list[tuple[Case, int, int | None]], seconds: float
-) -> list[float]:
+def side_by_side(problem: Problem, runs: list[tuple[Case, int]], seconds: float) -> list[float]:
     """Shortest times of runs that take turns, in any order: each finds other caches."""
     times = [math.inf] * len(runs)
     order = np.random.default_rng(0)
     begin = perf_counter()
     while perf_counter() - begin < seconds or math.inf in times:
         for i in order.permutation(len(runs)):
-            case, n, threads = runs[i]
-            p = Problem(problem.ensemble, problem.t_end, n_threads=threads)
-            times[i] = min(times[i], once(p, case, n))
+            times[i] = min(times[i], once(problem, *runs[i]))
     return times
 
 
@@ -227,7 +231,7 @@ def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
     """Draw, ask, run, sweep."""
     kind, problem, tol = draw(seed, number, n_bodies)
     e = problem.ensemble
-    known = reference(problem)
+    known = reference(problem, looks=16)
     begin = perf_counter()
     try:
         chosen = fa.recommend(e.scene, e.q0, e.w0, t_end=problem.t_end, tol=tol)
@@ -238,11 +242,11 @@ def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
         )  # fmt: skip
     took = perf_counter() - begin
     case = chosen.case
-    true = error(problem, case, chosen.n_steps, known.end.q)
+    true = error(problem, case, chosen.n_steps, known)
     # a scene that needs 10^6 steps would be swept for hours
     bound = min(once(problem, case, chosen.n_steps) for _ in range(2)) if true <= tol else math.inf
-    best = sweep(problem, tol, known.end.q, bound)[:3]
-    runs = [(case, chosen.n_steps, chosen.n_threads), *[(c, n, None) for _, c, n in best]]
+    best = sweep(problem, tol, known, bound)[:3]
+    runs = [(case, chosen.n_steps), *[(c, n) for _, c, n in best]]
     own, *others = side_by_side(problem, runs, seconds)
     i = int(np.argmin(others)) if others else -1
     return Trial(

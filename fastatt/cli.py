@@ -154,8 +154,14 @@ def _parser() -> argparse.ArgumentParser:
     _add_scene(advice)
     advice.add_argument("--t-end", type=float, required=True, help="duration, s")
     goal = advice.add_mutually_exclusive_group(required=True)
-    goal.add_argument("--tol", type=float, help="largest error of any body at the end, rad")
+    goal.add_argument("--tol", type=float, help="largest error of any body, rad")
     goal.add_argument("--budget", type=float, help="longest time that the run may take, s")
+    advice.add_argument(
+        "--at",
+        choices=("run", "end"),
+        default="run",
+        help="where errors are looked at: over the run (default), or at its end alone",
+    )
     advice.add_argument("--save-interval", type=float, help="s between saves (default: the end)")
     advice.add_argument("--methods", type=_names, help="only these methods: rk4,magnus4")
     advice.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
@@ -365,6 +371,7 @@ def _recommend(arguments: argparse.Namespace) -> int:
         tol=arguments.tol,
         budget=arguments.budget,
         save_interval=arguments.save_interval,
+        at=arguments.at,
         methods=arguments.methods,
         progress=_bar_wanted(arguments.quiet),
     )

@@ -125,7 +125,7 @@ def _warn(data: NDArray[Any], spans: Any, limit: float, method: str, increments:
         warnings.warn(
             f"dt: interval {k} of log {log} turns by {most:.3g} rad, {method}'s limit is "
             f"{limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): sample "
-            f"{most / limit:.2g} times as often",
+            f"more than {most / limit:.2g} times as often",
             StepWarning,
             stacklevel=3,
         )

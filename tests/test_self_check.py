@@ -125,6 +125,31 @@ def test_the_error_is_the_true_one():
     assert check.error == pytest.approx(true, rel=0.05)
 
 
+def test_what_settles_is_looked_at_on_the_way():
+    """A controller brings all to one attitude, whatever the step: the end alone shows no error."""
+    scene = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=fa.torques.QuaternionPD(0.3, 0.5))
+    q0 = fa.rotation_vector_to_quat(np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3)))
+    call = {"dt": 0.5, "n_steps": 600, "method": "rk4"}
+    found = fa.propagate(scene, q0, 0.05 * W40, save_every=1, check=64, **call)
+    fine = fa.propagate(scene, q0, 0.05 * W40, dt=0.05, n_steps=6000, save_every=10, method="rk4")
+    apart = fa.angle_between(found.q, fine.q).max(axis=1)
+    assert found.check.error == pytest.approx(apart.max(), rel=0.1)
+    assert found.check.order > 3.5
+    end = fa.self_check(scene, q0, 0.05 * W40, at="end", **call)
+    assert max(end.error, apart[-1]) < 1e-9
+    assert apart.max() > 1e-6
+    with pytest.raises(ValueError, match="at: found 'start'; accepted: run, end"):
+        fa.self_check(scene, q0, 0.05 * W40, at="start", **call)
+
+
+def test_a_long_run_is_looked_at_now_and_then():
+    """1500 steps at 750 of them: the error is that of all, which grows."""
+    call = {"dt": 0.05, "n_steps": 1500, "method": "rk4"}
+    run, end = (fa.self_check(CONING, Q40, at=at, **call) for at in ("run", "end"))
+    assert run.error == pytest.approx(end.error, rel=0.1)
+    assert run.error >= end.error
+
+
 def test_a_large_step_is_halved_until_its_order_shows():
     """At |w|h = 2 the first halvings of order 4 show less than 4: no fault of the method."""
     check = fa.self_check(CONING, Q40, dt=1.0, n_steps=10, method="rk4")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -142,12 +143,45 @@ def test_the_reference_stops_at_its_goal():
     assert true == pytest.approx(loose.own_error, rel=0.5)
 
 
+def pushed(n):
+    """A history of torques with n intervals over the time."""
+    torque = np.random.default_rng(5).normal(scale=0.3, size=(n + 1, 3))
+    return fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(torque, T_END / n))
+
+
+@pytest.mark.parametrize(
+    ("scene", "n", "times"),
+    [
+        (CONING, 7, 7),
+        (CONING, 2500, 625),
+        (GRADIENT, 7, 7),
+        (GRADIENT, 2500, 625),
+        (pushed(50), 7, 7),
+        (pushed(50), 224, 112),
+        (pushed(997), 224, 16),
+    ],
+)
+def test_a_reference_knows_the_times_of_a_runs_steps(scene, n, times):
+    """At each, at an even part of more than 1024, or at as many as kinks allow."""
+    whole = problem(scene, None if scene is CONING else W0)
+    known = reference(whole, looks=1024)
+    every, q = known.beside(n)
+    assert (every * times, len(q)) == (n, times)
+    kinks = len(scene.torque.torques) - 1 if isinstance(scene.torque, fa.torques.Sampled) else 1
+    k = math.lcm(times, kinks) // times
+    k *= -(-4000 // (k * times))
+    run = whole.run(Case("magnus6" if scene is CONING else "rk8"), times * k, k)
+    assert fa.angle_between(run.q[1:], q).max() < 1e-12
+    assert fa.angle_between(q[-1], known.end.q).max() < 1e-12
+    assert reference(whole).beside(n)[0] == n
+
+
 @pytest.mark.parametrize("frame", ["body", "inertial"])
 def test_one_exponential(frame):
     """Of a constant rate, at three times, in either frame."""
     w = RNG.normal(size=(N, 3))
     scene = fa.Scene(rate=fa.rates.Constant(w), frame=frame)
-    known = reference(problem(scene, None), n_saves=3)
+    known = reference(problem(scene, None), looks=3)
     assert known.source == "one exponential"
     q = fa.quat_to_dcm(known.states.q)
     start = fa.quat_to_dcm(Q0 / np.linalg.norm(Q0, axis=1, keepdims=True))

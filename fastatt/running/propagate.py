@@ -17,13 +17,15 @@ from fastatt.running.ensemble import Ensemble
 from fastatt.running.self_check import SelfCheck, examine
 from fastatt.running.trajectory import Trajectory
 from fastatt.scene import Scene, as_scene
-from fastatt.threads import number_of
+from fastatt.threads import number_of, progress_bar
 from fastatt.torques import Dependence
 
 # in this order, the first that fits the scene and the representation
 _DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
 # steps between two looks at the norm of a compensated state
 _RESTORE = 64
+# body-steps, 2 ms of the slowest, that one thread takes no longer than several do
+_SHORT = 65_536
 
 
 def methods_for(scene: Scene, representation: str | Attitude | None = None) -> list[str]:
@@ -106,7 +108,8 @@ def propagate(
     save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
         the final ones.
     dtype : float64 or float32; None takes float32 when ``q0`` is a float32 array, else float64.
-    n_threads : None takes every processor that this process may use; results do not depend on it.
+    n_threads : None takes every processor that this process may use, for a short run one; results
+        do not depend on it.
     progress : show a bar (needs tqdm).
     t0 : time of ``q0``, s.
     compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
@@ -117,10 +120,11 @@ def propagate(
         before it is mended. A compensated state is mended every 64 steps unless said otherwise.
     invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
         the ensemble and flags those bodies, the others' results being what they are without them.
-    sink : with ``save_every``, is handed each 16 saves after the initial ones as a trajectory,
-        whose arrays are used again; the result then holds the final states only.
-    check : bodies on which the order of the method is looked for besides, by halving the step as
-        :func:`fastatt.self_check` does; the trajectory's ``check`` is what was found.
+    sink : with ``save_every``, is handed each save once, 16 at a time (17 with the initial one), as
+        a trajectory whose arrays are used again; the result then holds the final states only.
+    check : bodies on which the order of the method and the largest error over the run are looked
+        for besides, by halving the step as :func:`fastatt.self_check` does; the trajectory's
+        ``check`` is what was found.
     looks : look at how far each step turns. Without, steps past a method's limit and turns beyond
         π go unseen: for measuring what the looks cost.
 
@@ -156,14 +160,23 @@ def propagate(
     sample = checks.whole("check", check, 0)
     if sample and flag:
         raise ValueError('check: found with invalid "flag"; accepted with "raise"')
-    wanted = task.Task(
-        scene,
-        task.Choice(record, attitude, restore, normalise == "never", looks),
-        task.Clock.of(dt, n_steps, save_every, t0),
-        task.Handling(number_of(n_threads), progress, sink, invalid),
-    )
+    clock = task.Clock.of(dt, n_steps, save_every, t0)
     kind = checks.precision(dtype, *[x for x in (q0, w0, v0, r0) if x is not None])
-    result = task.propagated(wanted, start, carried, kind)
+    threads = threads_of(n_threads, max(rows.values(), default=1), clock.n_steps)
+    # with a sink the engine's runs are many, the bar is one
+    with progress_bar(progress and callable(sink), len(clock.saved), "save") as done:
+        wanted = task.Task(
+            scene,
+            task.Choice(record, attitude, restore, normalise == "never", looks),
+            clock,
+            task.Handling(
+                threads,
+                progress and sink is None,
+                _each_once(sink, done) if callable(sink) else sink,
+                invalid,
+            ),
+        )
+        result = task.propagated(wanted, start, carried, kind)
     if not sample:
         return result
     seen = check_order(
@@ -182,15 +195,42 @@ def propagate(
     return replace(result, check=seen)
 
 
+def _each_once(
+    sink: Callable[[Trajectory], object], done: Callable[[int], object]
+) -> Callable[[Trajectory], None]:
+    """A sink of the engine's pieces, all of which begin with the initial save."""
+    begun = False
+
+    def deliver(piece: Trajectory) -> None:
+        nonlocal begun
+        if begun:
+            carried = {name: x[1:] for name, x in piece.carried.items()}
+            rest = {name: getattr(piece, name)[1:] for name in ("t", "state", "defect")}
+            piece = replace(piece, carried=carried, **rest)
+        begun = True
+        sink(piece)
+        done(piece.t.size)
+
+    return deliver
+
+
+def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
+    """Threads of a run: those asked for; else all, but one where starting more takes longer."""
+    if n_threads is None and n_bodies * n_steps < _SHORT:
+        return 1
+    return number_of(n_threads)
+
+
 def check_order(
-    ensemble: Ensemble, dt: float, n_steps: int, sample: int, **options: Any
+    ensemble: Ensemble, dt: float, n_steps: int, sample: int, at: str = "run", **options: Any
 ) -> SelfCheck:
     """What the runs of a sample by ``propagate``, with its options, show of their order."""
 
-    def run_with(some: Ensemble, h: float, n: int) -> Trajectory:
+    def run_with(some: Ensemble, h: float, n: int, every: int) -> Trajectory:
         return propagate(
-            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n, **options
-        )
+            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n,
+            save_every=every, **options,
+        )  # fmt: skip
 
     kind = ensemble.scene.kind
     return examine(
@@ -200,6 +240,7 @@ def check_order(
         checks.whole("n_steps", n_steps, 1),
         lambda found: found.order_of(kind),
         sample=sample,
+        at=at,
     )
 
 

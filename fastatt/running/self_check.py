@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.methods.method import Method
 from fastatt.running.ensemble import Ensemble
@@ -22,6 +23,7 @@ _SLACK = 0.5
 # turns, rad, between two steps' results: more is no order yet
 _LARGE = 0.3
 _STEPS = 2_000_000  # body-steps that the check may take
+_LOOKS = 1024  # times of a run at most
 
 
 class OrderWarning(UserWarning):
@@ -32,11 +34,11 @@ class OrderWarning(UserWarning):
 class SelfCheck:
     """What halving the step of a run showed on a sample of its bodies.
 
-    ``error`` is the largest angle at the end, rad, that the run's own step is estimated to be off
-    by; ``order`` the one observed, None where rounding hides it (``limited_by`` "round-off") or the
-    steps were too large for any ("step"); ``declared`` that of the method. ``passed`` is false
-    where an order was observed and is below the declared one. ``norm`` is the largest departure of
-    the state from its group, | |q| − 1 | or ‖C Cᵀ − 1‖.
+    ``error`` is the largest angle, rad, that the run's own step is estimated to be off by, over the
+    run or at its end; ``order`` the one observed, None where rounding hides it (``limited_by``
+    "round-off") or the steps were too large for any ("step"); ``declared`` that of the method.
+    ``passed`` is false where an order was observed and is below the declared one. ``norm`` is the
+    largest departure of the state from its group, | |q| − 1 | or ‖C Cᵀ − 1‖.
     """
 
     method: str
@@ -57,40 +59,44 @@ class SelfCheck:
 
 
 def examine(
-    run: Callable[[Ensemble, float, int], Trajectory],
+    run: Callable[[Ensemble, float, int, int], Trajectory],
     ensemble: Ensemble,
     dt: float,
     n_steps: int,
     order_of: Callable[[Method], int],
     *,
-    sample: int = 64,
+    sample: int,
+    at: str,
 ) -> SelfCheck:
     """Halve the step until the order shows, and warn with ``OrderWarning`` where it is too low.
 
-    ``run(ensemble, dt, n_steps)`` propagates a sample, the fastest bodies and others evenly spaced;
-    ``order_of`` gives the order declared of a method by its name.
+    ``run(ensemble, dt, n_steps, save_every)`` propagates a sample, the fastest bodies and others
+    evenly spaced; ``order_of`` gives the order declared of a method by its name.
     The differences of the results at h, h/2, h/4, … fall by 2^order each; where the first do not
     yet, as large steps have no order, the step is halved further, until rounding ends it.
     """
     some = ensemble.take(_sample(ensemble, sample))
 
-    def quiet(h: float, n: int) -> Trajectory:
+    looks = _LOOKS if checks.choice("at", at, ("run", "end")) == "run" else 1
+    every = -(-n_steps // looks)
+
+    def divided(by: int) -> Trajectory:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StepWarning)
-            return run(some, h, n)
+            return run(some, dt / by, n_steps * by, every * by)
 
-    first = quiet(dt, n_steps)
+    first = divided(1)
     declared = order_of(first.record)
     floor = _rounding(first, abs(dt) * n_steps)
-    before = first.q[-1]
+    before = first.q[1:]
     changes: list[NDArray[np.float64]] = []
     orders: list[float] = []
     for k in range(1, _HALVINGS + 1):
         n = n_steps * 2**k
         if k > 2 and n * some.size > _STEPS:
             break
-        after = quiet(dt / 2**k, n).q[-1]
-        changes.append(np.nan_to_num(angle_between(before, after), nan=np.pi))
+        after = divided(2**k).q[1:]
+        changes.append(np.nan_to_num(angle_between(before, after), nan=np.pi).max(axis=0))
         before = after
         if k > 1:
             found = _order(changes[-2], changes[-1], floor * math.sqrt(2.0**k))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -89,9 +89,20 @@ def watch_drift(
             raise TypeError(f"{name}: found; accepted: every, the steps between two looks")
     found: dict[str, Measure] = {}
     saves = 0
+    begin: dict[str, NDArray[Any]] = {}
+
+    def since_begin(name: str, values: NDArray[Any]) -> Any:
+        """The values with those of the initial save before them."""
+        if saves:
+            return np.concatenate([begin[name], values])
+        begin[name] = values[:1].copy()
+        return values
 
     def sink(piece: Trajectory) -> None:
         nonlocal saves
+        carried = {name: since_begin(name, x) for name, x in piece.carried.items()}
+        rest = {name: since_begin(name, getattr(piece, name)) for name in ("t", "state", "defect")}
+        piece = replace(piece, carried=carried, **rest)
         measured = drift(piece, scene)
         saves += piece.t.size - 1
         for name in ("norm", "orthogonality", "energy", "momentum"):

@@ -43,6 +43,7 @@ def recommend(
     r0: ArrayLike | None = None,
     t0: float = 0.0,
     save_interval: float | None = None,
+    at: str = "run",
     methods: Sequence[str | Method] | None = None,
     representations: Sequence[str | Attitude] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
@@ -62,9 +63,11 @@ def recommend(
     ----------
     scene, q0, w0, v0, r0, t0, n_threads : as of :func:`fastatt.propagate`.
     t_end : duration, s, above 0; the steps fill it exactly.
-    tol : largest error of any body at the end (and at the saves), rad.
+    tol : largest error of any body, rad.
     budget : instead of ``tol``, the longest time that the run may take, s.
     save_interval : s between saves, of which ``t_end`` is a multiple; None for the end alone.
+    at : where errors are looked at: over the "run", after each of its steps or, of more than 1024,
+        at so many even times; or at its "end" alone, whatever happened on the way.
     methods : None takes those that are the cheapest somewhere; ``fastatt.methods_for`` lists all.
         Methods of one's own stand beside names.
     representations, dtypes : what to choose from.
@@ -74,7 +77,8 @@ def recommend(
 
     Returns
     -------
-    Recommendation : ``fastatt.propagate(scene, q0, w0, **advice.arguments)`` runs it.
+    Recommendation : ``fastatt.propagate(scene, q0, w0, **advice.arguments)`` runs it; without
+        ``save_interval``, with any ``save_every`` besides.
 
     Raises
     ------
@@ -87,7 +91,6 @@ def recommend(
     wanted = _above_zero("tol", tol) if tol is not None else _above_zero("budget", budget)
     ensemble = Ensemble.of(scene, q0, w0, v0, r0)
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
-    n_saves = _saves(whole.t_end, save_interval)
     fitting = methods_for(scene)
     usual = [m for m in _usual(scene) if m in fitting] if methods is None else methods
     cases = cases_of(scene, usual, representations, dtypes)
@@ -95,8 +98,8 @@ def recommend(
         cases = _hopeful(cases, tol)
     search = Search(
         whole,
-        save_interval is not None,
-        n_saves,
+        _saves(whole.t_end, save_interval),
+        checks.choice("at", at, ("run", "end")),
         checks.whole("sample", sample, 1),
         np.random.default_rng(seed),
         wanted / _FINER if tol is not None else 0.0,
@@ -130,9 +133,9 @@ def _above_zero(name: str, value: Any) -> float:
     return number
 
 
-def _saves(t_end: float, interval: float | None) -> int:
+def _saves(t_end: float, interval: float | None) -> int | None:
     if interval is None:
-        return 1
+        return None
     every = _above_zero("save_interval", interval)
     n = round(t_end / every)
     if n < 1 or abs(n * every - t_end) > 1e-9 * t_end:

@@ -28,7 +28,7 @@ from fastatt.running.drift import drift
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.limits import StepWarning
 from fastatt.running.loop import job_of
-from fastatt.running.propagate import propagate
+from fastatt.running.propagate import propagate, threads_of
 from fastatt.running.task import KINDS
 from fastatt.running.trajectory import Status, Trajectory
 from fastatt.threads import default_threads
@@ -124,11 +124,10 @@ class Problem:
         scene = self.ensemble.scene
         return _operations(job_of(scene, case.method, case.representation, case.dtype))
 
-    @property
-    def threads(self) -> int:
+    def threads(self, n_steps: int) -> int:
         """How many run at once: no more than there are tiles of bodies."""
-        wanted = self.n_threads or default_threads()
-        return max(1, min(wanted, -(-self.ensemble.size // WIDTH)))
+        size = self.ensemble.size
+        return min(threads_of(self.n_threads, size, n_steps), -(-size // WIDTH))
 
 
 @lru_cache(maxsize=256)
@@ -232,7 +231,7 @@ def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int
         momentum=None if kept is None or kept.momentum is None else float(kept.momentum.max()),
         status=", ".join(f"{name} {count}" for name, count in counts),
         operations=problem.operations(case),
-        threads=problem.threads,
+        threads=problem.threads(n_steps),
     )
 
 

@@ -28,14 +28,16 @@ def self_check(
     n_threads: int | None = None,
     t0: float = 0.0,
     sample: int = 64,
+    at: str = "run",
 ) -> SelfCheck:
     """Order and error that a run shows of itself, by halving its step on a sample of its bodies.
 
     Takes 3 to some 100 times as long as the run takes on ``sample`` bodies: the step is halved
     twice, and again while the order is below the declared one. Arguments are those of
-    :func:`fastatt.propagate`. The check sees any error of the method that lowers its order, such as
-    a wrong weight or sign or a stale rate; it sees none that a method of the same order for other
-    equations would make.
+    :func:`fastatt.propagate`. Results are compared over the "run", after each of its steps or, of
+    more than 1024, at so many even times; with ``at="end"`` at its end alone. The check sees any
+    error of the method that lowers its order, such as a wrong weight or sign or a stale rate; it
+    sees none that a method of the same order for other equations would make.
 
     Returns
     -------
@@ -56,6 +58,7 @@ def self_check(
         dt,
         n_steps,
         checks.whole("sample", sample, 1),
+        at,
         method=method,
         representation=representation,
         dtype=dtype,

@@ -22,8 +22,9 @@ class Point:
 class Recommendation:
     """What to run, what to expect of it, and why.
 
-    ``expected_error`` is the largest angle at the end, rad, over the sample, times a factor for
-    the bodies that were not in it; ``expected_seconds`` the time of a whole call to ``propagate``.
+    ``expected_error`` is the largest angle over the run (``at`` "run") or at its end ("end"), rad,
+    over the sample, times a factor for the bodies that were not in it; ``expected_seconds`` the
+    time of a whole call to ``propagate`` on ``n_threads``.
     ``case`` holds a method and a representation of one's own, where those are what is recommended.
     ``margin`` is how many times as long the ``runner_up`` takes. ``limited_by`` is "truncation"
     where a smaller step would gain accuracy, "round-off" where it would not, "sampling" where
@@ -37,6 +38,7 @@ class Recommendation:
     n_steps: int
     save_every: int | None
     n_threads: int
+    at: str
     expected_error: float
     expected_seconds: float
     runner_up: Point | None
@@ -56,17 +58,21 @@ class Recommendation:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments for ``fastatt.propagate``."""
-        names = ("dt", "n_steps", "save_every", "n_threads")
-        return {**self.case._asdict(), **{name: getattr(self, name) for name in names}}
+        """Keyword arguments for ``fastatt.propagate``.
+
+        Threads and, unless an interval was asked for, saves are the caller's own.
+        """
+        found = {**self.case._asdict(), "dt": self.dt, "n_steps": self.n_steps}
+        return found if self.save_every is None else {**found, "save_every": self.save_every}
 
     def __str__(self) -> str:
         wanted = f"tol {self.tol:g}" if self.tol is not None else f"budget {self.budget:g} s"
         how = f"{self.n_steps} steps of {self.dt:.6g} s on {self.n_threads} threads"
         seen = f"from {self.sampled} of {self.n_bodies} bodies (safety {self.safety:.2f})"
+        where = "over the run" if self.at == "run" else "at the end"
         lines = [
             f"{self.case}: {how} ({wanted})",
-            f"  error      {self.expected_error:.1e} rad at most, {seen}; limited by "
+            f"  error      {self.expected_error:.1e} rad at most {where}, {seen}; limited by "
             + self.limited_by,
             f"  time       {told(self.expected_seconds)}",
         ]

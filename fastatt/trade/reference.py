@@ -7,8 +7,10 @@ nothing changes any more. A second method, of another family, confirms either.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,24 +32,36 @@ _LEAST = 8  # steps
 _WORK = 5e7
 _SETTLED = 1e-6  # rad: nothing above is rounding
 _INSTANTS = 16  # at which a given rate is looked at
+_FINER = 4  # times as many steps as are needed: beside kinks, so that more times are steps
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Attitudes (S, N, 4) and angular velocities (S, N, 3) at S even times, the last at the end.
+    """Attitudes (S, N, 4) and angular velocities (S, N, 3) at some times, the last at the end.
 
-    ``own_error`` (N,) is what it may be off by itself at the end, rad; ``source`` names it.
+    ``own_error`` (N,) is the most that it may be off by itself at those times, rad; ``source``
+    names it. ``even(k)`` gives the attitudes (k, N, 4) at k even times, if ``k <= looks`` and
+    ``fits(k)``.
     """
 
     states: State
     source: str
     own_error: NDArray[np.float64]
+    looks: int
+    even: Callable[[int], NDArray[Any]] = field(repr=False)
+    fits: Callable[[int], bool] = field(repr=False, default=lambda times: True)
 
     @property
     def end(self) -> State:
         """The last of the states."""
         q, w = self.states
         return State(q[-1], None if w is None else w[-1])
+
+    def beside(self, n: int) -> tuple[int, NDArray[Any]]:
+        """Steps from one look to the next of a run in n steps, and the attitudes at the looks."""
+        most = min(n, self.looks)
+        times = next(k for k in range(most, 0, -1) if n % k == 0 and (k == 1 or self.fits(k)))
+        return n // times, self.even(times)
 
 
 @dataclass(frozen=True)
@@ -84,42 +98,62 @@ def turns(problem: Problem) -> float:
 
 
 def reference(
-    problem: Problem, *, n_saves: int = 1, goal: float = 0.0, method: str | None = None
+    problem: Problem, *, looks: int = 1, goal: float = 0.0, method: str | None = None
 ) -> Reference:
-    """The closed form, or the tight run of a method, good to ``goal`` rad or to round-off."""
+    """The closed form, or the tight run of a method, good to ``goal`` rad or to round-off.
+
+    It is known at up to ``looks`` even times, the last of them the end.
+    """
     if method is None:
-        found = _closed_form(problem, n_saves)
+        found = _closed_form(problem, looks)
         if found is not None:
             return found
-    return _tight(problem, method or _tight_method(problem.ensemble), n_saves, goal)
+    return _tight(problem, method or _tight_method(problem.ensemble), looks, goal)
 
 
-def _closed_form(problem: Problem, n_saves: int) -> Reference | None:
-    e, scene = problem.ensemble, problem.ensemble.scene
-    t = problem.t_end * np.arange(1, n_saves + 1) / n_saves
-    q0 = np.broadcast_to(e.q0, (e.size, 4)).astype(np.float64)
-    w = None
-    if scene.kind in FREE:
-        assert e.w0 is not None
-        w0 = np.broadcast_to(e.w0, (e.size, 3)).astype(np.float64)
-        q, w = exact.free_body(
-            q0, w0, np.asarray(scene.inertia), t, allow_unphysical=scene.allow_unphysical
-        )
-        name = "the closed form"
-    elif isinstance(scene.rate, rates.Constant):
-        turned = rotation_vector_to_quat(t[:, None, None] * np.atleast_2d(scene.rate.w))
-        pair = (q0, turned) if scene.frame == "body" else (turned, q0)
-        q, name = quat_multiply(*pair), "one exponential"
-    elif isinstance(scene.rate, rates.Coning) and scene.frame == "body":
-        at = np.concatenate([[0.0], t]) + problem.t0
-        angle, frequency = map(np.atleast_1d, scene.rate)
-        cone = coning_attitudes(angle, frequency, at)
-        back = cone[:1] * (1.0, -1.0, -1.0, -1.0)
-        q, name = quat_multiply(q0, quat_multiply(back, cone[1:])), "the exact coning motion"
-    else:
+def _closed_form(problem: Problem, looks: int) -> Reference | None:
+    found = _solution(problem)
+    if found is None:
         return None
+    name, solution = found
+
+    def after(times: int) -> State:
+        return solution(problem.t_end * np.arange(1, times + 1) / times)
+
     own = 2.0 * _EPS * (1.0 + speeds(problem) * abs(problem.t_end))
-    return Reference(State(q, w), name, own)
+    return Reference(after(looks), name, own, looks, lambda times: after(times).q)
+
+
+def _solution(problem: Problem) -> tuple[str, Callable[[NDArray[np.float64]], State]] | None:
+    """The exact states after times t (S,), s, and what they are called; None where not known."""
+    e, scene = problem.ensemble, problem.ensemble.scene
+    q0 = np.broadcast_to(e.q0, (e.size, 4)).astype(np.float64)
+    if scene.kind in FREE:
+        w0 = np.broadcast_to(np.asarray(e.w0), (e.size, 3)).astype(np.float64)
+        inertia = np.asarray(scene.inertia)
+        unphysical = scene.allow_unphysical
+        return "the closed form", lambda t: State(
+            *exact.free_body(q0, w0, inertia, t, allow_unphysical=unphysical)
+        )
+    if isinstance(scene.rate, rates.Constant):
+        w = np.atleast_2d(scene.rate.w)
+
+        def turned(t: NDArray[np.float64]) -> State:
+            turn = rotation_vector_to_quat(t[:, None, None] * w)
+            pair = (q0, turn) if scene.frame == "body" else (turn, q0)
+            return State(quat_multiply(*pair))
+
+        return "one exponential", turned
+    if isinstance(scene.rate, rates.Coning) and scene.frame == "body":
+        angle, frequency = map(np.atleast_1d, scene.rate)
+
+        def cone(t: NDArray[np.float64]) -> State:
+            path = coning_attitudes(angle, frequency, np.concatenate([[0.0], t]) + problem.t0)
+            back = path[:1] * (1.0, -1.0, -1.0, -1.0)
+            return State(quat_multiply(q0, quat_multiply(back, path[1:])))
+
+        return "the exact coning motion", cone
+    return None
 
 
 def coning_attitudes(
@@ -138,19 +172,24 @@ def _tight_method(ensemble: Ensemble) -> str:
     return max((m for m in fitting if m.is_stepped), key=lambda m: m.order).name
 
 
-def _ladder(problem: Problem, method: str, n_saves: int) -> Iterator[tuple[int, State]]:
-    """States at even times with steps halved, as long as they may take."""
+def _ladder(problem: Problem, method: str, looks: int) -> Iterator[tuple[int, State]]:
+    """States after each step, or at ``looks`` times; with steps halved, as long as they may take.
+
+    Each are at the times of those before, and between them where that is not too many.
+    """
     n = max(_LEAST, math.ceil(turns(problem) * 2.0))
-    unit = math.lcm(n_saves, _intervals(problem))
-    n = -(-n // unit) * unit
+    kinks = intervals(problem)
+    n = -(-n // kinks) * kinks
+    every = -(-n // looks)
     most = max(4 * n, _WORK / max(problem.ensemble.size, 64))
     while n <= most:
-        run = problem.run(Case(method), n, n // n_saves)
+        run = problem.run(Case(method), n, every)
         yield n, State(run.q[1:], run.w[1:] if "w" in run.carried else None)
         n *= 2
+        every *= 1 if n <= looks else 2
 
 
-def _intervals(problem: Problem) -> int:
+def intervals(problem: Problem) -> int:
     """How many intervals of a sampled torque the run spans: its kinks are to lie between steps."""
     torque = problem.ensemble.scene.torque
     for term in torque.terms if isinstance(torque, torques.Sum) else (torque,):
@@ -161,27 +200,45 @@ def _intervals(problem: Problem) -> int:
     return 1
 
 
-def _tight(problem: Problem, method: str, n_saves: int, goal: float) -> Reference:
+def _tight(problem: Problem, method: str, looks: int, goal: float) -> Reference:
     """Halve the step until what that changes is no more than the goal, or rounding."""
     order = METHODS[method].order
-    best: Reference | None = None
+    best: tuple[int, State, NDArray[np.float64]] | None = None
     before: State | None = None
     change = math.inf
-    for n, state in _ladder(problem, method, n_saves):
+    for n, state in _ladder(problem, method, looks):
         if before is not None:
-            apart = np.nan_to_num(angle_between(before.q, state.q), nan=np.pi).max(axis=0)
+            each = len(state.q) // len(before.q)
+            q = state.q[each - 1 :: each]
+            apart = np.nan_to_num(angle_between(before.q, q), nan=np.pi).max(axis=0)
             worst = float(apart.max())
             truncated = apart / (2.0**order - 1.0)
-            name = f"{method} at {problem.t_end / n:.4g} s"
             rounded = worst > 0.25 * change and worst < _SETTLED
             if best is None or worst < change:
-                best = Reference(state, name, np.where(rounded, apart, truncated) + _EPS)
+                best = n, state, np.where(rounded, apart, truncated) + _EPS
                 change = worst
             if rounded or float(truncated.max()) <= goal:
                 break
         before = state
     assert best is not None
-    return best
+    steps, states, own = best
+
+    kinks = intervals(problem)
+
+    def fine(times: int) -> int:
+        unit = math.lcm(times, kinks)
+        return -(-steps // unit) * unit
+
+    @lru_cache(maxsize=4)
+    def even(times: int) -> NDArray[Any]:
+        n = fine(times)
+        return problem.run(Case(method), n, n // times).q[1:]
+
+    def fits(times: int) -> bool:
+        return fine(times) <= _FINER * max(steps, looks)
+
+    name = f"{method} at {problem.t_end / steps:.4g} s"
+    return Reference(states, name, own, looks, even, fits)
 
 
 def confirm(problem: Problem, known: Reference, method: str | None = None) -> Confirmation:

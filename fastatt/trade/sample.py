@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,11 @@ _BASELINE = Case("rk4")  # which fits every scene
 _SCREENING = 0.3  # s to find the bodies with the largest errors
 _LOOKED_AT = 65536  # bodies, for the fastest at a given rate
 _VERIFYING = 0.5  # s to see whether there are larger ones
-_MORE = 1.5  # times the steps: what a run is compared with there
 _LONG = 0.04  # s that the sample's steps of 1 rad may take; beyond, errors are extrapolated in time
 _TIMED = 8192  # bodies
 _STEPS = 640
 _UNSEEN = 1.5  # factor for bodies that nothing was seen of
+_STATES = 2**20  # of a run that are kept at a time, at 16 to 1024 instants
 
 
 @dataclass
@@ -53,19 +54,41 @@ def pace_of(problem: Problem) -> float:
     return best_time(lambda: few.run(_BASELINE, _STEPS), 2)[0] / _STEPS
 
 
+def changed(
+    problem: Problem, at: str, one: tuple[Case, int], other: tuple[Case, int]
+) -> tuple[NDArray[np.float64], bool]:
+    """How far two runs are apart at most, (N,) rad, and whether the first carries a flag.
+
+    A run is a case and its number of steps; the other's is a multiple of the one's.
+    """
+    every = -(-one[1] // looks_at(at, problem.ensemble.size))
+    runs = [problem.run(case, n, every * (n // one[1])) for case, n in (one, other)]
+    apart = angle_between(runs[0].q[1:], runs[1].q[1:])
+    return np.nan_to_num(apart, nan=np.pi).max(axis=0), bool(runs[0].status.any())
+
+
+def looks_at(at: str, size: int) -> int:
+    """How many times of a run of so many bodies are looked at: the end alone, or 16 and more."""
+    return 1 if at == "end" else int(np.clip(_STATES // size, 16, 1024))
+
+
 class Sample:
-    """Some bodies of an ensemble, their reference, and a clock."""
+    """Some bodies of an ensemble, their reference, and a clock.
+
+    ``n_saves`` is the number of saves that steps fall on, None for the end alone; ``at`` says where
+    errors are looked at: over the "run" or at its "end".
+    """
 
     def __init__(
         self,
         whole: Problem,
-        saved: bool,
-        n_saves: int,
+        n_saves: int | None,
+        at: str,
         sample: int,
         generator: np.random.Generator,
         goal: float,
     ) -> None:
-        self.whole, self.saved, self.n_saves = whole, saved, n_saves
+        self.whole, self.n_saves, self.at = whole, n_saves, at
         self.points: list[Point] = []
         rows, self.others = self._choose(sample, generator)
         problem = replace(whole, ensemble=whole.ensemble.take(rows))
@@ -73,14 +96,13 @@ class Sample:
         pace = pace_of(problem)
         long = float(np.clip(_LONG / pace, 200.0, 2e4))
         self.divide = 2 ** max(0, math.ceil(math.log2(max(self.turn, 1.0) / long)))
-        self.watched = next(k for k in range(16, 0, -1) if n_saves % k == 0)
-        self.unit = n_saves
+        looks = looks_at(at, rows.size)
+        self._unit = n_saves or 1
         if self.divide > 1:
-            self.watched, self.unit = 2, math.lcm(n_saves, 2 * self.divide)
+            looks = max(2, looks)
+            self._unit = math.lcm(self._unit, 2 * self.divide)
         self.problem = replace(problem, t_end=problem.t_end / self.divide)
-        self.known: Reference = reference(
-            self.problem, n_saves=self.watched, goal=goal / self.divide
-        )
+        self.known: Reference = reference(self.problem, looks=looks, goal=goal / self.divide)
         w = self.known.states.w
         if w is not None:  # a torque may have made them faster
             fastest = float(np.linalg.norm(w, axis=-1).max())
@@ -120,8 +142,7 @@ class Sample:
             pool = np.unique(np.concatenate([fastest, pool[: pool.size - fastest.size]]))
         problem = replace(self.whole, ensemble=self.whole.ensemble.take(pool))
         if pool.size >= 4 * size:
-            ends = [problem.end(_BASELINE, k * steps).q for k in (1, 2)]
-            hardness = np.nan_to_num(angle_between(*ends), nan=np.pi)
+            hardness, _ = changed(problem, self.at, (_BASELINE, steps), (_BASELINE, 2 * steps))
         else:
             hardness = speeds(problem)
         ranked = np.argsort(hardness, kind="stable")[::-1]
@@ -153,7 +174,7 @@ class Sample:
             return self.unseen
         steps = n // self.divide
         better = look.case._replace(dtype="float64")
-        more = math.ceil(_MORE * steps) if look.order else steps
+        more = 2 * steps if look.order else steps
         each = (look.fixed + (steps + more) * look.slope) / self.whole.ensemble.size
         count = int(_VERIFYING / max(each, 1e-12)) if (better, more) != (look.case, steps) else 0
         if not self.others.size or count < min(self.others.size, self.sampled):
@@ -162,19 +183,15 @@ class Sample:
         every = max(1, -(-easier.size // max(1, count - hardest.size)))
         seen = np.concatenate([hardest, easier[::every]])
         problem = replace(self.problem, ensemble=self.whole.ensemble.take(seen))
-        changed = []
-        for some in (self.problem, problem):
-            runs = [some.run(look.case, steps), some.run(better, more)]
-            if runs[0].status.any():
-                return math.inf
-            apart = angle_between(runs[0].q[-1], runs[1].q[-1])
-            changed.append(np.nan_to_num(apart, nan=np.pi))
-        sampled, rest = changed
+        sampled, flagged = changed(self.problem, self.at, (look.case, steps), (better, more))
+        rest, others_flagged = changed(problem, self.at, (look.case, steps), (better, more))
+        if flagged or others_flagged:
+            return math.inf
         factor = max(1.0, float(rest.max() / max(sampled.max(), 1e-300)))
         easy = float(rest[hardest.size :].max(initial=0.0))
         looked_at = seen.size if easy > 0.5 * rest.max() else self.others.size
         missed = (self.whole.ensemble.size - self.sampled) / looked_at
-        top = np.sort(np.concatenate(changed))[::-1][: max(10, seen.size // 50)]
+        top = np.sort(np.concatenate([sampled, rest]))[::-1][: max(10, seen.size // 50)]
         index = float(np.mean(np.log(np.maximum(top, 1e-300) / max(top[-1], 1e-300))))
         return 1.05 * factor * min(_UNSEEN, math.pow(missed, index))
 
@@ -187,20 +204,31 @@ class Sample:
 
     def _error(self, case: Case, n: int) -> float:
         steps = n // self.divide
-        run = self.problem.run(case, steps, steps // self.watched)
-        apart = angle_between(run.q[1:], self.known.states.q).max(axis=1)
+        every, exact = self.known.beside(steps)
+        run = self.problem.run(case, steps, every)
+        apart = angle_between(run.q[1:], exact).max(axis=1)
         if run.status.any() or not np.isfinite(apart).all():
             return math.inf
         own = float(self.known.own_error.max())
+        end = float(apart.max())
         if self.divide == 1:
-            return float(apart.max()) + own
-        middle, end = np.maximum(apart, own)
+            return end + own
+        end, middle = (max(x, own) for x in (end, float(apart[: apart.size // 2].max())))
         grown = float(np.clip(math.log2(end / middle), 1.0, 2.0))
-        return float(end) * math.pow(self.divide, grown)
+        return end * math.pow(self.divide, grown)
+
+    def unit(self, n: float) -> int:
+        """What numbers of steps near n are multiples of.
+
+        Saves fall on steps, and so do many of the times that a reference is known at.
+        """
+        power = int(math.log2(max(1.0, n / (32.0 * self.divide))))
+        return math.lcm(self._unit, self.divide * 2**power)
 
     def rounded(self, n: float) -> int:
         """Steps that all saves fall on, no fewer than n."""
-        return max(1, math.ceil(n / self.unit - 1e-9)) * self.unit
+        unit = self.unit(n)
+        return max(1, math.ceil(n / unit - 1e-9)) * unit
 
     def look(self, case: Case) -> Look:
         """The first look at a case: compile it, an error, its speed."""
@@ -224,10 +252,9 @@ class Sample:
     def time(self, look: Look, n: int) -> None:
         """Seconds a step and a call, at the step of n steps."""
         if not look.order:
-            every = None if not self.saved else 1
-            problem = self.timed
-            look.fixed = best_time(lambda: problem.run(look.case, self.n_saves, every), 2)[0]
-            look.fixed *= self.scale
+            every = None if self.n_saves is None else 1
+            call = partial(self.timed.run, look.case, self.n_saves or 1, every)
+            look.fixed = self.scale * best_time(call, 2)[0]
             return
         dt = self.whole.t_end / n
         few = 16

@@ -5,21 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fastatt import torques
 from fastatt.arrays import angle_between
-from fastatt.engine.layout import WIDTH
 from fastatt.models import Sum
-from fastatt.scene import Scene
-from fastatt.threads import default_threads
 from fastatt.trade.measure import Case, best_time, is_flat
 from fastatt.trade.recommendation import Point, Recommendation, told
-from fastatt.trade.reference import reference
-from fastatt.trade.sample import Look, Sample
+from fastatt.trade.reference import intervals, reference
+from fastatt.trade.sample import Look, Sample, looks_at
 from fastatt.trade.work_precision import DTYPES
 
 _SINGLE = 1e-6  # rad: nothing is that exact in float32
@@ -31,6 +27,7 @@ _AHEAD = 16.0  # times the steps, from one look to the next: the order may not s
 _MOST = 3e7  # body-steps of a look, 1 or 2 s
 _SHORT = 0.05  # s: a run that is timed as a whole
 _WHOLE = 1.0  # s: a run beside which a call does not count
+_BETWEEN = 64  # times at least at which what a history's interval costs is looked at
 _WHY = "whose motion magnifies rounding, or where what acts jumps"
 
 
@@ -54,7 +51,7 @@ class Search(Sample):
             bad = max((n for n, e in look.errors.items() if e > tol), default=0)
             good = min((n for n, e in look.errors.items() if e <= tol and n > bad), default=None)
             if good is not None and (
-                good <= look.first or good - bad <= max(self.unit, _CLOSE * good)
+                good <= look.first or good - bad <= max(self.unit(good), _CLOSE * good)
             ):
                 return good
             n_next = self._next(look, tol, bad, good)
@@ -82,15 +79,15 @@ class Search(Sample):
             if eb > 0.5:
                 return self.rounded(2.0 * b)
             ahead = self.rounded(1.02 * b * min((eb / tol) ** (1.0 / p), _AHEAD))
-            return max(ahead, b + self.unit)
+            return max(ahead, b + self.unit(b))
         error = look.errors[good]
         back = 1.02 * good * (error / tol) ** (1.0 / p)
         if bad == 0:
-            return min(self.rounded(max(back, look.first, good // 8)), good - self.unit)
+            return min(self.rounded(max(back, look.first, good // 8)), good - self.unit(good))
         # between the two, away from either
         apart = 0.25 * (good - bad)
         n = self.rounded(min(max(back, bad + apart), good - apart))
-        return min(n, good - self.unit)
+        return min(n, good - self.unit(good))
 
     def cheapest(self, cases: Sequence[Case], tol: float, done: Any) -> Recommendation:
         """The case that meets the tolerance in the shortest time."""
@@ -144,7 +141,7 @@ class Search(Sample):
             if not look.order:
                 return None
             more = 1.3 if error == math.inf else 1.01 * (error / tol) ** (1.0 / look.order)
-            further = max(self.rounded(min(more, _AHEAD) * n), n + self.unit)
+            further = max(self.rounded(min(more, _AHEAD) * n), n + self.unit(n))
             if self._too_long(further):
                 return None
             before = (n, look.errors[n])
@@ -183,7 +180,8 @@ class Search(Sample):
         """The number of steps with the least error that the time allows, if that may be least."""
         most = look.first
         if look.order:
-            most = int((0.95 * budget - look.fixed) / look.slope) // self.unit * self.unit
+            most = int((0.95 * budget - look.fixed) / look.slope)
+            most -= most % self.unit(max(1, most))
         if most < look.first or look.seconds(most) > budget:
             return None
         n = min(look.errors)
@@ -226,8 +224,6 @@ class Search(Sample):
         """Time the best again, side by side, and say what limits the first of them."""
         met.sort(key=lambda found: found[0].seconds(found[1]))
         close = [f for f in met if f[0].seconds(f[1]) < _NEAR * met[0][0].seconds(met[0][1])]
-        threads = self.whole.n_threads or default_threads()
-        threads = max(1, min(threads, -(-self.whole.ensemble.size // WIDTH)))
         timed = {id(look): math.inf for look, _, _ in close}
         long = met[0][0].seconds(met[0][1]) > _WHOLE
         for _ in range(1 if long else 2):  # they take turns
@@ -243,16 +239,13 @@ class Search(Sample):
         look, n, safety = met[0]
         seconds = timed.get(id(look), look.seconds(n))
         while budget is not None and seconds > budget and look.order:
-            less = self.rounded(0.9 * n * budget / seconds) - self.unit
+            less = self.rounded(0.9 * n * budget / seconds)
+            less -= self.unit(less)
             if less < look.first:
                 break
             n, safety = less, self.safety(look, less)
             self.error(look, n)
             seconds = self._clock(look, n)
-        if self.whole.n_threads is None and threads > 1 and seconds < 5e-3:
-            alone = self._clock(look, n, 1)
-            if alone < seconds:
-                threads, seconds = 1, alone
         up = None
         if len(met) > 1:
             other, m, factor = met[1]
@@ -269,8 +262,9 @@ class Search(Sample):
             dtype=look.case.dtype,
             dt=self.whole.t_end / n,
             n_steps=n,
-            save_every=n // self.n_saves if self.saved else None,
-            n_threads=threads,
+            save_every=self._every(n),
+            n_threads=self.whole.threads(n),
+            at=self.at,
             expected_error=error,
             expected_seconds=seconds,
             runner_up=up,
@@ -289,17 +283,17 @@ class Search(Sample):
             curve=self.points,
         )
 
-    def _clock(self, look: Look, n: int, threads: int | None = None) -> float:
+    def _every(self, n: int) -> int | None:
+        return None if self.n_saves is None else n // self.n_saves
+
+    def _clock(self, look: Look, n: int) -> float:
         """Seconds of the whole call: measured where it is short, else from fewer steps."""
-        every = n // self.n_saves if self.saved else None
-        threads = self.whole.n_threads if threads is None else threads
-        whole = replace(self.whole, n_threads=threads)
         if look.seconds(n) < _SHORT:
-            return best_time(lambda: whole.run(look.case, n, every), 2)[0]
+            return best_time(lambda: self.whole.run(look.case, n, self._every(n)), 2)[0]
         if not look.order:
             return look.seconds(n)
         self.time(look, n)
-        one = replace(whole, t_end=whole.t_end / n)
+        one = replace(self.whole, t_end=self.whole.t_end / n)
         once = best_time(lambda: one.run(look.case, 1), 1)[0]
         return once + look.slope * (n - 1)
 
@@ -311,18 +305,17 @@ class Search(Sample):
 
     def _sampling_error(self) -> float | None:
         """What the interval of a sampled torque costs: linear between samples, of order 2."""
-        scene = self.whole.ensemble.scene
+        scene = self.problem.ensemble.scene
         coarse = _decimated(scene.torque)
         if coarse is None:
             return None
-        fewer = replace(self.problem.ensemble, scene=replace(self._scene, torque=coarse))
-        problem = replace(self.problem, ensemble=fewer)
-        apart = angle_between(reference(problem).end.q, self.known.end.q)
-        return float(apart.max()) / 3.0
-
-    @cached_property
-    def _scene(self) -> Scene:
-        return self.problem.ensemble.scene
+        fewer = replace(self.problem.ensemble, scene=replace(scene, torque=coarse))
+        # at times between the samples, and theirs
+        kinks = intervals(self.problem)
+        n = kinks * -(-_BETWEEN // kinks)
+        looks = looks_at(self.at, self.sampled)
+        known = reference(replace(self.problem, ensemble=fewer), looks=looks)
+        return float(angle_between(known.beside(n)[1], self.known.beside(n)[1]).max()) / 3.0
 
 
 def _decimated(model: Any) -> Any:
