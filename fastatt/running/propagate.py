@@ -29,8 +29,13 @@ _SHORT = 65_536
 
 
 def methods_for(scene: Scene, representation: str | Attitude | None = None) -> list[str]:
-    """Names of the methods that fit a scene and a representation, by name or one's own."""
+    """Names of the methods that fit a scene and a representation, by name or one's own.
+
+    Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
+    """
     as_scene(scene)
+    if representation is not None:
+        representation = attitude_of(representation)
     return [m.name for m in METHODS.values() if fits(m, scene, representation)]
 
 

@@ -26,7 +26,6 @@ def run_options(d: Draw, kinds: tuple[str | None, ...] = (None,)) -> dict[str, A
         ("invalid", 0.2, lambda: d.word("raise", "flag")),
         ("normalise", 0.1, lambda: d.one(("output", "never", 2, d.whole(), d.one(WORDS)))),
         ("representation", 0.03, lambda: d.one(WORDS)),
-        ("compensated", 0.02, lambda: d.one((False, 0, None))),
         ("sink", 0.02, lambda: d.one((str, 3, "x"))),
     ):
         if d.chance(p):
@@ -42,6 +41,7 @@ class Run(NamedTuple):
     method: str
     representation: str = "quat"
     kinds: tuple[str | None, ...] = ("float64",)
+    compensated: bool = False
 
 
 def moments(d: Draw, *shape: int) -> NDArray[np.float64]:
@@ -76,6 +76,8 @@ RUNS = (
     Run(free_body, "strang2"),
     Run(damped_body, "rk4", "dcm"),
     Run(moving_body, "rk8"),
+    Run(constant_rate, "lie_midpoint", kinds=("float64", "float32"), compensated=True),
+    Run(free_body, "rk4", compensated=True),
 )
 ARGUMENTS = (
     "scene", "q0", "w0", "v0", "r0", "dt", "n_steps", "method", "representation", "save_every",
@@ -93,6 +95,8 @@ def propagated(d: Draw, runs: tuple[Run, ...]) -> Call:
     q0 = d.array((4,), (2, 4), (2, 4))
     options = {"method": run.method, "representation": run.representation}
     options |= run_options(d, run.kinds)
+    if run.compensated:
+        options["compensated"] = d.one((True, True, True, 1, False, 0, None))
     if options["representation"] is None or options["representation"] != run.representation:
         options["method"] = None if d.chance(0.5) else run.method
         options["representation"] = "matrix"
