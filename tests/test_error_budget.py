@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from numpy.polynomial import Polynomial
 
 import fastatt as fa
+from fastatt.running.limits import StepWarning
 from fastatt.trade import coning_attitudes, coning_rates, error_budget
 from fastatt.trade.error_budget import _Log
 
@@ -190,3 +192,14 @@ def test_intervals_are_joined_where_samples_are_left_out():
 def test_bad_input(change, message):
     with pytest.raises(ValueError, match=message.replace("(", r"\(")):
         error_budget(**{"rates": np.zeros((30, 3)), "dt": H, **change})
+
+
+def test_samples_left_out_on_purpose_are_not_warned_of():
+    """Every second and third turn past the limit of a method that the log itself is within."""
+    w, _ = motion("generic", T)
+    w *= 0.09 / (H * np.linalg.norm(w, axis=1).max())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        error_budget(w, H, method="hold", rivals=[])
+    with pytest.warns(StepWarning):
+        fa.integrate_rates(w[::2], 2.0 * H, method="hold")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from fastatt import gyrolog, trade
 from fastatt.cli import main
 from fastatt.integrate import methods_for_samples
 from fastatt.running.ensemble import Ensemble
+from fastatt.running.limits import StepWarning
 from fastatt.trade import motions, run
 from fastatt.trade.measure import Rung, ladder_rows, measure
 
@@ -281,18 +283,22 @@ def table(path):
 
 def test_run_leaves_its_files(tmp_path, capsys, coning, monkeypatch):
     monkeypatch.setattr(run, "coning_trade", lambda *a, **k: coning)
-    logs, methods = trade.find_recordings()[:1], ["lie_midpoint", "rk4", "previous", "coning3"]
-    trade.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
+    logs, methods = trade.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", StepWarning)
+        trade.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
     names = {"recordings.csv", "recordings.png", "trade.csv", "trade.png"}
     assert {p.name for p in tmp_path.iterdir()} == names
     found = table(tmp_path / "trade.csv")
     assert len(found) == len(coning)
     assert float(found[0]["error_median"]) == coning[0].error_median
-    assert {r["method"] for r in table(tmp_path / "recordings.csv")} == {"previous", "coning3"}
+    assert {r["method"] for r in table(tmp_path / "recordings.csv")} == {"hold", "coning3"}
     for name in ("recordings.png", "trade.png"):
         assert (tmp_path / name).stat().st_size > 10_000
     text = capsys.readouterr().out
     assert "Frontier, rate as samples" in text
+    # a line of the report, no warning of Python's
+    assert "\ndata_xsens.txt: dt: interval 577 of log 0 turns by 0.101 rad, hold's limit" in text
 
 
 @pytest.mark.parametrize(

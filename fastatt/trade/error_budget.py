@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -15,6 +16,7 @@ from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
+from fastatt.running.limits import StepWarning
 
 # What integrates a method's polynomials, and from how many values an interval: an error of order 4
 # is 20000 times less then; of picard, which may be better than that, its own polynomial exactly
@@ -147,21 +149,15 @@ def error_budget(
     if len(data) < LEAST:
         raise ValueError(f"rates: found {len(data)} samples; accepted: at least {LEAST}")
     log = _Log(data.astype(np.float64), dt, checks.attitudes("q0", q0), max_gap)
-    truncation = log.truncation(method)
     others = [m for m in (fitting if rivals is None else rivals) if m != method]
-    density = log.noise_density()
-    sampling = log.extrapolated(log.exact, method, density)
-    known = {}
-    for name in others:
-        found = log.extrapolated(log.attitudes, name, density)
-        if _resolves(name, found.order):
-            known[name] = found.error
-    shares = (
-        sampling.error,
-        truncation,
-        log.round_off(method, kind),
-        log.noise(density),
-    )
+    with warnings.catch_warnings():  # samples are left out on purpose
+        warnings.simplefilter("ignore", StepWarning)
+        truncation = log.truncation(method)
+        density = log.noise_density()
+        sampling = log.extrapolated(log.exact, method, density)
+        resolved = {name: log.extrapolated(log.attitudes, name, density) for name in others}
+        round_off = log.round_off(method, kind)
+    shares = (sampling.error, truncation, round_off, log.noise(density))
     return ErrorBudget(
         method,
         len(data),
@@ -170,7 +166,7 @@ def error_budget(
         noise_density=density,
         order=sampling.order,
         limited_by=_LIMITS[int(np.argmax(shares))],
-        rivals=known,
+        rivals={name: r.error for name, r in resolved.items() if _resolves(name, r.order)},
     )
 
 
