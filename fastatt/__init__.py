@@ -18,112 +18,50 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# name: the module that holds it; imported when it is first asked for, so that a process pays for
+# module: what it holds for users; imported when it is first asked for, so that a process pays for
 # what it uses
-_FOUND_IN = {
-    "METHODS": "methods",
-    "Attitude": "attitudes",
-    "Drift": "running.drift",
-    "DriftStatistics": "running.watch",
-    "ErrorBudget": "trade",
-    "Method": "methods",
-    "OrderWarning": "running.self_check",
-    "Recommendation": "trade",
-    "Scene": "scene",
-    "SelfCheck": "running.self_check",
-    "Status": "running.trajectory",
-    "StepWarning": "running.limits",
-    "Trajectory": "running.trajectory",
-    "WorkPrecision": "trade",
-    "angle_between": "arrays",
-    "angular_momentum": "running.energy",
-    "angular_velocity": "running.angular_velocity",
-    "dcm_to_quat": "arrays",
-    "drift": "running.drift",
-    "error_budget": "trade",
-    "euler313_to_quat": "arrays",
-    "explicit": "methods.explicit",
-    "from_scipy": "interchange",
-    "integrate_rates": "integrate",
-    "kinetic_energy": "running.energy",
-    "kinetic_energy_symmetric": "running.energy",
-    "lie": "methods.lie",
-    "methods_for": "running.propagate",
-    "potential_energy": "running.energy",
-    "propagate": "running.propagate",
-    "propagate_directions": "running.propagate",
-    "quat_multiply": "arrays",
-    "quat_to_dcm": "arrays",
-    "quat_to_euler313": "arrays",
-    "quat_to_rotation_vector": "arrays",
-    "recommend": "trade",
-    "rotate": "arrays",
-    "rotate_inverse": "arrays",
-    "rotation_vector_to_quat": "arrays",
-    "self_check": "trade",
-    "show_loop": "running.loop",
-    "single_step": "steps",
-    "to_scipy": "interchange",
-    "watch_drift": "running.watch",
-    "work_precision": "trade",
+_HELD_BY = {
+    "arrays": (
+        "angle_between dcm_to_quat euler313_to_quat quat_multiply quat_to_dcm "
+        "quat_to_euler313 quat_to_rotation_vector rotate rotate_inverse "
+        "rotation_vector_to_quat"
+    ),
+    "attitudes": "Attitude",
+    "integrate": "integrate_rates",
+    "interchange": "from_scipy to_scipy",
+    "methods": "METHODS Method",
+    "methods.explicit": "explicit",
+    "methods.lie": "lie",
+    "running.angular_velocity": "angular_velocity",
+    "running.drift": "Drift drift",
+    "running.energy": "angular_momentum kinetic_energy kinetic_energy_symmetric potential_energy",
+    "running.limits": "StepWarning",
+    "running.loop": "show_loop",
+    "running.propagate": "methods_for propagate propagate_directions",
+    "running.self_check": "OrderWarning SelfCheck",
+    "running.trajectory": "Status Trajectory",
+    "running.watch": "DriftStatistics watch_drift",
+    "scene": "Scene",
+    "steps": "single_step",
+    "trade": (
+        "ErrorBudget Recommendation WorkPrecision error_budget recommend self_check work_precision"
+    ),
 }
 _MODULES = ("estimation", "exact", "forces", "interchange", "kernels", "rates", "steps", "torques")
+_FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in names.split()}
 
 __all__ = [
-    "METHODS",
-    "Attitude",
-    "Drift",
-    "DriftStatistics",
-    "ErrorBudget",
-    "Method",
-    "OrderWarning",
-    "Recommendation",
-    "Scene",
-    "SelfCheck",
-    "Status",
-    "StepWarning",
-    "Trajectory",
-    "WorkPrecision",
-    "angle_between",
-    "angular_momentum",
-    "angular_velocity",
-    "dcm_to_quat",
-    "drift",
-    "error_budget",
-    "estimation",
-    "euler313_to_quat",
-    "exact",
-    "explicit",
-    "forces",
-    "from_scipy",
-    "integrate_rates",
-    "interchange",
-    "kernels",
-    "kinetic_energy",
-    "kinetic_energy_symmetric",
-    "lie",
-    "methods_for",
-    "potential_energy",
-    "propagate",
-    "propagate_directions",
-    "quat_multiply",
-    "quat_to_dcm",
-    "quat_to_euler313",
-    "quat_to_rotation_vector",
-    "rates",
-    "recommend",
-    "rotate",
-    "rotate_inverse",
-    "rotation_vector_to_quat",
-    "self_check",
-    "show_loop",
-    "single_step",
-    "steps",
-    "to_scipy",
-    "torques",
-    "watch_drift",
-    "work_precision",
-]
+    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Method", "OrderWarning",
+    "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
+    "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
+    "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
+    "from_scipy", "integrate_rates", "interchange", "kernels", "kinetic_energy",
+    "kinetic_energy_symmetric", "lie", "methods_for", "potential_energy", "propagate",
+    "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
+    "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
+    "rotation_vector_to_quat", "self_check", "show_loop", "single_step", "steps", "to_scipy",
+    "torques", "watch_drift", "work_precision",
+]  # fmt: skip
 
 if TYPE_CHECKING:
     from fastatt import estimation, exact, forces, interchange, kernels, rates, steps, torques
@@ -178,4 +116,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return list(__all__)
+    return __all__

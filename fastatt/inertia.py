@@ -114,22 +114,19 @@ def is_sorted(moments: NDArray[Any]) -> bool:
 
 def _sorted(moments: NDArray[Any]) -> NDArray[np.bool_]:
     a, b, c = np.moveaxis(moments, -1, 0)
-    between: NDArray[np.bool_] = ((a <= b) & (b <= c)) | ((a >= b) & (b >= c))
-    return between
+    return np.asarray(((a <= b) & (b <= c)) | ((a >= b) & (b >= c)))
 
 
 def is_symmetric(moments: NDArray[Any]) -> NDArray[np.bool_]:
     """Whether two of the moments (..., 3) are equal, to 1e-12 of the largest."""
     a, b, c = np.moveaxis(moments, -1, 0)
     gap = np.minimum(np.minimum(np.abs(a - b), np.abs(b - c)), np.abs(c - a))
-    close: NDArray[np.bool_] = gap <= EQUAL * np.maximum(np.maximum(a, b), c)
-    return close
+    return np.asarray(gap <= EQUAL * np.maximum(np.maximum(a, b), c))
 
 
 def is_spherical(moments: NDArray[Any]) -> NDArray[np.bool_]:
     """Whether all moments (..., 3) are equal, to 1e-12 of the largest."""
-    equal: NDArray[np.bool_] = np.ptp(moments, axis=-1) <= EQUAL * np.max(moments, axis=-1)
-    return equal
+    return np.asarray(np.ptp(moments, axis=-1) <= EQUAL * np.max(moments, axis=-1))
 
 
 def _asymmetry(tensor: NDArray[Any]) -> NDArray[Any]:

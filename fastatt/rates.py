@@ -149,27 +149,21 @@ _ALL = (
     RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lambda p, T: lengths(p), constant=True),
     RateRecord(Polynomial, (Field((-1, 3)),), _polynomial, bound=_longest_polynomial),
     RateRecord(
-        Sinusoidal,
-        (_VECTOR,) * 4,
-        _sinusoidal,
+        Sinusoidal, (_VECTOR,) * 4, _sinusoidal,
         bound=lambda p, T: lengths(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
     ),
     RateRecord(
-        Coning,
-        (Field(),) * 2,
-        _coning,
+        Coning, (Field(),) * 2, _coning,
         bound=lambda p, T: np.abs(2.0 * p[:, 1] * np.sin(0.5 * p[:, 0])),
     ),
     RateRecord(
         Precession, (Field(),) * 4, _precession, bound=lambda p, T: np.hypot(p[:, 0], p[:, 1])
     ),
     RateRecord(
-        Slew,
-        (_VECTOR, Field(above_zero=True), Field()),
-        _slew,
+        Slew, (_VECTOR, Field(above_zero=True), Field()), _slew,
         bound=lambda p, T: 2.0 * lengths(p[:, :3]) / p[:, 3],
     ),
-)
+)  # fmt: skip
 RECORDS: dict[type, RateRecord] = {r.model: r for r in _ALL if r.model is not None}
 USER = RateRecord(None, (), lambda t, p: p)
 
@@ -181,11 +175,7 @@ def bound(law: Law, params: Numbers, longest: float) -> Numbers | None:
     """
     p = np.atleast_2d(params)
     if law.record is SUM:
-        parts = []
-        at = 0
-        for part in law.parts:
-            parts.append(bound(part, p[:, at : at + part.count], longest))
-            at += part.count
+        parts = [bound(part, own.T, longest) for part, own in law.split(p.T)]
         known = [part for part in parts if part is not None]
         return np.sum(known, axis=0) if len(known) == len(parts) else None
     found = law.record.bound
@@ -210,15 +200,7 @@ def pack(model: Model, n_bodies: int | None, argument: str = "rate") -> Packed:
     return pack_fields(model, RECORDS[type(model)], n_bodies, argument)
 
 
-__all__ = [
-    "Coning",
-    "Constant",
-    "Polynomial",
-    "Precession",
-    "Sinusoidal",
-    "Slew",
-    "Sum",
-]
+__all__ = ["Coning", "Constant", "Polynomial", "Precession", "Sinusoidal", "Slew", "Sum"]
 
 
 def __dir__() -> list[str]:

@@ -389,11 +389,15 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
     for k in range(8):
         at = rng.uniform(0.0, 10.0), tuple(normalised(rng.normal(size=4)).tolist())
         w, p = rng.normal(size=3).tolist(), tuple(rows[k * len(rows) // 8].tolist())
-        try:
-            there, rest = (np.array(function.call(*at, v, p)) for v in (w, [0.0] * 3))
-        except NotStraight:  # an error in Python at these numbers
-            continue
-        if not np.allclose(there, rest, rtol=0.0, atol=1e-9 * np.abs(rest).max(), equal_nan=True):
+        values = []
+        for v in (w, [0.0] * 3):
+            try:
+                values.append(function.call(*at, v, p))
+            except NotStraight:  # an error in Python at these numbers
+                values.append((np.nan,) * 3)
+        there, rest = np.array(values)
+        size = np.max(np.abs(rest), where=np.isfinite(rest), initial=0.0)
+        if not np.allclose(there, rest, rtol=0.0, atol=1e-9 * size, equal_nan=True):
             return True
     return False
 

@@ -595,6 +595,14 @@ def rate_that_cancels(t, q, w, p):
     return q[1] + (w[0] - w[0]), 0.0 * w[1], p[0]
 
 
+def singular_at_rest(t, q, w, p):
+    return 0.1 * w[0] / w[0], p[0], q[1]
+
+
+def singular(t, q, w, p):
+    return 1.0 / p[0], 0.0, q[1]
+
+
 ROWS = np.array([[0.0], [0.0], [0.0], [0.1]])
 
 
@@ -608,6 +616,7 @@ def test_a_users_function_that_uses_the_rate_is_seen_where_it_says_it_does_not()
         (weight_and_damping, (*ARM, 2.0, 1e-6)),
         (damped_at_times, (0.1,)),
         (damped_at_times, ROWS),
+        (singular_at_rest, (0.1,)),
     ):
         promised = ft.Custom(function, params, uses_rate=False)
         for torque in (promised, Sum((ft.Damping(0.1), promised))):
@@ -618,6 +627,7 @@ def test_a_users_function_that_uses_the_rate_is_seen_where_it_says_it_does_not()
         fa.Scene(inertia=INERTIA, torque=ft.Custom(function, params))
     for function, params in (
         (rate_that_cancels, (0.1,)),
+        (singular, (0.0,)),
         (damped_at_times, (0.0,)),
         (weight_and_damping, (*ARM, 2.0, 0.0)),
         (potential_v, None),
