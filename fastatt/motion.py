@@ -210,11 +210,12 @@ class Turning(Motion):
 class Body(Motion):
     """A rigid body: its state is the attitude and the momentum m, principal axes, N·m·s."""
 
-    def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector) -> None:
+    def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector, like: Any) -> None:
         super().__init__(attitude)
         self.structure = structure
-        self.half_inverse, self.moments, self.gyroscopic = p[:3], p[3:6], p[6:9]
-        self.axes = p[9:13] if structure.turned else None
+        own = as_like(tuple(p[: 9 + structure.axes]), like)
+        self.half_inverse, self.moments, self.gyroscopic = own[:3], own[3:6], own[6:9]
+        self.axes = own[9:] if structure.turned else None
         self.torque_numbers = p[9 + structure.axes :]
         self.is_free = is_free(structure.law)
 
@@ -234,7 +235,8 @@ class Body(Motion):
     def torque(self, t: Any, a: Vector, w: Vector) -> Vector:
         """Torque (N·m, principal axes) at attitude a, of the plain form, and rate w."""
         pose = Pose(self.plain, a, w, self.moments)
-        return torque_of(self.structure.law, as_like(t, a[0]), pose, self.torque_numbers)
+        torque = torque_of(self.structure.law, t, pose, self.torque_numbers)
+        return tuple(as_like(x, a[0]) for x in torque)
 
     def momentum_rate(self, t: Any, a: Vector, m: Vector) -> Vector:
         """ṁ = m×w + τ at attitude a and momentum m."""
@@ -317,7 +319,7 @@ def motion_of(
     """The motion of a structure with parameters p; ``like`` has the state's precision."""
     if isinstance(structure, GivenRate):
         return Turning(attitude, structure, p, like)
-    return Body(attitude, structure, p)
+    return Body(attitude, structure, p, like)
 
 
 def carried(attitude: Attitude, structure: Structure) -> int:

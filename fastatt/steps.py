@@ -173,7 +173,7 @@ def single_step(
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
     shared = packed.params.ndim == 1
     job = Job(record, attitude, packed.structure, KINDS[kind], shared=shared)
-    params = packed.params.astype(np.float64 if job.parameter_kind == "double" else kind)
+    params = packed.params
     tables = {key[1]: value for key, value in packed.resources.items() if key[0] == "table"}
     # functions take either precision; tables are what they hold besides their job
     key = replace(job, kind="double")
@@ -226,12 +226,12 @@ class _Given(Scope):
         short = quick and job.method.exponentials > 0
         super().__init__(formulas, job.attitude.short if short else job.attitude, x[0].graph)
         self.kind = x[0].kind
-        of_rate = "double" if job.shared and job.is_kinematic else self.kind
-        self._bind(tuple(CLASSES[of_rate](k) for k in p), x[0])
+        self.graph.narrow = self.kind == "single"
+        self._bind(tuple(map(Double, p)), x[0])
 
     def at(self, t: Any) -> Any:
         """A time as the engine takes it."""
-        return Double(t) if self.job.shared else CLASSES[self.kind](t)
+        return self.graph.time(Double(t))
 
     def narrow(self, h: Any) -> Any:
         """A span in the precision of x."""

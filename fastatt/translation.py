@@ -30,7 +30,7 @@ class Translation:
         before, v, r = self.split(x)
         q0, w0 = self.motion.pose(t, before)
         q1, w1 = self.motion.pose(t + h, turned)
-        end, d = self._step(as_like(t, h), h, (q0, w0), (q1, w1), v)
+        end, d = self._step(t, h, (q0, w0), (q1, w1), v)
         return (*end, *(plus(r, d) if r else ()))
 
     def _step(self, t: Any, h: Any, start: Any, end: Any, v: Vector) -> tuple[Vector, Vector]:

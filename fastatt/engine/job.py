@@ -10,7 +10,7 @@ from fastatt.attitudes import Attitude
 from fastatt.engine.layout import WIDTH
 from fastatt.flat.finished import Constants, Flat
 from fastatt.flat.formulas import Vector, as_like, dot
-from fastatt.flat.graph import CLASSES, Graph, Number, choose
+from fastatt.flat.graph import Graph, Number, choose
 from fastatt.methods.method import Method
 from fastatt.motion import (
     Body,
@@ -60,11 +60,6 @@ class Job:
     def is_kinematic(self) -> bool:
         """Whether the rate is given and nothing else is carried."""
         return isinstance(self.structure, GivenRate)
-
-    @property
-    def parameter_kind(self) -> str:
-        """Precision of the parameters: a rate that all share is evaluated in double precision."""
-        return "double" if self.shared and self.is_kinematic else self.kind
 
     @property
     def has_careful_form(self) -> bool:
@@ -135,7 +130,7 @@ class Formulas:
 
     @cached_property
     def _constants(self) -> Constants:
-        return Constants("p", "c", self.job.kind)
+        return Constants("p", "c")
 
     @cached_property
     def constants(self) -> Flat:
@@ -239,8 +234,10 @@ class Scope:
         self.formulas, self.graph = formulas, graph
         self.kind = job.kind
         self.job, self.attitude = job, attitude
-        p = graph.inputs(job.parameter_kind, "p", formulas.parameters)
-        self._bind(p, graph.input(job.kind, "h"))
+        # time and parameters are of double precision, what is made of the state is of its own
+        graph.narrow, graph.many = self.kind == "single", not job.shared
+        p = graph.inputs("double", "p", formulas.parameters)
+        self._bind(p, graph.input(self.kind, "h"))
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
@@ -267,9 +264,8 @@ class Scope:
         return self.inputs("e", self.formulas.extras)
 
     def time(self) -> Any:
-        """The time: of double precision where all bodies share their parameters."""
-        t = self.graph.input("double", "t")
-        return t if self.job.shared else CLASSES[self.kind](t)
+        """The time, of double precision."""
+        return self.graph.time(self.graph.input("double", "t"))
 
     def span(self) -> tuple[Any, Any, Any]:
         """(t, h, k) of a step or a stage."""

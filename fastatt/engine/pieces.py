@@ -31,13 +31,15 @@ class Pieces:
         self.lanes = lanes(job.kind)
         self.width = job.width
         own = 0 if job.shared else formulas.parameters
+        #: rows that a row of doubles takes
+        self.doubles = 1 if job.kind == "double" else 2
         self.rows = Rows(
             self.width,
             x=formulas.size,
             turn=1,
-            p=own,
             e=formulas.extras,
-            c=len(formulas.constants.results),
+            p=own * self.doubles,
+            c=len(formulas.constants.results) * self.doubles,
             invariants=formulas.invariants,
             witness=1,
         )
@@ -83,16 +85,25 @@ class Pieces:
             if source is not None and group == "y":
                 memory, layout = source
                 return code.vector(memory, lane + layout.offset("y", i[0]), self.lanes), True
+            if group in ("p", "c"):
+                pointer, at = self._number(code, rows, group, i[0], kind)
+                return code.vector(pointer, lane + at, self.lanes), True
             return code.vector(rows, lane + self.rows.offset(group, i[0]), self.lanes), True
 
         return find
+
+    def _number(self, code: Code, rows: Any, group: str, i: int, kind: str) -> tuple[Any, int]:
+        """Memory, and where in it a row of either precision begins, of parameters or constants."""
+        at = self.rows.offset(group, i * self.doubles)
+        if kind == self.kind:
+            return rows, at
+        return code.b.bitcast(rows, REALS[kind].as_pointer()), at // self.doubles
 
     def _shared(self, code: Code, given: Given) -> dict[str, Any]:
         """Parameters that all bodies share, as scalars."""
         if not self.job.shared:
             return {}
-        kind = REALS[self.job.parameter_kind]
-        array = given.array("p", kind.as_pointer())
+        array = given.array("p", REALS["double"].as_pointer())
         return {"p": [code.load(array, i) for i in range(self.formulas.parameters)]}
 
     def _narrow(self, code: Code, value: Any) -> Any:
@@ -179,16 +190,20 @@ class Pieces:
         base = Int(code, tile) * self.width
         self._gather(code, given, done, base, ("q0", "rows_q"), 0, self.formulas.coordinates)
         beside = self.formulas.given - self.formulas.coordinates
-        self._gather(code, given, done, base, ("y0", "rows_y"), self.formulas.coordinates, beside)
+        after = self.formulas.coordinates * self.width
+        self._gather(code, given, done, base, ("y0", "rows_y"), after, beside)
         if not self.job.shared:
-            own = self.rows.first["p"]
-            self._gather(code, given, rows, base, ("p", "rows_p"), own, self.formulas.parameters)
+            own, at = self._number(code, rows, "p", 0, "double")
+            self._gather(code, given, own, base, ("p", "rows_p"), at, self.formulas.parameters)
         if self.rows.sizes["c"]:
             emit = self._emitter(code, given)
             with code.lanes(self.width, self.lanes) as j:
                 find = self._inputs(code, given, rows, j, {})
-                for i, value in enumerate(emit.wide(self.formulas.constants, find)):
-                    code.store_vector(rows, j + self.rows.offset("c", i), value)
+                constants = self.formulas.constants
+                for i, value in enumerate(emit.wide(constants, find)):
+                    kind = constants.nodes[constants.results[i]].kind
+                    pointer, at = self._number(code, rows, "c", i, kind)
+                    code.store_vector(pointer, j + at, value)
         h, edge = (self._narrow(code, given.number(x)) for x in ("h", "edge"))
         scalars = {"t": given.number("t0"), "h": h, "edge": edge, **self._shared(code, given)}
         emit = self._emitter(code, given)
@@ -205,19 +220,19 @@ class Pieces:
         code.give(0)
 
     def _gather(
-        self, code: Code, given: Given, rows: Any, base: Int, array: tuple[str, str], row: int,
+        self, code: Code, given: Given, rows: Any, base: Int, array: tuple[str, str], at: int,
         n: int,
     ) -> None:  # fmt: skip
         """Columns of an array into rows; its last row stands for all bodies after it."""
         if n == 0:
             return
         name, length = array
-        pointer = given.array(name, self.real.as_pointer())
+        pointer = given.array(name, rows.type)
         last = given.whole(length) - 1
         with code.lanes(self.width, 1) as j:
             source = (base + j).at_most(last) * n
             for i in range(n):
-                code.store(rows, j + (row + i) * self.width, code.load(pointer, source + i))
+                code.store(rows, j + (at + i * self.width), code.load(pointer, source + i))
 
     def _save(self) -> None:
         """Hand out the states of a tile after n steps, and how far they left what they keep."""

@@ -19,6 +19,7 @@ from fastatt.flat import source
 from fastatt.flat.finished import Flat
 
 Array = NDArray[Any]
+_REALS = {"double": np.float64, "single": np.float32}
 
 
 class PlainProgram:
@@ -60,7 +61,7 @@ class _PlainRun:
     ) -> None:  # fmt: skip
         self.program, self.formulas, self.job = program, program.formulas, program.job
         self.arrays, self.numbers, self.bodies, self.tables = arrays, numbers, bodies, tables
-        self.real = np.float64 if self.job.kind == "double" else np.float32
+        self.real = _REALS[self.job.kind]
         self.rows: dict[str, list[Array]] = {}
         self.rows["p"] = self._columns("p")
         self.rows["y"] = [*self._columns("q0"), *self._columns("y0")]
@@ -72,17 +73,20 @@ class _PlainRun:
         return list(rows.T)
 
     def _evaluate(self, flat: Flat, **scalars: Any) -> list[Array]:
+        """A row for each result, in its precision."""
         n = len(self.bodies)
 
         def find(name: tuple[Any, ...], kind: str) -> Any:
-            of = np.float64 if kind == "double" else np.float32
+            of = _REALS[kind]
             group, *i = name
             if group in scalars:
                 return of(scalars[group])
             return np.asarray(self.rows[group][i[0]], dtype=of)
 
         found = self.program.evaluate(flat, find, self.tables)
-        return [np.broadcast_to(np.asarray(x, dtype=self.real), (n,)) for x in found]
+        kinds = [_REALS[flat.nodes[i].kind] for i in flat.results]
+        pairs = zip(found, kinds, strict=True)
+        return [np.broadcast_to(np.asarray(x, dtype=kind), (n,)) for x, kind in pairs]
 
     def _time(self, steps: float) -> float:
         return self.numbers["t0"] + steps * self.numbers["h"]

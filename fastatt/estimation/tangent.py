@@ -140,7 +140,7 @@ def body_tangent(
 
     def moving(p: Vector) -> Body:
         dual = differentiated(structure, p, size) if parameters else p
-        return Body(QUATERNION, structure, dual)
+        return Body(QUATERNION, structure, dual, dual[0])
 
     def start(motion: Body, q: Vector, m: Vector, p: Vector) -> Vector:
         if of_rate:
@@ -212,7 +212,7 @@ def momentum_of_rate(structure: RigidBody, w: Vector, p: Vector) -> Any:
 
 def rate_of_momentum(structure: RigidBody, m: Vector, p: Vector) -> Any:
     """w = I⁻¹ m along body axes."""
-    motion = Body(QUATERNION, structure, p)
+    motion = Body(QUATERNION, structure, p, p[0])
     if motion.axes is None:
         return motion.angular_velocity(m)
     v = motion.angular_velocity(quat.rotate_inverse(motion.axes, m))

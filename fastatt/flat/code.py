@@ -137,14 +137,12 @@ class Code:
     def vector(self, pointer: Any, index: Any, n: int) -> Any:
         """n elements in a row."""
         at = self._as_vector(pointer, index, n)
-        size = 8 if pointer.type.pointee == REALS["double"] else 4
-        return self.b.load(at, align=size * n)
+        return self.b.load(at, align=_aligned(at))
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change n elements in a row."""
-        n = value.type.count
-        size = 8 if pointer.type.pointee == REALS["double"] else 4
-        self.b.store(value, self._as_vector(pointer, index, n), align=size * n)
+        at = self._as_vector(pointer, index, value.type.count)
+        self.b.store(value, at, align=_aligned(at))
 
     def _as_vector(self, pointer: Any, index: Any, n: int) -> Any:
         to = ir.VectorType(pointer.type.pointee, n).as_pointer()
@@ -250,6 +248,13 @@ class Code:
             found = ir.Function(self.module, kind, label)
         read, near, data = (ir.Constant(I32, k) for k in (0, 3, 1))
         self.b.call(found, [self.b.bitcast(pointer, char), read, near, data])
+
+
+def _aligned(pointer: Any) -> int:
+    """Alignment of a vector: its size, and no more than that of memory on the stack."""
+    kind = pointer.type.pointee
+    size: int = kind.count * (8 if kind.element == REALS["double"] else 4)
+    return min(64, size)
 
 
 def _suffix(kind: Any) -> str:

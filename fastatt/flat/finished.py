@@ -7,6 +7,7 @@ from typing import Any
 
 from fastatt.flat.graph import Graph, number
 from fastatt.flat.nodes import SPECIAL, Node, operands, renamed
+from fastatt.flat.order import ordered
 
 #: operations that a value must take to be kept in memory rather than computed again
 _WORTH = 3
@@ -52,7 +53,7 @@ class Flat:
                     a, b = nodes[k].args
                     made[i] = Node(op, nodes[i].kind, (a, b, other))
                     fused.add(k)
-        self._number(made, sorted(live - fused), ends)
+        self._number(made, ordered(made, sorted(live - fused), ends), ends)
 
     def _number(self, made: Mapping[int, Node], order: Iterable[int], ends: Sequence[int]) -> None:
         """Take operations that refer to each other by the keys of ``made``."""
@@ -102,8 +103,8 @@ class Constants:
     No rounding changes: multiplications are fused already.
     """
 
-    def __init__(self, group: str, name: str, kind: str) -> None:
-        self.group, self.name, self.kind = group, name, kind
+    def __init__(self, group: str, name: str) -> None:
+        self.group, self.name = group, name
         self._graph = Graph()
         self._costs: list[int] = []
         self._picked: dict[int, int] = {}
@@ -130,15 +131,15 @@ class Constants:
                 continue
             node = flat.nodes[i]
             at = own.get(i)
-            if at is not None and node.kind == self.kind and self._costs[at] >= _WORTH:
+            if at is not None and node.kind and self._costs[at] >= _WORTH:
                 if more:
                     self._picked.setdefault(at, len(self._picked))
                 if at in self._picked:
-                    node = Node("in", self.kind, (self.name, self._picked[at]))
+                    node = Node("in", node.kind, (self.name, self._picked[at]))
             made[i] = node
             wanted.update(operands(node))
         found = Flat.__new__(Flat)
-        found._number(made, sorted(made), flat.results)  # noqa: SLF001
+        found._number(made, ordered(made, sorted(made), flat.results), flat.results)  # noqa: SLF001
         return found
 
     def _own(self, nodes: Sequence[Node]) -> dict[int, int]:
@@ -151,5 +152,6 @@ class Constants:
                 args = [own[k] for k in ops] if ops else node.args
                 own[i] = self._graph.add(node.op, node.kind, *args)
                 if own[i] == len(self._costs):
-                    self._costs.append(sum(self._costs[k] for k in args) + 1 if ops else 0)
+                    cost = _WORTH if node.op == "cast" else 1 if ops else 0
+                    self._costs.append(cost + sum(self._costs[k] for k in args if ops))
         return own

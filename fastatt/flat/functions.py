@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from fastatt.flat.graph import (
     Double,
     Number,
+    Single,
     _lifted,
     _made,
     _pair,
@@ -89,4 +91,29 @@ def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tu
 def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
     """``formula(*args)``, the traced form of ``function``: its derivatives may be known."""
     composed = composed_of(*args)
-    return formula(*args) if composed is None else composed.called(formula, function, args)
+    if composed is not None:
+        return composed.called(formula, function, args)
+    if function is _reduction() and _is_phase(*args):
+        return _quarters(*args)
+    return formula(*args)
+
+
+@functools.cache
+def _reduction() -> Any:
+    from fastatt.kernels import trig
+
+    return trig.reduce_quarters
+
+
+def _is_phase(x: Any) -> bool:
+    """Whether an angle grows with time, and its sine is wanted in single precision."""
+    if not isinstance(x, Double) or not (x.graph.narrow and x.graph.many):
+        return False
+    return x.graph.is_timed(x.at)
+
+
+def _quarters(x: Double) -> tuple[Any, Any]:
+    """What ``trig.reduce_quarters`` gives, single numbers, the quarters less whole turns."""
+    quarters = x * (2.0 / math.pi)
+    k = apply("rint", quarters)
+    return Single(quarters - k) * (0.5 * math.pi), Single(k - 4.0 * apply("floor", 0.25 * k))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fastatt.flat.nodes import Node, NotStraight
+from fastatt.flat.nodes import Node, NotStraight, operands
 from fastatt.flat.recorded import Composed, Recorded, composed_of, functions_of_numbers
 
 
@@ -23,12 +23,19 @@ class Graph:
 
     ``lanes`` is how many directions of dual numbers go side by side as one number, 0 if none do:
     inputs ("direction", k) are then 1 in lane k and 0 in others.
+
+    Where numbers of two precisions meet, the result has the wider one; or, if the graph is
+    ``narrow``, the narrower, but for sums with what is a time (``time``) or made of one. Sines of
+    what is made of a time are narrow too if the graph is ``many``, for many bodies at once.
     """
 
     def __init__(self, lanes: int = 0) -> None:
         self.lanes = lanes
+        self.narrow = self.many = False
         self.nodes: list[Node] = []
         self._known: dict[Node, int] = {}
+        self._timed: list[bool] = []
+        self._times: set[int] = set()
 
     def add(self, op: str, kind: str, *args: Any) -> int:
         """Number of the operation, made if it was not there."""
@@ -48,6 +55,19 @@ class Graph:
     def inputs(self, kind: str, group: str, n: int) -> tuple[Number, ...]:
         """Numbers (group, 0) to (group, n − 1)."""
         return tuple(self.input(kind, group, i) for i in range(n))
+
+    def time(self, t: Number) -> Number:
+        """A number that is a time from now on."""
+        self._times.add(t.at)
+        self._timed.clear()
+        return t
+
+    def is_timed(self, at: int) -> bool:
+        """Whether an operation depends on a time."""
+        for i in range(len(self._timed), at + 1):
+            timed = any(self._timed[k] for k in operands(self.nodes[i]))
+            self._timed.append(timed or i in self._times)
+        return self._timed[at]
 
 
 class _Deciding(threading.local):
@@ -241,19 +261,22 @@ def _lifted(x: Any, like: Number) -> Number:
     return _made(like.graph, "const", like.kind, value)  # type: ignore[no-any-return]
 
 
-def _pair(a: Any, b: Any) -> tuple[Number, Number]:
-    """Both as numbers of one precision, the wider of the two."""
+def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
+    """Both as numbers of one precision: see ``Graph``."""
     like = a if isinstance(a, Number) else b
     a, b = _lifted(a, like), _lifted(b, like)
     if a.kind != b.kind:
-        a, b = Double(a), Double(b)
+        wide = a if a.kind == "double" else b
+        keeps = not a.graph.narrow or (op in ("+", "-") and a.graph.is_timed(wide.at))
+        kind = Double if keeps else Single
+        a, b = kind(a), kind(b)
     return a, b
 
 
 def _binary(op: str, a: Any, b: Any) -> Any:
     if isinstance(b, Composed):
         return NotImplemented
-    a, b = _pair(a, b)
+    a, b = _pair(a, b, op)
     return _made(a.graph, op, a.kind, a.at, b.at)
 
 

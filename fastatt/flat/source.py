@@ -60,6 +60,7 @@ class Text:
         self.functions = list(dict.fromkeys(n.args[0] for n in flat.nodes if n.op == "opaque"))
         self.lines: list[str] = []
         self._uses = _uses(flat)
+        self._mixed = len({node.kind for node in flat.nodes if node.kind}) > 1
         self._made: list[tuple[ast.expr, int]] = []
         given = iter(self.names)
         for i, node in enumerate(flat.nodes):
@@ -103,6 +104,8 @@ class Text:
         if op == "/" and all(isinstance(x, ast.Constant) for x in args):
             # Python refuses to divide a constant by 0
             args = [_call(node.kind, args[0]), args[1]]
+        if op == "select" and self._mixed:
+            args = [_call(node.kind, x) if isinstance(x, ast.Constant) else x for x in args]
         if op in _FORMS:
             return _FORMS[op](*args)
         if op == "item":

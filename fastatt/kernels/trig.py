@@ -49,11 +49,25 @@ def sincos(x):
 
     Absolute error at most 1.4e-16 (float64) for |x| ≤ 1e6; beyond, that of x moved by an ulp.
     """
+    r, k = reduce_quarters(x)
+    return sincos_short(r, k)
+
+
+@kernel
+def reduce_quarters(x):
+    """The angle x less whole quarter turns, in ±π/4 give or take ulps of x, and the quarters."""
     F = type(x)
     k = np.rint(x * F(2.0 / math.pi))
     r = x - k * F(0.25 * TWO_PI_1)
     r = r - k * F(0.25 * TWO_PI_2)
     r = r - k * F(0.25 * TWO_PI_3)
+    return r, k
+
+
+@kernel
+def sincos_short(r, k):
+    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4, a whole number k (a float)."""
+    F = type(r)
     r = F(0.79) if r > F(0.79) else r
     r = F(-0.79) if r < F(-0.79) else r
     z = r * r

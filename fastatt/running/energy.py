@@ -100,7 +100,7 @@ def potential_energy(scene: Scene, q: ArrayLike, t: ArrayLike = 0.0) -> NDArray[
 
 def _potential(structure: RigidBody, t: Any, q: Any, p: Any) -> Any:
     """Potential energy at an attitude of the body axes."""
-    motion = Body(QUATERNION, structure, p)
+    motion = Body(QUATERNION, structure, p, q[0])
     if motion.axes is not None:
         q = quat.mul(q, motion.axes)
     pose = torques.Pose(QUATERNION, q, (0.0, 0.0, 0.0), motion.moments)

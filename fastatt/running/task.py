@@ -211,9 +211,7 @@ class _Run:
             looks=choice.looks,
             width=width_for(self.bodies, KINDS[self.kind]),
         )
-        p_kind = np.float64 if job.parameter_kind == "double" else np.float32
-        with np.errstate(over="ignore"):  # a body whose numbers float32 does not hold is flagged
-            params = np.ascontiguousarray(np.atleast_2d(params), dtype=p_kind)
+        params = np.ascontiguousarray(np.atleast_2d(params))
         each = self.task.rows_each
         given = {
             "q0": q_rows,
