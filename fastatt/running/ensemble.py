@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks, forces, rates, torques
-from fastatt.models import Record, Sum
+from fastatt import checks
 from fastatt.scene import Scene
 
 
@@ -63,46 +61,4 @@ class Ensemble:
             return None if x is None else np.broadcast_to(x, (self.size, x.shape[-1]))[rows]
 
         states = [chosen(x) for x in (self.q0, self.w0, self.v0, self.r0)]
-        return Ensemble(_scene_of(self.scene, rows), *states)
-
-
-def _scene_of(scene: Scene, rows: NDArray[np.intp]) -> Scene:
-    """The scene of some bodies: numbers that each body has of its own, of these alone."""
-    own: dict[str, Any] = {}
-    if scene.params is not None and np.ndim(scene.params) == 2:
-        own["params"] = np.asarray(scene.params)[rows]
-    if scene.inertia is not None and scene.principal.moments.ndim == 2:
-        own["inertia"] = found = np.asarray(scene.inertia, dtype=np.float64)[rows]
-        if found.shape == (3, 3):  # which a scene takes for one tensor
-            own["inertia"] = found[:, :, None] * np.eye(3)
-    if np.ndim(scene.mass if scene.mass is not None else 0.0):
-        own["mass"] = np.asarray(scene.mass)[rows]
-    for name, records in _RECORDS.items():
-        model = getattr(scene, name)
-        if hasattr(model, "_fields"):
-            own[name] = _model_of(model, records, rows)
-        elif np.ndim(model if not callable(model) else 0.0) == 2:
-            own[name] = np.asarray(model)[rows]
-    return replace(scene, **own) if own else scene
-
-
-_RECORDS: dict[str, Mapping[type, Record]] = {
-    "rate": rates.RECORDS,
-    "torque": torques.RECORDS,
-    "force": forces.RECORDS,
-}
-
-
-def _model_of(model: Any, records: Mapping[type, Record], rows: NDArray[np.intp]) -> Any:
-    """A model's numbers of some bodies; its record says how many dimensions those of one have."""
-    if isinstance(model, Sum):
-        return Sum(tuple(_model_of(term, records, rows) for term in model.terms))
-    if isinstance(model, torques.Sampled):
-        return model
-    if isinstance(model, (torques.Custom, forces.Custom)):
-        shared = model.params is None or np.ndim(model.params) < 2
-        return model if shared else model._replace(params=np.asarray(model.params)[rows])
-    fields = zip(model, records[type(model)].fields, strict=True)
-    return type(model)(
-        *[np.asarray(x)[rows] if np.ndim(x) > len(each.shape) else x for x, each in fields]
-    )
+        return Ensemble(self.scene[rows], *states)

@@ -92,8 +92,8 @@ def recommend(
     ensemble = Ensemble.of(scene, q0, w0, v0, r0)
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     fitting = methods_for(scene)
-    usual = [m for m in _usual(scene) if m in fitting] if methods is None else methods
-    cases = cases_of(scene, usual, representations, dtypes)
+    usual = [m for m in _USUAL.get(scene.kind, _USUAL["free"]) if m in fitting]
+    cases = cases_of(scene, usual if methods is None else methods, representations, dtypes)
     if tol is not None and methods is None:
         cases = _hopeful(cases, tol)
     search = Search(
@@ -143,7 +143,3 @@ def _saves(t_end: float, interval: float | None) -> int | None:
             f"save_interval: found {every}; accepted: t_end, {t_end}, over a whole number"
         )
     return n
-
-
-def _usual(scene: Scene) -> tuple[str, ...]:
-    return _USUAL[scene.kind if scene.kind in _USUAL else "free"]

@@ -65,8 +65,10 @@ def coning_trade(
     problem = Problem(Ensemble(scene, q0), T_END)
     end = reference(problem).end
 
-    def sampled(case: Case, data: NDArray[np.float64]) -> Rung:
-        n = data.shape[1] - 1
+    def rung(source: str, case: Case, n: int) -> Rung:
+        if source == RATE:
+            return measure(problem, end, case, n, repeats)
+        data = coning_rates(angle, frequency, np.linspace(0.0, T_END, n + 1))
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", StepWarning)
             seconds, q = best_time(
@@ -76,24 +78,11 @@ def coning_trade(
         return Rung(n, seconds, angle_between(q[:, -1], end.q), status=status)
 
     wanted: Mapping[str, Sequence[Case]] = coning_cases() if cases is None else cases
-    ladders: dict[str, list[list[Rung]]] = {
-        source: [[] for _ in of_source] for source, of_source in wanted.items()
-    }
-    with progress_bar(bar, len(steps) * sum(map(len, wanted.values())), "run") as done:
+    rows: list[Row] = []
+    with progress_bar(bar, sum(map(len, wanted.values())), "method") as done:
         for source, of_source in wanted.items():
-            for n in steps:
-                data = None
-                if source == SAMPLES:
-                    data = coning_rates(angle, frequency, np.linspace(0.0, T_END, n + 1))
-                for case, ladder in zip(of_source, ladders[source], strict=True):
-                    if data is None:
-                        ladder.append(measure(problem, end, case, n, repeats))
-                    else:
-                        ladder.append(sampled(case, data))
-                    done(1)
-    return [
-        row
-        for source, of_source in wanted.items()
-        for case, ladder in zip(of_source, ladders[source], strict=True)
-        for row in ladder_rows(source, case, T_END, ladder)
-    ]
+            for case in of_source:
+                rungs = [rung(source, case, n) for n in steps]
+                rows += ladder_rows(source, case, T_END, rungs)
+                done(1)
+    return rows

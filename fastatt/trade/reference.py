@@ -19,7 +19,6 @@ from fastatt import exact, rates, torques
 from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
 from fastatt.methods import METHODS
 from fastatt.methods.method import FREE
-from fastatt.running.ensemble import Ensemble
 from fastatt.running.propagate import methods_for
 from fastatt.trade.measure import Case, Problem, State
 
@@ -108,7 +107,10 @@ def reference(
         found = _closed_form(problem, looks)
         if found is not None:
             return found
-    return _tight(problem, method or _tight_method(problem.ensemble), looks, goal)
+        fitting = [METHODS[name] for name in methods_for(problem.ensemble.scene, "quat")]
+        # the first of the highest order
+        method = max((m for m in fitting if m.is_stepped), key=lambda m: m.order).name
+    return _tight(problem, method, looks, goal)
 
 
 def _closed_form(problem: Problem, looks: int) -> Reference | None:
@@ -164,12 +166,6 @@ def coning_attitudes(
     c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
     columns = [c, s * np.cos(phase), s * np.sin(phase), 0.0 * phase]
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
-
-
-def _tight_method(ensemble: Ensemble) -> str:
-    """The first of the highest order that fits."""
-    fitting = [METHODS[name] for name in methods_for(ensemble.scene, "quat")]
-    return max((m for m in fitting if m.is_stepped), key=lambda m: m.order).name
 
 
 def _ladder(problem: Problem, method: str, looks: int) -> Iterator[tuple[int, State]]:
