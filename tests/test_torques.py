@@ -596,11 +596,11 @@ def rate_that_cancels(t, q, w, p):
 
 
 def singular_at_rest(t, q, w, p):
-    return 0.1 * w[0] / w[0], p[0], q[1]
+    return (w[0] - w[0]) / w[0], 0.0, 0.0
 
 
 def singular(t, q, w, p):
-    return 1.0 / p[0], 0.0, q[1]
+    return p[0] / p[0], 0.0, q[1]
 
 
 ROWS = np.array([[0.0], [0.0], [0.0], [0.1]])
@@ -628,6 +628,7 @@ def test_a_users_function_that_uses_the_rate_is_seen_where_it_says_it_does_not()
     for function, params in (
         (rate_that_cancels, (0.1,)),
         (singular, (0.0,)),
+        (singular, [[0.0], [1.0]]),
         (damped_at_times, (0.0,)),
         (weight_and_damping, (*ARM, 2.0, 0.0)),
         (potential_v, None),
