@@ -39,11 +39,8 @@ def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method."""
-    return _from_dcm(floats("C", C, (3, 3)))
-
-
-def _from_dcm(C: NDArray[Any]) -> NDArray[Any]:
-    return _on_rows(dcm.to_quat, C.reshape((*C.shape[:-2], 9)), after=4)
+    found = floats("C", C, (3, 3))
+    return _on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
 
 
 def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
@@ -128,7 +125,7 @@ def _angle(p: Any, q: Any) -> Any:
 def _as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
     found = checks.numbers(name, value, "real numbers")
     if found.shape[-2:] == (3, 3):
-        return _from_dcm(found)
+        return dcm_to_quat(found)
     if found.shape[-1:] != (4,):
         raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., 4) and (..., 3, 3)")
     return found
