@@ -14,6 +14,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from fastatt import checks
 from fastatt._jit import helper, kernel
 from fastatt.flat.scalar import scalar_function
+from fastatt.flat.traced import Recurrence
 from fastatt.gyro.turns import products
 from fastatt.gyro.windows import Iteration, Window
 from fastatt.kernels import quat
@@ -186,7 +187,7 @@ _FLAT: dict[int, Any] = {1: one_quaternion, 2: two_quaternions, 3: three_quatern
 def _functions(window: Window, increments: bool) -> tuple[Any, Any]:
     """``step`` and ``step_into``."""
     if window.iteration is not None:
-        step = scalar_function(_straight(window.iteration, increments))
+        step = scalar_function(_passes(window.iteration, increments))
         into = _into(step, 3 * window.samples(increments), window.intervals, 4 * window.span)
         return step, kernel(into, cache=False)
     # they close over plain functions and numbers alone, which Numba's disk cache knows again
@@ -208,11 +209,17 @@ def _stepped(apply: Any, formula: Any, size: int) -> tuple[Callable[..., Any], C
     return step, step_into
 
 
-def _straight(iteration: Iteration, increments: bool) -> Callable[..., Any]:
+def _passes(iteration: Iteration, increments: bool) -> Recurrence:
     def step(q: Any, v: Any, h: Any) -> Any:
-        return tuple(products(q, iteration.attitudes(increments, v, h)))
+        return iteration.begin(increments, v, h), ()
 
-    return step
+    def again(state: Any, _: Any, *given: Any) -> Any:
+        return iteration.again(state)
+
+    def end(state: Any, _: Any, q: Any, *given: Any) -> Any:
+        return tuple(products(q, iteration.read(state[:-1])))
+
+    return Recurrence(step, again, end, ((0.0,),) * iteration.passes)
 
 
 def _into(step: Any, n_samples: int, n_intervals: int, size: int) -> Callable[..., Any]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt.arrays import quat_multiply
 from fastatt.flat import machine
 from fastatt.gyro.chunk import Job, scratch_size
 from fastatt.gyro.loops import Loops
@@ -45,6 +46,7 @@ class Run:
         out: NDArray[Any],
     ) -> None:
         uneven = isinstance(spans, np.ndarray)
+        self._window, self._increments = window, increments
         self._held = (data, *ends, np.atleast_1d(spans), out)
         self._kind = _KINDS[data.dtype]
         self._windows = functools.partial(windows, window, increments, self._kind, uneven)
@@ -83,16 +85,37 @@ class Run:
         peak: NDArray[Any],
         lanes: tuple[int, int],
     ) -> None:
-        """Carry lanes [first, last) of attitudes ``q (L, 4)`` over ``count`` intervals each.
+        """Carry lanes [first, last) of attitudes ``q (L, 4)`` to the ends of their logs.
 
-        ``stretches`` are the log of each lane (L,) and its first interval (L,); ``peak (L,)`` gets
-        the largest component of a lane's angles over an interval, rad.
+        ``stretches`` are the log of each lane (L,) and its first interval (L,), ``count`` intervals
+        before the end; ``peak (L,)`` gets the largest component of a lane's angles over an
+        interval, rad.
         """
         job = self._with(peak)
         job.body, job.start = (of_lane.ctypes.data for of_lane in stretches)
         job.count = count
         sweep, last = self._loops["sweep"], lanes[1]
         self._through(job, lanes, lambda *given, at: sweep(*given, q.ctypes.data, at, last))
+        rest = (self._held[-1].shape[1] - 1) % self._window.span
+        if self._window.iteration and rest:
+            self._finish(stretches[0][slice(*lanes)], rest)
+
+    def _finish(self, logs: NDArray[np.int64], rest: int) -> None:
+        """The last ``rest`` intervals of some logs, fewer than a window has, cut into as many.
+
+        Beyond a log's end the polynomial is soon so large that no iteration holds it.
+        """
+        data, *_, spans, out = self._held
+        with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
+            samples, apart, ends = _cut(data[logs], spans, rest, self._window, self._increments)
+        n, span = len(logs), self._window.span
+        turns = np.empty((n, span + 1, 4), dtype=out.dtype)
+        unit = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=out.dtype), (n, 1))
+        none = np.zeros((n, 1, 3), dtype=out.dtype)
+        run = Run(self._window, self._increments, samples, (none, none), apart, turns)
+        own = np.arange(n), np.zeros(n, dtype=np.int64)
+        run.side_by_side(own, span, unit, np.zeros(n, dtype=out.dtype), (0, n))
+        out[logs, -rest:] = quat_multiply(out[logs, -rest - 1][:, None], turns[:, ends])
 
     def find_turns(
         self, log: int, totals: NDArray[Any], peak: NDArray[Any], tiles: tuple[int, int]
@@ -140,6 +163,32 @@ class Run:
             at = call(ctypes.addressof(job), work.ctypes.data, at=at)
             if at < last:
                 self._wide = self._made(True)
+
+
+def _cut(
+    data: NDArray[Any], spans: NDArray[Any], rest: int, window: Window, increments: bool
+) -> tuple[NDArray[Any], Any, NDArray[np.int64]]:
+    """Samples and intervals of a window that covers the last ``rest`` intervals of logs.
+
+    The samples are those of the polynomial through the last whole window, or all there is. Equal
+    intervals are one number. The third are the places where the logs' own intervals end.
+    """
+    near = min(window.samples(increments), data.shape[1])
+    gaps = np.broadcast_to(spans, len(spans) if len(spans) > 1 else near)
+    gaps = gaps[len(gaps) - near + (not increments) :].astype(np.float64)
+    parts = window.span // rest + (np.arange(rest) < window.span % rest)
+    fine = np.repeat(gaps[-rest:] / parts, parts)
+    nodes = np.concatenate([[0.0], np.cumsum(gaps)])
+    at = nodes[-1 - rest] + np.concatenate([[0.0], np.cumsum(fine)])
+    same = np.eye(len(nodes), dtype=bool)
+    ratios = (at[:, None, None] - nodes) / np.where(same, 1.0, nodes[:, None] - nodes)
+    lagrange = np.where(same, 1.0, ratios).prod(axis=-1)
+    if increments:  # the polynomial is that of the running angle, from 0 at the first node
+        values = np.diff(lagrange[:, 1:] @ data[:, -near:].cumsum(axis=1), axis=1)
+    else:
+        values = lagrange @ data[:, -near:]
+    apart = fine.astype(data.dtype)
+    return values.astype(data.dtype), apart[0] if np.ptp(apart) == 0.0 else apart, parts.cumsum()
 
 
 def _scratch(kind: str) -> NDArray[np.uint8]:

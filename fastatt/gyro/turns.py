@@ -87,21 +87,31 @@ class WindowsLoop:
 
         again = Graph()
         before = again.inputs(self.kind, "state", len(state))
-        after = iteration.improve(before)
+        after = iteration.again(before)
         changed = [i for i in range(len(state)) if after[i] is not before[i]]
         improve = Flat(again, [after[i] for i in changed], self.kind)
 
         end = Graph()
-        found = iteration.read(end.inputs(self.kind, "state", len(state)))
+        found = iteration.read(end.inputs(self.kind, "state", len(state))[:-1])
         read = Flat(end, products(end.inputs(self.kind, "q", 4), found), self.kind)
 
         def one(j: Int, k: Int) -> None:
-            b = self.code.b
+            c, b = self.code, self.code.b
             for value, place in zip(self._emit(first, j, k), places, strict=True):
                 b.store(value, place)
-            with self.code.loop(0, iteration.passes):
+            left = c.variable(iteration.passes)
+            bits = ir.IntType(self.lanes)
+
+            def moves() -> Any:
+                none = ir.Constant(self.vector, [0.0] * self.lanes)
+                moving = b.bitcast(b.fcmp_ordered(">", b.load(places[-1]), none), bits)
+                any_lane = b.icmp_unsigned("!=", moving, ir.Constant(bits, 0))
+                return b.and_(any_lane, c.get(left) > 0)
+
+            with c.repeat_while(moves):
                 for i, value in zip(changed, self._emit(improve, j, k), strict=True):
                     b.store(value, places[i])
+                c.set(left, c.get(left) - 1)
             self._write(read, j, k)
 
         return one

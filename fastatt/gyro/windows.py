@@ -10,7 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
+
+from fastatt.flat.functions import larger
+from fastatt.flat.graph import both, choose
 
 #: intervals of a lane that are worked through at a time, a whole number of every window's span
 CHUNK = 48
@@ -20,16 +24,18 @@ LANES = 16
 TILE = CHUNK * LANES
 #: most intervals that a window may look back
 MOST_HISTORY = 8
+# a state of some 1 that a pass moves by more will not come back
+_FAR = 1e6
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """A method whose attitudes come of several passes over a state.
+    """A method whose attitudes come of passes over a state, until it stays as it is.
 
-    ``rates(v, h)`` and ``increments(v, h)`` give the first state, a flat tuple, from the window's
-    samples and intervals, ``improve(state)`` the next, ``passes`` times, and ``read(state)`` the
-    flat unit quaternions from the window's start to the end of each interval. They are called with
-    recorded numbers.
+    ``rates(v, h)`` and ``increments(v, h)`` give the first state, a flat tuple of numbers of some
+    1, from the window's samples and intervals, ``improve(state)`` the next, at most ``passes``
+    times, and ``read(state)`` the flat unit quaternions from the window's start to the end of each
+    interval. They are called with recorded numbers.
     """
 
     rates: Callable[..., Any]
@@ -39,15 +45,23 @@ class Iteration:
     passes: int
 
     def begin(self, increments: bool, v: Any, h: Any) -> Any:
-        """The first state."""
-        return (self.increments if increments else self.rates)(v, h)
+        """The first state, and 1, for one that moves."""
+        return (*(self.increments if increments else self.rates)(v, h), 1.0)
 
-    def attitudes(self, increments: bool, v: Any, h: Any) -> Any:
-        """All of it, in one straight line."""
-        state = self.begin(increments, v, h)
-        for _ in range(self.passes):
-            state = self.improve(state)
-        return self.read(state)
+    def again(self, state: Any) -> Any:
+        """The next, and whether it moves on: not after a pass that moved it by 8 ulps of 1 at most.
+
+        Each window so has as many passes as it needs, whatever others beside it do. One that is far
+        off, which no limit of a method allows, stays too.
+        """
+        *before, moving = state
+        after = self.improve(tuple(before))
+        pairs = [(a, b) for a, b in zip(after, before, strict=True) if a is not b]
+        far = reduce(larger, (abs(a - b) for a, b in pairs))
+        moves = moving > 0.5
+        ends = (a if a is b else choose(moves, a, b) for a, b in zip(after, before, strict=True))
+        on = both(moves, both(1.0 + 0.0625 * far > 1.0, far < _FAR))
+        return (*ends, choose(on, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
