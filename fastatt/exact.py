@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.flat import formulas, machine
 from fastatt.flat.code import I64, REALS, Code, Int
 from fastatt.flat.finished import Flat
@@ -174,6 +174,10 @@ def free_body(
     invalid : "raise" refuses ``q0`` and ``w0`` that are not finite, and a zero quaternion; "flag"
         gives NaN for such bodies alone.
 
+    Warns
+    -----
+    StepWarning : where |w| t is so large that half the digits of the precision are lost.
+
     Returns
     -------
     q, w : (4,), (3,) of one body at one time, (N, 4), (N, 3) of an ensemble; times come first:
@@ -242,6 +246,8 @@ def _at_times(
     if solution is _SYMMETRIC_TOP:
         _check_symmetric(body.moments)
 
+    if text := rounding.of_angles(turned(rates, times), precision):
+        rounding.warn(f"t: found turns of {text}")
     rows = {"q": start, "w": rates, "moments": body.moments, "axes": body.axes}
     bodies = {
         name: np.atleast_2d(np.require(x, precision, ["C", "A"]))
@@ -253,6 +259,13 @@ def _at_times(
     (_in_python if without_compiler() else _run)(solution, bodies, flat, (q, w), threads)
     shape = times.shape if one_body else (*times.shape, n)
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))
+
+
+def turned(w: NDArray[Any], t: NDArray[Any]) -> NDArray[np.float64]:
+    """Largest |w| t of each body, rad."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rates = np.linalg.norm(w.astype(np.float64), axis=-1)
+        return np.asarray(rates * np.abs(t).max(initial=0.0))
 
 
 _States = tuple[NDArray[Any], NDArray[Any]]

@@ -21,6 +21,14 @@ Q0, W0 = GENERATOR.normal(size=(N, 4)), GENERATOR.normal(size=(N, 3))
 BAD = {3: "nan q", 64: "zero q", 65: "inf w", 130: "nan w", 131: "runaway", 299: "inf q"}
 
 
+def test_codes_are_those_that_are_documented():
+    """They are stored beside results: numbers that stay."""
+    assert {flag.name: int(flag) for flag in fa.Status if flag} == {
+        "NON_FINITE": 1, "STEP_TOO_LARGE": 2, "INVARIANT": 4, "SINGULAR": 8, "NOT_CONVERGED": 16,
+        "NORM_LOST": 32,
+    }  # fmt: skip
+
+
 def spoilt():
     q, w = Q0.copy(), W0.copy()
     q[3, 1] = np.nan
@@ -37,6 +45,7 @@ def spoilt():
     [(m, {}) for m in ("rk4", "dmv10", "strang2", "exact")]
     + [(m, {"compensated": True}) for m in ("rk4", "dmv10")],
 )
+@pytest.mark.filterwarnings("ignore:t. found turns")  # of the runaway, in closed form
 def test_bad_bodies_harm_no_neighbour(method, options):
     options = {"dt": 0.01, "n_steps": 100, "method": method, "save_every": 50, **options}
     alone = fa.propagate(FREE, Q0, W0, **options)

@@ -129,6 +129,12 @@ class Arrays:
         assert array is not None
         return len(array)
 
+    @property
+    def is_timed(self) -> bool:
+        """Whether a step depends on the time."""
+        formulas = (self.program or self._plain).formulas  # type: ignore[union-attr]
+        return ("t",) in formulas.quick.noted.inputs()
+
     def run(self, span: Span, first: int, last: int) -> None:
         """Steps of a span on the tiles [first, last)."""
         if self._plain is not None:

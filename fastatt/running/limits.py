@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from fastatt import torques
+from fastatt import rounding, torques
 from fastatt.attitudes import Attitude
 from fastatt.methods.method import Method
 from fastatt.motion import GivenRate, turning_part
 from fastatt.rates import bound, lengths
+from fastatt.rounding import StepWarning
 from fastatt.running.energy import angular_momentum
 from fastatt.running.trajectory import Status
 from fastatt.scene import Packed, Scene
@@ -26,14 +26,12 @@ INVARIANT_BOUND = 1e-2
 _STAGES = 4
 
 
-class StepWarning(UserWarning):
-    """A step beyond what the method can do, or too small for the precision."""
-
-
-def turn_limit(scene: Scene, method: Method, representation: str) -> float:
-    """Largest |w|h, rad, of one step; ``inf`` where one exponential is the whole answer."""
+def turn_limit(
+    scene: Scene, method: Method, representation: str, dtype: DTypeLike = np.float64
+) -> float:
+    """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
     if scene.is_constant and method.exact_for_constant:
-        return math.inf
+        return rounding.most_turned(dtype)
     return method.limit(representation, body=scene.kind != "rate")
 
 
@@ -99,7 +97,7 @@ def known_turns(
 
 def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
     """Largest known turn, rad a step, of bodies whose steps need no look."""
-    if limit == math.inf:
+    if scene.is_constant and method.exact_for_constant:
         return 3.0  # of exponentials good up to π
     if method.measure == "asymmetry":
         return limit
@@ -167,7 +165,6 @@ def warn(
     kind: np.dtype[Any],
     *,
     compensated: bool,
-    level: int,
 ) -> bool:
     """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
     seen = np.asarray(turn)
@@ -195,6 +192,20 @@ def warn(
             f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
             f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"
         )
+    elif found := rounding.of_angles(seen, kind):
+        text = f"dt: found steps of {found}"
     if text:
-        warnings.warn(text, StepWarning, stacklevel=level)
+        rounding.warn(text)
     return bool(text)
+
+
+__all__ = [
+    "StepWarning",
+    "decay",
+    "first_step",
+    "known_turns",
+    "quiet_up_to",
+    "status",
+    "turn_limit",
+    "warn",
+]

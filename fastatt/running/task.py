@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks, exact
+from fastatt import checks, exact, rounding
 from fastatt.arrays import quat_to_dcm
 from fastatt.attitudes import Attitude
 from fastatt.engine import pool
@@ -163,7 +163,7 @@ class _Run:
             sorted_axes=self.method.sorted_axes,
             position="r0" in beside,
         )
-        self.limit = limits.turn_limit(self.scene, self.method, self.attitude.name)
+        self.limit = limits.turn_limit(self.scene, self.method, self.attitude.name, self.kind)
         self.first = None
         if "w0" in beside:
             self.first = limits.first_step(self.scene, self.method, beside["w0"], self.clock.h)
@@ -233,9 +233,9 @@ class _Run:
         compensated = self.attitude.compensated
         damped = limits.decay(self.scene, clock.h)
         about = (damped, self.limit, self.method, clock.h, self.kind)
-        warned = self.first is not None and limits.warn(
-            self.first, *about, compensated=compensated, level=5
-        )
+        if self.arrays.is_timed and (text := rounding.of_times(clock.longest, clock.h)):
+            rounding.warn(text)
+        warned = self.first is not None and limits.warn(self.first, *about, compensated=compensated)
         span = clock.span(self.task.choice.restore)
         run = partial(pool.run_ensemble, self.arrays.run)
         how = ((self.bodies, self.arrays.job.width), handling.threads, handling.progress)
@@ -256,7 +256,7 @@ class _Run:
             result = self._handed_out(self.t[-1:], last, damped)
         if clock.n_steps and not warned:
             turns = np.sqrt(self.memory.watch[0])
-            limits.warn(turns, *about, compensated=compensated, level=5)
+            limits.warn(turns, *about, compensated=compensated)
         return result
 
     def _handed_out(
@@ -371,12 +371,13 @@ def _closed_form(
     attitude = task.choice.attitude
     state = q if attitude.stored == 4 else quat_to_dcm(q).reshape(*q.shape[:2], 9)
     with np.errstate(invalid="ignore"):
+        far = exact.turned(w0, t - task.clock.begin) > rounding.most_turned(kind)
         bad = np.isnan((q @ np.zeros(4, dtype=kind) + w @ np.zeros(3, dtype=kind)).sum(axis=0))
     return Trajectory(
         t=t,
         state=state,
         defect=np.zeros(q.shape[:2], dtype=kind),
-        status=np.where(bad, np.uint8(Status.NON_FINITE), np.uint8(0)),
+        status=bad * np.uint8(Status.NON_FINITE) | far * np.uint8(Status.STEP_TOO_LARGE),
         method=task.choice.method.name,
         representation=attitude.name,
         dt=task.clock.h,

@@ -1,0 +1,105 @@
+"""Angles and times that a precision does not hold: told, and flagged where the answer is lost."""
+
+import warnings
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+import fastatt as fa
+
+INERTIA = (2.0, 1.0, 0.7)
+Q = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
+EPS = {"float64": 2.0**-52, "float32": 2.0**-23}
+
+
+def told(run):
+    """What a call gives, and what it warned of, in this file."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        result = run()
+    assert all(w.category is fa.StepWarning and w.filename == __file__ for w in found)
+    return result, [str(w.message) for w in found]
+
+
+def rates(w):
+    return [[w, 0.0, 0.0], [1e-12, 0.0, 0.0]]
+
+
+def spun(w, t):
+    """Attitude of a spin about x, of many digits."""
+    with mp.workdps(60):
+        half = mp.mpf(float(w)) * mp.mpf(float(t)) / 2
+        return np.array([float(mp.cos(half)), float(mp.sin(half)), 0.0, 0.0])
+
+
+def off(q, truth):
+    return 2.0 * min(np.linalg.norm(q - truth), np.linalg.norm(q + truth))
+
+
+@pytest.mark.parametrize("dtype", EPS)
+@pytest.mark.parametrize("way", ["exact", "exponential"])
+@pytest.mark.parametrize("lost", [1e-2, 1e-1, 1e1, 1e3])
+def test_a_turn_beyond_precision_is_flagged(way, dtype, lost):
+    """At 0.1 rad of rounding; below that the error is what |w| t eps says."""
+    w, t = 1.7, float(np.float32(lost / EPS[dtype] / 1.7))
+    w = float(np.float32(w)) * (0.9 if lost == 0.1 else 1.0)
+    w = float(np.float32(w))
+    if way == "exact":
+        scene, w0, method = fa.Scene(inertia=INERTIA), rates(w), "exact"
+    else:
+        scene, w0, method = fa.Scene(rate=fa.rates.Constant(rates(w))), None, "lie_euler"
+    run, texts = told(
+        lambda: fa.propagate(scene, Q, w0, dt=t, n_steps=1, method=method, dtype=dtype)
+    )
+    assert list(run.status > 0) == [lost > 0.1, False]
+    assert len(texts) == 1
+    error = off(run.q[-1, 0], spun(w, t))
+    # of the angle, of its half, and of its reduction by turns
+    assert lost > 0.1 or error < 3.0 * lost
+
+
+@pytest.mark.parametrize("dtype", EPS)
+def test_half_the_digits_are_told_of(dtype):
+    t = EPS[dtype] ** -0.5
+    for factor, n in ((0.9, 0), (1.1, 1)):
+        for function in (fa.exact.free_body, fa.exact.symmetric_top):
+            inertia = (2.0, 1.0, 1.0)
+            _, texts = told(
+                lambda f=function, k=factor, i=inertia: f(
+                    Q, rates(1.0), i, [0.0, -k * t], dtype=dtype
+                )
+            )
+            assert len(texts) == n
+        scene = fa.Scene(rate=fa.rates.Constant(rates(factor * t)))
+        for method in ("lie_euler", "magnus4"):
+            run, texts = told(
+                lambda s=scene, m=method: fa.propagate(
+                    s, Q, dt=1.0, n_steps=1, method=m, dtype=dtype
+                )
+            )
+            assert len(texts) == n
+            assert not run.status.any()
+
+
+@pytest.mark.parametrize("dtype", EPS)
+def test_a_clock_that_tells_steps_apart_no_more_is_told_of(dtype):
+    """At Unix time, with steps of 0.1 ms; a constant rate does not ask for the time."""
+    coning = fa.Scene(rate=fa.rates.Coning(0.1, 1.0))
+    constant = fa.Scene(rate=fa.rates.Constant((0.1, 1.0, 0.0)))
+    free = fa.Scene(inertia=INERTIA)
+    for scene, h, t0, n in (
+        (coning, 1e-2, 1.7e9, 0),
+        (coning, 1e-4, 1.7e9, 1),
+        (coning, -1e-4, -1.7e9, 1),
+        (coning, 1e-4, 1.7e6, 0),
+        (constant, 1e-4, 1.7e9, 0),
+        (free, 1e-4, 1.7e9, 0),
+    ):
+        w0 = [0.1, 0.2, 0.3] if scene is free else None
+        _, texts = told(
+            lambda s=scene, h=h, t0=t0, w=w0: fa.propagate(
+                s, Q[0], w, dt=h, n_steps=2, t0=t0, dtype=dtype
+            )
+        )
+        assert [text[:3] for text in texts] == ["t0:"] * n
