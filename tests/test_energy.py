@@ -134,6 +134,8 @@ def test_drift_that_is_not_defined():
 def test_refusals():
     with pytest.raises(ValueError, match=r"inertia: has shape \(4,\); accepted: \(3,\), \(3, 3\)"):
         fa.angular_momentum(W, np.ones(4))
+    with pytest.raises(ValueError, match="three bodies"):
+        fa.angular_momentum(W[:3], [[2.0, 1.0, 1.5]] * 3)
     with pytest.raises(ValueError, match=r"accepted: one number of bodies"):
         fa.angular_momentum(W, np.ones((N + 1, 3)))
     with pytest.raises(ValueError, match=r"angles, rates: have shapes \(3,\), \(2, 3\)"):

@@ -266,3 +266,7 @@ def test_watch_refusals():
     watched = fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)
     with pytest.raises(ValueError, match="percent: found 101"):
         watched.norm.percentile(101)
+    bodies = watched.norm.maximum.size
+    assert (
+        repr(watched.norm) == f"Measure({bodies} bodies, at most {watched.norm.maximum.max():.3g})"
+    )

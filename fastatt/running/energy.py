@@ -13,6 +13,7 @@ from fastatt.arrays import rotate
 from fastatt.attitudes import QUATERNION
 from fastatt.flat.formulas import quat, rigid
 from fastatt.flat.rows import rows
+from fastatt.inertia import is_tensor
 from fastatt.motion import Body, RigidBody, turning_part
 from fastatt.scene import Scene, as_scene
 
@@ -30,7 +31,7 @@ def angular_momentum(
     rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", [(3,), (-1, 3), (-1, -1, 3)])
     shapes = [(3,), (3, 3), (-1, 3), (-1, 3, 3)]
     given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)", shapes)
-    tensor = given.shape == (3, 3) or given.ndim == 3
+    tensor = is_tensor(given)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             m = np.einsum("...ij,...j->...i", given, rates) if tensor else given * rates

@@ -112,7 +112,8 @@ def propagate(
         ``Attitude`` of one's own.
     save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
         the final ones.
-    dtype : float64 or float32; None takes float32 when ``q0`` is a float32 array, else float64.
+    dtype : float64 or float32; None takes float32 when the arrays given are all float32, else
+        float64.
     n_threads : None takes every processor that this process may use, for a short run one; results
         do not depend on it.
     progress : show a bar (needs tqdm).

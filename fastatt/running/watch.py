@@ -28,6 +28,10 @@ class Measure:
         self.maximum = np.zeros(n_bodies)
         self._counts = np.zeros((n_bodies, _BINS), dtype=np.uint32)
 
+    def __repr__(self) -> str:
+        worst = self.maximum.max(initial=0.0)
+        return f"Measure({self.maximum.size} bodies, at most {worst:.3g})"
+
     def add(self, values: NDArray[Any]) -> None:
         """Values (S, N) of some saves."""
         self.maximum = np.maximum(self.maximum, values.max(axis=0))
