@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -120,3 +122,46 @@ def test_both_exponentials_give_small_turns_the_same_bits(fresh, monkeypatch, fa
             patched.setattr(Window, "near", near)
             wide = fa.integrate_rates(data.astype(dtype), 0.1, method="coning3")
         assert wide.tobytes() == short.tobytes()
+
+
+# rates for which every product rounds to the same side
+STEADY = np.array([[0.1, 0.2, 0.3], [0.013, 0.02, -0.03], [1e-3, 2e-3, 0.0]])
+
+
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+@pytest.mark.parametrize("shape", [(18, 20_000), (3, 400_000)])
+@pytest.mark.parametrize("n_threads", [1, 2])
+def test_attitudes_stay_at_unit_length(shape, dtype, n_threads):
+    """Of long logs, side by side and one at a time: mended with every chunk of 48 intervals."""
+    n_logs, n = shape
+    turns = np.repeat(np.tile(STEADY, (n_logs // 3, 1)).astype(dtype)[:, None], n, axis=1)
+    q = fa.integrate_rates(turns, 1.0, method="hold", increments=True, n_threads=n_threads)
+    # an exponential and a product an interval, of some three ulps together; else thousands
+    far = np.abs(np.einsum("...i,...i->...", q, q, dtype=np.float64) - 1.0).max()
+    assert far <= 2.0 * 3.0 * CHUNK * np.finfo(dtype).eps
+
+
+# the warning of steps that are too long
+
+
+@pytest.mark.parametrize("n_logs", [1, 20])
+@pytest.mark.parametrize("long", [4, 5, None])
+def test_a_sample_counts_for_the_intervals_before_and_after_it(long, n_logs):
+    """Sample 5 turns fast; only a long interval beside it makes that too far for the method."""
+    spans = np.full(11, 0.01)
+    rates = np.zeros((n_logs, 12, 3))
+    rates[-1, 5] = 30.0, 0.0, 0.0
+    limit = fa.METHODS["coning2"].limit("rates")
+    spans[9] = 0.2  # beside samples at rest
+    if long is None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            fa.integrate_rates(rates, spans, method="coning2", max_gap=1.0)
+        return
+    spans[long] = 0.1
+    assert 0.01 * 30.0 < limit < 0.1 * 30.0
+    with pytest.warns(
+        fa.StepWarning, match=f"interval 5 of log {n_logs - 1} turns by 3 rad"
+    ) as said:
+        fa.integrate_rates(rates, spans, method="coning2", max_gap=1.0)
+    assert len(said) == 1
