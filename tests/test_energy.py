@@ -132,8 +132,9 @@ def test_drift_that_is_not_defined():
 
 
 def test_refusals():
-    with pytest.raises(ValueError, match=r"inertia: has shape \(4,\); accepted: \(3,\), \(3, 3\)"):
-        fa.angular_momentum(W, np.ones(4))
+    for shape in ((4,), (3, 4), (4, 3, 4)):
+        with pytest.raises(ValueError, match=r"inertia: has shape \(.*4,?\); accepted: \(3,\), "):
+            fa.angular_momentum(W, np.ones(shape))
     with pytest.raises(ValueError, match="three bodies"):
         fa.angular_momentum(W[:3], [[2.0, 1.0, 1.5]] * 3)
     with pytest.raises(ValueError, match=r"accepted: one number of bodies"):

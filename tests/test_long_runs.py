@@ -12,6 +12,7 @@ import fastatt as fa
 from fastatt.attitudes import COMPENSATED
 from fastatt.flat.rows import rows
 from fastatt.kernels import compensated
+from fastatt.running.watch import Measure
 
 STEP = 1.0 / 128.0  # a power of two: products with it are exact
 N = 64
@@ -254,6 +255,15 @@ def test_sink_gets_every_save_once(method, n_steps, bodies):
         assert_array_equal(getattr(last, name), getattr(stored, name)[-1:])
     assert max(map(len, found["t"])) <= 17
     assert_array_equal(last.status, stored.status)
+
+
+def test_a_measure_beyond_all_bins_is_its_bodys_own():
+    """Of a motion that is lost, and of none at all."""
+    measure = Measure(3)
+    measure.add(np.array([[0.0, np.inf, 1e-3], [0.0, 1e300, 1e-3], [0.0, np.nan, 1e-3]]))
+    assert_array_equal(measure.maximum, [0.0, np.nan, 1e-3])
+    assert_array_equal(measure.percentile(0.0)[[0, 2]], [0.0, 1e-3])
+    assert_array_equal(measure.percentile(100.0)[[0, 2]], [0.0, 1e-3])
 
 
 def test_watch_refusals():
