@@ -288,3 +288,29 @@ def test_gyro_samples_that_are_not_finite_are_held(copied):
     f.predict([np.nan] * 3, 0.1)
     good.predict(np.stack([2.0 * w, bias, 2.0 * w, w]), 0.1)
     assert np.array_equal(f.q, good.q)
+
+
+# the mean of sigma points
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_the_mean_of_sigma_points_is_where_their_errors_cancel(size):
+    """After a motion that bends them to one side: turns by δ become turns by δ and |δ|² about z."""
+
+    def bend(q, y):
+        d = es.attitude_error(START, q)
+        more = np.zeros_like(d)
+        more[:, 2] = (d**2).sum(axis=1)
+        return mul(START, exp(d + more)), y
+
+    P = np.diag([size**2 / 12.0] * 3 + [1e-6] * 3)
+    f = es.UKF(START, np.zeros(3), P)
+    q, y = f.sigma_points()
+    moved, _ = bend(q[0], y[0])
+    weights = np.array([1.0, *[0.5] * 12]) / 7.0
+    f.predict(bend, np.zeros((6, 6)))
+    errors = es.attitude_error(START, moved)
+    begun, left = (np.linalg.norm(weights @ d) for d in (errors, es.attitude_error(f.q, moved)))
+    assert begun > 0.01
+    # a step is out by the second-order term of Jr⁻¹, |d|²/12
+    assert left <= begun * ((errors**2).sum(axis=1).max() / 12.0) ** 2
