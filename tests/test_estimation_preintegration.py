@@ -1,5 +1,6 @@
 """Preintegration against matrix exponentials, differences and Forster's own recurrences."""
 
+import copy
 import math
 
 import mpmath as mp
@@ -243,6 +244,32 @@ def test_sample_by_sample(biased):
     assert np.abs(stepwise.result.rows[0] - row).max() <= 4 * EPS * np.abs(row).max()
     stepwise.reset()
     assert stepwise.result.duration == 0.0
+
+
+def test_the_state_between_samples_is_what_the_kernels_take(biased):
+    bias = np.array([0.1, -0.2, 0.05])
+    one = estimation.Preintegrator(gyro_bias=bias, accel_bias=2 * bias, **NOISE)
+    one.add(GYRO[0], ACCEL[0], H)
+    other = copy.deepcopy(one)
+    rates = (tuple((x - b).tolist()) for x, b in ((GYRO[1], bias), (ACCEL[1], 2 * bias)))
+    expected = kernels.add_sample(one.state, *rates, H, SIGMA_G**2, SIGMA_A**2)
+    kept = one.result
+    # of lists and other precisions too
+    one.add(GYRO[1].tolist(), ACCEL[1], np.float64(H))
+    assert np.abs(np.subtract(one.state.v, expected.v)).max() <= 8 * EPS
+    assert np.abs(np.subtract(one.state.pp, expected.pp)).max() <= 8 * EPS
+    assert (other.result.rows == kept.rows).all()
+    other.add(GYRO[1], ACCEL[1], H)
+    assert (other.result.rows == one.result.rows).all()
+    before = one.result.rows
+    for wrong in ([np.nan, 0.0, 0.0], [0.0, -np.inf, 0.0]):
+        with pytest.raises(ValueError, match=r"gyro\[[01]\] is (nan|-inf)"):
+            one.add(wrong, ACCEL[0], H)
+        with pytest.raises(ValueError, match=r"accel\[[01]\] is (nan|-inf)"):
+            one.add(GYRO[0], np.array(wrong), H)
+    with pytest.raises(ValueError, match="dt: found inf; accepted"):
+        one.add(GYRO[0], ACCEL[0], np.inf)
+    assert (one.result.rows == before).all()
 
 
 def leaves(ty):
