@@ -186,7 +186,10 @@ W = [0.1, 0.2, 0.3]
     ("call", "message"),
     [
         (lambda: estimation.right_jacobian([1.0, 2.0]), r"u: has shape \(2,\)"),
-        (lambda: estimation.transition_matrix(W, 0.0), r"dt: found 0.0; accepted: above 0"),
+        (
+            lambda: estimation.transition_matrix(W, 0.0),
+            r"dt: found 0.0; accepted: an interval above 0",
+        ),
         (
             lambda: estimation.process_noise(W, 0.1, angle_noise=-1.0, bias_noise=0.0),
             "angle_noise: found -1.0; accepted: at least 0",

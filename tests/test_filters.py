@@ -460,8 +460,12 @@ def test_refusals():
         f.update_vector((1.0, 0.0), REFERENCE, 0.1)
     with pytest.raises(ValueError, match=r"measured: has shape \(2, 4\)"):
         f.update_attitude(np.tile(START, (2, 1)), 0.1)
-    with pytest.raises(ValueError, match=r"q: found q 4, bias 2; accepted: one number of filters"):
+    with pytest.raises(
+        ValueError, match=r"q: found rows q 4, bias 2; accepted: one number of filters"
+    ):
         es.MEKF(np.tile(START, (4, 1)), P0, bias=np.zeros((2, 3)), **NOISE)
+    with pytest.raises(ValueError, match=r"bias_noise: found -1.0; accepted: at least 0"):
+        es.MEKF(START, P0, angle_noise=1.0, bias_noise=-1.0)
     with pytest.raises(ValueError, match=r"kappa: found -6.0; accepted: above -6"):
         es.UKF(START, np.zeros(3), P0, kappa=-6.0)
     with pytest.raises(ValueError, match=r"log_likelihood: has shape \(2,\)"):

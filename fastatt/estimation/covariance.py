@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, kernels
 from fastatt.arrays import quat_to_dcm
+from fastatt.estimation.amounts import at_least_zero, common_number, interval
 from fastatt.flat.formulas import Vector, scale
 from fastatt.flat.rows import kind_of, rows
 from fastatt.flat.trace import stand_in
@@ -78,26 +79,16 @@ def _covariances(P: ArrayLike) -> NDArray[Any]:
     return found.reshape(*found.shape[:-2], 36)
 
 
-def _same_rows(**arrays: NDArray[Any]) -> None:
-    rows = {name: len(value) for name, value in arrays.items() if value.ndim == 2}
-    if len(set(rows.values())) > 1:
-        found = ", ".join(f"{name} {n}" for name, n in rows.items())
-        raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of rows")
-
-
 def _step(dt: float, kind: np.dtype[Any]) -> NDArray[Any]:
-    h = checks.real("dt", dt)
-    if h <= 0.0:
-        raise ValueError(f"dt: found {h}; accepted: above 0")
-    return np.array(h, dtype=kind)
+    return np.array(interval(dt), dtype=kind)
 
 
 def _variances(kind: np.dtype[Any], **densities: float) -> NDArray[Any]:
-    found = {name: checks.real(name, value) for name, value in densities.items()}
-    for name, value in found.items():
-        if value < 0.0:
-            raise ValueError(f"{name}: found {value}; accepted: at least 0")
-    return np.array([value * value for value in found.values()], dtype=kind)
+    return np.array([at_least_zero(*found) ** 2 for found in densities.items()], dtype=kind)
+
+
+def _same_rows(**arrays: NDArray[Any]) -> None:
+    common_number("rows", **{name: x for name, x in arrays.items() if x.ndim == 2})
 
 
 def right_jacobian(u: ArrayLike) -> NDArray[Any]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.arrays import quat_multiply, quat_to_dcm, quat_to_rotation_vector
 from fastatt.estimation import tangent
+from fastatt.estimation.amounts import common_number
 from fastatt.flat.repeated import Repeated
 from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.inertia import is_sorted
@@ -142,7 +143,7 @@ def rate_transition(
     b = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64)
     one = packed.params.size == packed.params.shape[-1] and b.ndim == 1
     params = np.atleast_2d(packed.params)
-    n = _rows(params=params, bias=np.atleast_2d(b))
+    n = common_number("bodies", params=params, bias=np.atleast_2d(b))
     turn, attitude, coupling = _rate_rows(record, packed.structure)(
         begin,
         h,
@@ -153,15 +154,6 @@ def rate_transition(
     )
     found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
     return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
-
-
-def _rows(**arrays: NDArray[Any]) -> int:
-    """The one number of rows, 1 standing for any."""
-    found = {name: len(value) for name, value in arrays.items()}
-    if len(set(found.values()) - {1}) > 1:
-        text = ", ".join(f"{name} {n}" for name, n in found.items())
-        raise ValueError(f"{next(iter(found))}: found rows {text}; accepted: one number of bodies")
-    return max(found.values())
 
 
 # samples
@@ -332,7 +324,7 @@ def body_tangent(
     params = np.atleast_2d(packed.params)
     one = attitudes.ndim == 1 and w.ndim == 1 and packed.params.ndim == 1
     q_rows, w_rows = (np.atleast_2d(x).astype(np.float64) for x in (attitudes, w))
-    n = _rows(q=q_rows, w=w_rows, scene=params)
+    n = common_number("bodies", q=q_rows, w=w_rows, scene=params)
     structure: Any = packed.structure
     q1, w1, phi, z = _body_rows(record, structure, parameters)(
         begin,

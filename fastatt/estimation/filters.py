@@ -7,7 +7,6 @@ function of a user's own will do as well.
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rates
 from fastatt.arrays import quat_multiply, quat_to_rotation_vector
+from fastatt.estimation.amounts import common_number
 from fastatt.running.propagate import propagate
 from fastatt.scene import Scene
 
@@ -109,14 +109,6 @@ def measured_attitudes(value: ArrayLike, *, skips: bool) -> Floats:
     return np.where(none, np.nan, rows).astype(np.float64)
 
 
-def deviation(sigma: float) -> float:
-    """A standard deviation, at least 0."""
-    found = sigma if type(sigma) is float else checks.real("sigma", sigma)
-    if not 0.0 <= found < math.inf:
-        raise ValueError(f"sigma: found {found}; accepted: at least 0")
-    return found
-
-
 def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     """Mean of attitudes (..., M, 4), weighted (..., M): the eigenvector of Σ w q qᵀ, (..., 4).
 
@@ -156,8 +148,5 @@ def number_of_filters(**arrays: tuple[NDArray[Any], int]) -> int | None:
 
     Raises ``ValueError`` where they differ.
     """
-    rows = {name: len(a) for name, (a, one) in arrays.items() if a.ndim > one}
-    if len(set(rows.values())) > 1:
-        found = ", ".join(f"{name} {n}" for name, n in rows.items())
-        raise ValueError(f"{next(iter(rows))}: found {found}; accepted: one number of filters")
-    return next(iter(rows.values()), None)
+    many = {name: a for name, (a, one) in arrays.items() if a.ndim > one}
+    return common_number("filters", **many) if many else None

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.estimation import preintegration as pre
+from fastatt.estimation.amounts import at_least_zero, common_number, interval
 from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import Vector, minus
 from fastatt.flat.in_place import InPlace
@@ -129,7 +130,7 @@ class Preintegration:
 
     def _corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Any, Any, Any]:
         biases = _triples(gyro_bias=gyro_bias, accel_bias=accel_bias)
-        _count(preintegrated=self.rows, **biases)
+        common_number("logs", preintegrated=self.rows, **biases)
         apply = rows(_corrected, {"x": _SIZE, "gyro": 3, "accel": 3}, (4, 3, 3))
         return apply(self.rows, *biases.values())  # type: ignore[return-value]
 
@@ -154,7 +155,7 @@ class Preintegration:
         g = checks.array("gravity", gravity, "(3,)", [(3,)]).astype(np.float64)
         start = np.atleast_2d(checks.attitudes("q", q)).astype(np.float64)
         state = (start, *_triples(v=v, p=p).values())
-        n = _count(preintegrated=change[0], q=state[0], v=state[1], p=state[2])
+        n = common_number("logs", preintegrated=change[0], q=state[0], v=state[1], p=state[2])
         widths = {"change": 10, "t": None, "q": 4, "v": 3, "p": 3, "g": 3}
         apply = rows(_navigated, widths, (4, 3, 3))
         found = apply(np.concatenate(change, axis=1), self.rows[:, 0], *state, g)
@@ -199,14 +200,6 @@ def _triples(**values: ArrayLike) -> dict[str, NDArray[np.float64]]:
     }
 
 
-def _count(**rows: NDArray[Any]) -> int:
-    found = {name: len(value) for name, value in rows.items()}
-    if len(set(found.values()) - {1}) > 1:
-        text = ", ".join(f"{name} {n}" for name, n in found.items())
-        raise ValueError(f"{next(iter(rows))}: found rows {text}; accepted: one number of logs")
-    return max(found.values())
-
-
 def preintegrate(
     gyro: ArrayLike,
     accel: ArrayLike | None,
@@ -248,10 +241,7 @@ def preintegrate(
     spans = np.ascontiguousarray(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
-    variances = np.array([[
-        _density(name, value) ** 2
-        for name, value in (("gyro_noise", gyro_noise), ("accel_noise", accel_noise))
-    ]])  # fmt: skip
+    variances = _variances(gyro_noise, accel_noise)
     start = np.zeros((n_logs, _SIZE))
     start[:, 1] = 1.0
     h, threads = spans[None, :, None], number_of(n_threads)
@@ -275,11 +265,9 @@ def _bias(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
     return found
 
 
-def _density(name: str, value: float) -> float:
-    found = checks.real(name, value)
-    if found < 0.0:
-        raise ValueError(f"{name}: found {found}; accepted: at least 0")
-    return found
+def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:
+    found = at_least_zero("gyro_noise", gyro_noise), at_least_zero("accel_noise", accel_noise)
+    return np.square([found])
 
 
 class Preintegrator:
@@ -295,10 +283,8 @@ class Preintegrator:
         model: str = "held",
     ) -> None:
         self._model = checks.choice("model", model, _ADD)
-        variances = [_density("gyro_noise", gyro_noise) ** 2]
-        variances.append(_density("accel_noise", accel_noise) ** 2)
         biases = _bias("gyro_bias", gyro_bias, 1), _bias("accel_bias", accel_bias, 1)
-        self._known = np.concatenate([*biases, [variances]], axis=1)
+        self._known = np.concatenate([*biases, _variances(gyro_noise, accel_noise)], axis=1)
         self._own, self._row = np.empty((1, 7)), np.empty((1, _SIZE))
         self._run: Callable[[], object] | None = None
         self.reset()
@@ -317,9 +303,7 @@ class Preintegrator:
 
         Raises ``ValueError`` or ``TypeError`` for other shapes, and for an interval not above 0.
         """
-        h = dt if type(dt) is float else checks.real("dt", dt)
-        if not 0.0 < h < math.inf:
-            raise ValueError(f"dt: found {h}; accepted: an interval above 0")
+        h = interval(dt)
         w, a = np.asarray(gyro), np.asarray(accel)
         if not (w.shape == a.shape == (3,) and w.dtype == a.dtype == np.float64):
             w, a = (

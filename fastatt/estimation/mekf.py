@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.estimation.amounts import at_least_zero, interval
 from fastatt.estimation.filters import (
     attitude_covariance,
     attitude_error,
-    deviation,
     largest_square,
     measured_attitudes,
     normalised_square,
@@ -248,12 +248,9 @@ class MEKF:
         self._b = rows_of(b, (n, 3))
         self._P = rows_of(P, (n, 6, 6))
         self._gyro = self._b.copy()
-        self._variances = tuple(
-            checks.real(name, value) ** 2
-            for name, value in (
-                ("angle_noise", angle_noise),
-                ("bias_noise", bias_noise),
-            )
+        self._variances = (
+            at_least_zero("angle_noise", angle_noise) ** 2,
+            at_least_zero("bias_noise", bias_noise) ** 2,
         )
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
         self._shapes = {(3,), (n, 3)}
@@ -304,14 +301,13 @@ class MEKF:
         Raises ``ValueError`` for another shape, an interval not above 0, and as ``invalid`` says.
         """
         rates, finite = self._vectors("gyro", gyro)
-        if not 0.0 < dt < math.inf:
-            raise ValueError(f"dt: found {dt}; accepted: an interval above 0")
+        h = interval(dt)
         call = self._calls.get("predict") or self._call("predict")
         if finite:
             call.own[:] = rates
         else:
             np.copyto(call.own, rates, where=np.isfinite(rates).all(axis=-1, keepdims=True))
-        call.known[0] = dt
+        call.known[0] = h
         call.run()
 
     def update_vector(
@@ -333,7 +329,7 @@ class MEKF:
         seen, fixed = (
             self._vectors(*x)[0] for x in (("measured", measured), ("reference", reference))
         )
-        known = largest_square(gate), deviation(sigma) ** 2
+        known = largest_square(gate), at_least_zero("sigma", sigma) ** 2
         call.own[:, :3], call.own[:, 3:], call.known[:] = seen, fixed, known
         return self._normalised(call)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.estimation.amounts import at_least_zero, interval
 
 
 class SimulatedGyro(NamedTuple):
@@ -57,18 +58,9 @@ def simulate_gyro(
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
     motion = checks.array("true", true, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
-    h = checks.real("dt", dt)
-    if h <= 0.0:
-        raise ValueError(f"dt: found {h}; accepted: an interval above 0")
-    walks = []
-    for name, value in (
-        ("angle_noise", angle_noise),
-        ("bias_noise", bias_noise),
-    ):
-        walks.append(checks.real(name, value))
-        if walks[-1] < 0.0:
-            raise ValueError(f"{name}: found {value}; accepted: at least 0")
-    angle, walk = walks
+    h = interval(dt)
+    angle = at_least_zero("angle_noise", angle_noise)
+    walk = at_least_zero("bias_noise", bias_noise)
     if runs is not None:
         if motion.ndim == 3:
             raise ValueError(f"runs: found {runs} beside {len(motion)} motions; accepted: None")

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from fastatt import checks
 from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
+from fastatt.estimation.amounts import at_least_zero
 from fastatt.estimation.filters import (
     Floats,
     Motion,
     attitude_covariance,
     attitude_error,
-    deviation,
     largest_square,
     measured_attitudes,
     normalised_square,
@@ -177,7 +177,9 @@ class UKF:
         def observe(q: Floats, y: Floats) -> Floats:
             return np.asarray(rotate_inverse(q, each))
 
-        return self.update(observe, measured, deviation(sigma) ** 2 * np.eye(3), gate=gate)
+        return self.update(
+            observe, measured, at_least_zero("sigma", sigma) ** 2 * np.eye(3), gate=gate
+        )
 
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None

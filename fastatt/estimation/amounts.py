@@ -1,0 +1,34 @@
+"""Numbers and rows that the arguments of estimators have to have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sized
+
+from fastatt import checks
+
+
+def at_least_zero(name: str, value: float) -> float:
+    """A noise density or a standard deviation."""
+    # of a float the look takes a tenth of the time
+    found = value if type(value) is float else checks.real(name, value)
+    if not 0.0 <= found < math.inf:
+        raise ValueError(f"{name}: found {found}; accepted: at least 0")
+    return found
+
+
+def interval(dt: float) -> float:
+    """An interval, s, above 0."""
+    found = dt if type(dt) is float else checks.real("dt", dt)
+    if not 0.0 < found < math.inf:
+        raise ValueError(f"dt: found {found}; accepted: an interval above 0")
+    return found
+
+
+def common_number(of: str, **arrays: Sized) -> int:
+    """How many rows all arrays have, one row standing for any number of them."""
+    rows = {name: len(value) for name, value in arrays.items()}
+    if len(set(rows.values()) - {1}) > 1:
+        found = ", ".join(f"{name} {n}" for name, n in rows.items())
+        raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of {of}")
+    return max(rows.values(), default=1)
