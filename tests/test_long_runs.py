@@ -177,6 +177,28 @@ def test_a_return_to_the_group_hides_nothing(representation, turn):
         assert policy != 1 or abs(float(run.defect[-1, 0])) < 1e-3
 
 
+def test_low_parts_of_a_rate_along_inertial_axes():
+    """The attitude that is stepped is the inverse one, low parts too."""
+    scene = fa.Scene(rate=fa.rates.Coning(0.5, 1.0), frame="inertial")
+    start = np.random.default_rng(4).normal(size=(5, 4))
+    options = {"dt": STEP, "n_steps": 640, "save_every": 320, "method": "magnus6"}
+    plain = fa.propagate(scene, start, **options)
+    carried = fa.propagate(scene, start, compensated=True, **options)
+    assert fa.angle_between(plain.q, carried.q).max() < 640 * 4 * EPS
+    assert np.abs(carried.defect).max() < EPS
+
+
+@pytest.mark.parametrize("kind", ["double", "single"])
+def test_the_departure_of_a_compensated_state_is_that_of_all_its_parts(kind):
+    """|q|² of halves is 1 exactly, and sums of powers of 2 do not round."""
+    eps = float(np.finfo("f8" if kind == "double" else "f4").eps)
+    x = np.full((5, 8), 0.5, dtype="f8" if kind == "double" else "f4")
+    x[:, 4:] = eps * np.vstack([np.eye(4), np.full(4, -0.25)])
+    finished, departure = rows(COMPENSATED.finish, {"x": 8}, (4, None), kind)(x)
+    assert_array_equal(departure, eps * np.array([0.5, 0.5, 0.5, 0.5, -0.5]))
+    assert_array_equal(finished, x[:, :4])
+
+
 @pytest.mark.parametrize("kind", ["double", "single"])
 def test_a_compensated_state_is_mended_from_16_ulps_on(kind):
     """Below that the departure is rounding's own, and a mend would turn the attitude."""

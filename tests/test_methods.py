@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -22,7 +23,10 @@ from exact import (
 from numpy.testing import assert_array_equal
 
 import fastatt as fa
+from fastatt.attitudes import QUATERNION
+from fastatt.engine.job import Job
 from fastatt.kernels.vec3 import add, axpy, cross, scale
+from fastatt.motion import Body, Turning
 
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
@@ -266,3 +270,39 @@ def test_methods_for_a_representation(representation):
     names = fa.methods_for(BODIES.scene, representation)
     assert names == [m for m, r in combinations() if r == representation]
     assert set(names) <= set(fa.methods_for(BODIES.scene))
+
+
+SCENES = {
+    "rate": fa.Scene(rate=fa.rates.Coning(0.5, 1.0)),
+    "torqued": fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0)),
+}
+
+
+@pytest.mark.parametrize(
+    ("record", "kind"),
+    [
+        (m, "rate" if "rate" in m.scenes else "torqued")
+        for m in fa.METHODS.values()
+        if m.is_stepped and {"rate", "torqued"} & set(m.scenes)
+    ],
+    ids=lambda x: getattr(x, "name", x),
+)
+def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, monkeypatch):
+    """While its formulas are recorded; a splitting's are those of one stage."""
+    counts = Counter()
+
+    def counting(name, function):
+        def counted(*args):
+            counts[name] += 1
+            return function(*args)
+
+        return counted
+
+    monkeypatch.setattr(Turning, "rate", counting("evaluations", Turning.rate))
+    monkeypatch.setattr(Body, "torque", counting("evaluations", Body.torque))
+    monkeypatch.setattr(Turning, "turned", counting("turns", Turning.turned))
+    packed = SCENES[kind].packed(None, sorted_axes=record.sorted_axes)
+    formulas = Job(record, QUATERNION, packed.structure).formulas
+    assert formulas.quick.plain.results
+    assert max(1, len(record.stages)) * counts["evaluations"] == record.rate_calls
+    assert kind != "rate" or counts["turns"] == record.exponentials
