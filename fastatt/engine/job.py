@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 from fastatt.attitudes import Attitude
 from fastatt.engine.layout import WIDTH
@@ -89,11 +89,18 @@ class Job:
         return "times" if self.seen_at_times else "every"
 
 
-class Forms(NamedTuple):
-    """A step as a graph: the state after it, and the same with the squared turn behind it."""
+@dataclass(frozen=True)
+class Forms:
+    """A step as a graph: the state after it, and behind it the squared turn where that is asked."""
 
-    plain: Flat
     noted: Flat
+    size: int
+
+    @cached_property
+    def plain(self) -> Flat:
+        """The state alone, to the same bits."""
+        whole = len(self.noted.results) == self.size
+        return self.noted if whole else self.noted.first(self.size).in_few_registers()
 
 
 class Formulas:
@@ -123,10 +130,12 @@ class Formulas:
     def _form(self, quick: bool) -> Forms:
         scope = self.scope(quick=quick)
         x, z = scope.step(*scope.span(), scope.state(), scope.extras())
-        noted, plain = scope.finished((*x, z)), scope.finished(x)
+        flat = scope.finished((*x, z))
+        if self.job.look == "never" and quick:
+            flat = flat.first(len(x))
         if not self.job.shared:
-            noted, plain = (self._constants.without(f, more=quick) for f in (noted, plain))
-        return Forms(plain, noted)
+            flat = self._constants.without(flat, more=quick)
+        return Forms(flat.in_few_registers(), len(x))
 
     @cached_property
     def _constants(self) -> Constants:
@@ -135,7 +144,7 @@ class Formulas:
     @cached_property
     def constants(self) -> Flat:
         """What steps need of a body's own parameters and nothing else, computed once."""
-        assert self.quick
+        _ = self.quick  # which finds them
         return self._constants.flat
 
     @cached_property

@@ -144,8 +144,9 @@ class _PlainRun:
         """The quick form, and the careful one for bodies for which that does not do."""
         before = self.rows["x"]
         self._steps(self.formulas.quick, self.job.look != "never", first, last)
-        if self.formulas.careful is None:
+        if not self.job.has_careful_form:
             return
+        assert self.formulas.careful is not None
         if self.job.known:
             far = ~self.arrays["quiet"][self.bodies].astype(bool)
         else:

@@ -219,7 +219,7 @@ class Writer(Pieces):
         arguments = [rows, n.value, stop.value, *given.arguments]
         block = self.module.globals["block"]
         again = ((rows, kept, far), steps)
-        if self.formulas.careful is None:
+        if not self.job.has_careful_form:
             b.call(block, arguments)
         elif loud is not None:
             with code.when(loud):

@@ -53,17 +53,29 @@ class Flat:
                     a, b = nodes[k].args
                     made[i] = Node(op, nodes[i].kind, (a, b, other))
                     fused.add(k)
-        self._number(made, ordered(made, sorted(live - fused), ends), ends)
+        self.nodes, self.results = _numbered(made, sorted(live - fused), ends)
 
-    def _number(self, made: Mapping[int, Node], order: Iterable[int], ends: Sequence[int]) -> None:
-        """Take operations that refer to each other by the keys of ``made``."""
-        place: dict[int, int] = {}
-        self.nodes: list[Node] = []
-        for i in order:
-            node = made[i]
-            place[i] = len(self.nodes)
-            self.nodes.append(renamed(node, [place[k] for k in operands(node)]))
-        self.results = [place[i] for i in ends]
+    @classmethod
+    def of(cls, made: Mapping[int, Node], ends: Sequence[int]) -> Flat:
+        """What of operations in order, fused already, is needed for the results ``ends``."""
+        live = set(ends)
+        for i in sorted(made, reverse=True):
+            if i in live:
+                live.update(operands(made[i]))
+        found = cls.__new__(cls)
+        found.nodes, found.results = _numbered(made, sorted(live), ends)
+        return found
+
+    def first(self, n: int) -> Flat:
+        """The same for the first n results alone."""
+        return Flat.of(dict(enumerate(self.nodes)), self.results[:n])
+
+    def in_few_registers(self) -> Flat:
+        """The same in an order in which few results wait."""
+        found = Flat.__new__(Flat)
+        order = ordered(self.nodes, self.results)
+        found.nodes, found.results = _numbered(self.nodes, order, self.results)
+        return found
 
     @staticmethod
     def _product(nodes: list[Node], uses: dict[int, int], i: int) -> tuple[str, int, int] | None:
@@ -96,6 +108,19 @@ class Flat:
         return [n.args for n in self.nodes if n.op == "in"]
 
 
+def _numbered(
+    made: Mapping[int, Node] | Sequence[Node], order: Iterable[int], ends: Sequence[int]
+) -> tuple[list[Node], list[int]]:
+    """(operations, results) in an order; operations refer to each other by the keys of ``made``."""
+    place: dict[int, int] = {}
+    nodes: list[Node] = []
+    for i in order:
+        node = made[i]
+        place[i] = len(nodes)
+        nodes.append(renamed(node, [place[k] for k in operands(node)]))
+    return nodes, [place[i] for i in ends]
+
+
 class Constants:
     """What of some graphs depends on the inputs of one group alone: to be computed once.
 
@@ -112,35 +137,25 @@ class Constants:
     @property
     def flat(self) -> Flat:
         """The graph of the values, in the order of their inputs."""
-        nodes = self._graph.nodes
-        live = set(self._picked)
-        for i in reversed(range(len(nodes))):
-            if i in live:
-                live.update(operands(nodes[i]))
-        found = Flat.__new__(Flat)
-        found._number(dict(enumerate(nodes)), sorted(live), list(self._picked))  # noqa: SLF001
-        return found
+        return Flat.of(dict(enumerate(self._graph.nodes)), list(self._picked))
 
     def without(self, flat: Flat, *, more: bool = True) -> Flat:
         """The rest of a graph; with no ``more`` only what is computed for another one is taken."""
         own = self._own(flat.nodes)
-        made: dict[int, Node] = {}
+        made = dict(enumerate(flat.nodes))
         wanted = set(flat.results)
         for i in reversed(range(len(flat.nodes))):
             if i not in wanted:
                 continue
-            node = flat.nodes[i]
+            node = made[i]
             at = own.get(i)
             if at is not None and node.kind and self._costs[at] >= _WORTH:
                 if more:
                     self._picked.setdefault(at, len(self._picked))
                 if at in self._picked:
-                    node = Node("in", node.kind, (self.name, self._picked[at]))
-            made[i] = node
+                    node = made[i] = Node("in", node.kind, (self.name, self._picked[at]))
             wanted.update(operands(node))
-        found = Flat.__new__(Flat)
-        found._number(made, ordered(made, sorted(made), flat.results), flat.results)  # noqa: SLF001
-        return found
+        return Flat.of(made, flat.results)
 
     def _own(self, nodes: Sequence[Node]) -> dict[int, int]:
         """Which operations are of the group alone: their numbers among all such."""

@@ -15,11 +15,9 @@ from fastatt.flat.nodes import Node, operands
 _REGISTERS = 24
 
 
-def ordered(made: Mapping[int, Node], order: Sequence[int], ends: Iterable[int]) -> list[int]:
-    """The operations ``made``, given in some valid order, in a better one if there is need.
-
-    ``ends`` are those whose results are asked for.
-    """
+def ordered(made: Sequence[Node], ends: Iterable[int]) -> list[int]:
+    """The operations' numbers in a better order, if there is need; ``ends`` are asked for."""
+    order = range(len(made))
     free = {i for i in order if made[i].op in ("const", "in")}
     taken = {i: set(operands(made[i])) - free for i in order}
     kept = set(ends)
