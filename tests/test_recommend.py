@@ -68,19 +68,19 @@ def test_the_tolerance_is_met_by_all_bodies_and_not_by_far(tol):
 
 # which its controller brings to rest at a target: in the end every step is right
 SETTLING = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=fa.torques.QuaternionPD(0.3, 0.5))
-SETTLED = {"t_end": 200.0, "tol": 1e-3, "methods": ["rk4"], "sample": 64}
+SETTLED = {"tol": 1e-3, "methods": ["rk4"], "sample": 64}
 
 
-@pytest.mark.parametrize("n", [40, 200])
-def test_what_settles_is_right_on_the_way(n):
-    """By default; the end alone forgives any step that is stable."""
+@pytest.mark.parametrize(("n", "t_end"), [(200, 200.0), (40, 2e4)])
+def test_what_settles_is_right_on_the_way(n, t_end):
+    """By default, of a long run too; the end alone forgives any step that is stable."""
     q0 = fa.rotation_vector_to_quat(np.random.default_rng(1).uniform(-1.0, 1.0, (n, 3)))
     w0 = 0.02 * W0[:n]
     errors = []
     for at in ("run", "end"):
-        chosen = fa.recommend(SETTLING, q0, w0, at=at, **SETTLED, **DOUBLE)
+        chosen = fa.recommend(SETTLING, q0, w0, t_end=t_end, at=at, **SETTLED, **DOUBLE)
         run = fa.propagate(SETTLING, q0, w0, save_every=1, **chosen.arguments)
-        k = -(-4000 // chosen.n_steps)
+        k = max(3, -(-4000 // chosen.n_steps))
         fine = fa.propagate(
             SETTLING, q0, w0, dt=chosen.dt / k, n_steps=k * chosen.n_steps, save_every=k,
             method="rk8",
@@ -93,20 +93,20 @@ def test_what_settles_is_right_on_the_way(n):
     assert end[-1] <= 1e-3
 
 
-def test_what_settles_is_compared_on_the_way():
+@pytest.mark.parametrize(("t_end", "part"), [(200.0, 1), (102400.0, 512)])
+def test_what_settles_is_compared_on_the_way(t_end, part):
     """Bodies among themselves, and the reference with a finer one, are not judged by the end."""
     q0 = fa.rotation_vector_to_quat(np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3)))
-    problem = Problem(Ensemble(SETTLING, q0, np.zeros((40, 3))), 200.0)
-    coarse, finer = (Case("rk4"), 200), (Case("rk4"), 400)
-    (over, flagged), (end, _) = (
-        sample.changed(problem, at, coarse, finer) for at in ("run", "end")
-    )
+    problem = Problem(Ensemble(SETTLING, q0, np.full((40, 3), 0.05)), t_end)
+    n = int(t_end)
+    two = (Case("rk4"), n), (Case("rk4"), 2 * n)
+    (over, flagged), (end, _) = (sample.changed(problem, at, *two) for at in ("run", "end"))
     assert not flagged
     assert over.max() > 1e-4
     assert end.max() < 1e-9
     known = reference(problem, looks=1024, goal=1e-6)
-    fine = problem.run(Case("rk8"), 6400, 200)
-    apart = fa.angle_between(known.even(32), fine.q[1:]).max()
+    fine = replace(problem, t_end=200.0).run(Case("rk8"), 6400, 200)
+    apart = fa.angle_between(known.even(32, part), fine.q[1:]).max()
     assert apart <= known.own_error.max() <= 1e-6
 
 
@@ -139,6 +139,16 @@ def test_hard_bodies_that_are_few_are_found():
     w0 = 0.1 * W0
     w0[[50, 333, 699]] *= 30.0
     chosen = fa.recommend(GRADIENT, Q0, w0, t_end=T_END, tol=1e-6, methods=["rk8"], sample=64)
+    assert found_error(GRADIENT, w0, chosen) <= 1e-6
+
+
+def test_bodies_are_chosen_where_few_can_be_screened(monkeypatch):
+    """As of long runs: no more than the sample, half of them the fastest of all."""
+    monkeypatch.setattr(sample, "_SCREENING", 0.0)
+    w0 = W0.copy()
+    w0[123] *= 20.0
+    chosen = fa.recommend(GRADIENT, Q0, w0, t_end=T_END, tol=1e-6, methods=["rk8"], sample=256)
+    assert chosen.sampled == 256
     assert found_error(GRADIENT, w0, chosen) <= 1e-6
 
 
@@ -223,6 +233,7 @@ def test_the_interval_of_a_history_may_limit(n):
         fa.propagate(pushed(m), Q0[:64], W0[:64], dt=T_END / k, n_steps=k, method="rk4").q[-1]
         for m, k in ((n, 50 * (n - 1)), (100 * (n - 1) + 1, 50 * (n - 1)))
     ]
+    assert chosen.n_steps % (n - 1) == 0  # a kink within a step costs far more
     assert chosen.limited_by == "sampling"
     assert chosen.sampling_error == pytest.approx(fa.angle_between(*ends).max(), rel=0.5)
     assert "the torque's interval costs" in str(chosen)

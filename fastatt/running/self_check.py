@@ -24,6 +24,8 @@ _SLACK = 0.5
 _LARGE = 0.3
 _STEPS = 2_000_000  # body-steps that the check may take
 _LOOKS = 1024  # times of a run at most
+#: a run too long to be looked at after each step is looked at again over so small a part of it
+EARLY = 8
 
 
 class OrderWarning(UserWarning):
@@ -78,24 +80,25 @@ def examine(
     some = ensemble.take(_sample(ensemble, sample))
 
     looks = _LOOKS if checks.choice("at", at, ("run", "end")) == "run" else 1
-    every = -(-n_steps // looks)
 
-    def divided(by: int) -> Trajectory:
+    def divided(by: int) -> list[Trajectory]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StepWarning)
-            return run(some, dt / by, n_steps * by, every * by)
+            return [
+                run(some, dt / by, n * by, -(-n // looks) * by) for n in beginnings(n_steps, looks)
+            ]
 
-    first = divided(1)
+    first, *early = divided(1)
     declared = order_of(first.record)
     floor = _rounding(first, abs(dt) * n_steps)
-    before = first.q[1:]
+    before = np.concatenate([x.q[1:] for x in (first, *early)])
     changes: list[NDArray[np.float64]] = []
     orders: list[float] = []
     for k in range(1, _HALVINGS + 1):
         n = n_steps * 2**k
         if k > 2 and n * some.size > _STEPS:
             break
-        after = divided(2**k).q[1:]
+        after = np.concatenate([x.q[1:] for x in divided(2**k)])
         changes.append(np.nan_to_num(angle_between(before, after), nan=np.pi).max(axis=0))
         before = after
         if k > 1:
@@ -130,6 +133,17 @@ def examine(
             stacklevel=4,
         )
     return check
+
+
+def beginnings(n: int, looks: int) -> list[int]:
+    """Numbers of steps, of which the last is looked at after each: n, and of its beginnings.
+
+    What decays does so from the beginning; with the end alone to look at, there are none.
+    """
+    found = [n]
+    while found[-1] > looks > 1:
+        found.append(-(-found[-1] // EARLY))
+    return found
 
 
 def _sample(ensemble: Ensemble, size: int) -> NDArray[np.intp]:

@@ -67,7 +67,7 @@ def recommend(
     budget : instead of ``tol``, the longest time that the run may take, s.
     save_interval : s between saves, of which ``t_end`` is a multiple; None for the end alone.
     at : where errors are looked at: over the "run", after each of its steps or, of more than 1024,
-        at so many even times; or at its "end" alone, whatever happened on the way.
+        at so many even times of it and of its beginnings; or at its "end" alone.
     methods : None takes those that are the cheapest somewhere; ``fastatt.methods_for`` lists all.
         Methods of one's own stand beside names.
     representations, dtypes : what to choose from.

@@ -35,9 +35,10 @@ def self_check(
     Takes 3 to some 100 times as long as the run takes on ``sample`` bodies: the step is halved
     twice, and again while the order is below the declared one. Arguments are those of
     :func:`fastatt.propagate`. Results are compared over the "run", after each of its steps or, of
-    more than 1024, at so many even times; with ``at="end"`` at its end alone. The check sees any
-    error of the method that lowers its order, such as a wrong weight or sign or a stale rate; it
-    sees none that a method of the same order for other equations would make.
+    more than 1024, at so many even times of it and of its beginnings; with ``at="end"`` at its end
+    alone. The check sees any error of the method that lowers its order, such as a wrong weight or
+    sign or a stale rate; it sees none that a method of the same order for other equations would
+    make.
 
     Returns
     -------

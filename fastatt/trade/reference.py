@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -20,6 +20,8 @@ from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
 from fastatt.methods import METHODS
 from fastatt.methods.method import FREE
 from fastatt.running.propagate import methods_for
+from fastatt.running.self_check import EARLY, beginnings
+from fastatt.running.trajectory import Trajectory
 from fastatt.trade.measure import Case, Problem, State
 
 # of other families than those run tight; order 4 is extrapolated from a step and its half
@@ -39,16 +41,16 @@ class Reference:
     """Attitudes (S, N, 4) and angular velocities (S, N, 3) at some times, the last at the end.
 
     ``own_error`` (N,) is the most that it may be off by itself at those times, rad; ``source``
-    names it. ``even(k)`` gives the attitudes (k, N, 4) at k even times, if ``k <= looks`` and
-    ``fits(k)``.
+    names it. ``even(k, part)`` gives the attitudes (k, N, 4) at k even times of the first part-th,
+    if ``k <= looks`` and ``fits(k, part)``.
     """
 
     states: State
     source: str
     own_error: NDArray[np.float64]
     looks: int
-    even: Callable[[int], NDArray[Any]] = field(repr=False)
-    fits: Callable[[int], bool] = field(repr=False, default=lambda times: True)
+    even: Callable[[int, int], NDArray[Any]] = field(repr=False)
+    fits: Callable[[int, int], bool] = field(repr=False, default=lambda times, part: True)
 
     @property
     def end(self) -> State:
@@ -56,11 +58,14 @@ class Reference:
         q, w = self.states
         return State(q[-1], None if w is None else w[-1])
 
-    def beside(self, n: int) -> tuple[int, NDArray[Any]]:
-        """Steps from one look to the next of a run in n steps, and the attitudes at the looks."""
+    def beside(self, n: int, part: int = 1) -> tuple[int, NDArray[Any]]:
+        """Steps from one look to the next of a run in n steps, and the attitudes at the looks.
+
+        The run is that of the first part-th of the time.
+        """
         most = min(n, self.looks)
-        times = next(k for k in range(most, 0, -1) if n % k == 0 and (k == 1 or self.fits(k)))
-        return n // times, self.even(times)
+        times = next(k for k in range(most, 0, -1) if n % k == 0 and (k == 1 or self.fits(k, part)))
+        return n // times, self.even(times, part)
 
 
 @dataclass(frozen=True)
@@ -119,11 +124,11 @@ def _closed_form(problem: Problem, looks: int) -> Reference | None:
         return None
     name, solution = found
 
-    def after(times: int) -> State:
-        return solution(problem.t_end * np.arange(1, times + 1) / times)
+    def after(times: int, part: int = 1) -> State:
+        return solution(problem.t_end * np.arange(1, times + 1) / (times * part))
 
     own = 2.0 * _EPS * (1.0 + speeds(problem) * abs(problem.t_end))
-    return Reference(after(looks), name, own, looks, lambda times: after(times).q)
+    return Reference(after(looks), name, own, looks, lambda times, part: after(times, part).q)
 
 
 def _solution(problem: Problem) -> tuple[str, Callable[[NDArray[np.float64]], State]] | None:
@@ -168,21 +173,39 @@ def coning_attitudes(
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
-def _ladder(problem: Problem, method: str, looks: int) -> Iterator[tuple[int, State]]:
-    """States after each step, or at ``looks`` times; with steps halved, as long as they may take.
+def _ladder(problem: Problem, method: str, looks: int) -> Iterator[tuple[int, list[Trajectory]]]:
+    """Runs with steps halved, as long as they may take; saved after each step, or ``looks`` times.
 
-    Each are at the times of those before, and between them where that is not too many.
+    Beside the whole there are its beginnings, of which the shortest was saved after each step. Each
+    are saved at the times of those before, and between them where that is not too many.
     """
     n = max(_LEAST, math.ceil(turns(problem) * 2.0))
-    kinks = intervals(problem)
-    n = -(-n // kinks) * kinks
-    every = -(-n // looks)
+    parts = [EARLY**k for k in range(len(beginnings(n, looks)))]
+    unit = math.lcm(intervals(problem), parts[-1])
+    n = -(-n // unit) * unit
+    every = [-(-n // (part * looks)) for part in parts]
     most = max(4 * n, _WORK / max(problem.ensemble.size, 64))
     while n <= most:
-        run = problem.run(Case(method), n, every)
-        yield n, State(run.q[1:], run.w[1:] if "w" in run.carried else None)
+        yield (
+            n,
+            [
+                replace(problem, t_end=problem.t_end / part).run(Case(method), n // part, stride)
+                for part, stride in zip(parts, every, strict=True)
+            ],
+        )
         n *= 2
-        every *= 1 if n <= looks else 2
+        every = [stride * (1 if n <= looks else 2) for stride in every]
+
+
+def _saved(run: Trajectory) -> State:
+    return State(run.q[1:], run.w[1:] if "w" in run.carried else None)
+
+
+def _apart(coarse: Trajectory, fine: Trajectory) -> NDArray[np.float64]:
+    """How far two runs are apart at most at the saves of the first, (N,), rad."""
+    each = (fine.t.size - 1) // (coarse.t.size - 1)
+    apart = angle_between(coarse.q[1:], fine.q[each::each])
+    return np.asarray(np.nan_to_num(apart, nan=np.pi).max(axis=0))
 
 
 def intervals(problem: Problem) -> int:
@@ -200,38 +223,37 @@ def _tight(problem: Problem, method: str, looks: int, goal: float) -> Reference:
     """Halve the step until what that changes is no more than the goal, or rounding."""
     order = METHODS[method].order
     best: tuple[int, State, NDArray[np.float64]] | None = None
-    before: State | None = None
+    before: list[Trajectory] = []
     change = math.inf
-    for n, state in _ladder(problem, method, looks):
-        if before is not None:
-            each = len(state.q) // len(before.q)
-            q = state.q[each - 1 :: each]
-            apart = np.nan_to_num(angle_between(before.q, q), nan=np.pi).max(axis=0)
+    for n, runs in _ladder(problem, method, looks):
+        if before:
+            pairs = zip(before, runs, strict=True)
+            apart = np.max([_apart(*pair) for pair in pairs], axis=0)
             worst = float(apart.max())
             truncated = apart / (2.0**order - 1.0)
             rounded = worst > 0.25 * change and worst < _SETTLED
             if best is None or worst < change:
-                best = n, state, np.where(rounded, apart, truncated) + _EPS
+                best = n, _saved(runs[0]), np.where(rounded, apart, truncated) + _EPS
                 change = worst
             if rounded or float(truncated.max()) <= goal:
                 break
-        before = state
+        before = runs
     assert best is not None
     steps, states, own = best
-
     kinks = intervals(problem)
 
-    def fine(times: int) -> int:
-        unit = math.lcm(times, kinks)
-        return -(-steps // unit) * unit
+    def fine(times: int, part: int) -> int:
+        unit = math.lcm(times, kinks // math.gcd(kinks, part))
+        return -(-steps // (part * unit)) * unit
 
     @lru_cache(maxsize=4)
-    def even(times: int) -> NDArray[Any]:
-        n = fine(times)
-        return problem.run(Case(method), n, n // times).q[1:]
+    def even(times: int, part: int) -> NDArray[Any]:
+        n = fine(times, part)
+        return replace(problem, t_end=problem.t_end / part).run(Case(method), n, n // times).q[1:]
 
-    def fits(times: int) -> bool:
-        return fine(times) <= _FINER * max(steps, looks)
+    def fits(times: int, part: int) -> bool:
+        aligned = kinks == 1 or kinks % part == 0
+        return aligned and part * fine(times, part) <= _FINER * max(steps, part * looks)
 
     name = f"{method} at {problem.t_end / steps:.4g} s"
     return Reference(states, name, own, looks, even, fits)
@@ -246,8 +268,8 @@ def confirm(problem: Problem, known: Reference, method: str | None = None) -> Co
     order = METHODS[method].order
     best: Confirmation | None = None
     before: State | None = None
-    for n, state in _ladder(problem, method, 1):
-        q, w = state
+    for n, (run,) in _ladder(problem, method, 1):
+        q, w = state = _saved(run)
         name = f"{method} at {problem.t_end / n:.4g} s"
         if order < _HIGH:
             if before is None:

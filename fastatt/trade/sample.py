@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
+from fastatt.running.self_check import EARLY, beginnings
 from fastatt.trade.measure import Case, Problem, best_time
 from fastatt.trade.recommendation import Point
-from fastatt.trade.reference import Reference, reference, speeds
+from fastatt.trade.reference import Reference, intervals, reference, speeds
 
 _BASELINE = Case("rk4")  # which fits every scene
 _SCREENING = 0.3  # s to find the bodies with the largest errors
@@ -61,10 +62,18 @@ def changed(
 
     A run is a case and its number of steps; the other's is a multiple of the one's.
     """
-    every = -(-one[1] // looks_at(at, problem.ensemble.size))
-    runs = [problem.run(case, n, every * (n // one[1])) for case, n in (one, other)]
-    apart = angle_between(runs[0].q[1:], runs[1].q[1:])
-    return np.nan_to_num(apart, nan=np.pi).max(axis=0), bool(runs[0].status.any())
+    looks = looks_at(at, problem.ensemble.size)
+    apart, flagged = np.zeros(problem.ensemble.size), False
+    for n in beginnings(one[1], looks):
+        early = replace(problem, t_end=problem.t_end * n / one[1])
+        every = -(-n // looks)
+        a, b = (
+            early.run(case, n * by, every * by)
+            for case, by in ((one[0], 1), (other[0], other[1] // one[1]))
+        )
+        found = np.nan_to_num(angle_between(a.q[1:], b.q[1:]), nan=np.pi).max(axis=0)
+        apart, flagged = np.maximum(apart, found), flagged or bool(a.status.any())
+    return apart, flagged
 
 
 def looks_at(at: str, size: int) -> int:
@@ -139,7 +148,8 @@ class Sample:
         pool = generator.permutation(n)[: max(size, int(_SCREENING / (3 * steps * pace)))]
         if pool.size < n:
             fastest = self._fastest(generator, pool.size // 2)
-            pool = np.unique(np.concatenate([fastest, pool[: pool.size - fastest.size]]))
+            rest = pool[~np.isin(pool, fastest)]
+            pool = np.concatenate([fastest, rest[: pool.size - fastest.size]])
         problem = replace(self.whole, ensemble=self.whole.ensemble.take(pool))
         if pool.size >= 4 * size:
             hardness, _ = changed(problem, self.at, (_BASELINE, steps), (_BASELINE, 2 * steps))
@@ -203,25 +213,35 @@ class Sample:
         return look.errors[n]
 
     def _error(self, case: Case, n: int) -> float:
-        steps = n // self.divide
-        every, exact = self.known.beside(steps)
-        run = self.problem.run(case, steps, every)
-        apart = angle_between(run.q[1:], exact).max(axis=1)
-        if run.status.any() or not np.isfinite(apart).all():
-            return math.inf
+        steps, part = n // self.divide, 1
+        worst: list[float] = []
         own = float(self.known.own_error.max())
-        end = float(apart.max())
-        if self.divide == 1:
-            return end + own
-        end, middle = (max(x, own) for x in (end, float(apart[: apart.size // 2].max())))
-        grown = float(np.clip(math.log2(end / middle), 1.0, 2.0))
-        return end * math.pow(self.divide, grown)
+        while True:
+            every, exact = self.known.beside(steps // part, part)
+            problem = replace(self.problem, t_end=self.problem.t_end / part)
+            run = problem.run(case, steps // part, every)
+            apart = angle_between(run.q[1:], exact).max(axis=1)
+            if run.status.any() or not np.isfinite(apart).all():
+                return math.inf
+            worst.append(float(apart.max()) + own)
+            if part == 1 and self.divide > 1:
+                end, middle = (max(float(x.max()), own) for x in (apart, apart[: apart.size // 2]))
+                grown = float(np.clip(math.log2(end / middle), 1.0, 2.0))
+                worst = [end * math.pow(self.divide, grown)]
+            # where not every step was looked at, what decays is seen at the beginning
+            part *= EARLY
+            if every == 1 or steps % part or self.at == "end" or not self.known.fits(1, part):
+                return max(worst)
 
     def unit(self, n: float) -> int:
         """What numbers of steps near n are multiples of.
 
-        Saves fall on steps, and so do many of the times that a reference is known at.
+        Saves fall on steps, and so do many of the times that a reference is known at, and the kinks
+        of a history where there are more steps than kinks.
         """
+        kinks = intervals(self.problem)
+        if 1 < kinks <= n / self.divide:
+            return math.lcm(self._unit, kinks * self.divide)
         power = int(math.log2(max(1.0, n / (32.0 * self.divide))))
         return math.lcm(self._unit, self.divide * 2**power)
 
