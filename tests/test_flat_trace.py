@@ -538,6 +538,11 @@ def changes_a_global(x, y):
     return y
 
 
+def changes_an_array(x, y):
+    TABLE[0, 1] = 5.0
+    return y
+
+
 def put(out, x):
     if x > 0.0:
         out[0] += x
@@ -573,6 +578,7 @@ REFUSED = [
     (inner_problem, "a whole number", "return NUMBERS[int(x)]"),
     (asks_what_it_is, "isinstance of a number", "return x if isinstance(x, float)"),
     (changes_a_global, "TypeError: 'tuple' object does not support", "NUMBERS[0] = x"),
+    (changes_an_array, "ValueError: assignment destination is read-only", "TABLE[0, 1] = 5.0"),
     (hands_over_a_list, "TypeError: 'tuple' object does not support", "out[0] += x"),
     (counts, "the statement global", "global factor"),
     (too_many_ways, "more than 256 ways through a function", "def too_many_ways"),

@@ -348,7 +348,7 @@ def mrp_derivative(x, w):
     """¼ ((1 − σ²) w + 2 σ×w + 2 (σ·w) σ), Schaub and Junkins, eq. 3.161."""
     s, d = fa.kernels.vec3.dot(x, x), fa.kernels.vec3.dot(x, w)
     c = fa.kernels.vec3.cross(x, w)
-    return tuple(0.25 * ((1.0 - s) * w[i] + 2.0 * (c[i] + d * x[i])) for i in range(3))
+    return tuple(0.25 * ((1.0 - s) * r + 2.0 * (c[i] + d * x[i])) for i, r in enumerate(w))
 
 
 def mrp_quaternion(x):

@@ -54,6 +54,7 @@ CASES = {
         lambda t: np.array([0.7 * np.cos(1.1 * t + 0.3), 0.7 * np.sin(1.1 * t + 0.3), 0.4]),
     ),
     "slew": (rates.Slew(A, 3.0, 0.2), lambda t: versine(t, A, 3.0, 0.2)),
+    "slew from 0 on": (rates.Slew(A, 3.0), lambda t: versine(t, A, 3.0, 0.0)),
     "sum": (
         rates.Sum((SINES, rates.Polynomial([B, C]), rates.Constant(D))),
         lambda t: A + B * np.sin(C * t + D) + B + C * t + D,
