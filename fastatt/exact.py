@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks, rounding
 from fastatt.flat import formulas, machine
-from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.code import I64, REALS, Code, Int, text_of
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, flattened
 from fastatt.flat.llvm import Emitter
@@ -85,7 +85,7 @@ def _traced(solution: _Solution, kind: str, turned: bool) -> _Traced:
 def _compiled(solution: _Solution, kind: str, turned: bool) -> Any:
     """``closed_form(table, first, last, step_first, step_last)`` of ``_code``."""
     code = _code(_traced(solution, kind, turned), kind, lanes_of(kind))
-    program = machine.compiled(str(code.module))
+    program = machine.compiled(text_of(code.module))
     return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
 

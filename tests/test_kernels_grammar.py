@@ -277,8 +277,8 @@ def test_from_jitted_code_in_both_precisions(name):
     assert set(leaves(narrow)) == {types.float32}
     assert len(leaves(wide)) == len(leaves(narrow)) == len(leaves(double))
     size = max(1.0, *(abs(c) for c in leaves(double)))
-    # inlined or called, the same sums: a fused product or two of difference
-    gap = np.subtract(leaves(kernel(*arguments)), leaves(double))
+    # compiled or not, the same sums: a fused product or two of difference
+    gap = np.subtract(leaves(kernel.py_func(*arguments)), leaves(double))
     assert np.abs(gap).max() <= 4 * np.finfo(np.float64).eps * size
     gap = np.subtract(leaves(single), leaves(double))
     assert np.abs(gap).max() <= 16 * np.finfo(np.float32).eps * size

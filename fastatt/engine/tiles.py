@@ -27,7 +27,7 @@ from llvmlite import ir
 
 from fastatt.engine.layout import ARGUMENTS, BLOCK, WIDTH, Given
 from fastatt.engine.pieces import PACE, Pieces, lanes
-from fastatt.flat.code import I64, Code, Int
+from fastatt.flat.code import I64, Code, Int, text_of
 from fastatt.flat.llvm import Emitter
 from fastatt.flat.machine import processor
 
@@ -55,12 +55,12 @@ class Writer(Pieces):
         if self.formulas.mend is not None:
             self._mend()
         self._tiles()
-        return str(self.module)
+        return text_of(self.module)
 
     def careful(self) -> str:
         """The form of a block that is good for any turn and looks at each."""
         self._block("careful", self.formulas.careful, "every")
-        return str(self.module)
+        return text_of(self.module)
 
     # lanes that the quick form may not do for
 

@@ -18,6 +18,21 @@ BIT = ir.IntType(1)
 REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
+def text_of(module: ir.Module) -> str:
+    """The program's text; the module is taken apart, whose cycles would wait for the collector."""
+    text = str(module)
+    for function in module.functions:
+        for block in function.blocks:
+            for instruction in block.instructions:
+                instruction.operands = ()
+            block.instructions.clear()
+            block.terminator = block.parent = None
+        function.blocks.clear()
+        function.args = ()
+    module.globals.clear()
+    return text
+
+
 class Int:
     """A whole number of 64 bits."""
 

@@ -14,7 +14,7 @@ from llvmlite import ir
 from numpy.typing import NDArray
 
 from fastatt.flat import machine
-from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.code import I64, REALS, Code, Int, text_of
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, flattened
 from fastatt.flat.llvm import Emitter
@@ -102,7 +102,7 @@ class Fold:
 
     @cached_property
     def _compiled(self) -> Any:
-        program = machine.compiled(str(self._code(lanes_of(_DOUBLE)).module))
+        program = machine.compiled(text_of(self._code(lanes_of(_DOUBLE)).module))
         return program.function("fold", ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
     def _code(self, lanes: int) -> Code:

@@ -21,7 +21,7 @@ from numba import config
 from numpy.typing import NDArray
 
 from fastatt.flat import machine
-from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.code import I64, REALS, Code, Int, text_of
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, flattened
 from fastatt.flat.llvm import OPAQUE, Emitter
@@ -167,7 +167,7 @@ class Rows:
     @cached_property
     def _compiled(self) -> Any:
         code = self._code(lanes_of(self.kind))
-        program = machine.compiled(str(code.module))
+        program = machine.compiled(text_of(code.module))
         return program.function("rows", ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
     def _code(self, lanes: int) -> Code:

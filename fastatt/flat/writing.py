@@ -11,7 +11,7 @@ import numpy as np
 from llvmlite import ir
 
 from fastatt.flat import machine
-from fastatt.flat.code import I32, I64, REALS, Code, Int
+from fastatt.flat.code import I32, I64, REALS, Code, Int, text_of
 from fastatt.flat.llvm import OPAQUE, Emitter
 from fastatt.flat.nodes import Node, operands
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
@@ -177,7 +177,7 @@ def _program(traced: Traced, kinds: Sequence[str]) -> str:
     for i, x in enumerate(write(code, traced, given, pointers)):
         code.store(target, i, x if x.type == double else b.fpext(x, double))
     code.give(0)
-    return str(module)
+    return text_of(module)
 
 
 def unpacking(forms: Sequence[Any]) -> Callable[[Any], tuple[float, ...] | None]:

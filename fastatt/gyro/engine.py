@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fastatt.arrays import quat_multiply
 from fastatt.flat import machine
+from fastatt.flat.code import text_of
 from fastatt.gyro.chunk import Job, scratch_size
 from fastatt.gyro.loops import Loops
 from fastatt.gyro.turns import WindowsLoop
@@ -204,7 +205,7 @@ def _scratch(kind: str) -> NDArray[np.uint8]:
 @functools.cache
 def _loops(kind: str) -> dict[str, Any]:
     """The functions of a precision."""
-    made = machine.compiled(str(Loops(kind).module))
+    made = machine.compiled(text_of(Loops(kind).module))
     address, whole = ctypes.c_void_p, ctypes.c_int64
     return {
         "sweep": made.function("sweep", address, address, address, whole, whole),
@@ -222,4 +223,4 @@ def windows(
     ``uneven`` intervals stand in rows, equal ones are one number; ``wide`` takes turns of any
     angle.
     """
-    return machine.compiled(str(WindowsLoop(window, increments, kind, uneven, wide).module))
+    return machine.compiled(text_of(WindowsLoop(window, increments, kind, uneven, wide).module))

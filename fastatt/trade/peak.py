@@ -9,7 +9,7 @@ from time import perf_counter
 from llvmlite import ir
 
 from fastatt.flat import machine
-from fastatt.flat.code import I64, REALS, Code
+from fastatt.flat.code import I64, REALS, Code, text_of
 from fastatt.flat.rows import lanes_of
 
 # enough that no chain waits: two units of a latency of four or five cycles; they fit the registers
@@ -54,7 +54,7 @@ def program(kind: str) -> str:
         total = b_.fadd(total, x)
     code.b.store(total, code.b.bitcast(result, wide.as_pointer()), align=4)
     code.give(0)
-    return str(module)
+    return text_of(module)
 
 
 @cache
