@@ -231,8 +231,8 @@ class Pieces:
         last = given.whole(length) - 1
         with code.lanes(self.width, 1) as j:
             source = (base + j).at_most(last) * n
-            for i in range(n):
-                code.store(rows, j + (at + i * self.width), code.load(pointer, source + i))
+            with code.loop(0, n) as i:
+                code.store(rows, i * self.width + (j + at), code.load(pointer, source + i))
 
     def _save(self) -> None:
         """Hand out the states of a tile after n steps, and how far they left what they keep."""

@@ -135,23 +135,23 @@ class Writer(Pieces):
             code.give(tile)
         self._exchange(code, rows, kept)
         b.call(address, [rows, first.value, last.value, *given.arguments])
-        with code.lanes(self.width, 1) as j, code.when(Int(code, code.load(far, j)) < 1):
-            for i in range(self.formulas.size + 1):
-                code.store(rows, j + i * self.width, code.load(kept, j + i * self.width))
+        with (
+            code.lanes(self.width, 1) as j,
+            code.when(Int(code, code.load(far, j)) < 1),
+            code.loop(0, self.copied.count) as i,
+        ):
+            at = i * self.width + j
+            code.store(rows, at, code.load(kept, at))
 
     def _exchange(self, code: Code, a: Any, c: Any) -> None:
-        for i in range(self.copied.count):
-            with code.lanes(self.width, self.lanes) as j:
-                at = j + i * self.width
-                x, y = code.vector(a, at, self.lanes), code.vector(c, at, self.lanes)
-                code.store_vector(a, at, y)
-                code.store_vector(c, at, x)
+        with code.lanes(self.copied.count * self.width, self.lanes) as at:
+            x, y = code.vector(a, at, self.lanes), code.vector(c, at, self.lanes)
+            code.store_vector(a, at, y)
+            code.store_vector(c, at, x)
 
     def _copy(self, code: Code, a: Any, c: Any) -> None:
-        for i in range(self.copied.count):
-            with code.lanes(self.width, self.lanes) as j:
-                at = j + i * self.width
-                code.store_vector(c, at, code.vector(a, at, self.lanes))
+        with code.lanes(self.copied.count * self.width, self.lanes) as at:
+            code.store_vector(c, at, code.vector(a, at, self.lanes))
 
     def _tiles(self) -> None:
         """Steps [first, last) of tiles; the number of the tile that was not finished."""
@@ -207,8 +207,8 @@ class Writer(Pieces):
         x = given.array("x", self.real.as_pointer())
         with code.loop(0, (bodies - base).at_most(self.width)) as j:
             target = (base + j) * self.formulas.size
-            for i in range(self.formulas.size):
-                code.store(x, target + i, code.load(rows, j + self.rows.offset("x", i)))
+            with code.loop(0, self.formulas.size) as i:
+                code.store(x, target + i, code.load(rows, i * self.width + j))
 
     def _run_block(
         self, code: Code, given: Given, memory: Any, steps: tuple[Int, Int, Int], loud: Any

@@ -178,7 +178,7 @@ def propagate(
             task.Handling(
                 threads,
                 progress and sink is None,
-                _each_once(sink, done) if callable(sink) else sink,
+                _counted(sink, done) if callable(sink) else sink,
                 invalid,
             ),
         )
@@ -201,19 +201,12 @@ def propagate(
     return replace(result, check=seen)
 
 
-def _each_once(
+def _counted(
     sink: Callable[[Trajectory], object], done: Callable[[int], object]
 ) -> Callable[[Trajectory], None]:
-    """A sink of the engine's pieces, all of which begin with the initial save."""
-    begun = False
+    """A sink that tells a bar how many saves it has had."""
 
     def deliver(piece: Trajectory) -> None:
-        nonlocal begun
-        if begun:
-            carried = {name: x[1:] for name, x in piece.carried.items()}
-            rest = {name: getattr(piece, name)[1:] for name in ("t", "state", "defect")}
-            piece = replace(piece, carried=carried, **rest)
-        begun = True
         sink(piece)
         done(piece.t.size)
 

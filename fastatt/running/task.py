@@ -251,7 +251,9 @@ class _Run:
                     span.restore,
                 )  # fmt: skip
                 run(piece, *how)
-                handling.sink(self._handed_out(self.t[slots], slice(len(slots)), damped))
+                # the initial save, with which all pieces begin, is handed out with the first
+                new = slice(min(before, 1), len(slots))
+                handling.sink(self._handed_out(self.t[slots[new]], new, damped))
             last = slice(len(slots) - 1, len(slots))
             result = self._handed_out(self.t[-1:], last, damped)
         if clock.n_steps and not warned:
@@ -342,7 +344,7 @@ def _in_closed_form(
     if sink is None:
         return at(t)
     for slots in few(len(t)):
-        sink(at(t[slots]))
+        sink(at(t[slots[1:] if slots[1:2] > [1] else slots]))
     return at(t[-1:])
 
 
