@@ -105,6 +105,43 @@ THETAS: Mapping[str, float] = {
 }  # fmt: skip
 
 
+# far from where time or angles are counted from
+
+
+def clock(t0: float) -> Callable[[Case], Outcome]:
+    """Cones with numbers of their own, not rounded to the state's precision, from t0 on."""
+
+    def run(case: Case) -> Outcome:
+        frequency = 0.1 / (2.0 * np.sin(0.5 * CONES))
+        q0 = mul(START, cone(CONES, frequency * t0))
+        scene = fa.Scene(rate=fa.rates.Coning(CONES, frequency))
+        got = propagate(case, scene, q0, dt=1.0, n_steps=N_STEPS, t0=t0)
+        end = mul(START, cone(CONES, frequency * (t0 + N_STEPS)))
+        # the time and each phase are rounded, those of the truth too
+        phase = 4.0 * frequency * np.spacing(abs(t0) + N_STEPS)
+        turned = N_STEPS * frequency
+        step = truncation(case, np.full(len(CONES), 0.1))
+        allowed = N_STEPS * step + rounding(case, N_STEPS, turned) + phase
+        return Outcome(angle(got.q[-1], end), allowed, got.status)
+
+    return run
+
+
+def at_once(theta: float) -> Callable[[Case], Outcome]:
+    """One step at a constant rate; of status 0 it is wrong by what 0.1 rad of rounding makes."""
+
+    def run(case: Case) -> Outcome:
+        w = single(AXES * theta)
+        q0 = np.tile(START, (len(w), 1))
+        got = propagate(case, fa.Scene(rate=fa.rates.Constant(w)), q0, dt=1.0, n_steps=1)
+        turn = np.linalg.norm(w, axis=1)
+        step = 0.0 * turn if case.record.exact_for_constant else truncation(case, turn)
+        allowed = np.minimum(step + rounding(case, 1, turn), 0.3)
+        return Outcome(angle(got.q[-1], mul(START, exp(w))), allowed, got.status)
+
+    return run
+
+
 # many steps
 
 

@@ -27,7 +27,16 @@ from extremes.bodies import (
     turning,
 )
 from extremes.cases import ANGLES, Case, Column, Outcome, Table
-from extremes.rates import THETAS, coning, constant, least, long_rates, times
+from extremes.rates import (
+    THETAS,
+    at_once,
+    clock,
+    coning,
+    constant,
+    least,
+    long_rates,
+    times,
+)
 from extremes.samples import sampled
 
 # the tables
@@ -80,6 +89,19 @@ TABLES = (
         "Columns: |w|h; 8 steps on cones with half angles of 0.5, 1 and 2 rad. Error, rad.",
         "rate",
         [Column(name, coning(theta)) for name, theta in THETAS.items()],
+    ),
+    Table(
+        "Far from the epoch",
+        "Columns: t0, s; 8 steps of 1 s on cones at |w|h = 0.1, angles and frequencies each body's "
+        "own. Error, rad.",
+        "rate",
+        [Column(f"{t0:g}", clock(t0)) for t0 in (0.0, -1e4, 1e6, 1.7e9, 1e12)],
+    ),
+    Table(
+        "Turns beyond precision",
+        "Columns: |w|h, one step at a constant rate. Error, rad.",
+        "rate",
+        [Column(f"{theta:g}", at_once(theta)) for theta in (1e3, 1e5, 1e9, 1e14, 1e16, 1e18)],
     ),
     Table(
         "Initial quaternions",
