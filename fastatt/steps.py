@@ -235,7 +235,7 @@ class _Given(Scope):
 
     def narrow(self, h: Any) -> Any:
         """A span in the precision of x."""
-        return CLASSES[self.kind](h)
+        return self.graph.span(CLASSES[self.kind](h))
 
     def made(self, values: Any) -> Vector:
         """Results in the precision of x, those too that are known beforehand."""

@@ -8,6 +8,8 @@ import pytest
 import fastatt as fa
 from fastatt.flat.finished import Constants, Flat
 from fastatt.flat.graph import Graph
+from fastatt.flat.nodes import operands
+from fastatt.running.loop import job_of
 
 N, STEPS, H = 5, 400, 0.01
 ANGLE, OMEGA = np.linspace(0.3, 1.4, N), np.linspace(0.7, 3.1, N)
@@ -104,3 +106,16 @@ def test_a_sine_of_a_parameter_is_taken_once_a_run():
     shown = fa.show_loop(SCENES["coning"], "lie_midpoint")
     before, step = shown.split("for n in range(first, last):")
     assert before.count("rint") == step.count("rint") == 1
+
+
+def test_what_a_torque_makes_of_time_does_not_widen_the_state():
+    """A direction that turns with time is rotated in single precision."""
+    field = fa.torques.Sum((fa.torques.GravityGradient(0.5), fa.torques.Damping(0.02)))
+    job = job_of(fa.Scene(inertia=(2.0, 1.0, 0.7), torque=field), "rk4", "quat", np.float32)
+    flat = job.formulas.quick.noted
+    moving = {i for i, node in enumerate(flat.nodes) if node.args[:1] == ("x",)}
+    for i, node in enumerate(flat.nodes):
+        if moving & set(operands(node)):
+            moving.add(i)
+    assert len(moving) > 100
+    assert {flat.nodes[i].kind for i in moving} <= {"single", ""}

@@ -261,8 +261,8 @@ class Scope:
         return self.graph.inputs(self.kind, group, n)
 
     def number(self, name: str) -> Number:
-        """One number of the state's precision, that all bodies share."""
-        return self.graph.input(self.kind, name)
+        """A span of time in the state's precision, that all bodies share."""
+        return self.graph.span(self.graph.input(self.kind, name))
 
     def state(self) -> Vector:
         """The state that is stepped."""

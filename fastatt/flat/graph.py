@@ -25,8 +25,8 @@ class Graph:
     inputs ("direction", k) are then 1 in lane k and 0 in others.
 
     Where numbers of two precisions meet, the result has the wider one; or, if the graph is
-    ``narrow``, the narrower, but for sums with what is a time (``time``) or made of one. Sines of
-    what is made of a time are narrow too if the graph is ``many``, for many bodies at once.
+    ``narrow``, the narrower, but for sums of what is made of a time (``time``) and a ``span`` of
+    it. Sines of what is made of a time are narrow too if the graph is ``many``, for many bodies.
     """
 
     def __init__(self, lanes: int = 0) -> None:
@@ -36,6 +36,7 @@ class Graph:
         self._known: dict[Node, int] = {}
         self._timed: list[bool] = []
         self._times: set[int] = set()
+        self._spans: set[int] = set()
 
     def add(self, op: str, kind: str, *args: Any) -> int:
         """Number of the operation, made if it was not there."""
@@ -61,6 +62,19 @@ class Graph:
         self._times.add(t.at)
         self._timed.clear()
         return t
+
+    def span(self, h: Number) -> Number:
+        """A number that is a span of time from now on."""
+        self._spans.add(h.at)
+        return h
+
+    def is_span(self, at: int) -> bool:
+        """Whether an operation depends on spans of time and on nothing else."""
+        node = self.nodes[at]
+        return at in self._spans or (
+            node.op == "const"
+            or ((node.op in ("*", "/", "+", "-", "neg")) and all(map(self.is_span, operands(node))))
+        )
 
     def is_timed(self, at: int) -> bool:
         """Whether an operation depends on a time."""
@@ -266,8 +280,10 @@ def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
     like = a if isinstance(a, Number) else b
     a, b = _lifted(a, like), _lifted(b, like)
     if a.kind != b.kind:
-        wide = a if a.kind == "double" else b
-        keeps = not a.graph.narrow or (op in ("+", "-") and a.graph.is_timed(wide.at))
+        graph = a.graph
+        wide, other = (a, b) if a.kind == "double" else (b, a)
+        later = op in ("+", "-") and graph.is_timed(wide.at) and graph.is_span(other.at)
+        keeps = not graph.narrow or later
         kind = Double if keeps else Single
         a, b = kind(a), kind(b)
     return a, b
