@@ -278,12 +278,15 @@ def test_energy_and_momentum_that_leave_their_bound_are_flagged(dtype):
         assert not (run.status & fa.Status.STEP_TOO_LARGE).any()
 
 
-@pytest.mark.parametrize(("dtype", "left"), [("float64", 1e-12), ("float32", 1e-7)])
+@pytest.mark.parametrize(
+    ("dtype", "left", "good"), [("float64", 1e-12, 0.65), ("float32", 1e-7, 0.85)]
+)
 @pytest.mark.parametrize("method", ["dmv2", "dmv6", "dmv10"])
-def test_not_converged_is_said_of_what_did_not_converge(method, dtype, left):
+def test_not_converged_is_said_of_what_did_not_converge(method, dtype, left, good):
     """The discrete step keeps |m| and the energy; where Newton's steps stop they are off by a rest.
 
-    ``left`` is the square of the last change: what another step would still change.
+    ``left`` is the square of the last change: what another step would still change. All bodies
+    converge up to |m|h/I_min of ``good``.
     """
     generator = np.random.default_rng(8)
     n, eps = 400, float(np.finfo(dtype).eps)
@@ -306,7 +309,7 @@ def test_not_converged_is_said_of_what_did_not_converge(method, dtype, left):
         )
         flagged = (run.status & fa.Status.NOT_CONVERGED) != 0
         assert off[~flagged].max() < left + 4.0 * eps
-        assert size > 0.65 or not flagged.any()
+        assert size > good or not flagged.any()
         unfinished.append(off[flagged].max(initial=0.0))
         # and so it is the root that the closed form is near
         fine = run.status == 0
