@@ -264,8 +264,8 @@ def _at_times(
 def turned(w: NDArray[Any], t: NDArray[Any]) -> NDArray[np.float64]:
     """Largest |w| t of each body, rad."""
     with np.errstate(over="ignore", invalid="ignore"):
-        rates = np.linalg.norm(w.astype(np.float64), axis=-1)
-        return np.asarray(rates * np.abs(t).max(initial=0.0))
+        rates = np.asarray(w, dtype=np.float64)
+        return np.asarray(np.sqrt((rates * rates) @ np.ones(3)) * np.abs(t).max(initial=0.0))
 
 
 _States = tuple[NDArray[Any], NDArray[Any]]

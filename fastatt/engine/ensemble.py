@@ -98,6 +98,7 @@ class Arrays:
         self._arrays = {**arrays, "stages": stages}
         formulas = (self.program or self._plain).formulas  # type: ignore[union-attr]
         given = [resources[name] for name in formulas.resources]
+        self.is_timed = formulas.is_timed
         self._resources = resources
         values = [self._address(self._arrays.get(name)) for name in ARRAYS]
         values += [x if isinstance(x, int) else x.ctypes.data for x in given]
@@ -128,12 +129,6 @@ class Arrays:
         array = self._arrays[name]
         assert array is not None
         return len(array)
-
-    @property
-    def is_timed(self) -> bool:
-        """Whether a step depends on the time."""
-        formulas = (self.program or self._plain).formulas  # type: ignore[union-attr]
-        return ("t",) in formulas.quick.noted.inputs()
 
     def run(self, span: Span, first: int, last: int) -> None:
         """Steps of a span on the tiles [first, last)."""

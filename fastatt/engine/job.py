@@ -229,6 +229,11 @@ class Formulas:
                     found["function", node.args[0]] = None
         return list(found)
 
+    @cached_property
+    def is_timed(self) -> bool:
+        """Whether a step depends on the time."""
+        return ("t",) in self.quick.noted.inputs()
+
     @property
     def operations(self) -> int:
         """Floating-point operations of a step's quick form."""

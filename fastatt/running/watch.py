@@ -52,7 +52,8 @@ class Measure:
             raise ValueError(f"percent: found {percent}; accepted: 0 to 100")
         running = self._counts.cumsum(axis=1)
         wanted = np.maximum(np.ceil(share * running[:, -1:]), 1.0)
-        upper = 2.0 ** (np.argmax(running >= wanted, axis=1) + _LOWEST + 1)
+        place = np.argmax(running >= wanted, axis=1)
+        upper = np.where(place < _BINS - 1, 2.0 ** (place + _LOWEST + 1), np.inf)
         return np.asarray(np.minimum(upper, self.maximum))
 
 
