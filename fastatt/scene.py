@@ -204,6 +204,19 @@ class Scene:
 
         The intermediate principal axis may be wanted second, and the position carried.
         """
+        key = sorted_axes, position
+        found = self._shared.get(key) or self._packed(n_bodies, *key)
+        if found.params.ndim == 1:
+            found.params.setflags(write=False)
+            self._shared[key] = found
+        return found
+
+    @cached_property
+    def _shared(self) -> dict[tuple[bool, bool], Packed]:
+        """What was packed of numbers that all bodies share."""
+        return {}
+
+    def _packed(self, n_bodies: int | None, sorted_axes: bool, position: bool) -> Packed:
         packed = (
             self._rate(n_bodies) if self.rate is not None else self._body(n_bodies, sorted_axes)
         )

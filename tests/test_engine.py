@@ -163,6 +163,7 @@ VECTORS = {
     "512": ((), True),
     "256": (("avx512",), True),
     "unfused": (("avx512", "fma", "avx2"), False),
+    "128": (("avx", "fma", "xop", "f16c"), False),
 }
 
 

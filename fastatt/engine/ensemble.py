@@ -123,7 +123,7 @@ class Arrays:
             return 0
         if not array.flags.c_contiguous:
             raise ValueError(f"array of shape {array.shape}: rows that do not follow each other")
-        return int(array.ctypes.data)
+        return int(array.__array_interface__["data"][0])  # a tenth of the time of ctypes
 
     def _rows(self, name: str) -> int:
         array = self._arrays[name]
