@@ -109,7 +109,7 @@ def _is_phase(x: Any) -> bool:
     """Whether an angle grows with time, and its sine is wanted in single precision."""
     if not isinstance(x, Double) or not (x.graph.narrow and x.graph.many):
         return False
-    return x.graph.is_timed(x.at)
+    return x.graph.of_time(x.at)[0]
 
 
 def _quarters(x: Double) -> tuple[Any, Any]:

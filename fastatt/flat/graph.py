@@ -34,9 +34,9 @@ class Graph:
         self.narrow = self.many = False
         self.nodes: list[Node] = []
         self._known: dict[Node, int] = {}
-        self._timed: list[bool] = []
         self._times: set[int] = set()
         self._spans: set[int] = set()
+        self._of_time: list[tuple[bool, bool]] = []
 
     def add(self, op: str, kind: str, *args: Any) -> int:
         """Number of the operation, made if it was not there."""
@@ -59,29 +59,25 @@ class Graph:
 
     def time(self, t: Number) -> Number:
         """A number that is a time from now on."""
-        self._times.add(t.at)
-        self._timed.clear()
-        return t
+        return self._marked(self._times, t)
 
     def span(self, h: Number) -> Number:
         """A number that is a span of time from now on."""
-        self._spans.add(h.at)
-        return h
+        return self._marked(self._spans, h)
 
-    def is_span(self, at: int) -> bool:
-        """Whether an operation depends on spans of time and on nothing else."""
-        node = self.nodes[at]
-        return at in self._spans or (
-            node.op == "const"
-            or ((node.op in ("*", "/", "+", "-", "neg")) and all(map(self.is_span, operands(node))))
-        )
+    def _marked(self, among: set[int], x: Number) -> Number:
+        among.add(x.at)
+        self._of_time.clear()
+        return x
 
-    def is_timed(self, at: int) -> bool:
-        """Whether an operation depends on a time."""
-        for i in range(len(self._timed), at + 1):
-            timed = any(self._timed[k] for k in operands(self.nodes[i]))
-            self._timed.append(timed or i in self._times)
-        return self._timed[at]
+    def of_time(self, at: int) -> tuple[bool, bool]:
+        """Whether an operation depends on a time, and whether on spans of time alone."""
+        for i in range(len(self._of_time), at + 1):
+            parts = [self._of_time[k] for k in operands(self.nodes[i])]
+            timed = i in self._times or any(a for a, _ in parts)
+            span = i in self._spans or self.nodes[i].op == "const"
+            self._of_time.append((timed, span or (bool(parts) and all(b for _, b in parts))))
+        return self._of_time[at]
 
 
 class _Deciding(threading.local):
@@ -282,7 +278,7 @@ def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
     if a.kind != b.kind:
         graph = a.graph
         wide, other = (a, b) if a.kind == "double" else (b, a)
-        later = op in ("+", "-") and graph.is_timed(wide.at) and graph.is_span(other.at)
+        later = op in ("+", "-") and graph.of_time(wide.at)[0] and graph.of_time(other.at)[1]
         keeps = not graph.narrow or later
         kind = Double if keeps else Single
         a, b = kind(a), kind(b)
