@@ -178,7 +178,10 @@ def test_saves_fall_on_the_times_asked_for():
     assert chosen.n_steps == 10 * chosen.save_every
 
 
-def test_a_budget_is_kept_and_used():
+def test_a_budget_is_kept_and_used(monkeypatch):
+    # by a clock of its own: 0.1 ms a call and 5 µs a step, whatever else runs here
+    monkeypatch.setattr(sample.Sample, "_run_steps", lambda self, case, dt, n: 1e-4 + 5e-6 * n)
+    monkeypatch.setattr(search.Search, "_clock", lambda self, look, n: look.seconds(n))
     # of order 2, which no time here brings down to round-off
     small, middle = (
         fa.recommend(CONING, Q0, t_end=T_END, budget=t, methods=["lie_midpoint"], **DOUBLE)
