@@ -98,6 +98,9 @@ def _parser() -> argparse.ArgumentParser:
         "-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z"
     )
     integrate.add_argument("-u", "--unit", choices=("rad/s", "deg/s"), help="unit of the rates")
+    integrate.add_argument(
+        "--time-unit", choices=("s", "ms", "us", "ns"), help="unit of the time stamps"
+    )
     timing = integrate.add_mutually_exclusive_group()
     timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
     timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
@@ -301,6 +304,7 @@ def _integrate(arguments: argparse.Namespace) -> int:
             unit=arguments.unit,
             rate=arguments.rate,
             time_column=arguments.time_column,
+            time_unit=arguments.time_unit,
             progress=done,
         )
     n = len(log.rates)

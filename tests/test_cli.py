@@ -45,6 +45,17 @@ def test_integrate(log, tmp_path, capsys, suffix):
     assert "error of" not in text
 
 
+def test_time_stamps_in_another_unit(tmp_path, capsys):
+    """Nanoseconds without a unit are refused with the option that reads them."""
+    path = tmp_path / "log.csv"
+    rows = "\n".join(f"{5_000_000 * i},0.1,0.2,0.3" for i in range(9))
+    path.write_text(f"time,gyro_x,gyro_y,gyro_z\n{rows}\n", encoding="utf-8")
+    assert main(["integrate", str(path)]) == 2
+    assert "time_unit (" in capsys.readouterr().err
+    assert main(["integrate", str(path), "--time-unit", "ns"]) == 0
+    assert "9 samples at 200 Hz" in capsys.readouterr().out
+
+
 def test_integrate_compares_methods(log, capsys, monkeypatch):
     monkeypatch.setattr(cli, "compare_on_log", partial(compare_on_log, methods=[]))
     assert main(["integrate", str(log[0]), "-m", "coning3", "-r", "100", "--compare"]) == 0

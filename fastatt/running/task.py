@@ -136,7 +136,12 @@ def propagated(
     _check_sink(handling.sink, clock.every)
     t = clock.times()
     if task.choice.method.is_exact:
-        return _in_closed_form(task, start, beside["w0"], kind, t)
+        at = partial(_closed_form, task, start, beside["w0"], kind)
+        if handling.sink is None:
+            return at(t)
+        for slots in few(len(t)):
+            handling.sink(at(t[slots[1:] if slots[1:2] > [1] else slots]))
+        return at(t[-1:])
     return _Run(task, start, beside, kind, t).trajectory()
 
 
@@ -330,22 +335,6 @@ def few(saves: int) -> list[list[int]]:
     return [
         [0, *range(first, min(first + _RING, saves))] for first in range(1, max(saves, 2), _RING)
     ]
-
-
-def _in_closed_form(
-    task: Task,
-    start: NDArray[Any],
-    w0: NDArray[Any],
-    kind: np.dtype[Any],
-    t: NDArray[np.float64],
-) -> Trajectory:
-    at = partial(_closed_form, task, start, w0, kind)
-    sink = task.handling.sink
-    if sink is None:
-        return at(t)
-    for slots in few(len(t)):
-        sink(at(t[slots[1:] if slots[1:2] > [1] else slots]))
-    return at(t[-1:])
 
 
 def _closed_form(
