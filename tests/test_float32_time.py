@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.flat.finished import Constants, Flat
-from fastatt.flat.graph import Graph
 from fastatt.flat.nodes import operands
 from fastatt.running.loop import job_of
 
@@ -76,36 +74,6 @@ def test_a_torque_that_depends_on_time_keeps_its_phase(t0):
     # whole turns in double precision: |t0| OMEGA 2⁻⁵² rad, and an ulp of the time
     clock = 8.0 * OMEGA.max() * np.spacing(max(1.0, abs(t0)))
     assert np.abs(ends[0] - ends[1]).max() < 8.0 * 2.0**-24 * math.sqrt(STEPS) + clock
-
-
-# what a body's own numbers give alone is computed once
-
-
-def test_constants_leave_no_operation_twice_and_no_rounding_changed():
-    graph = Graph()
-    p, x = graph.inputs("double", "p", 2), graph.input("double", "x", 0)
-    alone = (p[0] * p[1] + p[0]) / p[1]
-    both = p[0] * p[1] + x  # fused with what moves: not taken apart
-    flat = Flat(graph, [alone * x + both, alone], "double")
-    constants = Constants("p", "c")
-    rest = constants.without(flat)
-    assert rest.operations < flat.operations
-    assert ("c", 0) in rest.inputs()
-    assert ("x", 0) not in constants.flat.inputs()
-    from fastatt.flat.source import function
-
-    values = {("p", 0): 0.3, ("p", 1): 0.7, ("x", 0): 1.1}
-    (c,) = function(constants.flat)(*(values[name] for name in constants.flat.inputs()))
-    values["c", 0] = c
-    apart = function(rest)(*(values[name] for name in rest.inputs()))
-    whole = function(flat)(*(values[name] for name in flat.inputs()))
-    assert apart == whole
-
-
-def test_a_sine_of_a_parameter_is_taken_once_a_run():
-    shown = fa.show_loop(SCENES["coning"], "lie_midpoint")
-    before, step = shown.split("for n in range(first, last):")
-    assert before.count("rint") == step.count("rint") == 1
 
 
 def test_what_a_torque_makes_of_time_does_not_widen_the_state():
