@@ -37,9 +37,12 @@ _HELD_BY = {
     "running.energy": "angular_momentum kinetic_energy kinetic_energy_symmetric potential_energy",
     "running.limits": "StepWarning",
     "running.loop": "show_loop",
-    "running.propagate": "methods_for propagate propagate_directions",
+    "running.plan": "Plan",
+    "running.choosing": "methods_for",
+    "running.propagate": "plan propagate propagate_directions",
     "running.self_check": "OrderWarning SelfCheck",
-    "running.trajectory": "Status Trajectory",
+    "engine.status": "Status",
+    "running.trajectory": "Trajectory",
     "running.watch": "DriftStatistics watch_drift",
     "scene": "Scene",
     "steps": "single_step",
@@ -52,11 +55,11 @@ _FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in name
 
 __all__ = [
     "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Method", "OrderWarning",
-    "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
+    "Plan", "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
     "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
     "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
     "from_scipy", "integrate_rates", "interchange", "kernels", "kinetic_energy",
-    "kinetic_energy_symmetric", "lie", "methods_for", "potential_energy", "propagate",
+    "kinetic_energy_symmetric", "lie", "methods_for", "plan", "potential_energy", "propagate",
     "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
     "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
     "rotation_vector_to_quat", "self_check", "show_loop", "single_step", "steps", "to_scipy",
@@ -78,12 +81,14 @@ if TYPE_CHECKING:
         rotation_vector_to_quat,
     )
     from fastatt.attitudes import Attitude
+    from fastatt.engine.status import Status
     from fastatt.integrate import integrate_rates
     from fastatt.interchange import from_scipy, to_scipy
     from fastatt.methods import METHODS, Method
     from fastatt.methods.explicit import explicit
     from fastatt.methods.lie import lie
     from fastatt.running.angular_velocity import angular_velocity
+    from fastatt.running.choosing import methods_for
     from fastatt.running.drift import Drift, drift
     from fastatt.running.energy import (
         angular_momentum,
@@ -93,9 +98,10 @@ if TYPE_CHECKING:
     )
     from fastatt.running.limits import StepWarning
     from fastatt.running.loop import show_loop
-    from fastatt.running.propagate import methods_for, propagate, propagate_directions
+    from fastatt.running.plan import Plan
+    from fastatt.running.propagate import plan, propagate, propagate_directions
     from fastatt.running.self_check import OrderWarning, SelfCheck
-    from fastatt.running.trajectory import Status, Trajectory
+    from fastatt.running.trajectory import Trajectory
     from fastatt.running.watch import DriftStatistics, watch_drift
     from fastatt.scene import Scene
     from fastatt.steps import single_step

@@ -38,6 +38,8 @@ def whole(name: str, value: Any, least: int) -> int:
 
 def real(name: str, value: Any, *, zero: bool = True) -> float:
     """A finite number."""
+    if type(value) is float and math.isfinite(value) and (zero or value):
+        return value
     number = any_real(name, value, "a finite number")
     if not math.isfinite(number) or (number == 0.0 and not zero):
         kind = "a finite number" if zero else "a finite number other than 0"

@@ -19,8 +19,17 @@ from fastatt.flat.code import I64, REALS, Code, Int, text_of
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, flattened
 from fastatt.flat.llvm import Emitter
-from fastatt.flat.rows import Table, columns, copy, kind_of, lanes_of, plain, without_compiler
-from fastatt.inertia import EQUAL, is_symmetric, principal
+from fastatt.flat.rows import (
+    Table,
+    address_of,
+    columns,
+    copy,
+    kind_of,
+    lanes_of,
+    plain,
+    without_compiler,
+)
+from fastatt.inertia import EQUAL, Principal, is_symmetric, principal
 from fastatt.threads import in_threads, number_of
 
 #: what is done with numbers of a body that are not finite
@@ -238,27 +247,45 @@ def _at_times(
     body = principal(inertia, None if one_body else n, allow_unphysical=allow_unphysical)
     if one_body and body.moments.ndim == 2:
         one_body, n = False, len(body.moments)
-    if (body.moments < 0.0).any():
-        raise ValueError(
-            f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
-            "form: above 0, though allow_unphysical lets it pass elsewhere"
-        )
+    check_above_zero(body)
     if solution is _SYMMETRIC_TOP:
         _check_symmetric(body.moments)
 
     if text := rounding.of_angles(turned(rates, times), precision):
         rounding.warn(f"t: found turns of {text}")
-    rows = {"q": start, "w": rates, "moments": body.moments, "axes": body.axes}
+    flat = np.require(times.reshape(-1), precision, ["C", "A"])
+    q, w = states(body, (start, rates), flat, n, threads, solution)
+    shape = times.shape if one_body else (*times.shape, n)
+    return q.reshape((*shape, 4)), w.reshape((*shape, 3))
+
+
+def check_above_zero(body: Principal) -> None:
+    """Refuse moments of no body for which there is no closed form."""
+    if (body.moments < 0.0).any():
+        raise ValueError(
+            f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
+            "form: above 0, though allow_unphysical lets it pass elsewhere"
+        )
+
+
+def states(
+    body: Principal,
+    start: tuple[NDArray[Any], NDArray[Any]],
+    t: NDArray[Any],
+    n: int,
+    threads: int,
+    solution: _Solution = _FREE_BODY,
+) -> _States:
+    """q (T, n, 4) and w (T, n, 3) at times (T,), in whose precision all is, looked at before."""
+    rows = {"q": start[0], "w": start[1], "moments": body.moments, "axes": body.axes}
     bodies = {
-        name: np.atleast_2d(np.require(x, precision, ["C", "A"]))
+        name: np.atleast_2d(np.require(x, t.dtype, ["C", "A"]))
         for name, x in rows.items()
         if x is not None
     }
-    flat = np.require(times.reshape(-1), precision, ["C", "A"])
-    q, w = np.empty((flat.size, n, 4), precision), np.empty((flat.size, n, 3), precision)
-    (_in_python if without_compiler() else _run)(solution, bodies, flat, (q, w), threads)
-    shape = times.shape if one_body else (*times.shape, n)
-    return q.reshape((*shape, 4)), w.reshape((*shape, 3))
+    q, w = np.empty((t.size, n, 4), t.dtype), np.empty((t.size, n, 3), t.dtype)
+    (_in_python if without_compiler() else _run)(solution, bodies, t, (q, w), threads)
+    return q, w
 
 
 def turned(w: NDArray[Any], t: NDArray[Any]) -> NDArray[np.float64]:
@@ -288,13 +315,14 @@ def _run(
     entries = [n, size, span, total]
     for name in _GIVEN:
         x = bodies.get(name, t)
-        entries += [x.ctypes.data, x.shape[-1] if len(x) > 1 else 0]
-    table = np.array([*entries, *(x.ctypes.data for x in (t, q, w))], dtype=np.int64)
+        entries += [address_of(x), x.shape[-1] if len(x) > 1 else 0]
+    entries += map(address_of, (t, q, w))
+    table = (ctypes.c_int64 * len(entries))(*entries)
 
     def task(blocks: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:
         def work(stop: Event) -> None:
             if not stop.is_set():
-                closed_form(table.ctypes.data, *blocks, *steps)
+                closed_form(table, *blocks, *steps)
 
         return work
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from fastatt import warming
 from fastatt.methods import METHODS, Method
+from fastatt.running.choosing import fits
 from fastatt.running.loop import job_of
-from fastatt.running.propagate import fits
 from fastatt.torques import Dependence
 
 # how a method's list of scenes is read: name on the command line, in words, as records have it

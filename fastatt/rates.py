@@ -95,8 +95,8 @@ Numbers = NDArray[np.float64]
 class RateRecord(Record):
     """A class of rates: ``formula(t, p)`` and what |w| of parameters p (N, P) is not above."""
 
-    #: ``bound(p, T)``, rad/s, for |t| <= T; None if nothing is known
-    bound: Callable[[Numbers, float], Any] | None = None
+    #: ``bound(p)``, rad/s, at any time; None where there is none
+    bound: Callable[[Numbers], Any] | None = None
     #: whether the rate never changes along its axes
     constant: bool = False
 
@@ -135,51 +135,46 @@ def _polynomial(t: Any, p: Any) -> Any:
     return w
 
 
-def _longest_polynomial(p: Numbers, longest: float) -> Any:
-    powers = np.float64(longest) ** np.arange(p.shape[1] // 3)
-    return sum(lengths(p[:, 3 * k : 3 * k + 3]) * power for k, power in enumerate(powers))
-
-
 def lengths(v: NDArray[Any]) -> Numbers:
     """Of rows (N, 3); a matrix product, since numpy reduces short rows slowly."""
     return np.asarray(np.sqrt((v * v) @ np.ones(3)))
 
 
 _ALL = (
-    RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lambda p, T: lengths(p), constant=True),
-    RateRecord(Polynomial, (Field((-1, 3)),), _polynomial, bound=_longest_polynomial),
+    RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lengths, constant=True),
+    RateRecord(Polynomial, (Field((-1, 3)),), _polynomial),
     RateRecord(
         Sinusoidal, (_VECTOR,) * 4, _sinusoidal,
-        bound=lambda p, T: lengths(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
+        bound=lambda p: lengths(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
     ),
     RateRecord(
         Coning, (Field(),) * 2, _coning,
-        bound=lambda p, T: np.abs(2.0 * p[:, 1] * np.sin(0.5 * p[:, 0])),
+        bound=lambda p: np.abs(2.0 * p[:, 1] * np.sin(0.5 * p[:, 0])),
     ),
     RateRecord(
-        Precession, (Field(),) * 4, _precession, bound=lambda p, T: np.hypot(p[:, 0], p[:, 1])
+        Precession, (Field(),) * 4, _precession, bound=lambda p: np.hypot(p[:, 0], p[:, 1])
     ),
     RateRecord(
         Slew, (_VECTOR, Field(above_zero=True), Field()), _slew,
-        bound=lambda p, T: 2.0 * lengths(p[:, :3]) / p[:, 3],
+        bound=lambda p: 2.0 * lengths(p[:, :3]) / p[:, 3],
     ),
 )  # fmt: skip
 RECORDS: dict[type, RateRecord] = {r.model: r for r in _ALL if r.model is not None}
 USER = RateRecord(None, (), lambda t, p: p)
 
 
-def bound(law: Law, params: Numbers, longest: float) -> Numbers | None:
-    """No less than |w| (rad/s) of each body for |t| <= longest; None of a user's function.
+def bound(law: Law, params: Numbers) -> Numbers | None:
+    """No less than |w| (rad/s) of each body at any time; None where there is no such bound.
 
     ``params`` are flat, (P,) or (N, P).
     """
     p = np.atleast_2d(params)
     if law.record is SUM:
-        parts = [bound(part, own.T, longest) for part, own in law.split(p.T)]
+        parts = [bound(part, own.T) for part, own in law.split(p.T)]
         known = [part for part in parts if part is not None]
         return np.sum(known, axis=0) if len(known) == len(parts) else None
     found = law.record.bound
-    return None if found is None else np.asarray(found(p, longest))
+    return None if found is None else np.asarray(found(p))
 
 
 def is_constant(law: Law) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 #: rad of rounding beyond which a motion in closed form is told to be wrong
 LOST = 0.1
 #: of a step, what the time may be rounded by
-_SHARE = 1e-3
+SHARE = 1e-3
 
 
 class StepWarning(UserWarning):
@@ -50,10 +50,10 @@ def of_angles(angles: NDArray[np.float64], dtype: DTypeLike) -> str:
 def of_times(longest: float, h: float) -> str:
     """What to say of a clock that counts to ``longest`` s in steps of h: "" if it tells them apart.
 
-    A rate that a step resolves is wrong by less than ``_SHARE`` rad of its phase.
+    A rate that a step resolves is wrong by less than ``SHARE`` rad of its phase.
     """
     tick = float(np.spacing(longest))
-    if tick <= _SHARE * abs(h):
+    if tick <= SHARE * abs(h):
         return ""
     return (
         f"t0: at {longest:.6g} s the time is rounded to {tick:.2g} s, of steps of {abs(h):.3g} s: "

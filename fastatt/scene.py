@@ -212,6 +212,11 @@ class Scene:
         return found
 
     @cached_property
+    def memo(self) -> dict[Any, Any]:
+        """What runs found once: methods that fit, plans."""
+        return {}
+
+    @cached_property
     def _shared(self) -> dict[tuple[bool, bool], Packed]:
         """What was packed of numbers that all bodies share."""
         return {}

@@ -26,8 +26,8 @@ from fastatt.flat.functions import larger
 from fastatt.flat.graph import CLASSES, Double, number
 from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.methods import METHODS, Method
-from fastatt.running.propagate import attitude_of, fits, methods_for
-from fastatt.running.task import KINDS
+from fastatt.running.asked import KINDS
+from fastatt.running.choosing import attitude_of, fits, methods_for
 from fastatt.sample_steps import (
     SampleStepper,
     coning2,

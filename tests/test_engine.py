@@ -31,7 +31,7 @@ from numba import njit
 
 import fastatt as fa
 from fastatt.engine import pool
-from fastatt.engine.ensemble import Arrays
+from fastatt.engine.ensemble import Run
 from fastatt.flat.machine import processor
 
 ROOT = Path(fa.__file__).resolve().parents[1]
@@ -371,7 +371,7 @@ def test_program_releases_the_gil(monkeypatch):
 def test_bodies_run_on_several_threads(monkeypatch):
     """Pieces of an ensemble reach the program from as many threads as asked for."""
     seen = set()
-    real = Arrays.run
+    real = Run.part
     barrier = threading.Barrier(2, timeout=20.0)
 
     def watched(*args):
@@ -380,7 +380,7 @@ def test_bodies_run_on_several_threads(monkeypatch):
             barrier.wait()
         real(*args)
 
-    monkeypatch.setattr(Arrays, "run", watched)
+    monkeypatch.setattr(Run, "part", watched)
     bodies = generic(640)
     run(bodies.scene, n=4, q0=np.tile(START, (640, 1)), n_threads=2)
     assert len(seen) == 2
@@ -393,7 +393,7 @@ def test_an_error_in_one_piece_stops_the_run(monkeypatch):
         calls.append(args)
         raise RuntimeError("piece")
 
-    monkeypatch.setattr(Arrays, "run", broken)
+    monkeypatch.setattr(Run, "part", broken)
     bodies = generic(6400)
     with pytest.raises(RuntimeError, match="piece"):
         run(bodies.scene, q0=np.tile(START, (6400, 1)), n_threads=2)

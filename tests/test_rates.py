@@ -85,31 +85,26 @@ def test_polynomial_of_any_degree(degree):
         assert (error <= (degree + 1) * 2 * EPS * size).all()
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [name for name in CASES if name not in ("sum", "polynomial")])
 def test_bound_is_no_less_than_the_rate_and_no_more_than_needed(name):
     model, formula = CASES[name]
     packed = pack(model, None)
     most = max(np.linalg.norm(formula(t)) for t in np.linspace(-2.4, 2.4, 481))
-    (bound,) = rates.bound(packed.law, packed.params, 2.4)
+    (bound,) = rates.bound(packed.law, packed.params)
     assert most * (1.0 - 4 * EPS) <= bound <= 2.0 * most
 
 
-@pytest.mark.parametrize("degree", range(6))
-def test_bound_of_any_polynomial(degree):
-    c = np.random.default_rng(degree).normal(size=(50, degree + 1, 3))
-    packed = pack(rates.Polynomial(c), 50)
-    bound = rates.bound(packed.law, packed.params, 1.7)
-    for t in np.linspace(-1.7, 1.7, 35):
-        w = np.einsum("nki,k->ni", c, t ** np.arange(degree + 1))
-        assert (np.linalg.norm(w, axis=1) <= bound * (1.0 + 4 * EPS)).all()
+def test_no_bound_is_known_of_what_grows_without_end():
+    packed = pack(rates.Polynomial([A, B]), None)
+    assert rates.bound(packed.law, packed.params) is None
 
 
 def test_no_bound_is_known_of_a_users_function():
     given = pack_user(njit(lambda t, p: (p[0], 0.0, t)), "rate", USER, [0.3], None)
-    assert rates.bound(given.law, given.params, 1.0) is None
+    assert rates.bound(given.law, given.params) is None
     constant = pack(rates.Constant(A), None)
     both = Law(SUM, (), (constant.law, given.law))
-    assert rates.bound(both, np.concatenate([A, [0.3]]), 1.0) is None
+    assert rates.bound(both, np.concatenate([A, [0.3]])) is None
 
 
 # attitudes in closed form

@@ -7,26 +7,27 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
 from fastatt.engine.job import Job
-from fastatt.engine.layout import ARRAYS, NUMBERS, packed_ints
+from fastatt.engine.layout import ARRAYS, INTS, NUMBERS
 from fastatt.engine.plain import PlainProgram
 from fastatt.engine.tiles import Writer
 from fastatt.flat.machine import compiled
+from fastatt.flat.rows import address_of
 
 
 @dataclass(frozen=True)
 class Span:
     """What one call of the program does: steps [first, last) of a run of ``n_steps``.
 
-    Saves are every ``save_every`` steps and at the end, the first in slot ``slot`` of the output:
-    1 where slot 0 holds the initial state, else 0. The state is brought back to its group every
-    ``restore`` steps, or never if that is 0.
+    Saves are every ``save_every`` steps from ``origin`` on, with which the run began, and at the
+    end, the first in slot ``slot`` of the output: 1 where slot 0 holds the initial state, else 0.
+    The state is brought back to its group every ``restore`` steps, or never if that is 0.
     """
 
     first: int
@@ -35,6 +36,7 @@ class Span:
     save_every: int
     slot: int
     restore: int = 0
+    origin: int = 0
 
     def part(self, first: int, last: int) -> Span:
         """Some of its steps."""
@@ -79,69 +81,122 @@ def plain_program(job: Job) -> PlainProgram:
     return PlainProgram(job)
 
 
-class Arrays:
-    """The arrays and numbers that a program works on, kept alive as long as it may run."""
+def prepare(job: Job) -> Program | PlainProgram:
+    """What runs a job, compiled if it was not."""
+    return plain_program(job) if config.DISABLE_JIT else program(job)
 
-    def __init__(
-        self,
-        job: Job,
-        arrays: Mapping[str, NDArray[Any] | None],
-        *,
-        t0: float,
-        h: float,
-        resources: Mapping[Any, Any],
-    ) -> None:
-        self._plain = plain_program(job) if config.DISABLE_JIT else None
-        self.program = program(job) if self._plain is None else None
-        stages = np.array(job.method.stages, dtype=np.float64).reshape(-1, 3)
-        edge = 0.5 * stages[-1, 1] * h if len(stages) else 0.0
-        self._arrays = {**arrays, "stages": stages}
-        formulas = (self.program or self._plain).formulas  # type: ignore[union-attr]
-        given = [resources[name] for name in formulas.resources]
-        self.is_timed = formulas.is_timed
+
+class Run:
+    """One run of a job: the arrays and numbers that its program works on.
+
+    ``told`` is, after a call, the largest turn of a step, rad, and whether any body has a flag.
+    """
+
+    def __init__(self, made: Program | PlainProgram, resources: Mapping[Any, Any]) -> None:
         self._resources = resources
-        values = [self._address(self._arrays.get(name)) for name in ARRAYS]
-        values += [x if isinstance(x, int) else x.ctypes.data for x in given]
-        self._addresses = np.array(values, dtype=np.int64)
-        self._named = {"t0": t0, "h": h, "edge": edge}
-        self._numbers = np.array([self._named[name] for name in NUMBERS])
-        self.job = job
-        x, p = self._arrays["x"], self._arrays["p"]
-        assert x is not None
-        assert p is not None
-        self._ints = {
-            "bodies": len(x),
-            "rows_q": self._rows("q0"),
-            "rows_y": self._rows("y0"),
-            "rows_p": len(p),
-            "stages": len(stages),
-        }
+        self._plain = made if isinstance(made, PlainProgram) else None
+        #: whether it runs without a compiler, on arrays that it must be given (``put``)
+        self.is_plain = self._plain is not None
+        self._program = made if isinstance(made, Program) else None
+        formulas = made.formulas
+        self.is_timed = formulas.is_timed
+        self.ints = (ctypes.c_int64 * len(INTS))()
+        self.numbers = (ctypes.c_double * len(NUMBERS))()
+        self.addresses = (ctypes.c_int64 * (len(ARRAYS) + len(formulas.resources)))()
+        self._arrays: dict[str, NDArray[Any]] = {}
+        self._given = [resources[name] for name in formulas.resources]
+        for i, x in enumerate(self._given):
+            self.addresses[len(ARRAYS) + i] = x if isinstance(x, int) else address_of(x)
+        self.told = (ctypes.c_double * 2)()
+        self.addresses[_TOLD] = ctypes.addressof(self.told)
+        given = (self.ints, self.numbers, self.addresses)
+        self._where = tuple(ctypes.addressof(x) for x in given)
+        self._lock = threading.Lock()
 
-    @staticmethod
-    def _address(array: NDArray[Any] | None) -> int:
-        if array is None:
-            return 0
-        if not array.flags.c_contiguous:
-            raise ValueError(f"array of shape {array.shape}: rows that do not follow each other")
-        return int(array.__array_interface__["data"][0])  # a tenth of the time of ctypes
-
-    def _rows(self, name: str) -> int:
-        array = self._arrays[name]
-        assert array is not None
-        return len(array)
-
-    def run(self, span: Span, first: int, last: int) -> None:
-        """Steps of a span on the tiles [first, last)."""
+    def put(self, **arrays: NDArray[Any]) -> None:
+        """Where arrays lie, whose rows follow each other: who calls keeps them alive."""
+        for name, array in arrays.items():
+            self.addresses[_ARRAYS[name]] = address_of(array)
         if self._plain is not None:
-            self._plain.run(self._arrays, self._named, span, (first, last), self._resources)
+            self._arrays.update(arrays)
+
+    def load(
+        self, given: Any, memory: NDArray[np.uint8], offsets: tuple[int, int, int], t0: float
+    ) -> None:
+        """Initial states (q, y, rows of q, rows of y), where results go, and when it begins.
+
+        What is handed out begins in ``memory``, departures and flags at the first two ``offsets``.
+        """
+        q, y, rows_q, rows_y, *_ = given
+        a, ints = self.addresses, self.ints
+        a[_OUT] = at = _at(_byte(cast(Any, memory)))
+        a[_DEFECT], a[_STATUS] = at + offsets[0], at + offsets[1]
+        try:
+            a[_Q0], a[_Y0] = _at(_byte(q)), _at(_byte(y))
+        except (TypeError, ValueError, BufferError):  # read-only or empty
+            a[_Q0], a[_Y0] = address_of(q), address_of(y)
+        ints[_ROWS_Q], ints[_ROWS_Y] = rows_q, rows_y
+        self.numbers[_T0] = t0
+
+    def count(self, **values: int) -> None:
+        """Whole numbers of the program."""
+        for name, value in values.items():
+            self.ints[_INTS[name]] = value
+
+    def name(self, **values: float) -> None:
+        """Numbers of the program."""
+        for name, value in values.items():
+            self.numbers[_NUMBERS[name]] = value
+
+    def __call__(self, tiles: int) -> None:
+        """Steps of the span that the numbers tell on all tiles, in the caller's thread."""
+        if self._program is None:
+            self._slowly(self._span, 0, tiles)
             return
-        assert self.program is not None
-        ints = packed_ints({**self._ints, **span.__dict__})
-        addresses = self._addresses.copy()
-        careful = ARRAYS.index("careful")
-        addresses[careful] = self.program.careful_if_there
-        given = (ints.ctypes.data, self._numbers.ctypes.data, addresses.ctypes.data)
+        self.told[0] = self.told[1] = 0.0
+        first = self._program.tiles(0, tiles, *self._where)
+        while first < tiles:
+            self.addresses[_CAREFUL] = self._program.careful()
+            first = self._program.tiles(first, tiles, *self._where)
+
+    @property
+    def _span(self) -> Span:
+        return Span(*(self.ints[_INTS[name]] for name in Span.__dataclass_fields__))
+
+    def part(self, span: Span, first: int, last: int) -> None:
+        """Steps of a span on the tiles [first, last); several threads may call it at a time."""
+        if self._program is None:
+            self._slowly(span, first, last)
+            return
+        ints = type(self.ints).from_buffer_copy(self.ints)
+        for name, value in span.__dict__.items():
+            ints[_INTS[name]] = value
+        addresses = type(self.addresses).from_buffer_copy(self.addresses)
+        told = (ctypes.c_double * 2)()
+        addresses[_TOLD] = ctypes.addressof(told)
+        addresses[_CAREFUL] = self._program.careful_if_there
+        where = [ctypes.addressof(x) for x in (ints, self.numbers, addresses)]
         while first < last:
-            first = self.program.tiles(first, last, *given)
+            first = self._program.tiles(first, last, *where)
             if first < last:
-                addresses[careful] = self.program.careful()
+                addresses[_CAREFUL] = self._program.careful()
+        with self._lock:
+            self.told[:] = list(map(max, self.told, told))
+
+    def _slowly(self, span: Span, first: int, last: int) -> None:
+        assert self._plain is not None
+        numbers = dict(zip(NUMBERS, self.numbers, strict=True))
+        told = self._plain.run(self._arrays, numbers, span, (first, last), self._resources)
+        with self._lock:
+            self.told[:] = list(map(max, self.told, told))
+
+
+_at, _byte = ctypes.addressof, ctypes.c_char.from_buffer
+_INTS, _NUMBERS, _ARRAYS = (
+    {name: i for i, name in enumerate(names)} for names in (INTS, NUMBERS, ARRAYS)
+)
+_TOLD, _CAREFUL, _Q0, _Y0, _OUT, _DEFECT, _STATUS = (
+    _ARRAYS[name] for name in ("told", "careful", "q0", "y0", "out", "defect", "status")
+)
+_ROWS_Q, _ROWS_Y = (_INTS[name] for name in ("rows_q", "rows_y"))
+_T0 = _NUMBERS["t0"]

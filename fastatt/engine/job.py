@@ -34,7 +34,8 @@ class Job:
     """All that the formulas of a run depend on, none of its numbers.
 
     ``kind`` is the precision of the state, "double" or "single"; ``shared`` says that all bodies
-    have the same parameters, ``known`` that some bodies' turns are known to need no look; ``raw``
+    have the same parameters, ``known`` that turns are known beforehand, so that those of some
+    bodies need no look; ``raw``
     that what is handed out is not brought back to its group, ``mends`` that the state is, now and
     then; ``looks`` switches off what the status costs.
     """
@@ -80,6 +81,11 @@ class Job:
         if self.method.exponentials:
             return self.attitude.bears_witness
         return not self.attitude.has_poles
+
+    @property
+    def bounds(self) -> bool:
+        """Whether a body's turns are known from its own initial state."""
+        return self.known and not isinstance(turning_part(self.structure), GivenRate)
 
     @property
     def look(self) -> str:
@@ -170,7 +176,8 @@ class Formulas:
         t, h = scope.time(), scope.number("h")
         e = scope.prepared(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
-        return scope.finished((*stepped, *e, *scope.invariants(x)))
+        bound = (scope.bound(h, x),) if self.job.bounds else ()
+        return scope.finished((*stepped, *e, *scope.invariants(x), *bound))
 
     @cached_property
     def extras(self) -> int:
@@ -324,6 +331,20 @@ class Scope:
         if steps is None or steps.prepare is None:
             return ()
         return tuple(steps.prepare(self.motion, h, self.parts(x)[0]))
+
+    def bound(self, h: Any, x: Vector) -> Any:
+        """Square of no less than what the method's limit holds for, rad² a step, of a free body."""
+        motion = self.motion
+        assert isinstance(motion, Body)
+        m = motion.momentum_of(self.parts(x)[0])[:3]
+        a, b, c = (k + k for k in motion.half_inverse)
+        if self.job.method.measure == "asymmetry":
+            assert self.job.method.sorted_axes
+            return dot(m, m) * h * h * abs((a - b) * (c - b))
+        most = a * a
+        for k in (b, c):
+            most = choose(k * k > most, k * k, most)
+        return dot(m, m) * h * h * most
 
     def entered(self, t: Any, edge: Any, x: Vector, e: Vector) -> Vector:
         """The state as the method steps it."""

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import numpy as np
 
 from fastatt.flat.code import I64, REALS, Code, Int
 
@@ -15,12 +13,17 @@ WIDTH = 64
 #: the cheapest step with 64 steps, takes 1 % with 256
 BLOCK = 256
 
+#: numbers of bodies and of rows, from save to save in bodies, the span
 INTS = (
-    "bodies", "rows_q", "rows_y", "rows_p", "first", "last", "n_steps", "save_every", "slot",
-    "restore", "stages",
+    "bodies", "rows_q", "rows_y", "rows_p", "rows_known", "rows_flags", "stride", "first", "last",
+    "n_steps", "save_every", "slot", "restore", "origin", "stages",
 )  # fmt: skip
-NUMBERS = ("t0", "h", "edge")
-ARRAYS = ("q0", "y0", "p", "x", "out", "defect", "watch", "quiet", "stages", "careful")
+#: times, and what the status is judged by
+NUMBERS = ("t0", "h", "edge", "quiet", "limit", "norm", "invariant")
+ARRAYS = (
+    "q0", "y0", "p", "known", "flags", "stages", "x", "watch", "out", "defect", "status", "told",
+    "careful",
+)  # fmt: skip
 
 _CHARS = I64.as_pointer()
 #: types of (whole numbers, doubles, addresses), with which every function of a program begins
@@ -48,11 +51,6 @@ class Given:
         at = ARRAYS.index(name) if isinstance(name, str) else len(ARRAYS) + name
         address = self.code.load(self._addresses, at)
         return self.code.b.inttoptr(address, kind)
-
-
-def packed_ints(values: Mapping[str, int]) -> Any:
-    """The whole numbers as an array."""
-    return np.array([values[name] for name in INTS], dtype=np.int64)
 
 
 class Rows:

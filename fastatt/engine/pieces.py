@@ -41,6 +41,7 @@ class Pieces:
             p=own * self.doubles,
             c=len(formulas.constants.results) * self.doubles,
             invariants=formulas.invariants,
+            bound=int(job.known),
             witness=1,
         )
         self.copied = Rows(self.width, x=formulas.size, turn=1)
@@ -211,7 +212,8 @@ class Pieces:
             find = self._inputs(code, given, rows, j, scalars, (done, self.done))
             found = emit.wide(self.formulas.begin, find)
             at = 0
-            for name in ("x", "e", "invariants"):
+            names = ("x", "e", "invariants", *(["bound"] if self.job.bounds else []))
+            for name in names:
                 for i in range(self.rows.sizes[name]):
                     code.store_vector(rows, j + self.rows.offset(name, i), found[at])
                     at += 1
@@ -253,17 +255,18 @@ class Pieces:
         base = Int(code, tile) * self.width
         bodies = given.whole("bodies")
         width = (bodies - base).at_most(self.width)
-        every = given.whole("save_every")
-        number = (steps - 1) // every + given.whole("slot")
-        slot = Int(code, b.select(steps > 0, number.value, code.raw(0)))
+        every, stride = given.whole("save_every"), given.whole("stride")
+        gone = steps - given.whole("origin")
+        number = (gone - 1) // every + given.whole("slot")
+        slot = Int(code, b.select(gone > 0, number.value, code.raw(0)))
         out, defect, watch = (given.array(x, pointer) for x in ("out", "defect", "watch"))
         with code.loop(0, width) as j:
             body = base + j
-            target = (slot * bodies + body) * size
+            target = (slot * stride + body) * size
             for i in range(size):
                 code.store(out, target + i, code.load(done, j + self._handed(i)))
             far = code.load(done, j + self._handed(size))
-            code.store(defect, slot * bodies + body, far)
+            code.store(defect, slot * stride + body, far)
             magnitude = b.call(code.intrinsic("llvm.fabs", self.real), [far])
             self._worse(code, watch, bodies + body, magnitude)
             change = code.load(done, j + self._handed(size + 1))

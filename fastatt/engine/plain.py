@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt.engine.job import Forms, Job
 from fastatt.engine.layout import BLOCK
+from fastatt.engine.status import Status
 from fastatt.flat import source
 from fastatt.flat.finished import Flat
 
@@ -33,13 +34,14 @@ class PlainProgram:
     def run(
         self, arrays: Mapping[str, Any], numbers: Mapping[str, float], span: Any,
         tiles: tuple[int, int], tables: Mapping[Any, Any],
-    ) -> None:  # fmt: skip
-        """Steps of a span on some tiles."""
+    ) -> tuple[float, float]:  # fmt: skip
+        """Steps of a span on some tiles: the largest turn of a step; whether there are flags."""
         width = self.job.width
         first, last = tiles[0] * width, min(tiles[1] * width, len(arrays["x"]))
-        if first < last:
-            with np.errstate(all="ignore"):
-                _PlainRun(self, arrays, numbers, np.arange(first, last), tables).go(span)
+        if first >= last:
+            return 0.0, 0.0
+        with np.errstate(all="ignore"):
+            return _PlainRun(self, arrays, numbers, np.arange(first, last), tables).go(span)
 
     def evaluate(self, flat: Flat, find: Any, tables: Mapping[Any, Any]) -> list[Array]:
         """A graph's results on arrays."""
@@ -66,9 +68,10 @@ class _PlainRun:
         self.rows["p"] = self._columns("p")
         self.rows["y"] = [*self._columns("q0"), *self._columns("y0")]
         self.turn = np.zeros(len(bodies), dtype=self.real)
+        self.loud = np.zeros(len(bodies), dtype=bool)
 
     def _columns(self, name: str) -> list[Array]:
-        array = self.arrays[name]
+        array = np.atleast_2d(self.arrays[name])
         rows = array[np.minimum(self.bodies, len(array) - 1)] if len(array) else array
         return list(rows.T)
 
@@ -91,8 +94,8 @@ class _PlainRun:
     def _time(self, steps: float) -> float:
         return self.numbers["t0"] + steps * self.numbers["h"]
 
-    def go(self, span: Any) -> None:
-        """Steps [first, last) and their saves."""
+    def go(self, span: Any) -> tuple[float, float]:
+        """Steps [first, last) and their saves: the largest turn, and whether there are flags."""
         forms, numbers = self.formulas, self.numbers
         found = self._evaluate(forms.begin, t=numbers["t0"], h=numbers["h"], edge=numbers["edge"])
         sizes = (forms.size, forms.extras, forms.invariants)
@@ -103,11 +106,16 @@ class _PlainRun:
             at += size
         if span.first > 0:
             self.rows["x"] = list(self.arrays["x"][self.bodies].T)
-        if span.first == 0 and (span.slot == 1 or span.n_steps == 0):
-            self._save(span, 0)
+        else:
+            self.arrays["watch"][:, self.bodies] = 0.0
+        if self.job.known:
+            self._listen(span.first == 0, found[-1])
+        if span.first == span.origin and (span.slot == 1 or span.n_steps == span.origin):
+            self._save(span, span.origin)
         n = span.first
         while n < span.last:
-            stop = min(n + BLOCK, span.last, (n // span.save_every + 1) * span.save_every)
+            gone = n - span.origin
+            stop = min(n + BLOCK, span.last, n + span.save_every - gone % span.save_every)
             if span.restore:
                 stop = min(stop, (n // span.restore + 1) * span.restore)
             self._block(n, stop)
@@ -118,9 +126,39 @@ class _PlainRun:
                 *x, far = self._evaluate(forms.mend)
                 self.rows["x"] = list(x)
                 self._worse(1, far)
-            if n % span.save_every == 0 or n == span.n_steps:
+            if (n - span.origin) % span.save_every == 0 or n == span.n_steps:
                 self._save(span, n)
         self.arrays["x"][self.bodies] = np.stack(self.rows["x"], axis=-1)
+        return self._judged()
+
+    def _listen(self, begins: bool, bound: Array) -> None:
+        """Which bodies' turns are not known to be quiet; of the others keep what is known."""
+        if not self.job.bounds:
+            known = self.arrays["known"]
+            bound = np.square(known[np.minimum(self.bodies, len(known) - 1)]).astype(self.real)
+        quiet = bound <= self.real(self.numbers["quiet"] ** 2)
+        self.loud = ~quiet
+        if begins:
+            watch = self.arrays["watch"][0]
+            watch[self.bodies] = np.where(quiet, bound, 0.0)
+
+    def _judged(self) -> tuple[float, float]:
+        square, norm, change = self.arrays["watch"][:, self.bodies]
+        numbers, turn = self.numbers, np.sqrt(square)
+        bad = np.isnan(sum(x * 0.0 for x in self.rows["x"]))
+        large = Status.SINGULAR if self.job.attitude.has_poles else Status.STEP_TOO_LARGE
+        given = self.arrays["flags"]
+        flags = given[np.minimum(self.bodies, len(given) - 1)]
+        for where, flag in (
+            (bad, Status.NON_FINITE),
+            (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
+            ((turn > self.real(numbers["limit"])) & ~np.isinf(turn), large),
+            (~(change <= self.real(numbers["invariant"])) & ~bad, Status.INVARIANT),
+            (~(norm <= self.real(numbers["norm"])) & ~bad, Status.NORM_LOST),
+        ):
+            flags = flags | where * np.uint8(flag)
+        self.arrays["status"][self.bodies] = flags
+        return float(turn.max()), float(flags.any())
 
     def _worse(self, row: int, value: Array) -> None:
         watch = self.arrays["watch"][row]
@@ -129,7 +167,8 @@ class _PlainRun:
         watch[self.bodies] = np.where(keep, before, value)
 
     def _save(self, span: Any, n: int) -> None:
-        slot = (n - 1) // span.save_every + span.slot if n > 0 else 0
+        gone = n - span.origin
+        slot = (gone - 1) // span.save_every + span.slot if gone > 0 else 0
         since = n * self.numbers["h"]
         found = self._evaluate(
             self.formulas.save, t=self._time(n), since=since, edge=self.numbers["edge"]
@@ -147,10 +186,7 @@ class _PlainRun:
         if not self.job.has_careful_form:
             return
         assert self.formulas.careful is not None
-        if self.job.known:
-            far = ~self.arrays["quiet"][self.bodies].astype(bool)
-        else:
-            far = np.greater(self.turn, math.pi**2)
+        far = self.loud if self.job.known else np.greater(self.turn, math.pi**2)
         if not far.any():
             return
         quick, turn = self.rows["x"], self.turn

@@ -5,12 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from threading import Event
+from time import perf_counter
 from typing import Any
 
 from fastatt.engine.layout import BLOCK
-from fastatt.threads import in_threads, progress_bar
+from fastatt.threads import in_threads
 
-_PIECE = 20_000_000  # body-steps between two looks at Ctrl-C: about 0.1 s
+_PIECE = 2_000_000  # body-steps to begin with between two looks at Ctrl-C
+_SECONDS = 0.1  # between two looks
+
+
+class InterruptedRun(KeyboardInterrupt):
+    """Ctrl-C during a run: ``trajectory`` holds what was done.
+
+    Bodies that did not reach the end have the status ``UNFINISHED``, and NaN where they did not get
+    to.
+    """
+
+    #: (first tile, last tile, steps done)
+    reached: list[tuple[int, int, int]]
+    trajectory: Any = None
 
 
 def run_ensemble(
@@ -18,29 +32,40 @@ def run_ensemble(
     span: Any,
     bodies_and_width: tuple[int, int],
     n_threads: int,
-    progress: bool,
+    done: Callable[[int], object] | None = None,
 ) -> None:
-    """All tiles and steps of a span: ``call(span, tile_first, tile_last)``."""
+    """All tiles and steps of a span: ``call(span, tile_first, tile_last)``.
+
+    ``done`` is told of body-steps. Raises ``InterruptedRun`` on Ctrl-C, within a second.
+    """
     n_bodies, width = bodies_and_width
     n_tiles = -(-n_bodies // width)
     pieces = min(n_tiles, max(8 * n_threads if n_threads > 1 else 1, n_tiles // 1024))
     bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
-    with progress_bar(progress, n_bodies * (span.last - span.first), "step") as done:
+    reached = dict.fromkeys(pairwise(bounds), span.first)
 
-        def task(first: int, last: int) -> Callable[[Event], None]:
-            bodies = min(last * width, n_bodies) - first * width
-            steps = max(1, _PIECE // ((last - first) * width * BLOCK)) * BLOCK
+    def task(first: int, last: int) -> Callable[[Event], None]:
+        bodies = min(last * width, n_bodies) - first * width
+        block = (last - first) * width * BLOCK
 
-            def work(stop: Event) -> None:
-                n = span.first
-                while not stop.is_set():
-                    until = min(n + steps, span.last)
-                    call(span.part(n, until), first, last)
+        def work(stop: Event) -> None:
+            n, blocks = span.first, max(1, _PIECE // block)
+            while not stop.is_set():
+                until = min(n + blocks * BLOCK, span.last)
+                begun = perf_counter()
+                call(span.part(n, until), first, last)
+                if done is not None:
                     done((until - n) * bodies)
-                    n = until
-                    if n == span.last:
-                        return
+                n = reached[first, last] = until
+                if n == span.last:
+                    return
+                blocks = max(1, min(2 * blocks, int(blocks * _SECONDS / (perf_counter() - begun))))
 
-            return work
+        return work
 
+    try:
         in_threads([task(a, b) for a, b in pairwise(bounds)], n_threads)
+    except KeyboardInterrupt:
+        stopped = InterruptedRun()
+        stopped.reached = [(a, b, n) for (a, b), n in reached.items()]
+        raise stopped from None

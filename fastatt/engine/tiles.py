@@ -27,7 +27,8 @@ from llvmlite import ir
 
 from fastatt.engine.layout import ARGUMENTS, BLOCK, WIDTH, Given
 from fastatt.engine.pieces import PACE, Pieces, lanes
-from fastatt.flat.code import I64, Code, Int, text_of
+from fastatt.engine.status import Status
+from fastatt.flat.code import I64, REALS, Code, Int, text_of
 from fastatt.flat.llvm import Emitter
 from fastatt.flat.machine import processor
 
@@ -108,18 +109,68 @@ class Writer(Pieces):
             code.set(found, Int(code, b.or_(code.get(found).value, one)))
         return code.get(found) > 0
 
-    def _loud(self, code: Code, given: Given, far: Any, base: Int) -> Any:
-        """Mark lanes whose turns are not known; whether there is any."""
+    def _loud(self, code: Code, given: Given, rows: Any, far: Any, base: Int) -> Any:
+        """Mark lanes whose turns are not known to be quiet; whether there is any.
+
+        Of the others the watch keeps what is known.
+        """
         b = code.b
         found = code.variable(0)
-        quiet = given.array("quiet", _BYTE)
-        last = given.whole("bodies") - 1
+        most = given.number("quiet")
+        watch = given.array("watch", self.real.as_pointer())
+        last, row = given.whole("bodies") - 1, self.rows.offset("bound")
         with code.lanes(self.width, 1) as j:
-            known = code.load(quiet, (base + j).at_most(last))
-            one = b.zext(b.icmp_unsigned("==", known, ir.Constant(known.type, 0)), I64)
+            if self.job.bounds:
+                square = code.load(rows, j + row)
+            else:
+                known = given.array("known", REALS["double"].as_pointer())
+                turn = code.load(known, (base + j).at_most(given.whole("rows_known") - 1))
+                square = self._narrow(code, b.fmul(turn, turn))
+            quiet = b.fcmp_ordered("<=", square, self._narrow(code, b.fmul(most, most)))
+            one = b.zext(b.not_(quiet), I64)
             code.store(far, j, one)
             code.set(found, Int(code, b.or_(code.get(found).value, one)))
+            begins = b.and_(given.whole("first").equals(0), quiet)
+            with code.when(b.and_(begins, (base + j) <= last)):
+                code.store(watch, base + j, square)
         return code.get(found) > 0
+
+    def _judge(self, code: Code, given: Given, rows: Any, at: tuple[Int, Int]) -> None:
+        """The flags of a lane, from its last state and from what the run watched."""
+        b, (j, body) = code.b, at
+        zero = code.real(self.kind, 0.0)
+        spoilt = zero
+        for i in range(self.formulas.size):
+            spoilt = b.fadd(spoilt, b.fmul(code.load(rows, j + i * self.width), zero))
+        bad = b.fcmp_unordered("uno", spoilt, spoilt)
+        watch = given.array("watch", self.real.as_pointer())
+        bodies = given.whole("bodies")
+        square, norm, change = (code.load(watch, bodies * k + body) for k in range(3))
+        turn = b.call(code.intrinsic("llvm.sqrt", self.real), [square])
+        endless = b.fcmp_ordered("==", turn, code.real(self.kind, math.inf))
+        limit, most_off, most_changed = (
+            self._narrow(code, given.number(x)) for x in ("limit", "norm", "invariant")
+        )
+        large = Status.SINGULAR if self.job.attitude.has_poles else Status.STEP_TOO_LARGE
+        well = b.not_(bad)
+        last = given.whole("rows_flags") - 1
+        flags = code.load(given.array("flags", _BYTE), body.at_most(last))
+        for where, flag in (
+            (bad, Status.NON_FINITE),
+            (b.and_(endless, well), Status.NOT_CONVERGED),
+            (b.and_(b.fcmp_ordered(">", turn, limit), b.not_(endless)), large),
+            (b.and_(b.fcmp_unordered(">", change, most_changed), well), Status.INVARIANT),
+            (b.and_(b.fcmp_unordered(">", norm, most_off), well), Status.NORM_LOST),
+        ):
+            bit = b.select(where, ir.Constant(flags.type, int(flag)), ir.Constant(flags.type, 0))
+            flags = b.or_(flags, bit)
+        code.store(given.array("status", _BYTE), body, flags)
+        told = given.array("told", REALS["double"].as_pointer())
+        most = turn if self.kind == "double" else b.fpext(turn, REALS["double"])
+        flagged = b.uitofp(b.icmp_unsigned("!=", flags, ir.Constant(flags.type, 0)), most.type)
+        for i, value in enumerate((most, flagged)):
+            before = code.load(told, i)
+            code.store(told, i, b.select(b.fcmp_ordered(">", value, before), value, before))
 
     def _again(self, code: Code, given: Given, memory: tuple[Any, Any, Any], steps: Any) -> None:
         """Run a block in its careful form from the states kept, and take the marked lanes' results.
@@ -174,25 +225,30 @@ class Writer(Pieces):
         every, restore = given.whole("save_every"), given.whole("restore")
         n_steps, bodies = given.whole("n_steps"), given.whole("bodies")
         b.call(globals_["begin"], [rows, done, tile.value, *args])
-        loud = self._loud(code, given, far, base) if self.job.known else None
+        watch = given.array("watch", self.real.as_pointer())
+        with code.when(first.equals(0)), code.loop(0, (bodies - base).at_most(self.width)) as j:
+            for row in range(3):
+                code.store(watch, bodies * row + (base + j), code.real(self.kind, 0.0))
+        loud = self._loud(code, given, rows, far, base) if self.job.known else None
 
         def save(n: Int) -> None:
             b.call(globals_["save"], [rows, done, tile.value, n.value, *args])
 
-        due = b.or_(given.whole("slot").equals(1), n_steps.equals(0))
-        with code.when(b.and_(first.equals(0), due)):
+        origin = given.whole("origin")
+        due = b.or_(given.whole("slot").equals(1), n_steps.equals(origin))
+        with code.when(b.and_(first.equals(origin), due)):
             save(first)
         at = code.variable(first)
         with code.repeat_while(lambda: code.get(at) < last):
             n = code.get(at)
-            stop = (n + BLOCK).at_most(last).at_most((n // every + 1) * every)
+            stop = (n + BLOCK).at_most(last)
+            stop = stop.at_most(((n - origin) // every + 1) * every + origin)
             if self.formulas.mend is not None:
                 limit = code.variable(stop)
                 with code.when(restore > 0):
                     code.set(limit, stop.at_most((n // restore + 1) * restore))
                 stop = code.get(limit)
             self._run_block(code, given, memory, (tile, n, stop), loud)
-            watch = given.array("watch", self.real.as_pointer())
             with code.loop(0, (bodies - base).at_most(self.width)) as j:
                 turn = code.load(rows, j + self.rows.offset("turn"))
                 before = code.load(watch, base + j)
@@ -202,13 +258,14 @@ class Writer(Pieces):
             if self.formulas.mend is not None:
                 with code.when(restore > 0), code.when((stop % restore).equals(0)):
                     b.call(globals_["mend"], [rows, tile.value, *args])
-            with code.when(b.or_((stop % every).equals(0), stop.equals(n_steps))):
+            with code.when(b.or_(((stop - origin) % every).equals(0), stop.equals(n_steps))):
                 save(stop)
         x = given.array("x", self.real.as_pointer())
         with code.loop(0, (bodies - base).at_most(self.width)) as j:
             target = (base + j) * self.formulas.size
             with code.loop(0, self.formulas.size) as i:
                 code.store(x, target + i, code.load(rows, i * self.width + j))
+            self._judge(code, given, rows, (j, base + j))
 
     def _run_block(
         self, code: Code, given: Given, memory: Any, steps: tuple[Int, Int, Int], loud: Any

@@ -18,7 +18,7 @@ from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.inertia import is_sorted
 from fastatt.integrate import beyond, integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
-from fastatt.running.propagate import method_of, methods_for
+from fastatt.running.choosing import method_of, methods_for
 from fastatt.scene import Packed, Scene, as_scene
 from fastatt.threads import number_of
 

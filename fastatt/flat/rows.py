@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import cached_property
 from itertools import accumulate, pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from llvmlite import ir
@@ -31,6 +31,7 @@ _VECTORS = 4  # of a block
 _UNROLLED = 16  # columns that are copied without a loop
 _PIECE = 1 << 16  # rows between two looks at Ctrl-C
 _SMALL = 1 << 14  # rows that are not worth a thread
+_BYTE = ctypes.c_char
 
 Array = NDArray[Any]
 #: numbers in a row; None of an array that has one number a row, without an axis for it
@@ -299,7 +300,12 @@ def resources_of(flat: Flat) -> list[tuple[str, Any]]:
 
 def address_of(x: Array) -> int:
     """Where an array's first number lies."""
-    return int(x.__array_interface__["data"][0])
+    try:
+        return ctypes.addressof(
+            _BYTE.from_buffer(cast(Any, x))
+        )  # a quarter of the time of the other
+    except (TypeError, ValueError, BufferError):  # read-only, empty, or with gaps
+        return int(x.__array_interface__["data"][0])
 
 
 def addresses(resources: Sequence[tuple[str, Any]], tables: Mapping[int, Array]) -> list[int]:

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding, torques
-from fastatt.attitudes import Attitude
 from fastatt.methods.method import Method
 from fastatt.motion import GivenRate, turning_part
 from fastatt.rates import bound, lengths
 from fastatt.rounding import StepWarning
 from fastatt.running.energy import angular_momentum
-from fastatt.running.trajectory import Status
 from fastatt.scene import Packed, Scene
 
 # |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
@@ -65,34 +63,23 @@ def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(lengths(angular_momentum(rates, given)) / least)
 
 
-def known_turns(
-    scene: Scene,
-    choice: Any,
-    packed: Packed,
-    w: NDArray[Any] | None,
-    first: NDArray[np.float64] | None,
-    clock: Any,
-) -> NDArray[np.float64] | None:
-    """No less than what the method's limit holds for, rad a step, of each body; None if unknown.
+def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64] | float | None:
+    """Whether turns are known beforehand: rates (rad/s) of each body that they never exceed, or 0.
 
-    Known are rates by their model and free bodies by their momentum; ``first`` is the first step's.
-    Coordinates have poles; of rk8's twelve stages the look is 1 %, and not worth a second program.
-    ``choice`` and ``clock`` are those of a run.
+    0 of free bodies, whose own initial momentum says it; None where nothing does. Coordinates have
+    poles; of rk8's twelve stages the look is 1 %, and not worth a second program. ``choice`` is
+    that of a run.
     """
     method: Method = choice.method
-    if choice.attitude.has_poles or (method.rate_calls > _STAGES and not method.stages):
+    if not choice.looks or choice.attitude.has_poles:
+        return None
+    if method.rate_calls > _STAGES and not method.stages:
         return None
     turning = turning_part(packed.structure)
-    with np.errstate(over="ignore", invalid="ignore"):
-        if isinstance(turning, GivenRate):
-            params = packed.params[..., : turning.n_params]
-            rates = bound(turning.law, params, clock.longest)
-            return None if rates is None else rates * abs(clock.h)
-        if scene.kind == "torqued" or w is None:
-            return None
-        if method.measure != "turn":
-            return first
-        return np.asarray(_fastest(scene, w) * abs(clock.h))
+    if isinstance(turning, GivenRate):
+        with np.errstate(over="ignore", invalid="ignore"):
+            return bound(turning.law, packed.params[..., : turning.n_params])
+    return None if scene.kind == "torqued" else 0.0
 
 
 def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
@@ -111,49 +98,6 @@ def decay(scene: Scene, h: float) -> NDArray[np.float64]:
         return np.zeros(1)
     with np.errstate(over="ignore"):
         return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
-
-
-def status(
-    x: NDArray[Any],
-    watch: NDArray[Any],
-    damped: NDArray[np.float64],
-    limit: float,
-    method: Method,
-    attitude: Attitude,
-) -> NDArray[np.uint8]:
-    """The flags of each body, from its last state and from what the run watched."""
-    bound = math.inf if attitude.restore is None else NORM_BOUND[x.dtype]
-    turn, norm, invariant = watch
-    found = np.zeros(turn.shape, dtype=np.uint8)
-    if _all_well(x, watch, limit, bound) and not (damped > method.damping_limit).any():
-        return found
-    # 0 times infinity is NaN; a matrix product is 8 times as fast as a reduction of short rows
-    with np.errstate(invalid="ignore"):
-        bad = np.isnan(x @ np.zeros(x.shape[1], dtype=x.dtype))
-    large = Status.SINGULAR if attitude.has_poles else Status.STEP_TOO_LARGE
-    for where, flag in (
-        (bad, Status.NON_FINITE),
-        (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
-        ((np.sqrt(turn) > limit) & np.isfinite(turn), large),
-        (np.broadcast_to(damped > method.damping_limit, turn.shape), Status.STEP_TOO_LARGE),
-        (~(invariant <= INVARIANT_BOUND) & ~bad, Status.INVARIANT),
-        (~(norm <= bound) & ~bad, Status.NORM_LOST),
-    ):
-        found[where] |= np.uint8(flag)
-    return found
-
-
-def _all_well(x: NDArray[Any], watch: NDArray[Any], limit: float, bound: float) -> bool:
-    """Whether no body has a flag of its own: a third of the time of asking for each flag."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        turn, norm, invariant = watch.max(axis=-1) if watch.size else np.zeros(3, watch.dtype)
-        return bool(
-            np.isfinite(x.sum())
-            and np.isfinite(turn)
-            and np.sqrt(turn) <= limit
-            and norm <= bound
-            and invariant <= INVARIANT_BOUND
-        )
 
 
 def warn(
@@ -205,7 +149,6 @@ __all__ = [
     "first_step",
     "known_turns",
     "quiet_up_to",
-    "status",
     "turn_limit",
     "warn",
 ]

@@ -13,8 +13,8 @@ from fastatt.engine.job import Job
 from fastatt.engine.layout import WIDTH
 from fastatt.flat import source
 from fastatt.methods import Method
-from fastatt.running.propagate import attitude_of, default_method, method_of
-from fastatt.running.task import KINDS
+from fastatt.running.asked import KINDS
+from fastatt.running.choosing import attitude_of, default_method, method_of
 from fastatt.scene import Scene, as_scene
 
 _LEGEND = {

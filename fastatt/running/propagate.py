@@ -2,78 +2,38 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks, exact
-from fastatt.attitudes import ATTITUDES, COMPENSATED, DIRECTION, QUATERNION, Attitude
+from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
-from fastatt.running import task
+from fastatt.running.asked import Choice, Clock, Handling
+from fastatt.running.carry_out import Wanted, carry_out
+from fastatt.running.choosing import DEFAULTS, chosen, method_of
 from fastatt.running.ensemble import Ensemble
+from fastatt.running.initial import Given, initial
+from fastatt.running.plan import LONG, Plan
+from fastatt.running.resume import end_of
 from fastatt.running.self_check import SelfCheck, examine
 from fastatt.running.trajectory import Trajectory
 from fastatt.scene import Scene, as_scene
-from fastatt.threads import number_of, progress_bar
-from fastatt.torques import Dependence
+from fastatt.threads import number_of
 
-# in this order, the first that fits the scene and the representation
-_DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
-# steps between two looks at the norm of a compensated state
-_RESTORE = 64
 # body-steps, 2 ms of the slowest, that one thread takes no longer than several do
 _SHORT = 65_536
 
 
-def methods_for(scene: Scene, representation: str | Attitude | None = None) -> list[str]:
-    """Names of the methods that fit a scene and a representation, by name or one's own.
-
-    Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
-    """
-    as_scene(scene)
-    if representation is not None:
-        representation = attitude_of(representation)
-    return [m.name for m in METHODS.values() if fits(m, scene, representation)]
-
-
-def default_method(scene: Scene, representation: str | Attitude) -> str:
-    """The first of magnus4, exact, rk8 and rk4 that fits, else of all.
-
-    Raises ``ValueError`` where none does.
-    """
-    fitting = methods_for(scene, representation)
-    if not fitting:
-        raise ValueError(
-            f"representation: found {_name_of(representation)}, for which no method takes this "
-            f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
-        )
-    return next((name for name in _DEFAULTS if name in fitting), fitting[0])
-
-
-def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
-    """Whether a method takes a scene, in a representation, by name or one's own."""
-    if isinstance(representation, Attitude):
-        representation = _known_as(representation)
-    return (
-        scene.kind in method.scenes
-        and (representation is None or method.stores(representation))
-        and (scene.kind != "torqued" or _takes(method, scene))
-        and (method.translates or not scene.moves)
-    )
-
-
-def _takes(method: Method, scene: Scene) -> bool:
-    if method.takes is Dependence.RATE:
-        return True
-    return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
-
-
 def propagate(
     scene: Scene,
-    q0: ArrayLike,
+    q0: ArrayLike | None = None,
     w0: ArrayLike | None = None,
     *,
     v0: ArrayLike | None = None,
@@ -93,6 +53,10 @@ def propagate(
     sink: Callable[[Trajectory], object] | None = None,
     check: int = 0,
     looks: bool = True,
+    out: str | os.PathLike[str] | None = None,
+    resume: Trajectory | str | os.PathLike[str] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resumable: bool | None = None,
 ) -> Trajectory:
     """Propagate one attitude or an ensemble with a fixed step.
 
@@ -133,6 +97,14 @@ def propagate(
         ``check`` is what was found.
     looks : look at how far each step turns. Without, steps past a method's limit and turns beyond
         π go unseen: for measuring what the looks cost.
+    out : with ``save_every``, a file that the saves go to, 16 at a time: ``*.npy``, mapped into
+        memory in the trajectory, or ``*.zarr``; (S, N, k), attitudes, then w, v and r.
+    resume : a trajectory, or a file of ``Trajectory.save_end``, where this run goes on, to the same
+        bits as without an end between; initial values, ``t0``, method and scene are its own, and
+        saves are counted from there.
+    checkpoint : a file that the run's end so far is written to every ten seconds, whole or not at
+        all. Where it exists the run goes on from there: the same call again, after a crash.
+    resumable : whether the trajectory holds what ``resume`` needs; None: of up to 262144 bodies.
 
     Returns
     -------
@@ -146,51 +118,53 @@ def propagate(
     -----
     StepWarning : steps beyond the method's limits, or too small for the precision.
     OrderWarning : with ``check``, an order below the declared one by more than 0.5.
+
+    On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
-    attitude = attitude_of(representation)
-    record = method_of(scene, method or default_method(scene, attitude), attitude)
+    as_scene(scene)
+    end = None if resume is None else end_of(resume)
+    if end is not None:
+        method, compensated = method or end.about["method"], end.about["compensated"]
+    choice = chosen(scene, method, representation, compensated, normalise, looks)
     flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
-    if compensated:
-        attitude = _compensated(record, attitude)
-    restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    start = checks.attitudes("q0", q0, flag=flag)
-    carried = _initial(scene, w0, v0, r0, flag)
-    rows = {name: len(value) for name, value in carried.items() if value.ndim == 2}
-    if start.ndim == 2:
-        rows["q0"] = len(start)
-    if len(set(rows.values()) - {1}) > 1:
-        found = ", ".join(f"{name} {n}" for name, n in rows.items())
-        raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of bodies")
     sample = checks.whole("check", check, 0)
-    if sample and flag:
-        raise ValueError('check: found with invalid "flag"; accepted with "raise"')
-    clock = task.Clock.of(dt, n_steps, save_every, t0)
-    kind = checks.precision(dtype, *[x for x in (q0, w0, v0, r0) if x is not None])
-    threads = threads_of(n_threads, max(rows.values(), default=1), clock.n_steps)
-    # with a sink the engine's runs are many, the bar is one
-    with progress_bar(progress and callable(sink), len(clock.saved), "save") as done:
-        wanted = task.Task(
-            scene,
-            task.Choice(record, attitude, restore, normalise == "never", looks),
-            clock,
-            task.Handling(
-                threads,
-                progress and sink is None,
-                _counted(sink, done) if callable(sink) else sink,
-                invalid,
-            ),
-        )
-        result = task.propagated(wanted, start, carried, kind)
+    if sample and (flag or end is not None):
+        raise ValueError('check: found with invalid "flag" or resume; accepted without')
+    clock = Clock.of(dt, n_steps, save_every, 0 if end is None else end.done)
+    begin = checks.real("t0", t0)
+    values, position = (q0, w0, v0, r0), r0 is not None
+    if end is None:
+        start, beside = initial(scene, values, flag=True)
+        given = Given.of(start, beside, checks.precision(dtype, *values))
+    else:
+        _check_none(values, begin)
+        given, begin, position = end.given, end.t0, bool(end.about["r0"])
+    _check_sink(sink, out, clock.every)
+    steps = max(given.rows_q, given.rows_y) * clock.n_steps
+    # a look at the initial values only if a body is flagged
+    late = steps <= LONG and sink is None and end is None
+    if end is None and not (flag or late):
+        initial(scene, values, flag=False)
+    handling = Handling(
+        threads_of(n_threads, 1, steps),
+        sink=sink,
+        invalid=invalid,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+    )
+    wanted = Wanted(
+        scene, choice, clock, given, begin, handling, position, progress, out, end, resumable
+    )
+    result = carry_out(wanted)
+    if late and not flag and result.has_flags:
+        initial(scene, values, flag=False)
     if not sample:
         return result
     seen = check_order(
-        Ensemble.of(scene, q0, w0, v0, r0),
+        Ensemble.of(scene, start, w0, v0, r0),
         dt,
         n_steps,
         sample,
-        method=record,
+        method=choice.method,
         representation=representation,
         dtype=dtype,
         n_threads=n_threads,
@@ -201,16 +175,65 @@ def propagate(
     return replace(result, check=seen)
 
 
-def _counted(
-    sink: Callable[[Trajectory], object], done: Callable[[int], object]
-) -> Callable[[Trajectory], None]:
-    """A sink that tells a bar how many saves it has had."""
+def plan(
+    scene: Scene,
+    n_bodies: int,
+    *,
+    dt: float,
+    n_steps: int,
+    method: str | Method | None = None,
+    representation: str | Attitude = "quat",
+    save_every: int | None = None,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    compensated: bool = False,
+    normalise: str | int = "output",
+    invalid: str = "raise",
+    position: bool = False,
+    looks: bool = True,
+) -> Plan:
+    """A run to be made many times: all is checked, laid out and compiled now, once.
 
-    def deliver(piece: Trajectory) -> None:
-        sink(piece)
-        done(piece.t.size)
+    ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some microseconds
+    besides the steps. ``position`` says that positions r0 will be given, of a scene with mass; the
+    other arguments are those of ``propagate``, ``dtype`` None being float64. A plan can be pickled
+    and copied, and called by several threads at a time.
 
-    return deliver
+    Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> step = fa.plan(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), 1, dt=0.01, n_steps=1, method="rk4")
+    >>> run = step([1, 0, 0, 0], [0.1, 0.2, 0.3])
+    >>> run = step(run.q[-1], run.w[-1], t0=0.01)
+    >>> run.t
+    array([0.02])
+    """
+    as_scene(scene)
+    bodies = checks.whole("n_bodies", n_bodies, 1)
+    if position and not scene.moves:
+        raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
+    choice = chosen(scene, method, representation, compensated, normalise, looks)
+    clock = Clock.of(dt, n_steps, save_every)
+    checks.choice("invalid", invalid, exact.INVALID)
+    known = METHODS.get(choice.method.name) is choice.method
+    options: dict[str, Any] = {
+        "dt": dt, "n_steps": n_steps, "save_every": save_every, "representation": representation,
+        "method": choice.method.name if known else method,
+        "dtype": dtype, "n_threads": n_threads, "compensated": compensated, "invalid": invalid,
+        "normalise": normalise, "position": position, "looks": looks,
+    }  # fmt: skip
+    return Plan(
+        scene,
+        bodies,
+        choice,
+        clock,
+        checks.precision(dtype),
+        position=position,
+        handling=Handling(threads_of(n_threads, bodies, clock.n_steps), invalid=invalid),
+        asked=(partial(plan, scene, bodies, **options), ()),
+    )
 
 
 def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
@@ -243,90 +266,21 @@ def check_order(
     )
 
 
-def attitude_of(representation: str | Attitude) -> Attitude:
-    """The representation of a name, or one's own."""
-    if isinstance(representation, Attitude):
-        return representation
-    return ATTITUDES[checks.choice("representation", representation, ATTITUDES)]
+def _check_sink(sink: Any, out: Any, every: int | None) -> None:
+    if sink is not None and not callable(sink):
+        raise TypeError(f"sink: found {checks.brief(sink)}; accepted: a function")
+    for name, value in (("sink", sink), ("out", out)):
+        if value is not None and every is None:
+            raise ValueError(f"{name}: found without save_every; accepted: with it")
 
 
-def _known_as(attitude: Attitude) -> str | Attitude:
-    """The name of a representation of the library's; one's own itself."""
-    return attitude.name if ATTITUDES.get(attitude.name) is attitude else attitude
-
-
-def _name_of(representation: str | Attitude) -> str:
-    return representation if isinstance(representation, str) else representation.name
-
-
-def method_of(scene: Scene, method: str | Method, representation: str | Attitude) -> Method:
-    """The method of a name, or one's own, that fits a scene in a representation.
-
-    Raises ``ValueError`` for one that does not, with those that do.
-    """
-    if isinstance(method, Method):
-        if fits(method, scene, representation):
-            return method
-        raise ValueError(
-            f"method: found {method.name}, for {', '.join(method.scenes)} in "
-            f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
-            f'"{_name_of(representation)}": {", ".join(methods_for(scene, representation))}'
-        )
-    # anything may come, and a list has no hash
-    found = METHODS.get(method) if isinstance(method, str) else None  # type: ignore[redundant-expr]
-    if found is not None and fits(found, scene, representation):
-        return found
-    checks.choice("method", method, methods_for(scene))
-    checks.choice(
-        f'method for representation "{_name_of(representation)}"',
-        method,
-        methods_for(scene, representation),
-    )
-    return METHODS[method]
-
-
-def _compensated(method: Method, attitude: Attitude) -> Attitude:
-    if attitude is not QUATERNION:
-        raise ValueError(
-            f'compensated: found with representation "{attitude.name}"; accepted with "quat"'
-        )
-    if not method.compensates:
-        able = ", ".join(m.name for m in METHODS.values() if m.compensates)
-        raise ValueError(f"compensated: found with method {method.name}; accepted with {able}")
-    return COMPENSATED
-
-
-def _restore(normalise: str | int) -> int:
-    """Steps between two returns to the group, 0 for none."""
-    if isinstance(normalise, str):
-        checks.choice("normalise", normalise, ("output", "never"))
-        return 0
-    return checks.whole("normalise", normalise, 1)
-
-
-def _initial(
-    scene: Scene,
-    w0: ArrayLike | None,
-    v0: ArrayLike | None,
-    r0: ArrayLike | None,
-    flag: bool,
-) -> dict[str, NDArray[Any]]:
-    """What is carried beside the attitude, in the order of the state."""
-    has_inertia = scene.kind != "rate"
-    found = {}
-    for name, value, wanted, needed, unit in (
-        ("w0", w0, has_inertia, True, "with inertia needs (3,) or (N, 3), rad/s"),
-        ("v0", v0, scene.moves, True, "with mass needs (3,) or (N, 3), m/s"),
-        ("r0", r0, scene.moves, False, "with mass takes (3,) or (N, 3), m"),
-    ):
-        if value is not None and not wanted:
-            raise ValueError(f"{name}: found, but this scene has none; a scene {unit}")
-        if value is None and wanted and needed:
-            raise ValueError(f"{name}: is missing; a scene {unit}")
+def _check_none(values: tuple[Any, ...], t0: float) -> None:
+    """Initial values come from the run that is resumed."""
+    for name, value in zip(("q0", "w0", "v0", "r0"), values, strict=True):
         if value is not None:
-            look = checks.array_any if flag else checks.array
-            found[name] = look(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
-    return found
+            raise ValueError(f"{name}: found with resume; accepted: one of them")
+    if t0:
+        raise ValueError(f"t0: found {t0} with resume; accepted: one of them")
 
 
 def propagate_directions(
@@ -355,14 +309,16 @@ def propagate_directions(
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
     if scene.kind != "rate" or scene.moves:
         raise ValueError("scene: found inertia or mass; accepted: a scene with a rate alone")
-    record = method_of(scene, method or _DEFAULTS[0], "quat")
+    record = method_of(scene, method or DEFAULTS[0], "quat")
     v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)", [(3,), (-1, 3), (-1, -1, 3)])
-    wanted = task.Task(
+    given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
+    plan = Plan(
         scene,
-        task.Choice(record, DIRECTION),
-        task.Clock.of(dt, n_steps, save_every, t0),
-        task.Handling(number_of(n_threads)),
+        given.rows_q,
+        Choice(record, DIRECTION),
+        Clock.of(dt, n_steps, save_every),
+        given.q.dtype,
         rows_each=v.shape[1] if v.ndim == 3 else 1,
     )
-    flat = task.propagated(wanted, v.reshape(-1, 3), {}, checks.precision(dtype, v0))
+    flat = plan.run(given, checks.real("t0", t0), handling=Handling(number_of(n_threads)))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))

@@ -2,40 +2,42 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntFlag
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import arrays
 from fastatt.attitudes import Attitude
+from fastatt.engine.status import Status
 from fastatt.flat.rows import rows
 from fastatt.motion import GivenRate, turning_part
-from fastatt.scene import Packed
+from fastatt.scene import Packed, Scene
 
 if TYPE_CHECKING:
     from fastatt.methods.method import Method
+    from fastatt.running.resume import End
     from fastatt.running.self_check import SelfCheck
 
 
-class Status(IntFlag):
-    """What went wrong with one body; 0 where nothing did.
+class Results(NamedTuple):
+    """What a run writes: (S, N, k) handed out, (S, N) departures from the group, (N,) flags."""
 
-    Of a user's rate function on quaternions one step in seven is looked at: a single burst that is
-    shorter may pass without ``STEP_TOO_LARGE``.
-    """
+    out: NDArray[Any]
+    defect: NDArray[Any]
+    status: NDArray[np.uint8]
 
-    OK = 0
-    NON_FINITE = 1  #: the state holds NaN or infinity
-    STEP_TOO_LARGE = 2  #: a step turned further than the method's limit
-    INVARIANT = 4  #: the energy or |m|² of a free body changed by more than 1 %
-    SINGULAR = 8  #: the representation's coordinates passed too near their singularity
-    NOT_CONVERGED = 16  #: an implicit step's iteration did not converge
-    NORM_LOST = 32  #: the state left its group by more than round-off explains
+    def saves(self, slots: slice) -> Results:
+        """Some saves."""
+        return Results(self.out[slots], self.defect[slots], self.status)
+
+    def bodies(self, first: int, last: int) -> Results:
+        """Some bodies."""
+        return Results(self.out[:, first:last], self.defect[:, first:last], self.status[first:last])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +59,25 @@ class Trajectory:
     representation: str
     dt: float
     one_body: bool
-    packed: Packed = field(repr=False)
+    #: numbers of what acts, or the scene to find them from
+    packed: Packed | Scene = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
     #: w, v and r where the scene carries them, each (S, N, 3)
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     check: SelfCheck | None = None
+    #: the memory that a run wrote to, of which its arrays are views; None of a closed form
+    raw: NDArray[np.uint8] | None = field(default=None, repr=False)
+    #: where another run may go on
+    end: End | None = field(default=None, repr=False)
+
+    def __getattr__(self, name: str) -> Any:
+        """What a plan left to be found when it is asked for."""
+        later = self.__dict__.pop("_later", None)
+        if later is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        self.__dict__.update(later())
+        return getattr(self, name)
 
     @cached_property
     def q(self) -> NDArray[Any]:
@@ -92,20 +107,23 @@ class Trajectory:
         """Angular velocity in body axes at the saved times, rad/s."""
         if "w" in self.carried:
             return self._shaped(self.carried["w"])
-        turning = turning_part(self.packed.structure)
+        packed = self.packed
+        if isinstance(packed, Scene):
+            packed = packed.packed(self.status.size)
+        turning = turning_part(packed.structure)
         assert isinstance(turning, GivenRate)
-        w = self._shaped(self._given(turning))
+        w = self._shaped(self._given(turning, packed))
         if turning.inertial:
             w = np.einsum("...ji,...j->...i", self.C, w)
         with np.errstate(over="ignore"):
             return w.astype(self.state.dtype, copy=False)
 
-    def _given(self, turning: GivenRate) -> NDArray[np.float64]:
+    def _given(self, turning: GivenRate, packed: Packed) -> NDArray[np.float64]:
         """w (S, N, 3) of a rate that is given, along the axes in which it is."""
         law = turning.law
         rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)
-        params = self.packed.params[..., : law.count]
-        (found,) = rates(self.t[:, None], params, tables=self.packed.tables)
+        params = packed.params[..., : law.count]
+        (found,) = rates(self.t[:, None], params, tables=packed.tables)
         return np.broadcast_to(found, (*self.state.shape[:2], 3))
 
     @property
@@ -122,6 +140,12 @@ class Trajectory:
         if name not in self.carried:
             raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
         return self.carried[name]
+
+    @property
+    def has_flags(self) -> bool:
+        """Whether any body has a status."""
+        found = self.__dict__.get("_flagged")
+        return bool(self.status.any()) if found is None else bool(found)
 
     def status_counts(self) -> dict[str, int]:
         """How many bodies carry each flag; empty when all are fine."""
@@ -147,6 +171,15 @@ class Trajectory:
         if self.check is not None:
             lines.append(str(self.check))
         return "\n".join(lines)
+
+    def save_end(self, path: str | os.PathLike[str]) -> None:
+        """Write where the run ended to a file, whole or not at all: for ``propagate(resume=path)``.
+
+        Raises ``ValueError`` where the trajectory does not hold it.
+        """
+        if self.end is None:
+            raise ValueError("end: this trajectory does not hold it; accepted: one of propagate")
+        self.end.save(path)
 
     def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
         return value[:, 0] if self.one_body else value

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from fastatt import checks
 from fastatt.attitudes import Attitude
 from fastatt.methods import Method
+from fastatt.running.choosing import methods_for
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.propagate import methods_for
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fastatt import torques
 from fastatt.arrays import euler313_to_quat
 from fastatt.methods import METHODS
+from fastatt.running.choosing import methods_for
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.propagate import methods_for
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, State

@@ -13,9 +13,9 @@ from fastatt import rates
 from fastatt.arrays import angle_between, quat_multiply
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
+from fastatt.running.choosing import methods_for
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.limits import StepWarning
-from fastatt.running.propagate import methods_for
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, Rung, best_time, ladder_rows, measure

@@ -22,15 +22,16 @@ from fastatt.arrays import angle_between
 from fastatt.attitudes import Attitude
 from fastatt.engine.job import Job
 from fastatt.engine.layout import WIDTH
+from fastatt.engine.status import Status
 from fastatt.flat.machine import processor
 from fastatt.methods import METHODS, Method
+from fastatt.running.asked import KINDS
 from fastatt.running.drift import drift
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.limits import StepWarning
 from fastatt.running.loop import job_of
 from fastatt.running.propagate import propagate, threads_of
-from fastatt.running.task import KINDS
-from fastatt.running.trajectory import Status, Trajectory
+from fastatt.running.trajectory import Trajectory
 from fastatt.threads import default_threads
 from fastatt.trade.peak import peak
 

@@ -19,7 +19,7 @@ from fastatt import exact, rates, torques
 from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
 from fastatt.methods import METHODS
 from fastatt.methods.method import FREE
-from fastatt.running.propagate import methods_for
+from fastatt.running.choosing import methods_for
 from fastatt.running.self_check import EARLY, beginnings
 from fastatt.running.trajectory import Trajectory
 from fastatt.trade.measure import Case, Problem, State

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, Attitude
 from fastatt.methods import METHODS, Method
+from fastatt.running.choosing import attitude_of, fits, methods_for
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.propagate import attitude_of, fits, methods_for
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import (

@@ -1,0 +1,119 @@
+"""What is asked of a run: by which method, which steps and saves, on how many threads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks, rounding
+from fastatt.attitudes import Attitude
+from fastatt.engine.ensemble import Span
+from fastatt.methods.method import Method
+from fastatt.running.trajectory import Trajectory
+
+KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
+#: saves that are kept at a time where all of them are not
+RING = 16
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How a scene is propagated: by which method, in which representation, mended when."""
+
+    method: Method
+    attitude: Attitude
+    restore: int = 0
+    raw: bool = False
+    looks: bool = True
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Steps and saves of a run, which goes on after ``done`` steps."""
+
+    h: float
+    n_steps: int
+    every: int | None
+    done: int = 0
+
+    @classmethod
+    def of(cls, dt: Any, n_steps: Any, save_every: Any, done: int = 0) -> Clock:
+        """The same from what a user gives.
+
+        Raises ``ValueError`` or ``TypeError`` for what is no step and no number of steps.
+        """
+        return cls(
+            checks.real("dt", dt, zero=False),
+            checks.whole("n_steps", n_steps, 0),
+            None if save_every is None else checks.whole("save_every", save_every, 1),
+            done,
+        )
+
+    @property
+    def end(self) -> int:
+        """Number of the last step."""
+        return self.done + self.n_steps
+
+    @cached_property
+    def saved(self) -> list[int]:
+        """Numbers of the steps after which states are saved."""
+        return (
+            [self.end]
+            if self.every is None
+            else [*range(self.done, self.end, self.every), self.end]
+        )
+
+    @cached_property
+    def _since(self) -> NDArray[np.float64]:
+        with np.errstate(over="ignore"):
+            return np.array(self.saved, dtype=np.float64) * self.h
+
+    def times(self, begin: float) -> NDArray[np.float64]:
+        """Times of the saves, s, where step 0 begins at ``begin``.
+
+        Raises ``ValueError`` where they overflow.
+        """
+        if not math.isfinite(begin + self.end * self.h):
+            raise ValueError(
+                f"dt: {self.end} steps of {self.h} s from {begin} s overflow; accepted: shorter"
+            )
+        return self._since + begin
+
+    def is_rounded(self, begin: float) -> bool:
+        """Whether the clock does not tell the run's steps apart well."""
+        return math.ulp(self.longest(begin)) > rounding.SHARE * abs(self.h)
+
+    def longest(self, begin: float) -> float:
+        """Largest |t| of the run, s."""
+        return max(abs(begin), abs(begin + self.end * self.h))
+
+    def span(self, restore: int) -> Span:
+        """All of it, for the engine."""
+        every = self.every or max(self.n_steps, 1)
+        slot = int(self.every is not None)
+        return Span(self.done, self.end, self.end, every, slot, restore, self.done)
+
+
+@dataclass(frozen=True)
+class Handling:
+    """What has no effect on results: threads, a bar, where saves go; and what invalid bodies do."""
+
+    threads: int = 1
+    #: is told of body-steps
+    done: Callable[[int], object] | None = None
+    sink: Callable[[Trajectory], object] | None = None
+    invalid: str = "raise"
+    #: where the run's end is written, again and again
+    checkpoint: Path | None = None
+
+
+def few(saves: int) -> list[list[int]]:
+    """The initial save with each few that follow it."""
+    return [[0, *range(first, min(first + RING, saves))] for first in range(1, max(saves, 2), RING)]

@@ -1,0 +1,143 @@
+"""Which method, in which representation: what fits a scene, and what was asked for."""
+
+from __future__ import annotations
+
+from fastatt import checks
+from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
+from fastatt.methods import METHODS, Method
+from fastatt.running.asked import Choice
+from fastatt.scene import Scene, as_scene
+from fastatt.torques import Dependence
+
+# in this order, the first that fits the scene and the representation
+DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
+# steps between two looks at the norm of a compensated state
+_RESTORE = 64
+
+
+def methods_for(scene: Scene, representation: str | Attitude | None = None) -> list[str]:
+    """Names of the methods that fit a scene and a representation, by name or one's own.
+
+    Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
+    """
+    as_scene(scene)
+    if representation is not None:
+        representation = attitude_of(representation)
+    return [m.name for m in METHODS.values() if fits(m, scene, representation)]
+
+
+def default_method(scene: Scene, representation: str | Attitude) -> str:
+    """The first of magnus4, exact, rk8 and rk4 that fits, else of all.
+
+    Raises ``ValueError`` where none does.
+    """
+    key = "default", _known_as(attitude_of(representation))
+    if key in scene.memo:
+        return str(scene.memo[key])
+    fitting = methods_for(scene, representation)
+    if not fitting:
+        raise ValueError(
+            f"representation: found {_name_of(representation)}, for which no method takes this "
+            f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
+        )
+    found = scene.memo[key] = next((name for name in DEFAULTS if name in fitting), fitting[0])
+    return found
+
+
+def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
+    """Whether a method takes a scene, in a representation, by name or one's own."""
+    if isinstance(representation, Attitude):
+        representation = _known_as(representation)
+    return (
+        scene.kind in method.scenes
+        and (representation is None or method.stores(representation))
+        and (scene.kind != "torqued" or _takes(method, scene))
+        and (method.translates or not scene.moves)
+    )
+
+
+def _takes(method: Method, scene: Scene) -> bool:
+    if method.takes is Dependence.RATE:
+        return True
+    return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
+
+
+def attitude_of(representation: str | Attitude) -> Attitude:
+    """The representation of a name, or one's own."""
+    if isinstance(representation, Attitude):
+        return representation
+    return ATTITUDES[checks.choice("representation", representation, ATTITUDES)]
+
+
+def _known_as(attitude: Attitude) -> str | Attitude:
+    """The name of a representation of the library's; one's own itself."""
+    return attitude.name if ATTITUDES.get(attitude.name) is attitude else attitude
+
+
+def _name_of(representation: str | Attitude) -> str:
+    return representation if isinstance(representation, str) else representation.name
+
+
+def method_of(scene: Scene, method: str | Method, representation: str | Attitude) -> Method:
+    """The method of a name, or one's own, that fits a scene in a representation.
+
+    Raises ``ValueError`` for one that does not, with those that do.
+    """
+    if isinstance(method, Method):
+        if fits(method, scene, representation):
+            return method
+        raise ValueError(
+            f"method: found {method.name}, for {', '.join(method.scenes)} in "
+            f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
+            f'"{_name_of(representation)}": {", ".join(methods_for(scene, representation))}'
+        )
+    # anything may come, and a list has no hash
+    found = METHODS.get(method) if isinstance(method, str) else None  # type: ignore[redundant-expr]
+    if found is not None and fits(found, scene, representation):
+        return found
+    checks.choice("method", method, methods_for(scene))
+    checks.choice(
+        f'method for representation "{_name_of(representation)}"',
+        method,
+        methods_for(scene, representation),
+    )
+    return METHODS[method]
+
+
+def chosen(
+    scene: Scene,
+    method: str | Method | None,
+    representation: str | Attitude,
+    compensated: bool,
+    normalise: str | int,
+    looks: bool = True,
+) -> Choice:
+    """How a scene is propagated, from what a user asks for.
+
+    Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
+    """
+    attitude = attitude_of(representation)
+    record = method_of(scene, method or default_method(scene, attitude), attitude)
+    if compensated:
+        attitude = _compensated(record, attitude)
+    restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
+    return Choice(record, attitude, restore, normalise == "never", looks)
+
+
+def _compensated(method: Method, attitude: Attitude) -> Attitude:
+    if attitude is not QUATERNION:
+        raise ValueError(
+            f'compensated: found with representation "{attitude.name}"; accepted with "quat"'
+        )
+    if not method.compensates:
+        able = ", ".join(m.name for m in METHODS.values() if m.compensates)
+        raise ValueError(f"compensated: found with method {method.name}; accepted with {able}")
+    return COMPENSATED
+
+
+def _restore(normalise: str | int) -> int:
+    """Steps between two returns to the group, 0 for none."""
+    if isinstance(normalise, str):
+        checks.choice("normalise", normalise, ("output", "never"))
+        return 0
+    return checks.whole("normalise", normalise, 1)

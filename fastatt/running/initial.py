@@ -1,0 +1,81 @@
+"""Initial states: what a user gives, looked at and laid out for the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.scene import Scene
+
+
+class Given(NamedTuple):
+    """Initial states in a run's precision: attitudes, and what is carried beside them, by rows."""
+
+    q: NDArray[Any]
+    y: NDArray[Any]
+    rows_q: int
+    rows_y: int
+    one_body: bool
+
+    @classmethod
+    def of(cls, start: NDArray[Any], beside: Mapping[str, NDArray[Any]], kind: Any) -> Given:
+        """The same from attitudes (4,) or (N, 4) and vectors (3,) or (N, 3)."""
+        values = list(beside.values())
+        one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
+        rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
+        with np.errstate(over="ignore"):
+            if len(values) == 1:
+                y = np.ascontiguousarray(values[0], dtype=kind)
+            else:
+                wide = [np.broadcast_to(value, (rows, 3)) for value in values]
+                y = np.hstack([np.zeros((rows, 0)), *wide]).astype(kind)
+            q = np.ascontiguousarray(start, dtype=kind)
+        return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
+
+    def part(self, first: int, last: int) -> Given:
+        """Some bodies."""
+        q = self.q if self.rows_q == 1 else self.q[first:last]
+        y = self.y if self.rows_y == 1 else self.y[first:last]
+        rows = last - first
+        return Given(q, y, min(self.rows_q, rows), min(self.rows_y, rows), self.one_body)
+
+
+def initial(
+    scene: Scene, values: Sequence[Any], *, flag: bool
+) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+    """Attitudes, and what is carried beside them in the order of the state.
+
+    ``values`` are (q0, w0, v0, r0); with ``flag`` numbers that are not finite pass.
+
+    Raises ``ValueError`` and ``TypeError`` for what the scene does not take, and for numbers of
+    bodies that do not fit each other.
+    """
+    q0, w0, v0, r0 = values
+    start = checks.attitudes("q0", q0, flag=flag)
+    has_inertia = scene.kind != "rate"
+    found = {}
+    for name, value, wanted, needed, unit in (
+        ("w0", w0, has_inertia, True, "with inertia needs (3,) or (N, 3), rad/s"),
+        ("v0", v0, scene.moves, True, "with mass needs (3,) or (N, 3), m/s"),
+        ("r0", r0, scene.moves, False, "with mass takes (3,) or (N, 3), m"),
+    ):
+        if value is not None and not wanted:
+            raise ValueError(f"{name}: found, but this scene has none; a scene {unit}")
+        if value is None and wanted and needed:
+            raise ValueError(f"{name}: is missing; a scene {unit}")
+        if value is not None:
+            look = checks.array_any if flag else checks.array
+            found[name] = look(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    _same_number({**found, "q0": start})
+    return start, found
+
+
+def _same_number(values: Mapping[str, NDArray[Any]]) -> None:
+    rows = {name: len(value) for name, value in values.items() if value.ndim == 2}
+    if len(set(rows.values()) - {1}) > 1:
+        told = ", ".join(f"{name} {n}" for name, n in rows.items())
+        raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")

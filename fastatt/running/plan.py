@@ -1,0 +1,470 @@
+"""A run of which all that can be done beforehand is done: checked, laid out, compiled."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+from functools import partial
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks, rounding
+from fastatt.engine import pool
+from fastatt.engine.ensemble import Run, Span, prepare
+from fastatt.engine.job import Job
+from fastatt.engine.status import Status
+from fastatt.engine.tiles import width_for
+from fastatt.exact import check_above_zero
+from fastatt.motion import carried, turning_part
+from fastatt.running import limits
+from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, few
+from fastatt.running.closed import closed_form
+from fastatt.running.initial import Given, initial
+from fastatt.running.resume import End, about
+from fastatt.running.trajectory import Results, Trajectory
+from fastatt.scene import Scene
+
+# body-steps: of a longer run the first steps are looked at before it, and Ctrl-C is answered in it
+LONG = 1_000_000
+# s from one writing of a run's end to the next, and body-steps between two looks at the clock
+_WRITTEN, _CHECKED = 10.0, 200_000_000
+_NOTHING = np.zeros((1, 0))
+
+
+class _Bench(NamedTuple):
+    """A run of the engine with the memory that it works in."""
+
+    run: Run
+    x: NDArray[Any]
+    watch: NDArray[Any]
+
+
+class Plan:
+    """Runs of one scene, one step and one number of bodies, checked and laid out beforehand.
+
+    Made by :func:`fastatt.plan`. A plan can be pickled and copied, and called by several threads
+    at a time.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        n_bodies: int,
+        choice: Choice,
+        clock: Clock,
+        kind: np.dtype[Any],
+        *,
+        position: bool = False,
+        rows_each: int = 1,
+        handling: Handling | None = None,
+        asked: tuple[Any, ...] = (),
+    ) -> None:
+        self.scene, self.n_bodies, self.kind = scene, n_bodies, kind
+        self.choice, self.clock, self.handling = choice, clock, handling or Handling()
+        self._asked = asked
+        method, attitude = choice.method, choice.attitude
+        bodies = n_bodies // rows_each
+        self.packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
+        structure = self.packed.structure
+        body = ["w"] if scene.kind != "rate" else []
+        self.beside = [*body, *(["v"] if scene.moves else []), *(["r"] if position else [])]
+        self._is_plain_body = self.beside == ["w"]
+        self.limit = limits.turn_limit(scene, method, attitude.name, kind)
+        self.damped = limits.decay(scene, clock.h)
+        known = limits.known_turns(scene, choice, self.packed)
+        self.job = Job(
+            method,
+            attitude,
+            structure,
+            KINDS[kind],
+            shared=self.packed.params.ndim == 1,
+            known=known is not None,
+            raw=choice.raw,
+            mends=choice.restore > 0,
+            looks=choice.looks,
+            width=width_for(n_bodies, KINDS[kind]),
+        )
+        if method.is_exact:
+            check_above_zero(scene.principal)
+        else:
+            self._program = prepare(self.job)
+        self._fixed = self._arrays(0.0 if known is None else known, rows_each)
+        self._span = clock.span(choice.restore)
+        self.is_short = n_bodies * clock.n_steps <= LONG
+        self._is_exact = method.is_exact
+        self._saves, self.width = len(clock.saved), attitude.stored + structure.tail
+        self._offsets = self._layout(self._saves)
+        self._tiles = -(-n_bodies // self.job.width)
+        self._length = clock.end * clock.h
+        eps = float(np.finfo(kind).eps)
+        # turns of a step, rad, of which there is nothing to say
+        self._calm = (0.0 if attitude.compensated else eps, min(self.limit, eps**-0.5))
+        if (self.damped > method.damping_limit).any():
+            self._calm = (math.inf, 0.0)
+        self._local = threading.local()
+        #: what all trajectories have in common
+        self.told: dict[str, Any] = {
+            "method": method.name,
+            "representation": attitude.name,
+            "dt": clock.h,
+            "packed": self.packed,
+            "attitude": attitude,
+            "record": method,
+            "check": None,
+        }
+
+    def __reduce__(self) -> Any:
+        return self._asked
+
+    def _arrays(self, known: Any, rows_each: int) -> dict[str, NDArray[Any]]:
+        """What is the same in all runs."""
+
+        def rows(x: Any) -> NDArray[Any]:
+            return np.repeat(x, rows_each, axis=0) if rows_each > 1 and len(x) > 1 else x
+
+        params = np.ascontiguousarray(np.atleast_2d(self.packed.params))
+        with np.errstate(over="ignore", invalid="ignore"):
+            turns = np.atleast_1d(np.asarray(known, dtype=np.float64)) * abs(self.clock.h)
+        stages = np.array(self.choice.method.stages, dtype=np.float64).reshape(-1, 3)
+        flags = self._flags(params)
+        return {"p": rows(params), "known": rows(turns), "flags": rows(flags), "stages": stages}
+
+    def _flags(self, params: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Flags that bodies have from the start: (1,) or (N,).
+
+        Of parameters beyond the precision's range, and of damping beyond what the method can do.
+        """
+        lost = (np.abs(params) > np.finfo(self.kind).max).any(axis=-1)
+        fast = self.damped > self.choice.method.damping_limit
+        found = lost * np.uint8(Status.NON_FINITE) | fast * np.uint8(Status.STEP_TOO_LARGE)
+        return np.ascontiguousarray(found, dtype=np.uint8)
+
+    def _bench(self) -> _Bench:
+        """A run with memory of its own."""
+        n, fixed, choice = self.n_bodies, self._fixed, self.choice
+        size = carried(choice.attitude, self.packed.structure)
+        x, watch = np.empty((n, size), dtype=self.kind), np.empty((3, n), dtype=self.kind)
+        run = Run(self._program, self.packed.resources)
+        run.put(**fixed, x=x, watch=watch)
+        stages = fixed["stages"]
+        rows = {f"rows_{name}": len(fixed[name]) for name in ("p", "known", "flags")}
+        run.count(bodies=n, stages=len(stages), stride=n, **rows, **self._span.__dict__)
+        run.name(
+            h=self.clock.h,
+            edge=0.5 * float(stages[-1, 1]) * self.clock.h if len(stages) else 0.0,
+            quiet=limits.quiet_up_to(self.scene, choice.method, self.limit),
+            limit=self.limit,
+            norm=math.inf if choice.attitude.restore is None else limits.NORM_BOUND[self.kind],
+            invariant=limits.INVARIANT_BOUND,
+        )
+        return _Bench(run, x, watch)
+
+    def _own_bench(self) -> _Bench:
+        """The same of this thread, for any number of short runs."""
+        found: _Bench | None = getattr(self._local, "bench", None)
+        if found is None:
+            found = self._local.bench = self._bench()
+        return found
+
+    def __call__(
+        self,
+        q0: Any,
+        w0: Any = None,
+        *,
+        v0: Any = None,
+        r0: Any = None,
+        t0: float = 0.0,
+        params: Any = None,
+        out: Trajectory | None = None,
+    ) -> Trajectory:
+        """Run from initial values as ``propagate`` takes them.
+
+        ``params`` are other numbers of the scene's own function, of the shape that its ``params``
+        have: nothing is compiled. ``out`` is an earlier trajectory of the plan, whose arrays are
+        written over: nothing is allocated for them.
+
+        Raises ``ValueError`` or ``TypeError`` as ``propagate`` does; initial values that are not
+        finite are refused after the run.
+        """
+        begin = t0 if type(t0) is float and -math.inf < t0 < math.inf else checks.real("t0", t0)
+        given = self.given(q0, w0, v0, r0)
+        raw = None if out is None else self._over(out)
+        plan = self if params is None else self._with(params)
+        made = plan.run(given, begin, raw=raw)
+        if self.handling.invalid == "raise" and made.has_flags:
+            initial(self.scene, (q0, w0, v0, r0), flag=False)
+        return made
+
+    def given(self, q0: Any, w0: Any, v0: Any = None, r0: Any = None) -> Given:
+        """Initial states as they were given, checked in all but whether they are finite."""
+        n, kind = self.n_bodies, self.kind
+        if self._fits(q0, 4) and v0 is r0 is None:
+            rows = 1 if q0.ndim == 1 else n
+            one = n == 1 == q0.ndim
+            # without names a third of the time
+            if self._is_plain_body and self._fits(w0, 3):
+                rows_w = 1 if w0.ndim == 1 else n
+                return tuple.__new__(Given, (q0, w0, rows, rows_w, one and w0.ndim == 1))
+            if w0 is None and not self.beside:
+                return tuple.__new__(Given, (q0, _NOTHING, rows, 1, one))
+        start, beside = initial(self.scene, (q0, w0, v0, r0), flag=True)
+        found = Given.of(start, beside, kind)
+        rows = max(found.rows_q, found.rows_y)
+        if rows not in (1, n):
+            raise ValueError(
+                f"q0: found {rows} bodies; accepted: {n}, as many as the plan is for, or one"
+            )
+        if n > 1:
+            found = found._replace(one_body=False)
+        if ("r0" in beside) != ("r" in self.beside):
+            raise ValueError("r0: accepted, and needed, in a plan that was made with position=True")
+        return found
+
+    def _fits(self, x: Any, width: int) -> bool:
+        """Whether an array can be used as it is."""
+        return (
+            type(x) is np.ndarray
+            and x.dtype is self.kind
+            and x.flags.c_contiguous
+            and x.shape in ((self.n_bodies, width), (width,))
+        )
+
+    def _with(self, params: Any) -> Plan:
+        """The plan of other numbers of the scene's own function."""
+        was = self.scene.params
+        if was is None:
+            raise ValueError("params: found, but the scene has none; accepted: of an own function")
+        now = checks.array("params", params, f"{np.shape(was)}", [np.shape(was)])
+        turning = turning_part(self.packed.structure)
+        numbers = self.packed.params.copy()
+        numbers[..., turning.n_params - turning.law.count : turning.n_params] = now
+        other = object.__new__(Plan)
+        other.__dict__.update(self.__dict__, _local=threading.local())
+        other.packed = self.packed._replace(params=numbers)
+        rows = np.ascontiguousarray(np.atleast_2d(numbers))
+        other._fixed = {**self._fixed, "p": rows, "flags": other._flags(rows)}
+        other.told = {**self.told, "packed": other.packed}
+        return other
+
+    def _over(self, out: Trajectory) -> NDArray[np.uint8]:
+        """The memory of an earlier trajectory."""
+        if getattr(out, "record", None) is self.choice.method and isinstance(out, Trajectory):
+            raw = out.raw
+            if raw is not None and raw.size == self._layout(self._saves)[-1]:
+                return raw
+        raise ValueError(
+            f"out: found {checks.brief(out)}; accepted: an earlier trajectory of this plan"
+        )
+
+    def _layout(self, saves: int) -> tuple[int, int, int]:
+        """Where in a run's memory the departures and the flags begin, and where it ends."""
+        size = saves * self.n_bodies * self.kind.itemsize
+        return (
+            size * self.width,
+            size * (self.width + 1),
+            size * (self.width + 1) + self.n_bodies,
+        )
+
+    def views(self, raw: NDArray[np.uint8], saves: int) -> Results:
+        """The arrays in a run's memory."""
+        first, second, end = self._layout(saves)
+        n, kind = self.n_bodies, self.kind
+        return Results(
+            raw[:first].view(kind).reshape(saves, n, self.width),
+            raw[first:second].view(kind).reshape(saves, n),
+            raw[second:end],
+        )
+
+    def run(
+        self,
+        given: Given,
+        t0: float = 0.0,
+        *,
+        handling: Handling | None = None,
+        raw: NDArray[np.uint8] | None = None,
+        ends: bool = False,
+        start: End | None = None,
+    ) -> Trajectory:
+        """The trajectory of initial states that were looked at.
+
+        ``raw`` is memory to write to, ``ends`` says that the trajectory holds its end, ``start``
+        where the run goes on.
+        """
+        handling = handling or self.handling
+        if not -math.inf < t0 + self._length < math.inf:
+            self.clock.times(t0)  # which refuses them
+        if self._is_exact:
+            return self._in_closed_form(given, t0, handling)
+        saves, offsets = self._saves, self._offsets
+        piecewise = handling.sink is not None or handling.checkpoint is not None
+        if piecewise and handling.sink is not None:
+            saves = min(saves, 1 + RING)
+            offsets = self._layout(saves)
+        if raw is None:
+            raw = np.empty(offsets[2], np.uint8)
+        bench = self._bench() if piecewise or ends or start else self._own_bench()
+        run = bench.run
+        run.load(given, raw, offsets, t0)
+        if run.is_plain:
+            run.put(q0=given.q, y0=given.y, **self.views(raw, saves)._asdict())
+        if start is not None:
+            bench.x[...], bench.watch[...] = start.x, start.watch
+        if run.is_timed and self.clock.is_rounded(t0):
+            rounding.warn(rounding.of_times(self.clock.longest(t0), self.clock.h))
+        warned = not self.is_short and self._warn_of_first(given)
+        end = partial(self._end, given, bench, t0)
+        if piecewise:
+            results = self.views(raw, saves)
+            begin = self.clock.done if start is None else start.done
+            made = self._piecewise(run, t0, results, given.one_body, (handling, begin, end))
+        else:
+            if self.is_short and handling.threads == 1 and handling.done is None:
+                run(self._tiles)
+            else:
+                self._go(run, self._span, handling, partial(self._found, raw, t0, given.one_body))
+            made = object.__new__(Trajectory)
+            # what a caller may never ask for takes longer than the run of a few steps
+            later = partial(self._found, raw, t0, given.one_body)
+            made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=later)
+        if ends:
+            made.__dict__["end"] = end(self.clock.end)
+        least, limit = self._calm
+        noted = not least <= run.told[0] <= limit and run.told[0] and self.clock.n_steps
+        # of an iteration that did not converge the first step tells how large it was
+        if noted and not warned and not self._warn_of_first(given):
+            self.warn(np.sqrt(bench.watch[0]), self.damped)
+        return made
+
+    def _end(self, given: Given, bench: _Bench, t0: float, done: int) -> End:
+        """The end of a run, which keeps the bench's memory and a copy of what was given."""
+        kept = given._replace(q=given.q.copy(), y=given.y.copy())
+        told = about(self.choice, self.clock.h, self.kind, "r" in self.beside)
+        return End(kept, bench.x, bench.watch, done, t0, told, self.packed.params)
+
+    def fill(self, given: Given, t0: float, handling: Handling, results: Results) -> NDArray[Any]:
+        """Run into arrays of more bodies; the turns of each body's steps, rad, for a warning."""
+        bench = self._own_bench()
+        run, stride = bench.run, results.defect.strides[0] // results.defect.itemsize
+        run.put(q0=given.q, y0=given.y, **results._asdict())
+        run.count(rows_q=given.rows_q, rows_y=given.rows_y, stride=stride)
+        run.name(t0=t0)
+        self._go(run, self._span, handling)
+        return np.asarray(np.sqrt(bench.watch[0]))
+
+    def _found(self, raw: NDArray[np.uint8], t0: float, one_body: bool) -> dict[str, Any]:
+        """The fields of a trajectory."""
+        return self.fields(self.clock.times(t0), self.views(raw, self._saves), one_body)
+
+    def fields(self, t: NDArray[np.float64], results: Results, one_body: bool) -> dict[str, Any]:
+        """Fields of a trajectory of some saves."""
+        return {
+            **self.told,
+            "t": t,
+            "defect": results.defect,
+            "status": results.status,
+            "one_body": one_body,
+            **self.parts(results.out),
+        }
+
+    def parts(self, out: NDArray[Any]) -> dict[str, Any]:
+        """Attitudes, and what is carried beside them, of what is handed out (S, N, k or more)."""
+        ends = range(self.choice.attitude.stored, self.width + 1, 3)
+        carried = {x: out[..., k : k + 3] for x, k in zip(self.beside, ends, strict=False)}
+        found = {"state": out[..., : ends[0]], "carried": carried}
+        return {**found, "defect": out[..., -1]} if out.shape[-1] > self.width else found
+
+    def _go(self, run: Run, span: Span, handling: Handling, found: Any = None) -> None:
+        """Steps of a span, of all bodies; ``found()`` gives the fields of their trajectory."""
+        run.told[:] = [0.0, 0.0]
+        width = self.job.width
+        try:
+            pool.run_ensemble(
+                run.part, span, (self.n_bodies, width), handling.threads, handling.done
+            )
+        except pool.InterruptedRun as stopped:
+            if found is None:
+                raise
+            fields = found()
+            saved = np.array(self.clock.saved)
+            for first, last, done in stopped.reached:
+                bodies = slice(first * width, last * width)
+                if done < span.n_steps:
+                    fields["status"][bodies] = Status.UNFINISHED
+                    for array in (fields["state"], fields["defect"], *fields["carried"].values()):
+                        array[saved > done, bodies] = np.nan
+            stopped.trajectory = Trajectory(**fields)
+            raise
+
+    def _piecewise(
+        self, run: Run, t0: float, results: Results, one_body: bool, how: Any
+    ) -> Trajectory:
+        """A few saves at a time, each handed out once, or a few steps; the final states."""
+        handling, begin, end = how
+        span, t = self._span, self.clock.times(t0)
+        written = perf_counter()
+        for last, slots in self._pieces(handling.sink is not None):
+            if last <= begin and last < span.n_steps:
+                continue
+            before = (slots[1] if len(slots) > 1 else 1) - 1
+            slot = 1 - before if handling.sink is not None else span.slot
+            piece = replace(span, first=max(begin, span.origin), last=last, slot=slot)
+            if begin == last:  # of a run that was finished its last states are handed out again
+                piece = replace(piece, origin=last)
+            self._go(run, piece, handling)
+            begin = last
+            if handling.sink is not None:
+                # the initial save, with which all pieces begin, is handed out with the first
+                new = slice(min(before, 1), len(slots))
+                part = results.saves(new)._replace(status=results.status.copy())
+                handling.sink(Trajectory(**self.fields(t[slots[new]], part, one_body)))
+            due = last == span.n_steps or perf_counter() - written > _WRITTEN
+            if handling.checkpoint is not None and due:
+                end(last).save(handling.checkpoint)
+                written = perf_counter()
+        if handling.sink is None:
+            return Trajectory(**self.fields(t, results, one_body))
+        final = results.saves(slice(len(slots) - 1, len(slots)))
+        return Trajectory(**self.fields(t[-1:], final, one_body))
+
+    def _pieces(self, saves: bool) -> list[tuple[int, list[int]]]:
+        """(last step, slots of the saves on the way) of each piece of a run."""
+        saved, span = self.clock.saved, self._span
+        if saves:
+            return [(saved[slots[-1]], slots) for slots in few(len(saved))]
+        each = max(1, _CHECKED // self.n_bodies)
+        ends = [*range(span.origin + each, span.n_steps, each), span.n_steps]
+        return [(last, [0]) for last in ends]
+
+    def _in_closed_form(self, given: Given, t0: float, handling: Handling) -> Trajectory:
+        t = self.clock.times(t0)
+        if handling.sink is None:
+            return closed_form(self, given, t, t0, handling)
+        for slots in few(len(t)):
+            new = slots[1:] if slots[1:2] > [1] else slots
+            handling.sink(closed_form(self, given, t[new], t0, handling))
+        return closed_form(self, given, t[-1:], t0, handling)
+
+    def _warn_of_first(self, given: Given) -> bool:
+        """Warn of a body's first step."""
+        if self.scene.kind == "rate":
+            return False
+        w = np.atleast_2d(given.y)[:, :3]
+        turns = limits.first_step(self.scene, self.choice.method, w, self.clock.h)
+        return self.warn(turns, self.damped)
+
+    def warn(self, turns: NDArray[Any], damped: NDArray[np.float64]) -> bool:
+        """Warn of steps by what bodies turn in one, rad, and by what damping takes."""
+        choice = self.choice
+        return limits.warn(
+            turns,
+            damped,
+            self.limit,
+            choice.method,
+            self.clock.h,
+            self.kind,
+            compensated=choice.attitude.compensated,
+        )

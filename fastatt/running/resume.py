@@ -1,0 +1,151 @@
+"""Where a run ended: what another needs to go on as if there had been no end, kept or in a file.
+
+A restart from an attitude and a rate that were handed out is another run: the state was brought
+back to its group, low parts are lost, invariants begin anew.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.running.asked import Choice
+from fastatt.running.initial import Given
+from fastatt.scene import Packed
+
+_FORMAT = 1
+#: bodies of which a trajectory holds its end unasked
+MOST = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """A run's last state as the engine carries it, its begin, and what it was a run of."""
+
+    given: Given
+    x: NDArray[Any]
+    watch: NDArray[Any]
+    done: int
+    t0: float
+    about: dict[str, Any]
+    params: NDArray[np.float64]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a file, whole or not at all."""
+        target = Path(path)
+        given = self.given
+        told = {
+            "format": _FORMAT,
+            "done": self.done,
+            "t0": self.t0.hex(),
+            "rows": [given.rows_q, given.rows_y, given.one_body],
+            **self.about,
+        }
+        handle, name = tempfile.mkstemp(prefix=target.name, dir=target.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(
+                    file,
+                    told=np.array(json.dumps(told)),
+                    q=given.q,
+                    y=given.y,
+                    x=self.x,
+                    watch=self.watch,
+                    params=self.params,
+                )
+                file.flush()
+                os.fsync(file.fileno())
+            Path(name).replace(target)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+
+def about(choice: Choice, h: float, kind: np.dtype[Any], position: bool) -> dict[str, Any]:
+    """What must be the same in the run that goes on, by the names of arguments."""
+    return {
+        "dt": float(h).hex(),
+        "method": choice.method.name,
+        "representation": choice.attitude.name,
+        "compensated": choice.attitude.compensated,
+        "normalise": "never" if choice.raw else choice.restore,
+        "dtype": kind.name,
+        "r0": position,
+    }
+
+
+def loaded(path: str | os.PathLike[str]) -> End:
+    """The end of a run from a file.
+
+    Raises ``ValueError`` for a file that is none, ``OSError`` for one that can't be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            told = json.loads(str(file["told"]))
+            if told.pop("format") != _FORMAT:
+                raise KeyError("format")
+            rows_q, rows_y, one_body = told.pop("rows")
+            given = Given(file["q"], file["y"], rows_q, rows_y, one_body)
+            done, t0 = told.pop("done"), float.fromhex(told.pop("t0"))
+            return End(given, file["x"], file["watch"], done, t0, told, file["params"])
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"resume: {path} is no file of a run's end ({error}); accepted: one that "
+            "Trajectory.save_end or checkpoint= wrote"
+        ) from None
+
+
+def end_of(resume: Any) -> End:
+    """The end of a trajectory, or of a file.
+
+    Raises ``TypeError`` and ``ValueError`` for what has none.
+    """
+    if isinstance(resume, (str, os.PathLike)):
+        return loaded(resume)
+    end = getattr(resume, "end", None)
+    if isinstance(end, End):
+        return end
+    if hasattr(resume, "status"):
+        raise ValueError(
+            "resume: this trajectory does not hold its end; accepted: one of propagate by a method "
+            f"that steps, of at most {MOST} bodies or with resumable=True"
+        )
+    raise TypeError(
+        f"resume: found {checks.brief(resume)}; accepted: a trajectory or a file's path"
+    )
+
+
+def check(end: End, wanted: dict[str, Any], packed: Packed) -> None:
+    """Refuse to go on with anything else than what was begun."""
+    for name, value in wanted.items():
+        if end.about[name] != value:
+            raise ValueError(
+                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, with which "
+                "the run began that is resumed"
+            )
+    if end.params.shape != packed.params.shape or not np.array_equal(end.params, packed.params):
+        raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")
+
+
+def check_begin(end: End, given: Given, t0: float) -> None:
+    """Refuse to go on with a run that began elsewhere."""
+    begin = end.given
+    same = np.array_equal(begin.q, given.q, equal_nan=True)
+    if end.t0 != t0 or not (same and np.array_equal(begin.y, given.y, equal_nan=True)):
+        raise ValueError(
+            "checkpoint: the file is of a run from other initial values; accepted: the same call "
+            "again, or no file"
+        )
+
+
+def _plain(value: Any) -> Any:
+    return float.fromhex(value) if isinstance(value, str) and value[:3] in ("0x1", "-0x") else value
