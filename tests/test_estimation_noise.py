@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import doctest
+import importlib
 import math
 
 import numpy as np
@@ -147,3 +149,10 @@ def test_one_column_and_silence():
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("name", ["filters", "noise", "runs", "start"])
+def test_examples_of_the_docstrings(name):
+    found = doctest.testmod(importlib.import_module(f"fastatt.estimation.{name}"))
+    assert found.attempted > 0
+    assert found.failed == 0

@@ -119,7 +119,8 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     Raises ``ValueError`` for attitudes that are no quaternions or have no one mean, such as two
     that are half a turn apart, and for weights that do not fit, are negative or all 0.
 
-    >>> mean_attitude([[1, 0, 0, 0], [0, 0, 0, 1]], weights=[1, 0])
+    >>> import fastatt as fa
+    >>> fa.mean_attitude([[1, 0, 0, 0], [0, 0, 0, 1]], weights=[1, 0])
     array([1., 0., 0., 0.])
     """
     rows = np.asarray(q, dtype=np.float64)

@@ -74,6 +74,15 @@ def run_tangent(
     ``method``, ``rk8``.
 
     Raises ``ValueError`` or ``TypeError`` as :func:`body_tangent` and ``fastatt.propagate`` do.
+
+    >>> import fastatt as fa
+    >>> from fastatt import estimation as es
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 1.4))
+    >>> run, whole = es.run_tangent(
+    ...     body, [1, 0, 0, 0], [0, 0, 1], dt=0.1, n_steps=10, method="strang2"
+    ... )
+    >>> print(whole.matrix.round(3)[2])  # a faster turn about z is ahead after 1 s, by 1/1.4
+    [0.    0.    1.    0.    0.    0.714]
     """
     record, packed = of_body(scene, method)
     run = propagate(

@@ -61,6 +61,12 @@ def static_start(
     ------
     ValueError, TypeError : samples that were not taken at rest, a field that lies otherwise to
         gravity than ``field`` to ``up``, by 5 deviations; an argument that does not fit, by name.
+
+    >>> from fastatt import estimation as es
+    >>> gyro, accel = np.tile([0.01, 0.0, 0.0], (100, 1)), np.tile([0.0, 0.0, 9.81], (100, 1))
+    >>> found = es.static_start(gyro, accel, sigma=5e-3)
+    >>> print(found.q, found.bias)
+    [1. 0. 0. 0.] [0.01 0.   0.  ]
     """
     rates = _samples("gyro", gyro)
     bias = rates.mean(axis=0)
