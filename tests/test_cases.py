@@ -12,6 +12,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
 import cases
 from cases_rows import Case, at_most, page, printed
 
+import fastatt as fa
+
 
 @pytest.mark.parametrize("case", cases.CASES, ids=lambda case: case.title)
 def test_figures_agree(case):
@@ -34,3 +36,8 @@ def test_a_figure_apart_is_marked():
     assert text.count("| **apart** |") == 2
     assert "0 of 2 figures agree" in text
     assert not printed("one", "1.0", [float("nan")]).agrees
+
+
+def test_jsbsims_trapezoidal_rule_is_refused_as_one_of_order_2():
+    with pytest.raises(ValueError, match="a condition of order 2 gives -0.5, not 0.5"):
+        fa.explicit("late", order=2, c=(0, -1), a=((-1,),), b=(1 / 2, 1 / 2))

@@ -129,6 +129,12 @@ def test_one_column_and_silence():
     silent = es.allan_deviation(np.ones(100), H)
     assert not silent.deviation.any()
     assert silent.fit().angle_noise == 0.0
+    # no sum of parts; averages of even numbers of samples do not change at all
+    odd = es.allan_deviation(np.tile([1.0, -1.0], 50), H)
+    assert odd.deviation[0] > 1.0
+    assert np.abs(odd.deviation[1:]).max() < 1e-14
+    fit = odd.fit()
+    assert np.isfinite([fit.angle_noise, *fit.deviations]).all()
 
 
 @pytest.mark.parametrize(
@@ -143,6 +149,7 @@ def test_one_column_and_silence():
             lambda: es.allan_deviation(np.zeros(20), H, counts=[1, 11]),
             "counts: found 1 to 11; accepted: whole numbers from 1 to 10",
         ),
+        (lambda: es.allan_deviation(np.zeros(9), H).fit(), "tau: found 2 times"),
         (lambda: es.allan_deviation(np.zeros(20), H, counts=[1.5]), "counts: found 1.5 to 1.5"),
     ],
 )

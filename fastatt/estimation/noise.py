@@ -16,6 +16,8 @@ from fastatt.estimation.amounts import interval
 
 Floats = NDArray[np.float64]
 
+# of the largest variance: a smaller one weighs no more in a fit's first guess
+_LEAST = 1e-6
 _DEGREE, _HOUR, _G = math.pi / 180.0, 3600.0, 9.80665
 #: what one of a unit is in rad, m and s
 _UNITS: dict[str, float] = {
@@ -129,8 +131,10 @@ class AllanDeviation:
 
         Least squares of the variances, none of the parts negative, each weighted by the deviation
         that the fit itself gives it. IEEE Std 952 (1997), annex C, of which quantisation and a
-        ramp are left out.
+        ramp are left out. Raises ``ValueError`` for fewer than 4 averaging times.
         """
+        if len(self.tau) < 4:
+            raise ValueError(f"tau: found {len(self.tau)} times; accepted: at least 4 for a fit")
         columns = self.deviation.reshape(len(self.tau), -1).T
         found = [_parts(self.tau, column**2, self.freedom) for column in columns]
         parts, deviations = (np.stack(x, axis=-1) for x in zip(*found, strict=True))
@@ -146,18 +150,21 @@ def _basis(tau: Floats) -> Floats:
 
 def _parts(tau: Floats, variance: Floats, freedom: Floats) -> tuple[Floats, Floats]:
     """Coefficients and their deviations of one column."""
-    basis, model = _basis(tau), variance
-    if not variance.any():
+    basis, largest = _basis(tau), variance.max()
+    if largest == 0.0:
         return np.zeros(3), np.zeros(3)
     # averages of some samples are made of those of fewer: together they have what the record has
     freedom = freedom * (freedom.max() / freedom.sum())
+    model = np.maximum(variance, _LEAST * largest)
     for _ in range(8):
-        scale = np.sqrt(0.5 * freedom) / model
-        squares = _not_negative(basis * scale[:, None], variance * scale)
+        weight = np.sqrt(0.5 * freedom) / model
+        A = basis * weight[:, None]
+        size = np.linalg.norm(A, axis=0)
+        A /= size
+        squares = _not_negative(A, variance * weight) / size
         # the weights of what fits, not of what was seen, which would favour the low
         model = basis @ squares
-    inverse = np.linalg.inv((basis * scale[:, None]).T @ (basis * scale[:, None]))
-    known = np.sqrt(np.diag(inverse))
+    known = np.sqrt(np.diag(np.linalg.inv(A.T @ A))) / size
     # the lower side, which is the farther; of a part near 0, the root of what its square may be
     return np.sqrt(squares), np.where(
         squares > known, np.sqrt(squares) - np.sqrt(np.abs(squares - known)), np.sqrt(known)
