@@ -111,13 +111,13 @@ def basilisk() -> Iterator[Row]:
 
 
 TOP, TOP_RATE = (10.0, 20.0, 26.0), (1.0, 15.0, 1.0)
-TOP_METHODS = ("rk4", "strang2", "dmv10")
+METHODS = ("rk4", "strang2", "dmv10")
 
 
-def jsbsim(methods: tuple[str, ...] = TOP_METHODS) -> Iterator[Row]:
+def jsbsim() -> Iterator[Row]:
     scene = fa.Scene(inertia=TOP)
     true, _ = free(TOP, TOP_RATE, 10.0)
-    for name in methods:
+    for name in METHODS:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", fa.StepWarning)
             run = fa.propagate(scene, IDENTITY, TOP_RATE, dt=1 / 120, n_steps=1200, method=name)
@@ -141,11 +141,11 @@ def jsbsim(methods: tuple[str, ...] = TOP_METHODS) -> Iterator[Row]:
 # MuJoCo
 
 
-def mujoco(methods: tuple[str, ...] = TOP_METHODS) -> Iterator[Row]:
+def mujoco() -> Iterator[Row]:
     half = np.array([0.1, 0.2, 0.3])
     inertia = (half @ half - half**2) / 3.0
     scene = fa.Scene(inertia=inertia)
-    for name in methods:
+    for name in METHODS:
         run = fa.propagate(
             scene, IDENTITY, (1.0, 2.0, 3.0), dt=0.01, n_steps=500, save_every=500, method=name
         )
