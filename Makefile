@@ -12,7 +12,7 @@ PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
 export FASTATT_CACHE ?= $(CURDIR)/.fastatt_cache
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: help venv test trade bench leaderboard extremes bench-smoke lint format types layers readme clean
+.PHONY: help venv test trade bench leaderboard extremes cases bench-smoke lint format types layers readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -53,6 +53,9 @@ leaderboard: $(VENV)/.leaderboard  ## time at equal error beside other libraries
 
 extremes: $(VENV)/.test  ## every method at the extremes, half an hour: bench/EXTREMES.md
 	PYTHONPATH=tests $(BIN)/python -m extremes --long
+
+cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.md
+	$(BIN)/python bench/cases.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
 	@if ls bench/bench_*.py >/dev/null 2>&1; \

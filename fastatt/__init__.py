@@ -27,6 +27,7 @@ _HELD_BY = {
         "rotation_vector_to_quat"
     ),
     "attitudes": "Attitude",
+    "estimation.filters": "mean_attitude",
     "integrate": "integrate_rates",
     "interchange": "from_scipy to_scipy",
     "methods": "METHODS Method",
@@ -59,8 +60,8 @@ __all__ = [
     "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
     "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
     "from_scipy", "integrate_rates", "interchange", "kernels", "kinetic_energy",
-    "kinetic_energy_symmetric", "lie", "methods_for", "plan", "potential_energy", "propagate",
-    "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
+    "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "plan", "potential_energy",
+    "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
     "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
     "rotation_vector_to_quat", "self_check", "show_loop", "single_step", "steps", "to_scipy",
     "torques", "watch_drift", "work_precision",
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
     )
     from fastatt.attitudes import Attitude
     from fastatt.engine.status import Status
+    from fastatt.estimation.filters import mean_attitude
     from fastatt.integrate import integrate_rates
     from fastatt.interchange import from_scipy, to_scipy
     from fastatt.methods import METHODS, Method

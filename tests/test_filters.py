@@ -331,6 +331,8 @@ def test_the_mean_attitude_is_scipys():
     assert angle(found, theirs) <= 32 * EPS
     assert found[0] >= 0.0
     assert es.mean_attitude(np.tile(q, (3, 1, 1))).shape == (3, 4)
+    # a length is no weight, and weights of 1e300 are as good as of 1
+    assert angle(fa.mean_attitude(q * 1e200 * weights[:, None], 1e300 * weights), found) < 32 * EPS
 
 
 def test_systematic_resampling():
@@ -474,3 +476,10 @@ def test_refusals():
         es.simulate_gyro(np.zeros((2, 3)), 0.1, angle_noise=-1.0)
     with pytest.raises(ValueError, match=r"weights: has shape \(3,\); accepted: \(..., 2\)"):
         es.mean_attitude(np.ones((2, 4)), np.ones(3))
+    for weights in ([1.0, -1.0], [0.0, 0.0]):
+        with pytest.raises(ValueError, match=r"weights: found .*; accepted: at least 0, and some"):
+            fa.mean_attitude(np.ones((2, 4)), weights)
+    with pytest.raises(ValueError, match="q: has no one mean"):
+        fa.mean_attitude(np.eye(4)[:2])
+    with pytest.raises(ValueError, match="q: found a zero quaternion"):
+        fa.mean_attitude(np.zeros((2, 4)))

@@ -1,6 +1,6 @@
 """Parts of estimators, for arrays and, as kernels, for ``@njit`` code.
 
-Transitions, noise, Jacobians, tangents of steps, preintegration.
+Transitions, noise, Jacobians, tangents of steps and runs, preintegration, a start from rest.
 """
 
 from fastatt.estimation import preintegration
@@ -41,26 +41,41 @@ from fastatt.estimation.mekf import (
     mekf_update_attitude,
     mekf_update_vector,
 )
+from fastatt.estimation.noise import (
+    AllanDeviation,
+    NoiseFit,
+    allan_deviation,
+    from_data_sheet,
+    to_data_sheet,
+)
 from fastatt.estimation.particle import ParticleFilter
+from fastatt.estimation.runs import RunTangent, run_tangent
 from fastatt.estimation.simulation import SimulatedGyro, simulate_gyro
+from fastatt.estimation.start import StaticStart, static_start
 from fastatt.estimation.ukf import UKF
 
 __all__ = [
     "MEKF",
     "UKF",
+    "AllanDeviation",
     "BodyTangent",
     "Motion",
+    "NoiseFit",
     "ParticleFilter",
     "Preintegration",
     "Preintegrator",
+    "RunTangent",
     "SimulatedGyro",
+    "StaticStart",
     "StepTangent",
     "Transition",
+    "allan_deviation",
     "attitude_error",
     "attitude_from_vectors",
     "body_tangent",
     "covariance_to_body",
     "covariance_to_inertial",
+    "from_data_sheet",
     "gyro_motion",
     "left_jacobian",
     "left_jacobian_inverse",
@@ -76,10 +91,13 @@ __all__ = [
     "rate_transition",
     "right_jacobian",
     "right_jacobian_inverse",
+    "run_tangent",
     "sample_tangent",
     "sample_transitions",
     "scene_motion",
     "simulate_gyro",
+    "static_start",
     "step_tangent",
+    "to_data_sheet",
     "transition_matrix",
 ]

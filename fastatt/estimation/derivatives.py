@@ -267,7 +267,8 @@ def _by_differences(
 # bodies
 
 
-def _of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
+def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
+    """The method's record and the scene ready for its tangent, else ``ValueError``."""
     as_scene(scene)
     if scene.kind == "rate" or scene.moves:
         raise ValueError("scene: found no inertia, or mass; accepted: a scene with inertia alone")
@@ -291,6 +292,30 @@ def _body_rows(record: Method, structure: Any, parameters: bool) -> Repeated:
     size = tangent.directions(structure, parameters=parameters)
     inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
     return Repeated(formula, inputs, (4, 3, 6 * size, None))
+
+
+def tangent_rows(
+    record: Method,
+    packed: Packed,
+    times: tuple[Any, float],
+    state: tuple[NDArray[Any], NDArray[Any]],
+    n_threads: int | None,
+    parameters: bool = False,
+) -> tuple[NDArray[Any], ...]:
+    """q, w and the rows (..., 6, D) after a step of h s from times and states that broadcast."""
+    (t, h), (q, w) = times, state
+    q1, w1, phi, z = _body_rows(record, packed.structure, parameters)(
+        t,
+        h,
+        q,
+        w,
+        np.atleast_2d(packed.params),
+        tables=_tables(packed),
+        n_threads=number_of(n_threads),
+    )
+    # an iteration that did not converge says so by an infinite turn
+    phi[~np.isfinite(z)] = np.nan
+    return q1, w1, phi.reshape(*phi.shape[:-1], 6, phi.shape[-1] // 6)
 
 
 def body_tangent(
@@ -317,27 +342,16 @@ def body_tangent(
 
     Raises ``ValueError`` or ``TypeError`` for another scene, method or shape.
     """
-    record, packed = _of_body(scene, method)
+    record, packed = of_body(scene, method)
     h, begin = checks.real("dt", dt), checks.real("t", t)
     attitudes = checks.attitudes("q", q)
     w = checks.array("w", w, "(3,) or (N, 3)", [(3,), (-1, 3)])
     params = np.atleast_2d(packed.params)
     one = attitudes.ndim == 1 and w.ndim == 1 and packed.params.ndim == 1
     q_rows, w_rows = (np.atleast_2d(x).astype(np.float64) for x in (attitudes, w))
-    n = common_number("bodies", q=q_rows, w=w_rows, scene=params)
-    structure: Any = packed.structure
-    q1, w1, phi, z = _body_rows(record, structure, parameters)(
-        begin,
-        h,
-        q_rows,
-        w_rows,
-        params,
-        tables=_tables(packed),
-        n_threads=number_of(n_threads),
-    )
-    # an iteration that did not converge says so by an infinite turn
-    phi[~np.isfinite(z)] = np.nan
-    full = phi.reshape(n, 6, -1)
+    common_number("bodies", q=q_rows, w=w_rows, scene=params)
+    moved = tangent_rows(record, packed, (begin, h), (q_rows, w_rows), n_threads, parameters)
+    q1, w1, full = moved
     matrix, inertia, torque = full[:, :, :6], None, None
     if parameters:
         inertia, torque = full[:, :, 6:9], full[:, :, 9:]
@@ -363,7 +377,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
         record, packed = _of_rate(scene, method or "magnus4")
         made = _rate_function(record, packed.structure)
     else:
-        record, packed = _of_body(scene, method)
+        record, packed = of_body(scene, method)
         tables = _tables(packed)
         made = (
             _body_function(record, packed.structure, tables)

@@ -113,21 +113,39 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     """Mean of attitudes (..., M, 4), weighted (..., M): the eigenvector of Σ w q qᵀ, (..., 4).
 
     It minimises the weighted sum of squares of the matrices' distances; q and −q count the same,
-    and of the two means the one with scalar ≥ 0 is given. Markley, Cheng, Crassidis and Oshman, J.
-    Guidance 30 (2007) 1193, eq. 12.
+    quaternions of any length as of unit length, and of the two means the one with scalar ≥ 0 is
+    given. Markley, Cheng, Crassidis and Oshman, J. Guidance 30 (2007) 1193, eq. 12.
 
-    Raises ``ValueError`` for attitudes that are no quaternions, and weights that do not fit.
+    Raises ``ValueError`` for attitudes that are no quaternions or have no one mean, such as two
+    that are half a turn apart, and for weights that do not fit, are negative or all 0.
+
+    >>> import fastatt as fa
+    >>> fa.mean_attitude([[1, 0, 0, 0], [0, 0, 0, 1]], weights=[1, 0])
+    array([1., 0., 0., 0.])
     """
     rows = np.asarray(q, dtype=np.float64)
     if rows.ndim < 2 or rows.shape[-1] != 4 or rows.shape[-2] == 0:
         raise ValueError(f"q: has shape {rows.shape}; accepted: (..., M, 4)")
+    checks.finite("q", rows)
+    sizes = np.abs(rows).max(axis=-1, keepdims=True)
+    if not sizes.all():
+        raise ValueError("q: found a zero quaternion; accepted: of any other length")
+    rows = rows / sizes
+    rows /= np.linalg.norm(rows, axis=-1, keepdims=True)
     weighted = rows
     if weights is not None:
         w = np.asarray(weights, dtype=np.float64)
         if w.shape[-1:] != rows.shape[-2:-1]:
             raise ValueError(f"weights: has shape {w.shape}; accepted: (..., {rows.shape[-2]})")
-        weighted = rows * w[..., None]
-    _, vectors = np.linalg.eigh(np.swapaxes(weighted, -1, -2) @ rows)
+        checks.finite("weights", w)
+        if (w < 0.0).any() or not w.any(axis=-1).all():
+            raise ValueError(
+                f"weights: found {w.min():g} to {w.max():g}; accepted: at least 0, and some above"
+            )
+        weighted = rows * (w / w.max(axis=-1, keepdims=True))[..., None]
+    values, vectors = np.linalg.eigh(np.swapaxes(weighted, -1, -2) @ rows)
+    if (values[..., -1] - values[..., -2] <= 1e-14 * values[..., -1]).any():
+        raise ValueError("q: has no one mean; accepted: attitudes that do not weigh each other out")
     found = vectors[..., -1]
     return np.asarray(np.where(found[..., :1] < 0.0, -found, found))
 

@@ -1,0 +1,154 @@
+"""Where a filter starts: attitude and gyro bias from the first seconds at rest."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.arrays import normalised, quat_multiply, rotate
+from fastatt.estimation.directions import attitude_from_vectors
+
+Floats = NDArray[np.float64]
+_PIECES = 4
+
+
+class StaticStart(NamedTuple):
+    """Attitude, gyro bias and their covariance after a rest.
+
+    ``q`` (4,), body to inertial; ``bias`` (3,), rad/s, with the Earth's turn in it; ``P`` (6, 6) of
+    (δθ, δb), rad and rad/s, as a filter takes it; ``gravity``, the mean specific force, m/s².
+    """
+
+    q: Floats
+    bias: Floats
+    P: Floats
+    gravity: float
+
+
+def static_start(
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    mag: ArrayLike | None = None,
+    *,
+    sigma: ArrayLike,
+    up: ArrayLike = (0.0, 0.0, 1.0),
+    field: ArrayLike | None = None,
+    largest_bias: float = 0.05,
+    largest_change: float = 0.01,
+) -> StaticStart:
+    """Attitude and gyro bias from samples at rest.
+
+    The bias is the gyro's mean; the accelerometer's is the direction up, and with the
+    magnetometer's the attitude is that of :func:`attitude_from_vectors`. Without, the least turn
+    from the inertial axes is given, whose heading has a deviation of π.
+
+    Parameters
+    ----------
+    gyro : (n, 3), rad/s, along body axes; n at least 8.
+    accel : (n, 3), specific force, which at rest points up, along body axes, any unit.
+    mag : (n, 3), magnetic field along body axes, any unit.
+    sigma : a number or (2,), standard deviation of the two means across, rad, of what is not noise:
+        bias over gravity, 5e-3 for 5 mg, and the field's calibration. The noise is seen and added.
+    up, field : (3,), the two directions along inertial axes, any length; ``field`` with ``mag``.
+    largest_bias : of the gyro, rad/s: a mean beyond is a turn.
+    largest_change : of the means over quarters of the samples, rad/s, and rad of the directions.
+
+    Raises
+    ------
+    ValueError, TypeError : samples that were not taken at rest, a field that lies otherwise to
+        gravity than ``field`` to ``up``, by 5 deviations; an argument that does not fit, by name.
+
+    >>> from fastatt import estimation as es
+    >>> gyro, accel = np.tile([0.01, 0.0, 0.0], (100, 1)), np.tile([0.0, 0.0, 9.81], (100, 1))
+    >>> found = es.static_start(gyro, accel, sigma=5e-3)
+    >>> print(found.q, found.bias)
+    [1. 0. 0. 0.] [0.01 0.   0.  ]
+    """
+    rates = _samples("gyro", gyro)
+    bias = rates.mean(axis=0)
+    size = float(np.linalg.norm(bias))
+    if size > largest_bias:
+        raise ValueError(
+            f"gyro: has a mean of {size:.3g} rad/s; accepted: at rest, a bias of at most "
+            f"{largest_bias:g} (largest_bias)"
+        )
+    _same("gyro", np.linalg.norm(_quarters(rates) - bias, axis=1), "rad/s", largest_change)
+    seen = {"accel": _samples("accel", accel)}
+    known = {"up": up}
+    if (mag is None) != (field is None):
+        raise ValueError("field: found without mag, or mag without it; accepted: both or none")
+    if mag is not None and field is not None:
+        seen["mag"], known["field"] = _samples("mag", mag), field
+    extra = checks.array("sigma", sigma, "a number or (2,)", [(), (2,)])
+    if not (extra > 0.0).all():
+        raise ValueError(f"sigma: found {extra.min()}; accepted: above 0")
+    means, deviations = [], []
+    for (name, data), further in zip(seen.items(), np.broadcast_to(extra, (2,)), strict=False):
+        if len(data) != len(rates):
+            raise ValueError(f"{name}: found {len(data)} samples; accepted: {len(rates)}, as gyro")
+        mean = data.mean(axis=0)
+        long = float(np.linalg.norm(mean))
+        noise = float(np.sqrt(data.var(axis=0, ddof=1).sum() / 3.0 / len(data)))
+        if not long > 10.0 * noise:
+            raise ValueError(f"{name}: has no mean above its noise; accepted: a steady direction")
+        _same(name, _angles(_quarters(data), mean), "rad", largest_change)
+        means.append(mean)
+        deviations.append(math.hypot(float(further), noise / long))
+    references = [
+        checks.array(name, value, "(3,)", [(3,)]).astype(np.float64)
+        for name, value in known.items()
+    ]
+    P = np.diag(np.tile(rates.var(axis=0, ddof=1) / len(rates), 2))
+    if mag is None:
+        q, P[:3, :3] = _least_turn(means[0], references[0], deviations[0])
+    else:
+        apart = abs(_angles(means[0], means[1]) - _angles(*references))
+        if apart > 5.0 * math.hypot(*deviations):
+            raise ValueError(
+                f"mag: lies {apart:.3g} rad otherwise to accel than field to up; accepted: up to 5 "
+                f"deviations, {5.0 * math.hypot(*deviations):.3g} (sigma)"
+            )
+        q, P[:3, :3] = attitude_from_vectors(means, references, deviations)
+    return StaticStart(q, bias, P, float(np.linalg.norm(means[0])))
+
+
+def _samples(name: str, value: ArrayLike) -> Floats:
+    found = checks.array(name, value, "(n, 3)", [(-1, 3)]).astype(np.float64)
+    if len(found) < 2 * _PIECES:
+        raise ValueError(f"{name}: found {len(found)} samples; accepted: at least {2 * _PIECES}")
+    return found
+
+
+def _quarters(data: Floats) -> Floats:
+    return np.stack([piece.mean(axis=0) for piece in np.array_split(data, _PIECES)])
+
+
+def _same(name: str, changes: Floats, unit: str, limit: float) -> None:
+    if changes.max() > limit:
+        raise ValueError(
+            f"{name}: quarters of the samples differ by {changes.max():.3g} {unit} from the mean; "
+            f"accepted: at rest, at most {limit:g} (largest_change)"
+        )
+
+
+def _angles(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), a @ b))
+
+
+def _least_turn(mean: Floats, up: Floats, deviation: float) -> tuple[Floats, Floats]:
+    """The least turn that brings a direction up, and the covariance about body axes."""
+    if not up.any():
+        raise ValueError("up: found the zero vector; accepted: any other")
+    f, u = normalised(mean), normalised(up)
+    q = np.array([1.0, 0.0, 0.0, 0.0])
+    if f @ u < 1e-9 - 1.0:  # upside down: about any axis across
+        q = np.array([0.0, *normalised(np.cross(f, np.eye(3)[np.argmin(np.abs(f))]))])
+    for _ in range(2):  # the second finds the digits that the first loses near there
+        seen = rotate(q, f)
+        q = normalised(quat_multiply([1.0 + seen @ u, *np.cross(seen, u)], q))
+    along = np.outer(f, f)
+    return q, deviation**2 * (np.eye(3) - along) + math.pi**2 * along
