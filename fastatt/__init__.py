@@ -43,6 +43,7 @@ _HELD_BY = {
     "running.watch": "DriftStatistics watch_drift",
     "scene": "Scene",
     "steps": "single_step",
+    "streaming": "integrator",
     "trade": (
         "ErrorBudget Recommendation WorkPrecision error_budget recommend self_check work_precision"
     ),
@@ -55,8 +56,9 @@ __all__ = [
     "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
     "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
     "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
-    "from_scipy", "integrate_rates", "interchange", "kernels", "kinetic_energy",
-    "kinetic_energy_symmetric", "lie", "methods_for", "potential_energy", "propagate",
+    "from_scipy", "integrate_rates", "integrator", "interchange", "kernels",
+    "kinetic_energy", "kinetic_energy_symmetric", "lie", "methods_for", "potential_energy",
+    "propagate",
     "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
     "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
     "rotation_vector_to_quat", "self_check", "show_loop", "single_step", "steps", "to_scipy",
@@ -99,6 +101,7 @@ if TYPE_CHECKING:
     from fastatt.running.watch import DriftStatistics, watch_drift
     from fastatt.scene import Scene
     from fastatt.steps import single_step
+    from fastatt.streaming import integrator
     from fastatt.trade import Recommendation, recommend, self_check
     from fastatt.trade.error_budget import ErrorBudget, error_budget
     from fastatt.trade.work_precision import WorkPrecision, work_precision

@@ -52,6 +52,7 @@ class Job(ctypes.Structure):
     """What the loops work on; arrays by their addresses, C-contiguous."""
 
     _fields_ = (
+        ("peak", ctypes.c_double),  # largest component of an angle over an interval, rad
         ("data", ctypes.c_int64),  # samples (N, n_samples, 3)
         ("n_samples", ctypes.c_int64),
         ("before", ctypes.c_int64),  # samples before each log (N, n_before, 3)
@@ -60,6 +61,7 @@ class Job(ctypes.Structure):
         ("n_after", ctypes.c_int64),
         ("spans", ctypes.c_int64),  # the interval, s, or the intervals
         ("n_spans", ctypes.c_int64),  # how many, 0 of equal ones
+        ("lead", ctypes.c_int64),  # and how many are known before them
         ("out", ctypes.c_int64),  # attitudes (N, n_out, 4)
         ("n_out", ctypes.c_int64),
         ("history", ctypes.c_int64),
@@ -68,12 +70,12 @@ class Job(ctypes.Structure):
         ("by_interval", ctypes.c_int64),  # samples are rates, over intervals of many lengths
         ("short", ctypes.c_int64),  # the windows' loop for turns of at most π
         ("wide", ctypes.c_int64),  # and for any; 0 where there is none yet
-        ("peak", ctypes.c_int64),  # largest angle's component over an interval, of lanes or tiles
-        ("body", ctypes.c_int64),  # of side by side: log of each lane,
-        ("start", ctypes.c_int64),  # its first interval,
-        ("count", ctypes.c_int64),  # and how many
+        ("first", ctypes.c_int64),  # first interval
+        ("count", ctypes.c_int64),  # of side by side: how many,
+        ("phase", ctypes.c_int64),  # and how many of the first one's chunk are done
         ("log", ctypes.c_int64),  # of one log: which,
-        ("totals", ctypes.c_int64),  # and the turn of each tile (tiles, 4)
+        ("chunks", ctypes.c_int64),  # how many chunks,
+        ("totals", ctypes.c_int64),  # and the turn of each (chunks, 4)
         ("near", ctypes.c_double),  # angle below which turns are at most π
         ("factor", ctypes.c_double),  # a sample's angle over an interval, of equal intervals
     )
@@ -121,6 +123,13 @@ class Chunk:
         at = c.b.bitcast(c.place(job, _PLACES[name]), REALS["double"].as_pointer())
         value = c.b.load(at)
         return value if self.kind == "double" else c.b.fptrunc(value, self.real)
+
+    def raise_peak(self, c: Code, job: Any, value: Any) -> None:
+        """Keep the larger of the job's peak and another."""
+        double = REALS["double"]
+        at = c.b.bitcast(c.place(job, _PLACES["peak"]), double.as_pointer())
+        other = value if self.kind == "double" else c.b.fpext(value, double)
+        c.b.store(larger(c, other, c.b.load(at)), at)
 
     def array(self, c: Code, job: Any, name: str, to: Any = None) -> Any:
         """An array of the job."""
@@ -252,16 +261,18 @@ class Chunk:
         to = c.place(work, _SAMPLES)
         b.call(self.columns, [pointers, c.raw(m * 3), to, c.place(work, _PEAK)])
         with c.when(field["n_spans"] > 0):
+            known = c.whole(0) - field["lead"]
             with c.loop(0, LANES) as j:
                 lane = j.at_most(width - 1)
                 first = Int(c, c.load(start, lane)) + Int(c, n) - field["history"]
                 column = c.place(work, _COLUMNS + j * _COLUMN)
-                inside = _all(c, first >= 0, first + need <= field["n_spans"], need >= self.lanes)
+                end = field["n_spans"]
+                inside = _all(c, first >= known, first + need <= end, need >= self.lanes)
                 at = b.select(inside, c.place(spans, first), column)
                 c.store(pointers, j, b.ptrtoint(at, I64))
                 with c.when(b.not_(inside)):
                     with c.loop(0, need) as i:
-                        k = at_least(c, first + i, 0).at_most(field["n_spans"] - 1)
+                        k = at_least(c, first + i, known).at_most(field["n_spans"] - 1)
                         c.store(column, i, c.load(spans, k))
                     self._fill(c, column, need)
             to = c.place(work, _INTERVALS)
@@ -327,26 +338,32 @@ class Chunk:
         b.call(b.inttoptr(chosen.value, to), given)
 
     def _scatter(self) -> Any:
-        """The attitudes of ``left`` intervals to their places, past the cache.
+        """The attitudes p∘r of ``left`` intervals to their places, past the cache.
 
-        They are written once and not read again here; an ordinary store would first fetch the line
-        that it overwrites. The first attitude of a log is written too: whoever touches a page first
-        pays for it, on its thread.
+        p of each lane are those at the chunks' starts, r the rows. What is written once and not
+        read again here goes past the cache; an ordinary store would first fetch the line that it
+        overwrites. The first attitude of a log is written too: whoever touches a page first pays
+        for it, on its thread.
         """
         c, (job, work, body, start, n, left, width) = self._part(
             "scatter", [self.wholes, self.reals, self.wholes, self.wholes, I64, I64, I64]
         )
         b, lanes, n, left = c.b, self.lanes, Int(c, n), Int(c, left)
-        rows, columns = c.place(work, ATTITUDES), c.place(work, _COLUMNS)
+        rows, starts, columns = (c.place(work, at) for at in (ATTITUDES, STARTS, _COLUMNS))
         m = left * 4 + 4
-        last = at_least(c, m - lanes, 0)
-        with c.loop(0, (m + (lanes - 1)) // lanes) as block:
-            i = (block * lanes).at_most(last)
-            for g in self.groups:
-                found = [c.vector(rows, (i + k) * LANES + g, lanes) for k in range(lanes)]
-                for k, column in enumerate(self._transposed(c, found)):
-                    at = self._anywhere(c, c.place(columns, i + (g + k) * _COLUMN), lanes)
-                    b.store(column, at, align=self.size)
+        size = max(lanes, 4)
+        last = at_least(c, m - size, 0)
+        for g in self.groups:
+            p = self.vectors(c, starts, 0, g)
+            with c.loop(0, (m + (size - 1)) // size) as block:
+                i = (block * size).at_most(last)
+                found: list[Any] = []
+                for k in range(0, size, 4):
+                    found += self.product(c, lanes, p, self.vectors(c, rows, i + k, g))
+                for k in range(0, size, lanes):
+                    for lane, column in enumerate(self._transposed(c, found[k : k + lanes])):
+                        to = c.place(columns, i + (k + (g + lane) * _COLUMN))
+                        b.store(column, self._anywhere(c, to, lanes), align=self.size)
         out = self.field(c, job, "out")
         n_out = self.field(c, job, "n_out")
         aligned = (out % 16).equals(0)

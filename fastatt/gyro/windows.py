@@ -20,8 +20,6 @@ from fastatt.flat.graph import both, choose
 CHUNK = 48
 #: stretches of logs that run side by side
 LANES = 16
-#: intervals of one log that run side by side
-TILE = CHUNK * LANES
 #: most intervals that a window may look back
 MOST_HISTORY = 8
 # a state of some 1 that a pass moves by more will not come back
