@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.gyro.ends import beyond
 from fastatt.gyro.engine import Run, beginning, finish
 from fastatt.methods import METHODS, Method
 from fastatt.running.limits import StepWarning
@@ -83,10 +82,8 @@ def integrate_rates(
         out[:, 0] = q[:, :4]
         return result
     window = record.window
-    with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
-        edges = beyond(data, spans, window, increments)
     with progress_bar(progress, n_logs * count, "sample") as done:
-        run = Run(window, increments, data, edges, spans, out)
+        run = Run(window, increments, data, spans, out)
         seen = run.carry(q, n_threads=threads, done=done)
     rest = count % window.span
     if window.iteration and rest:

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.gyro import ends
 from fastatt.gyro.engine import Run, beginning, finish
 from fastatt.gyro.windows import CHUNK
 from fastatt.integrate import check_intervals, intervals, method_of, overflow, warn_of_turns
@@ -176,15 +175,7 @@ class Integrator:
             seen = math.inf
             finish(window, increments, samples, spans, out)
         elif count:
-            before, after = samples[:, lead - window.history : lead], samples[:, :0]
-            with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
-                if not self._done:
-                    before = ends.before(samples, spans, window, increments)
-                if self._closed:
-                    after = ends.after(samples, spans, window, increments)
-            edges = np.ascontiguousarray(before), after
-            own = np.ascontiguousarray(samples[:, lead:])
-            run = Run(window, increments, own, edges, spans, out, lead)
+            run = Run(window, increments, samples, spans, out, lead)
             seen = run.carry(q, phase=self._done % CHUNK, n_threads=self._threads)
         if not np.isfinite(out[:, -1]).all():
             raise overflow("rates", samples.dtype)

@@ -15,47 +15,40 @@ Array = NDArray[Any]
 
 def beyond(data: Array, spans: Any, window: Window, increments: bool) -> tuple[Array, Array]:
     """Samples (N, k, 3) before and after logs, by the polynomial of the nearest whole window."""
-    return before(data, spans, window, increments), after(data, spans, window, increments)
+    n = data.shape[1]
+    head = before(spans, n, window, increments)[::-1]
+    tail = after(spans, n, -(n - (not increments)) % window.span, window, increments)
+    return head @ data[:, : head.shape[1]], tail @ data[:, n - tail.shape[1] :]
 
 
-def before(data: Array, spans: Any, window: Window, increments: bool) -> Array:
-    """Samples before logs that begin with ``data (N, n, 3)``, as many as a window looks back."""
-    near = min(window.samples(increments), data.shape[1])
+def before(spans: Any, n: int, window: Window, increments: bool) -> Array:
+    """Table (history, near) of the samples before a log of n, the nearest first, from its first."""
+    near = min(window.samples(increments), n)
     gaps = spans[: near - (not increments)][::-1] if np.ndim(spans) else near - (not increments)
-    return _applied(gaps, window.history, increments, data[:, :near], -1)
+    return _table(gaps, window.history, increments)[:, ::-1]
 
 
-def after(data: Array, spans: Any, window: Window, increments: bool) -> Array:
-    """Samples after logs that end with ``data (N, n, 3)``, to the end of a window."""
-    near = min(window.samples(increments), data.shape[1])
-    count = data.shape[1] - (not increments)
-    missing = 0 if window.iteration else -count % window.span
-    gaps = spans[count - near + (not increments) :] if np.ndim(spans) else near - (not increments)
-    return _applied(gaps, missing, increments, data[:, data.shape[1] - near :], 1)
+def after(spans: Any, n: int, count: int, window: Window, increments: bool) -> Array:
+    """Table (count, near) of the samples after a log of n, from its last."""
+    near = min(window.samples(increments), n)
+    inside = near - (not increments)
+    return _table(spans[len(spans) - inside :] if np.ndim(spans) else inside, count, increments)
 
 
-def _applied(gaps: Any, n: int, increments: bool, samples: Array, step: int) -> Array:
-    """``n`` further samples; one of zeros where none is needed."""
-    if not n:
-        return np.zeros((len(samples), 1, 3), dtype=samples.dtype)
-    table = _equal(gaps, n, increments) if isinstance(gaps, int) else _table(gaps, n, increments)
-    # a copy, so that a part of a log gives the bits of the whole
-    near = np.array(samples, dtype=np.float64, order="C")
-    return np.ascontiguousarray(table[::step, ::step] @ near, dtype=samples.dtype)
-
-
-@functools.cache
-def _equal(count: int, n: int, increments: bool) -> Array:
-    return _table(np.ones(count), n, increments)
-
-
-def _table(gaps: Array, n: int, increments: bool) -> Array:
-    """What gives ``n`` further samples, spaced as the last, from those with ``gaps`` between."""
+def _table(gaps: Any, n: int, increments: bool) -> Array:
+    """What gives ``n`` further samples, spaced as the last, from those with gaps between."""
+    if isinstance(gaps, int):
+        return _equal(gaps, n, increments)
     gaps = gaps.astype(np.float64)
     nodes = np.concatenate([[0.0], np.cumsum(gaps)])
     return _interpolation(
         nodes, nodes[-1] + gaps[-1] * np.arange(not increments, n + 1), increments
     )
+
+
+@functools.cache
+def _equal(count: int, n: int, increments: bool) -> Array:
+    return _table(np.ones(count), n, increments)
 
 
 def _interpolation(nodes: Array, at: Array, increments: bool) -> Array:

@@ -34,16 +34,19 @@ _SCRATCH = threading.local()
 _MAKING = threading.Lock()
 # tiles below which a thread more is no gain
 _TILES = 64
+# tiles that take some 0.05 s
+_PIECE = 4096
 
-Done = Callable[[int], object]
+_Done = Callable[[int], object] | None
 
 
 class Run:
     """A stretch of logs and a method's window: ``n`` intervals to be turned into attitudes.
 
-    ``data`` (N, m, 3) are samples from the stretch's first interval on, ``edges`` those before and
-    after (N, k, 3), ``spans`` the interval, s, or the intervals, of which ``lead`` come before the
-    stretch; ``out`` (N, n + 1, 4) takes attitudes. All arrays are C-contiguous, of one precision.
+    ``data`` (N, lead + m, 3) are samples, ``lead`` of them before the stretch's first interval,
+    ``spans`` the interval, s, or the intervals, (lead + n,); ``out`` (N, n + 1, 4) takes attitudes.
+    All arrays are C-contiguous, of one precision. Without ``lead`` the logs begin here; they end
+    here where the last window is not whole.
     """
 
     def __init__(
@@ -51,50 +54,52 @@ class Run:
         window: Window,
         increments: bool,
         data: NDArray[Any],
-        edges: tuple[NDArray[Any], NDArray[Any]],
         spans: Any,
         out: NDArray[Any],
         lead: int = 0,
     ) -> None:
         uneven = isinstance(spans, np.ndarray)
-        self._window = window
-        kept = spans if uneven else np.array([spans], dtype=data.dtype)
-        self._held = (data, *edges, kept, out)
+        self._held = data, spans, out
         with _MAKING:
-            self._program = _program(window, increments, _KINDS[data.dtype], uneven)
-        job = self._job = Job.from_buffer_copy(self._program.job)
-        job.data, job.before, job.after, job.spans, job.out = (_address(x) for x in self._held)
-        job.n_samples, job.n_before, job.n_after = (x.shape[1] for x in self._held[:3])
-        job.n_out = out.shape[1]
+            program = self._program = _program(window, increments, _KINDS[data.dtype], uneven)
+        samples, self._count = data.shape[1], out.shape[1] - 1
+        missing = 0 if window.iteration else -self._count % window.span
+        self._ends = program.ends(spans, samples, missing)
+        job = self._job = Job.from_buffer_copy(self._ends)
+        job.data, job.out = _address(data), _address(out)
+        job.n_samples, job.lead, job.n_out = samples - lead, lead, self._count + 1
         if uneven:
-            job.spans += lead * spans.itemsize
-            job.n_spans, job.lead = len(spans) - lead, lead
-        elif not increments:
-            job.factor = spans
+            job.spans, job.n_spans = _address(spans), len(spans) - lead
+        else:
+            job.interval = spans
+            if not increments:
+                job.factor = spans
 
     def carry(
-        self, q: NDArray[Any], *, phase: int = 0, n_threads: int = 1, done: Done | None = None
+        self, q: NDArray[Any], *, phase: int = 0, n_threads: int = 1, done: _Done = None
     ) -> float:
         """Write all attitudes from p and r, q (N, 8), at the start, ``phase`` intervals of a chunk.
 
         It ends at the end. Gives the largest component of an angle over an interval, rad.
         """
-        done = done or (lambda n: None)
-        n_logs, count = len(q), self._held[-1].shape[1] - 1
+        n_logs, count = len(q), self._count
         head = min(-phase % CHUNK, count)
-        chunks = (count - head) // CHUNK
-        if n_logs >= LANES or n_logs * -(-chunks // LANES) >= chunks:
+        chunks = -(-(count - head) // CHUNK)
+        if n_logs >= LANES or n_logs * -(-chunks // LANES) > chunks:
             return self._side_by_side(q, (0, count), phase, n_threads, done)
         peak = self._side_by_side(q, (0, head), phase, 1, done) if head else 0.0
-        for log in range(n_logs):
-            peak = max(peak, self._one_log(log, q[log], (head, chunks), n_threads, done))
-        last = head + chunks * CHUNK
-        if last < count:
-            peak = max(peak, self._side_by_side(q, (last, count), 0, 1, done))
+        if head < count:
+            for log in range(n_logs):
+                peak = max(peak, self._one_log(log, q[log], (head, count - head), n_threads, done))
         return peak
 
     def _side_by_side(
-        self, q: NDArray[Any], bounds: tuple[int, int], phase: int, n_threads: int, done: Done
+        self,
+        q: NDArray[Any],
+        bounds: tuple[int, int],
+        phase: int,
+        n_threads: int,
+        done: _Done,
     ) -> float:
         """A lane for each log."""
         n_logs, count = len(q), bounds[1] - bounds[0]
@@ -108,7 +113,8 @@ class Run:
             if stop is None or not stop.is_set():
                 last = min(first + size, n_logs)
                 peaks.append(self._through(job, "sweep", (first, last), _address(q)))
-                done((last - first) * count)
+                if done:
+                    done((last - first) * count)
 
         if n_logs <= size:
             task(0, None)
@@ -117,13 +123,15 @@ class Run:
         return max(peaks)
 
     def _one_log(
-        self, log: int, q: NDArray[Any], at: tuple[int, int], n_threads: int, done: Done
+        self, log: int, q: NDArray[Any], at: tuple[int, int], n_threads: int, done: _Done
     ) -> float:
         """Runs of tiles, each of whose lanes takes a chunk, on each thread."""
         job = Job.from_buffer_copy(self._job)
-        job.log, (job.first, job.chunks) = log, at
-        tiles = -(-job.chunks // LANES)
+        job.log, (job.first, job.count) = log, at
+        tiles = -(-at[1] // (LANES * CHUNK))
         threads = max(1, min(n_threads, tiles // _TILES))
+        if threads == 1 and tiles < _PIECE and not done:
+            return self._through(job, "along", (0, tiles), _address(q), 1)
         bounds = [tiles * i // threads for i in range(threads + 1)]
         starts = [q, *(q.copy() for _ in bounds[2:])]
         peaks = []
@@ -151,7 +159,8 @@ class Run:
         def along(p: NDArray[Any], first: int, last: int, stop: Event) -> None:
             for piece in _pieces(first, last, stop):
                 through(piece, p, 1)
-                done(CHUNK * (min(LANES * piece[1], job.chunks) - LANES * piece[0]))
+                if done:
+                    done(min(LANES * CHUNK * piece[1], at[1]) - LANES * CHUNK * piece[0])
 
         runs = zip(starts, pairwise(bounds), strict=True)
         in_threads([partial(along, p, a, z) for p, (a, z) in runs], threads)
@@ -165,10 +174,11 @@ class Run:
         call, work = self._program.loops[name], _scratch(self._program.kind)
         where = ctypes.addressof(job)
         while at < last:
-            job.short, job.wide = self._program.forms()
+            job.short, job.wide = self._program.forms
             at = call(where, work, q, *how, at, last)
             if at < last:
-                self._program.any_angle()
+                with _MAKING:
+                    self._program.any_angle()
         return float(job.peak)
 
 
@@ -179,8 +189,7 @@ def finish(
     count = out.shape[1] - 1
     samples, apart, places = ends.rest(data, spans, count, window, increments)
     turns = np.empty((len(out), window.span + 1, 4), dtype=out.dtype)
-    none = np.zeros((len(out), 1, 3), dtype=out.dtype)
-    Run(window, increments, samples, (none, none), apart, turns).carry(
+    Run(window, increments, samples, apart, turns).carry(
         beginning(np.array([1.0, 0.0, 0.0, 0.0]), len(out), out.dtype)
     )
     out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
@@ -200,10 +209,10 @@ def _address(x: NDArray[Any]) -> int:
 
 def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
     """Cuts between which a run may be stopped, some 0.05 s apart."""
-    for a in range(first, last, 4096):
+    for a in range(first, last, _PIECE):
         if stop.is_set():
             return
-        yield a, min(a + 4096, last)
+        yield a, min(a + _PIECE, last)
 
 
 class _Program:
@@ -211,9 +220,10 @@ class _Program:
 
     def __init__(self, window: Window, increments: bool, kind: str, uneven: bool) -> None:
         self.kind, self.loops = kind, _loops(kind)
+        self._window, self._increments = window, increments
         # an iteration has one form for all angles
         near = 0.0 if window.iteration else window.near
-        self.job = Job(
+        self._job = Job(
             history=window.history,
             span=window.span,
             extra=not increments,
@@ -221,20 +231,39 @@ class _Program:
             near=near,
             factor=float(increments),
         )
+        self._ends: dict[tuple[int, int], Job] = {}
         self._made = partial(windows, window, increments, kind, uneven)
         self._forms = [self._made(wide=False) if near else None, None]
-        if not near:
-            self._forms[1] = self._made(wide=True)
+        self.forms = 0, 0
+        self._find() if near else self.any_angle()
 
     def any_angle(self) -> None:
         """Make the form for turns of any angle."""
-        with _MAKING:
-            self._forms[1] = self._made(wide=True)
+        self._forms[1] = self._made(wide=True)
+        self._find()
 
-    def forms(self) -> tuple[int, int]:
+    def _find(self) -> None:
         """Addresses of the windows' loop for turns of at most π and for any; 0 of none."""
         short, wide = (form.address("windows") if form else 0 for form in self._forms)
-        return short, wide
+        self.forms = short, wide
+
+    def ends(self, spans: Any, n: int, missing: int) -> Job:
+        """A job with the tables of samples beyond the ends of logs of n, ``missing`` after them."""
+        key = min(n, self._window.samples(self._increments)), missing
+        found = None if np.ndim(spans) else self._ends.get(key)
+        if found is None:
+            given = self._window, self._increments
+            head = ends.before(spans, n, *given)
+            # where none is missing, what is past a window's end may be anything: the last once more
+            tail = ends.after(spans, n, missing, *given) if missing else np.ones((1, 1))
+            found = Job.from_buffer_copy(self._job)
+            head, tail = np.ascontiguousarray(head), np.ascontiguousarray(tail)
+            found.tables = head, tail  # which the job has the addresses of
+            found.head, found.n_head = _address(head), head.shape[1]
+            found.tail, (found.n_after, found.n_tail) = _address(tail), tail.shape
+            if not np.ndim(spans):
+                self._ends[key] = found
+        return found
 
 
 def _scratch(kind: str) -> int:

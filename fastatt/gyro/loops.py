@@ -55,10 +55,10 @@ class Loops(Chunk):
                 need = windows * field["span"] + field["history"]
                 where = [job, work, body, start]
                 b.call(self.gather, [*where, width.value, n.value, need.value])
-                self.turn(c, job, work, windows, lambda: c.give(tile))
+                self.turn(c, job, work, windows, width, lambda: c.give(tile))
                 b.call(self.scatter, [*where, n.value, left.value, width.value])
                 whole = (c.get(phase) + left).equals(CHUNK)
-                for g in self.groups:
+                with self.groups(c, width) as g:
                     r = self.vectors(c, rows, left * 4, g)
                     p = self.vectors(c, starts, 0, g)
                     turned = self.unit(c, lanes, self.product(c, lanes, p, r))
@@ -77,65 +77,79 @@ class Loops(Chunk):
         c.give(last)
 
     def _along(self) -> None:
-        """``along(job, work, q, write, first, last)``: tiles of one log from q (4,), at the first.
+        """``along(job, work, q, write, first, last)``: tiles of one log from p and r, q (8,).
 
-        LANES chunks in a row are one tile. Without ``write`` only the turn of each chunk is found;
-        with it attitudes are written, and q is left at the last tile's end. Gives the first tile
-        whose windows' loop is not made yet, with q at its start, or ``last``.
+        LANES chunks in a row are one tile, the last may be less. Without ``write`` only the turn of
+        each chunk is found; with it attitudes are written, and q is left at the last tile's end.
+        Gives the first tile whose windows' loop is not made yet, with q at its start, or ``last``.
         """
         c = Code(self.module, "along", [self.wholes, self.reals, self.reals, I64, I64, I64])
         b, lanes = c.b, self.lanes
         job, work, q, write, first, last = c.function.args
         write = Int(c, write) > 0
         rows, most, starts = (c.place(work, at) for at in (ATTITUDES, MOST, STARTS))
-        names = ("history", "span", "log", "first", "chunks")
-        history, span, log, begin, chunks = (self.field(c, job, name) for name in names)
+        names = ("history", "span", "log", "first", "count")
+        history, span, log, begin, count = (self.field(c, job, name) for name in names)
         totals = self.array(c, job, "totals")
         body, start = self.whole(c, work, LOGS), self.whole(c, work, FIRSTS)
-        a = self._quaternion(c)
-        a.set([c.load(q, k) for k in range(4)])
+        p, r = self._quaternion(c), self._quaternion(c)
+        p.set([c.load(q, k) for k in range(4)])
+        r.set([c.load(q, k) for k in range(4, 8)])
+
+        def keep() -> None:
+            for k, value in enumerate(p.get() + r.get()):
+                c.store(q, k, value)
+
         with c.loop(Int(c, first), Int(c, last)) as tile:
-            width = (chunks - tile * LANES).at_most(LANES)
-            with c.loop(0, LANES) as j:
+            own = count - tile * (LANES * CHUNK)
+            width = ((own + (CHUNK - 1)) // CHUNK).at_most(LANES)
+            with c.loop(0, width) as j:
                 c.store(body, j, log.value)
                 c.store(start, j, (begin + (tile * LANES + j) * CHUNK).value)
-            for g in self.groups:
+            with self.groups(c, width) as g:
                 self.put_vectors(c, rows, 0, g, [c.splat(x, lanes) for x in self.one(c)])
                 c.store_vector(most, g, c.splat(c.real(self.kind, 0.0), lanes))
+            windows = (own.at_most(CHUNK) + (span - 1)) // span
             where = [job, work, body, start]
-            b.call(self.gather, [*where, width.value, c.raw(0), (history + CHUNK).value])
+            b.call(self.gather, [*where, width.value, c.raw(0), (history + windows * span).value])
 
             def undone() -> None:
-                a.keep(q)
+                keep()
                 c.give(tile)
 
-            self.turn(c, job, work, c.whole(CHUNK) // span, undone)
+            self.turn(c, job, work, windows, width, undone)
             with c.loop(0, width) as j:
                 self.raise_peak(c, job, c.load(most, j))
-                r = self.column(c, rows, 4 * CHUNK, j)
+                left = (own - j * CHUNK).at_most(CHUNK)
+                turned = self.column(c, rows, left * 4, j)
                 with c.when(write):
-                    for k, value in enumerate(a.get()):
+                    for k, value in enumerate(p.get()):
                         c.store(starts, j + k * LANES, value)
-                    a.set(self.unit(c, 1, self.product(c, 1, a.get(), r)))
+                    after = self.unit(c, 1, self.product(c, 1, p.get(), turned))
+                    whole = left.equals(CHUNK)
+                    for q_, ends in (p, (after, p.get())), (r, (self.one(c), turned)):
+                        q_.set([b.select(whole, *x) for x in zip(*ends, strict=True)])
                 with c.when(b.not_(write)):
-                    for k, value in enumerate(r):
+                    for k, value in enumerate(turned):
                         c.store(totals, (tile * LANES + j) * 4 + k, value)
             with c.when(write):
-                b.call(self.scatter, [*where, c.raw(0), c.raw(CHUNK), width.value])
-        a.keep(q)
+                left = own.at_most(CHUNK).value
+                b.call(self.scatter, [*where, c.raw(0), left, width.value])
+        keep()
         b.fence("seq_cst")
         c.give(Int(c, last))
 
     def _chain(self) -> None:
-        """``chain(q, totals, n)``: q after n further chunks' turns, one after the other."""
+        """``chain(q, totals, n)``: p after n further chunks' turns, one after the other."""
         c = Code(self.module, "chain", [self.reals, self.reals, I64])
         q, totals, n = c.function.args
-        a = self._quaternion(c)
-        a.set([c.load(q, k) for k in range(4)])
+        p = self._quaternion(c)
+        p.set([c.load(q, k) for k in range(4)])
         with c.loop(0, Int(c, n)) as i:
-            p = [c.load(totals, i * 4 + k) for k in range(4)]
-            a.set(self.unit(c, 1, self.product(c, 1, a.get(), p)))
-        a.keep(q)
+            turned = [c.load(totals, i * 4 + k) for k in range(4)]
+            p.set(self.unit(c, 1, self.product(c, 1, p.get(), turned)))
+        for k, value in enumerate(p.get()):
+            c.store(q, k, value)
         c.give(0)
 
     def one(self, c: Code) -> list[Any]:
@@ -158,8 +172,3 @@ class _Quaternion:
     def set(self, q: list[Any]) -> None:
         for value, place in zip(q, self.places, strict=True):
             self.c.b.store(value, place)
-
-    def keep(self, to: Any) -> None:
-        """Write it to four numbers in a row."""
-        for k, value in enumerate(self.get()):
-            self.c.store(to, k, value)

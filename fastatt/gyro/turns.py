@@ -33,9 +33,10 @@ def exponentials(u: Numbers, wide: bool) -> list[Any]:
 
 
 class WindowsLoop:
-    """``windows(samples, intervals, attitudes, n)``: n windows of rows that hold all lanes.
+    """``windows(samples, intervals, attitudes, n, width)``: n windows of rows that hold all lanes.
 
-    The attitudes' first row is that at the start. ``intervals`` are rows too, or one number.
+    The attitudes' first row is that at the start. ``intervals`` are rows too, or one number. Only
+    the lanes' first ``width`` are looked at, a vector at a time.
     """
 
     def __init__(
@@ -47,9 +48,9 @@ class WindowsLoop:
         self.vector = ir.VectorType(REALS[kind], self.lanes)
         self.module = ir.Module("windows")
         reals = REALS[kind].as_pointer()
-        c = self.code = Code(self.module, "windows", [reals, reals, reals, I64])
+        c = self.code = Code(self.module, "windows", [reals, reals, reals, I64, I64])
         self.emitter = Emitter(c, self.lanes, processor().fuses)
-        self.samples, self.intervals, self.attitudes, n = c.function.args
+        self.samples, self.intervals, self.attitudes, n, width = c.function.args
         for pointer in c.function.args[:3]:
             pointer.add_attribute("noalias")
         self.interval = None if uneven else c.load(self.intervals, 0)
@@ -57,7 +58,7 @@ class WindowsLoop:
         iteration = window.iteration
         self.state: list[Any] = []
         one = self._iterated(iteration) if iteration else self._by_formula()
-        with c.loop(0, LANES, self.lanes) as j:
+        with c.loop(0, Int(c, width), self.lanes) as j:
             for i, place in enumerate(self.q):
                 c.b.store(c.vector(self.attitudes, j + i * LANES, self.lanes), place)
             with c.loop(0, Int(c, n)) as k:
