@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
 from typing import Any
@@ -69,33 +70,52 @@ def integrate_rates(
     count = n if increments else n - 1
     spans = intervals(dt, count, max_gap, precision)
     check_intervals(method, uneven=isinstance(spans, np.ndarray))
-    threads = number_of(n_threads)
-    start = checks.attitudes("q0", q0)
+    threads = None if n_threads is None else number_of(n_threads)
+    start = unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
         raise ValueError(f"q0: has shape {start.shape}; accepted: (4,) or ({n_logs}, 4), one a log")
 
     shape = (count + 1, 4) if one else (n_logs, count + 1, 4)
     result = _output(out, shape, precision)
     out = result.reshape(n_logs, count + 1, 4)
-    q = beginning(normalised(start.astype(np.float64)), n_logs, precision)
+    q = beginning(start, n_logs, precision)
     if count == 0:
         out[:, 0] = q[:, :4]
         return result
     window = record.window
-    with progress_bar(progress, n_logs * count, "sample") as done:
-        run = Run(window, increments, data, spans, out)
-        seen = run.carry(q, n_threads=threads, done=done)
+    run = Run(window, increments, data, spans, out)
+    if progress:
+        with progress_bar(progress, n_logs * count, "sample") as done:
+            seen = run.carry(q, n_threads=threads, done=done)
+    else:
+        seen = run.carry(q, n_threads=threads)
     rest = count % window.span
     if window.iteration and rest:
         end = np.ascontiguousarray(out[:, -rest - 1 :])
         finish(window, increments, data, spans, end)
         out[:, -rest:] = end[:, 1:]
     # a sample that is not finite stays in every later attitude; the last may not be used
-    if not (np.isfinite(out[:, -1]).all() and np.isfinite(data[:, -1]).all()):
+    if not (checks.all_finite(q) and checks.all_finite(data[:, -1])):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
     warn_of_turns(seen, data, spans, record, increments)
     return result
+
+
+def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Quaternions (4,) or (N, 4) of any length but zero, at unit length; a zero is no −0."""
+    given = value.tolist() if type(value) is np.ndarray and value.shape == (4,) else value
+    if type(given) in {tuple, list} and len(given) == 4:
+        # the same operations on numbers, which take less than those on short arrays
+        a, b, c, d = given
+        if type(a) is type(b) is type(c) is type(d) is float:
+            most = max(abs(a), abs(b), abs(c), abs(d))
+            if 0.0 < most < math.inf:
+                a, b, c, d = a / most, b / most, c / most, d / most
+                length = math.sqrt(a * a + b * b + c * c + d * d)
+                if length < math.inf:
+                    return np.array([0.0 + x / length for x in (a, b, c, d)])
+    return normalised(checks.attitudes(name, value).astype(np.float64)) + 0.0
 
 
 def overflow(name: str, precision: np.dtype[Any]) -> ValueError:
@@ -118,7 +138,7 @@ def warn_of_turns(
     ``seen`` is the largest component of an angle, of the samples or of more; ``first`` what the
     first interval is called, ``level`` how many calls up the user's is.
     """
-    limit = record.limit("increments" if increments else "rates")
+    limit = record.limits["increments" if increments else "rates"]
     # |w| is at most √3 of its components
     if seen * math.sqrt(3.0) <= limit:
         return
@@ -141,15 +161,21 @@ def warn_of_turns(
         )
 
 
+@functools.cache
+def _named(increments: bool) -> dict[str, Method]:
+    scene = "increments" if increments else "sampled rates"
+    return {m.name: m for m in METHODS.values() if scene in m.scenes}
+
+
 def methods_for_samples(increments: bool = False) -> list[str]:
     """Names of the methods for sampled rates, or for increments."""
-    scene = "increments" if increments else "sampled rates"
-    return [m.name for m in METHODS.values() if scene in m.scenes]
+    return list(_named(increments))
 
 
 def method_of(name: str, increments: bool) -> Method:
     """A method for samples by its name; ``ValueError`` for any other."""
-    return METHODS[checks.choice("method", name, methods_for_samples(increments))]
+    named = _named(increments)
+    return named[checks.choice("method", name, named)]
 
 
 def check_intervals(method: str, *, uneven: bool) -> None:
@@ -185,6 +211,8 @@ def _allowed(max_gap: Any) -> float:
 
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
+    if type(dt) is float and 0.0 < dt < math.inf:
+        return precision.type(dt)
     accepted = f"a number or ({count},)"
     spans = checks.array("dt", dt, accepted, [(), (count,)])
     if spans.ndim == 0:

@@ -9,10 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import normalised
 from fastatt.gyro.engine import Run, beginning, finish
 from fastatt.gyro.windows import CHUNK
-from fastatt.integrate import check_intervals, intervals, method_of, overflow, warn_of_turns
+from fastatt.integrate import (
+    check_intervals,
+    intervals,
+    method_of,
+    overflow,
+    unit_quaternions,
+    warn_of_turns,
+)
 from fastatt.methods import METHODS
 from fastatt.threads import number_of
 
@@ -68,13 +74,13 @@ class Integrator:
         self._method = method_of(method, increments).name
         check_intervals(method, uneven=dt is None)
         self._increments = increments
-        start = checks.attitudes("q0", q0)
+        start = unit_quaternions("q0", q0)
         self._one = start.ndim == 1
-        self._start = np.atleast_2d(normalised(start.astype(np.float64)))
+        self._start = np.atleast_2d(start)
         self._dt = None if dt is None else intervals(checks.real("dt", dt), 0, None, np.dtype("f8"))
         self._max_gap = math.inf if max_gap is None else max_gap
         self._precision = None if dtype is None else checks.precision(dtype)
-        self._threads = number_of(n_threads)
+        self._threads = None if n_threads is None else number_of(n_threads)
         self._begun = self._closed = False
         # intervals done, and how many of them the samples and intervals that are kept go back
         self._done = self._lead = 0
@@ -169,18 +175,19 @@ class Integrator:
         record, increments = METHODS[self._method], self._increments
         window, lead, n_logs = record.window, self._lead, len(samples)
         out = np.empty((n_logs, count + 1, 4), dtype=samples.dtype)
-        out[:, 0] = self._last if self._begun else q[:, :4]
         q, seen = q.copy(), 0.0
-        if count and window.iteration and self._closed:
-            seen = math.inf
-            finish(window, increments, samples, spans, out)
-        elif count:
+        if not count or (window.iteration and self._closed):
+            out[:, 0] = self._last if self._begun else q[:, :4]
+            if count:
+                seen = math.inf
+                finish(window, increments, samples, spans, out)
+        else:
             run = Run(window, increments, samples, spans, out, lead)
             seen = run.carry(q, phase=self._done % CHUNK, n_threads=self._threads)
-        if not np.isfinite(out[:, -1]).all():
+        if not checks.all_finite(out[:, -1]):
             raise overflow("rates", samples.dtype)
         own = samples[:, lead : lead + count + (not increments)]
-        gaps = spans[lead : lead + count] if np.ndim(spans) else spans
+        gaps = spans if self._dt is not None else spans[lead : lead + count]
         warn_of_turns(seen, own, gaps, record, increments, first=self._done, level=4)
         found = out[:, self._begun :]
         self._done += count

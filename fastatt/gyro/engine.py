@@ -26,12 +26,13 @@ from fastatt.gyro.chunk import Job, scratch_size
 from fastatt.gyro.loops import Loops
 from fastatt.gyro.turns import WindowsLoop
 from fastatt.gyro.windows import CHUNK, LANES, Window
-from fastatt.threads import in_threads
+from fastatt.threads import in_threads, number_of
 
 _KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
 _SCRATCH = threading.local()
 # programs are made once: threads that meet the need of one together wait for the first
 _MAKING = threading.Lock()
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 # tiles below which a thread more is no gain
 _TILES = 64
 # tiles that take some 0.05 s
@@ -76,7 +77,7 @@ class Run:
                 job.factor = spans
 
     def carry(
-        self, q: NDArray[Any], *, phase: int = 0, n_threads: int = 1, done: _Done = None
+        self, q: NDArray[Any], *, phase: int = 0, n_threads: int | None = 1, done: _Done = None
     ) -> float:
         """Write all attitudes from p and r, q (N, 8), at the start, ``phase`` intervals of a chunk.
 
@@ -98,40 +99,40 @@ class Run:
         q: NDArray[Any],
         bounds: tuple[int, int],
         phase: int,
-        n_threads: int,
+        n_threads: int | None,
         done: _Done,
     ) -> float:
         """A lane for each log."""
         n_logs, count = len(q), bounds[1] - bounds[0]
-        tiles = -(-n_logs // LANES)
-        size = LANES * max(1, min(-(-tiles // n_threads), 2_000_000 // (LANES * count)))
         job = Job.from_buffer_copy(self._job)
         job.first, job.count, job.phase = bounds[0], count, phase
+        if n_logs <= LANES and not done:
+            return self._through(job, "sweep", (0, n_logs), _address(q))
+        n_threads = number_of(n_threads)
+        tiles = -(-n_logs // LANES)
+        size = LANES * max(1, min(-(-tiles // n_threads), 2_000_000 // (LANES * count)))
         peaks = []
 
-        def task(first: int, stop: Event | None) -> None:
-            if stop is None or not stop.is_set():
+        def task(first: int, stop: Event) -> None:
+            if not stop.is_set():
                 last = min(first + size, n_logs)
                 peaks.append(self._through(job, "sweep", (first, last), _address(q)))
                 if done:
                     done((last - first) * count)
 
-        if n_logs <= size:
-            task(0, None)
-        else:
-            in_threads([partial(task, first) for first in range(0, n_logs, size)], n_threads)
+        in_threads([partial(task, first) for first in range(0, n_logs, size)], n_threads)
         return max(peaks)
 
     def _one_log(
-        self, log: int, q: NDArray[Any], at: tuple[int, int], n_threads: int, done: _Done
+        self, log: int, q: NDArray[Any], at: tuple[int, int], n_threads: int | None, done: _Done
     ) -> float:
         """Runs of tiles, each of whose lanes takes a chunk, on each thread."""
         job = Job.from_buffer_copy(self._job)
         job.log, (job.first, job.count) = log, at
         tiles = -(-at[1] // (LANES * CHUNK))
-        threads = max(1, min(n_threads, tiles // _TILES))
-        if threads == 1 and tiles < _PIECE and not done:
+        if tiles < 2 * _TILES and not done:
             return self._through(job, "along", (0, tiles), _address(q), 1)
+        threads = max(1, min(number_of(n_threads), tiles // _TILES))
         bounds = [tiles * i // threads for i in range(threads + 1)]
         starts = [q, *(q.copy() for _ in bounds[2:])]
         peaks = []
@@ -189,22 +190,23 @@ def finish(
     count = out.shape[1] - 1
     samples, apart, places = ends.rest(data, spans, count, window, increments)
     turns = np.empty((len(out), window.span + 1, 4), dtype=out.dtype)
-    Run(window, increments, samples, apart, turns).carry(
-        beginning(np.array([1.0, 0.0, 0.0, 0.0]), len(out), out.dtype)
-    )
+    Run(window, increments, samples, apart, turns).carry(beginning(_NO_TURN, len(out), out.dtype))
     out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
 
 
 def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:
     """What logs are carried from: p, unit quaternions (4,) or (N, 4), and no turn, r."""
-    q = np.zeros((n_logs, 8), dtype=precision)
-    q[:, :4] += unit
-    q[:, 4] = 1.0
+    q = np.empty((n_logs, 8), dtype=precision)
+    q[:, :4] = unit
+    q[:, 4:] = _NO_TURN
     return q
 
 
 def _address(x: NDArray[Any]) -> int:
-    return int(x.__array_interface__["data"][0])
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(x))
+    except (TypeError, ValueError):  # what may not be written to, or is empty
+        return int(x.ctypes.data)
 
 
 def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
@@ -220,7 +222,7 @@ class _Program:
 
     def __init__(self, window: Window, increments: bool, kind: str, uneven: bool) -> None:
         self.kind, self.loops = kind, _loops(kind)
-        self._window, self._increments = window, increments
+        self._given, self._uneven = (window, increments), uneven
         # an iteration has one form for all angles
         near = 0.0 if window.iteration else window.near
         self._job = Job(
@@ -249,19 +251,20 @@ class _Program:
 
     def ends(self, spans: Any, n: int, missing: int) -> Job:
         """A job with the tables of samples beyond the ends of logs of n, ``missing`` after them."""
-        key = min(n, self._window.samples(self._increments)), missing
-        found = None if np.ndim(spans) else self._ends.get(key)
+        window, increments = self._given
+        key = min(n, window.samples(increments)), missing
+        found = self._ends.get(key)
         if found is None:
-            given = self._window, self._increments
-            head = ends.before(spans, n, *given)
+            head = np.ascontiguousarray(ends.before(spans, n, window, increments))
             # where none is missing, what is past a window's end may be anything: the last once more
-            tail = ends.after(spans, n, missing, *given) if missing else np.ones((1, 1))
+            tail = np.ones((1, 1))
+            if missing:
+                tail = np.ascontiguousarray(ends.after(spans, n, missing, window, increments))
             found = Job.from_buffer_copy(self._job)
-            head, tail = np.ascontiguousarray(head), np.ascontiguousarray(tail)
             found.tables = head, tail  # which the job has the addresses of
             found.head, found.n_head = _address(head), head.shape[1]
             found.tail, (found.n_after, found.n_tail) = _address(tail), tail.shape
-            if not np.ndim(spans):
+            if not self._uneven:
                 self._ends[key] = found
         return found
 

@@ -78,7 +78,9 @@ class WindowsLoop:
         turns = traceable(self.window.formula(self.increments))(v, h)
         q = graph.inputs(self.kind, "q", 4)
         flat = Flat(graph, products(q, exponentials(turns, self.wide)), self.kind)
-        return lambda j, k: self._write(flat, j, k)
+        # what equal intervals alone give is the same for all windows
+        before = None if self.uneven else self.emitter.shared(flat, {"h": [self.interval]})
+        return lambda j, k: self._write(flat, j, k, before)
 
     def _iterated(self, iteration: Iteration) -> Callable[[Int, Int], None]:
         begin = Graph()
@@ -117,16 +119,16 @@ class WindowsLoop:
 
         return one
 
-    def _write(self, flat: Flat, j: Int, k: Int) -> None:
+    def _write(self, flat: Flat, j: Int, k: Int, before: Any = None) -> None:
         """The attitudes of window k, the last of which is the next one's first."""
         c, span = self.code, self.window.span
-        values = self._emit(flat, j, k)
+        values = self._emit(flat, j, k, before)
         for i, value in enumerate(values):
             c.store_vector(self.attitudes, (k * (4 * span) + 4 + i) * LANES + j, value)
         for value, place in zip(values[-4:], self.q, strict=True):
             c.b.store(value, place)
 
-    def _emit(self, flat: Flat, j: Int, k: Int) -> list[Any]:
+    def _emit(self, flat: Flat, j: Int, k: Int, before: Any = None) -> list[Any]:
         c, span = self.code, self.window.span
 
         def given(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
@@ -140,4 +142,4 @@ class WindowsLoop:
                 return self.interval, False
             return c.b.load((self.q if group == "q" else self.state)[i]), True
 
-        return self.emitter.wide(flat, given)
+        return self.emitter.wide(flat, given, before)

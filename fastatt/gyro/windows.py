@@ -26,7 +26,7 @@ MOST_HISTORY = 8
 _FAR = 1e6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Iteration:
     """A method whose attitudes come of passes over a state, until it stays as it is.
 
@@ -62,7 +62,7 @@ class Iteration:
         return (*ends, choose(on, 1.0, 0.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Window:
     """Shape of a method's window, and its formulas by kind of samples.
 
