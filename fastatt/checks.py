@@ -90,6 +90,8 @@ def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[in
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
     """A float32 or float64 array of what is real numbers and nothing else; masked ones are NaN."""
+    if type(value) is np.ndarray and value.dtype in (_DOUBLE, _SINGLE):
+        return value
     try:
         found = np.asarray(value)
     except (TypeError, ValueError):

@@ -104,7 +104,7 @@ def integrate_rates(
 
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Quaternions (4,) or (N, 4) of any length but zero, at unit length; a zero is no −0."""
-    given = value.tolist() if type(value) is np.ndarray and value.shape == (4,) else value
+    given: Any = value.tolist() if type(value) is np.ndarray and value.shape == (4,) else value
     if type(given) in {tuple, list} and len(given) == 4:
         # the same operations on numbers, which take less than those on short arrays
         a, b, c, d = given
@@ -211,8 +211,9 @@ def _allowed(max_gap: Any) -> float:
 
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
-    if type(dt) is float and 0.0 < dt < math.inf:
-        return precision.type(dt)
+    given: Any = dt
+    if isinstance(given, float) and 0.0 < given < math.inf:
+        return precision.type(given)
     accepted = f"a number or ({count},)"
     spans = checks.array("dt", dt, accepted, [(), (count,)])
     if spans.ndim == 0:

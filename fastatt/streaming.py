@@ -191,8 +191,8 @@ class Integrator:
         warn_of_turns(seen, own, gaps, record, increments, first=self._done, level=4)
         found = out[:, self._begun :]
         self._done += count
-        # whole windows, which the end of a log goes back to
-        self._lead = min(self._done, -(-window.intervals // window.span) * window.span)
+        # a window's, which the end of a log goes back to
+        self._lead = min(self._done, window.intervals)
         first = lead + count - self._lead
         self._samples, self._precision = samples[:, first:].copy(), samples.dtype
         self._spans = spans if self._dt is not None else spans[first:]

@@ -203,8 +203,9 @@ def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDAr
 
 
 def _address(x: NDArray[Any]) -> int:
+    memory: Any = x
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(x))
+        return ctypes.addressof(ctypes.c_char.from_buffer(memory))
     except (TypeError, ValueError):  # what may not be written to, or is empty
         return int(x.ctypes.data)
 
