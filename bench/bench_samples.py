@@ -1,4 +1,4 @@
-"""Sampled rates: many logs against a plain copy of the same bytes, one long log against a peer."""
+"""Sampled rates: logs against a plain copy of the same bytes and a peer, short ones by the call."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 N_LOGS, N_SAMPLES = (2_000, 100) if SMOKE else (100_000, 100)
 LONG = 100_000 if SMOKE else 10_000_000
 H = 0.01
+START = np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0])
 
 
 def _best(call, repeats: int = 5) -> float:
@@ -87,15 +88,45 @@ def _peer(rates: np.ndarray) -> np.ndarray:
 def test_one_long_log(benchmark, long_log, method, dtype):
     """Beside it: numpy-quaternion's exp and accumulate on a tenth of the log."""
     data = long_log.astype(dtype)
-    q0 = np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0])
 
     def run() -> np.ndarray:
-        return fa.integrate_rates(data, H, q0, method=method)
+        return fa.integrate_rates(data, H, START, method=method)
 
     part = long_log[: LONG // 10]
     reference = 10.0 * _best(lambda: _peer(part), repeats=2)
     q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
-    t = H * (LONG - 1)
+    _report(benchmark, LONG, reference, "numpy-quaternion", _long_error(q))
+
+
+def _long_error(q: np.ndarray) -> float:
+    t = H * (len(q) - 1)
     exact = [np.cos(0.5), np.sin(0.5) * np.cos(t), np.sin(0.5) * np.sin(t), 0.0]
-    error = fa.angle_between(q[-1].astype(float), exact)
-    _report(benchmark, LONG, reference, "numpy-quaternion", error)
+    return float(fa.angle_between(q[-1].astype(float), exact))
+
+
+@pytest.mark.benchmark(group="one long log beside a copy")
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("method", methods_for_samples())
+def test_one_long_log_beside_a_copy(benchmark, long_log, method, threads):
+    """Beside it: numpy copying as many bytes as come in and go out, all to used memory."""
+    out = np.ones((LONG, 4))
+    source = np.ones(long_log.size + out.size)
+    target = np.ones_like(source)
+    reference = _best(lambda: np.copyto(target, source))
+
+    def run() -> np.ndarray:
+        return fa.integrate_rates(long_log, H, START, method=method, out=out, n_threads=threads)
+
+    q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
+    _report(benchmark, LONG, reference, "numpy's copy", _long_error(q))
+
+
+@pytest.mark.benchmark(group="a call")
+@pytest.mark.parametrize("method", methods_for_samples())
+@pytest.mark.parametrize("call", ["log of 1000 samples", "push of one sample"])
+def test_calls(benchmark, long_log, method, call):
+    flow = fa.integrator(START, H, method=method)
+    if call == "push of one sample":
+        benchmark(flow.push, long_log[0])
+    else:
+        benchmark(fa.integrate_rates, long_log[:1000], H, START, method=method)

@@ -47,6 +47,7 @@ _HELD_BY = {
     "running.watch": "DriftStatistics watch_drift",
     "scene": "Scene",
     "steps": "single_step",
+    "streaming": "integrator",
     "trade": (
         "ErrorBudget Recommendation WorkPrecision error_budget recommend self_check work_precision"
     ),
@@ -59,7 +60,7 @@ __all__ = [
     "Plan", "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
     "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
     "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
-    "from_scipy", "integrate_rates", "interchange", "kernels", "kinetic_energy",
+    "from_scipy", "integrate_rates", "integrator", "interchange", "kernels", "kinetic_energy",
     "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "plan", "potential_energy",
     "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
     "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
@@ -107,6 +108,7 @@ if TYPE_CHECKING:
     from fastatt.running.watch import DriftStatistics, watch_drift
     from fastatt.scene import Scene
     from fastatt.steps import single_step
+    from fastatt.streaming import integrator
     from fastatt.trade import Recommendation, recommend, self_check
     from fastatt.trade.error_budget import ErrorBudget, error_budget
     from fastatt.trade.work_precision import WorkPrecision, work_precision

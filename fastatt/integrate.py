@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
-from collections.abc import Callable, Iterator
-from functools import partial
-from itertools import pairwise
-from threading import Event
 from typing import Any
 
 import numpy as np
@@ -15,11 +12,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.gyro.engine import Run
-from fastatt.gyro.windows import LANES, TILE, Window
+from fastatt.gyro.engine import Run, beginning, finish
 from fastatt.methods import METHODS, Method
 from fastatt.running.limits import StepWarning
-from fastatt.threads import in_threads, number_of, progress_bar
+from fastatt.threads import number_of, progress_bar
 
 _GAP = 10.0  # an interval this many times the median is a hole in the log
 
@@ -64,7 +60,7 @@ def integrate_rates(
     -----
     StepWarning : an interval in which the body turns further than the method can follow.
     """
-    record = _method(method, increments)
+    record = method_of(method, increments)
     name = "rates (increments)" if increments else "rates"
     data = checks.array_any(name, rates, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
     one = data.ndim == 2
@@ -73,45 +69,79 @@ def integrate_rates(
     n_logs, n = data.shape[:2]
     count = n if increments else n - 1
     spans = intervals(dt, count, max_gap, precision)
-    if method == "coning3_optimal" and isinstance(spans, np.ndarray):
-        raise ValueError(
-            'dt: found intervals; accepted with "coning3_optimal": one number, its coefficients '
-            'hold for equal intervals ("coning3" takes any)'
-        )
-    threads = number_of(n_threads)
-    start = checks.attitudes("q0", q0)
+    check_intervals(method, uneven=isinstance(spans, np.ndarray))
+    threads = None if n_threads is None else number_of(n_threads)
+    start = unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
         raise ValueError(f"q0: has shape {start.shape}; accepted: (4,) or ({n_logs}, 4), one a log")
 
     shape = (count + 1, 4) if one else (n_logs, count + 1, 4)
     result = _output(out, shape, precision)
     out = result.reshape(n_logs, count + 1, 4)
-    unit = np.broadcast_to(normalised(start.astype(np.float64)), (n_logs, 4))
-    unit = np.array(unit, dtype=precision, order="C")
+    q = beginning(start, n_logs, precision)
     if count == 0:
-        out[:, 0] = unit
+        out[:, 0] = q[:, :4]
         return result
-    with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
-        ends = beyond(data, spans, record.window, increments)
-    run = Run(record.window, increments, data, ends, spans, out)
-    with progress_bar(progress, n_logs * count, "sample") as done:
-        if n_logs >= LANES:
-            seen = _side_by_side(run, unit, count, threads, done)
-        else:
-            seen = max(_one_log(run, b, unit[b], count, threads, done) for b in range(n_logs))
+    window = record.window
+    run = Run(window, increments, data, spans, out)
+    if progress:
+        with progress_bar(progress, n_logs * count, "sample") as done:
+            seen = run.carry(q, n_threads=threads, done=done)
+    else:
+        seen = run.carry(q, n_threads=threads)
+    rest = count % window.span
+    if window.iteration and rest:
+        end = np.ascontiguousarray(out[:, -rest - 1 :])
+        finish(window, increments, data, spans, end)
+        out[:, -rest:] = end[:, 1:]
     # a sample that is not finite stays in every later attitude; the last may not be used
-    if not (np.isfinite(out[:, -1]).all() and np.isfinite(data[:, -1]).all()):
+    if not (checks.all_finite(q) and checks.all_finite(data[:, -1])):
         checks.finite(name, data[0] if one else data)
-        raise ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
-    limit = record.limit("increments" if increments else "rates")
-    # |w| is at most √3 of its components
-    if float(seen) * math.sqrt(3.0) > limit:
-        _warn(data, spans, limit, record.name, increments)
+        raise overflow(name, precision)
+    warn_of_turns(seen, data, spans, record, increments)
     return result
 
 
-def _warn(data: NDArray[Any], spans: Any, limit: float, method: str, increments: bool) -> None:
-    """Say where an interval turns further than the method can follow."""
+def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Quaternions (4,) or (N, 4) of any length but zero, at unit length; a zero is no −0."""
+    given: Any = value.tolist() if type(value) is np.ndarray and value.shape == (4,) else value
+    if type(given) in {tuple, list} and len(given) == 4:
+        # the same operations on numbers, which take less than those on short arrays
+        a, b, c, d = given
+        if type(a) is type(b) is type(c) is type(d) is float:
+            most = max(abs(a), abs(b), abs(c), abs(d))
+            if 0.0 < most < math.inf:
+                a, b, c, d = a / most, b / most, c / most, d / most
+                length = math.sqrt(a * a + b * b + c * c + d * d)
+                if length < math.inf:
+                    return np.array([0.0 + x / length for x in (a, b, c, d)])
+    return normalised(checks.attitudes(name, value).astype(np.float64)) + 0.0
+
+
+def overflow(name: str, precision: np.dtype[Any]) -> ValueError:
+    """What is raised for angles that come to nothing."""
+    return ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
+
+
+def warn_of_turns(
+    seen: float,
+    data: NDArray[Any],
+    spans: Any,
+    record: Method,
+    increments: bool,
+    *,
+    first: int = 0,
+    level: int = 3,
+) -> None:
+    """Say where an interval turns further than the method can follow.
+
+    ``seen`` is the largest component of an angle, of the samples or of more; ``first`` what the
+    first interval is called, ``level`` how many calls up the user's is.
+    """
+    limit = record.limits["increments" if increments else "rates"]
+    # |w| is at most √3 of its components
+    if seen * math.sqrt(3.0) <= limit:
+        return
     n = data.shape[1]
     longer: Any = 1.0
     if not increments:
@@ -123,97 +153,38 @@ def _warn(data: NDArray[Any], spans: Any, limit: float, method: str, increments:
     most = float(angle[log, k])
     if most > limit:
         warnings.warn(
-            f"dt: interval {k} of log {log} turns by {most:.3g} rad, {method}'s limit is "
-            f"{limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): sample "
+            f"dt: interval {first + k} of log {log} turns by {most:.3g} rad, {record.name}'s limit "
+            f"is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): sample "
             f"more than {most / limit:.2g} times as often",
             StepWarning,
-            stacklevel=3,
+            stacklevel=level,
         )
+
+
+@functools.cache
+def _named(increments: bool) -> dict[str, Method]:
+    scene = "increments" if increments else "sampled rates"
+    return {m.name: m for m in METHODS.values() if scene in m.scenes}
 
 
 def methods_for_samples(increments: bool = False) -> list[str]:
     """Names of the methods for sampled rates, or for increments."""
-    scene = "increments" if increments else "sampled rates"
-    return [m.name for m in METHODS.values() if scene in m.scenes]
+    return list(_named(increments))
 
 
-def _method(name: str, increments: bool) -> Method:
-    checks.choice("method", name, methods_for_samples(increments))
-    return METHODS[name]
+def method_of(name: str, increments: bool) -> Method:
+    """A method for samples by its name; ``ValueError`` for any other."""
+    named = _named(increments)
+    return named[checks.choice("method", name, named)]
 
 
-def _side_by_side(
-    run: Run, q: NDArray[Any], count: int, threads: int, done: Callable[[int], object]
-) -> float:
-    """A lane for each log; the largest component of an angle over an interval, rad."""
-    n_logs = len(q)
-    lanes = np.arange(n_logs), np.zeros(n_logs, dtype=np.int64)
-    peak = np.zeros(n_logs, dtype=q.dtype)
-    tiles = -(-n_logs // LANES)
-    size = LANES * max(1, min(-(-tiles // threads), 2_000_000 // (LANES * count)))
-
-    def task(first: int, stop: Event) -> None:
-        if not stop.is_set():
-            last = min(first + size, n_logs)
-            run.side_by_side(lanes, count, q, peak, (first, last))
-            done((last - first) * count)
-
-    in_threads([partial(task, first) for first in range(0, n_logs, size)], threads)
-    return float(peak.max())
-
-
-def _one_log(
-    run: Run,
-    log: int,
-    q: NDArray[Any],
-    count: int,
-    threads: int,
-    done: Callable[[int], object],
-) -> float:
-    """Runs of tiles on each thread, and what is left of the last tile in one lane.
-
-    Gives the largest component of an angle over an interval, rad.
-    """
-    tiles = count // TILE
-    threads = max(1, min(threads, tiles // 64))
-    bounds = [tiles * i // threads for i in range(threads + 1)]
-    peak = np.zeros(tiles + 1, dtype=q.dtype)
-    totals = np.empty((tiles, 4), dtype=q.dtype)
-    starts = [q.copy() for _ in range(threads)]
-    if threads > 1:
-        known = bounds[-2]
-        parts = [known * i // threads for i in range(threads + 1)]
-
-        def find(first: int, last: int, stop: Event) -> None:
-            for piece in _pieces(first, last, stop):
-                run.find_turns(log, totals, peak, piece)
-
-        in_threads([partial(find, a, z) for a, z in pairwise(parts)], threads)
-        for i in range(1, threads):
-            starts[i][:] = starts[i - 1]
-            run.chain(starts[i], totals[bounds[i - 1] : bounds[i]])
-
-    def along(q: NDArray[Any], first: int, last: int, stop: Event) -> None:
-        for piece in _pieces(first, last, stop):
-            run.along(log, q, peak, piece)
-            done((piece[1] - piece[0]) * TILE)
-
-    runs = zip(starts, pairwise(bounds), strict=True)
-    in_threads([partial(along, q, a, z) for q, (a, z) in runs], threads)
-    rest = count - tiles * TILE
-    if rest or not tiles:
-        lane = np.array([log]), np.array([tiles * TILE])
-        run.side_by_side(lane, rest, starts[-1][None], peak[-1:], (0, 1))
-        done(rest)
-    return float(peak.max())
-
-
-def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
-    """Cuts between which a run may be stopped, some 0.05 s apart."""
-    for a in range(first, last, 4096):
-        if stop.is_set():
-            return
-        yield a, min(a + 4096, last)
+def check_intervals(method: str, *, uneven: bool) -> None:
+    """Refuse a method for equal intervals where they may differ."""
+    if method == "coning3_optimal" and uneven:
+        raise ValueError(
+            'dt: found intervals; accepted with "coning3_optimal": one number, its coefficients '
+            'hold for equal intervals ("coning3" takes any)'
+        )
 
 
 def _output(
@@ -240,6 +211,9 @@ def _allowed(max_gap: Any) -> float:
 
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
+    given: Any = dt
+    if isinstance(given, float) and 0.0 < given < math.inf:
+        return precision.type(given)
     accepted = f"a number or ({count},)"
     spans = checks.array("dt", dt, accepted, [(), (count,)])
     if spans.ndim == 0:
@@ -263,48 +237,3 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
             "or pass max_gap to go across it"
         )
     return np.ascontiguousarray(spans, dtype=precision)
-
-
-def beyond(
-    data: NDArray[Any], spans: Any, window: Window, increments: bool
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Samples before and after the log, by the polynomial of the nearest whole window."""
-    n_logs, n = data.shape[:2]
-    count = n if increments else n - 1
-    near = min(window.samples(increments), n)
-    inside = near if increments else near - 1
-    gaps = np.full(max(count, 1), spans) if np.ndim(spans) == 0 else spans
-    gaps = gaps.astype(np.float64)
-    missing = -count % window.span
-    head = np.zeros((n_logs, 1, 3))
-    tail = np.zeros((n_logs, 1, 3))
-    if window.history:
-        first = data[:, :near][:, ::-1]
-        head = _extrapolate(first, gaps[:inside][::-1], gaps[0], window.history, increments)[
-            :, ::-1
-        ]
-    if missing:
-        tail = _extrapolate(
-            data[:, n - near :], gaps[count - inside :], gaps[-1], missing, increments
-        )
-    return (
-        np.ascontiguousarray(head, dtype=data.dtype),
-        np.ascontiguousarray(tail, dtype=data.dtype),
-    )
-
-
-def _extrapolate(
-    samples: NDArray[Any], gaps: NDArray[Any], gap: float, n: int, increments: bool
-) -> NDArray[np.float64]:
-    """``n`` further samples after those given, spaced by ``gap``."""
-    nodes = np.concatenate([[0.0], np.cumsum(gaps)])
-    far = (nodes[-1] + gap * np.arange(1, n + 1))[:, None] - nodes
-    apart = nodes[:, None] - nodes
-    np.fill_diagonal(apart, 1.0)
-    lagrange = far.prod(axis=1)[:, None] / far / apart.prod(axis=1)
-    if not increments:
-        return np.asarray(lagrange @ samples)
-    # the polynomial is that of the running angle, from 0 at the first node
-    running = lagrange[:, 1:] @ samples.cumsum(axis=1)
-    total = samples.sum(axis=1, keepdims=True)
-    return np.diff(np.concatenate([total, running], axis=1), axis=1)

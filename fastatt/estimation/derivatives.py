@@ -15,8 +15,9 @@ from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number
 from fastatt.flat.repeated import Repeated
 from fastatt.flat.scalar import ScalarFunction, scalar_function
+from fastatt.gyro.ends import beyond
 from fastatt.inertia import is_sorted
-from fastatt.integrate import beyond, integrate_rates, intervals, methods_for_samples
+from fastatt.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
 from fastatt.running.choosing import method_of, methods_for
 from fastatt.scene import Packed, Scene, as_scene

@@ -52,14 +52,18 @@ class Job(ctypes.Structure):
     """What the loops work on; arrays by their addresses, C-contiguous."""
 
     _fields_ = (
-        ("data", ctypes.c_int64),  # samples (N, n_samples, 3)
+        ("peak", ctypes.c_double),  # largest component of an angle over an interval, rad
+        ("data", ctypes.c_int64),  # samples (N, lead + n_samples, 3)
         ("n_samples", ctypes.c_int64),
-        ("before", ctypes.c_int64),  # samples before each log (N, n_before, 3)
-        ("n_before", ctypes.c_int64),
-        ("after", ctypes.c_int64),  # and after it (N, n_after, 3)
+        ("lead", ctypes.c_int64),  # samples, and intervals, that are known before the first
+        ("head", ctypes.c_int64),  # those before a log (., n_head): how much of its first ones each
+        ("n_head", ctypes.c_int64),
+        ("tail", ctypes.c_int64),  # those after it (n_after, n_tail): how much of its last ones
+        ("n_tail", ctypes.c_int64),
         ("n_after", ctypes.c_int64),
-        ("spans", ctypes.c_int64),  # the interval, s, or the intervals
+        ("spans", ctypes.c_int64),  # intervals (lead + n_spans), s
         ("n_spans", ctypes.c_int64),  # how many, 0 of equal ones
+        ("interval", ctypes.c_double),  # each of these, s
         ("out", ctypes.c_int64),  # attitudes (N, n_out, 4)
         ("n_out", ctypes.c_int64),
         ("history", ctypes.c_int64),
@@ -68,12 +72,11 @@ class Job(ctypes.Structure):
         ("by_interval", ctypes.c_int64),  # samples are rates, over intervals of many lengths
         ("short", ctypes.c_int64),  # the windows' loop for turns of at most π
         ("wide", ctypes.c_int64),  # and for any; 0 where there is none yet
-        ("peak", ctypes.c_int64),  # largest angle's component over an interval, of lanes or tiles
-        ("body", ctypes.c_int64),  # of side by side: log of each lane,
-        ("start", ctypes.c_int64),  # its first interval,
-        ("count", ctypes.c_int64),  # and how many
+        ("first", ctypes.c_int64),  # first interval,
+        ("count", ctypes.c_int64),  # how many,
+        ("phase", ctypes.c_int64),  # and, side by side, how many of the first one's chunk are done
         ("log", ctypes.c_int64),  # of one log: which,
-        ("totals", ctypes.c_int64),  # and the turn of each tile (tiles, 4)
+        ("totals", ctypes.c_int64),  # and the turn of each chunk (., 4)
         ("near", ctypes.c_double),  # angle below which turns are at most π
         ("factor", ctypes.c_double),  # a sample's angle over an interval, of equal intervals
     )
@@ -94,7 +97,6 @@ class Chunk:
         self.kind, self.real = kind, REALS[kind]
         self.size = 8 if kind == "double" else 4
         self.lanes = lanes_of(kind)
-        self.groups = range(0, LANES, self.lanes)
         self.vector = ir.VectorType(self.real, self.lanes)
         self.reals, self.wholes = self.real.as_pointer(), I64.as_pointer()
         self.module = ir.Module("samples")
@@ -121,6 +123,13 @@ class Chunk:
         at = c.b.bitcast(c.place(job, _PLACES[name]), REALS["double"].as_pointer())
         value = c.b.load(at)
         return value if self.kind == "double" else c.b.fptrunc(value, self.real)
+
+    def raise_peak(self, c: Code, job: Any, value: Any) -> None:
+        """Keep the larger of the job's peak and another."""
+        double = REALS["double"]
+        at = c.b.bitcast(c.place(job, _PLACES["peak"]), double.as_pointer())
+        other = value if self.kind == "double" else c.b.fpext(value, double)
+        c.b.store(larger(c, other, c.b.load(at)), at)
 
     def array(self, c: Code, job: Any, name: str, to: Any = None) -> Any:
         """An array of the job."""
@@ -181,37 +190,39 @@ class Chunk:
 
     # the parts of a chunk
 
+    def groups(self, c: Code, width: Any) -> Any:
+        """A loop over the lanes, a vector at a time."""
+        return c.loop(0, c.whole(width), self.lanes)
+
     def _columns(self) -> Any:
         """Columns into rows of the lanes: ``rows`` numbers from each lane's pointer on.
 
         ``most`` gets each lane's largest absolute value. The last block overlaps the one before
         it; a column shorter than a block has room for one.
         """
-        c, (pointers, n, to, most) = self._part(
-            "columns", [self.wholes, I64, self.reals, self.reals]
+        c, (pointers, n, width, to, most) = self._part(
+            "columns", [self.wholes, I64, I64, self.reals, self.reals]
         )
         n, b, lanes = Int(c, n), c.b, self.lanes
         absolute = c.intrinsic("llvm.fabs", self.vector)
-        peaks = {g: c.room(self.vector) for g in self.groups}
-        for peak in peaks.values():
-            b.store(ir.Constant(self.vector, [0.0] * lanes), peak)
+        highest = c.room(self.vector)
         last = at_least(c, n - lanes, 0)
-        with c.loop(0, (n + (lanes - 1)) // lanes) as block:
-            i = (block * lanes).at_most(last)
-            for g in self.groups:
+        with self.groups(c, Int(c, width)) as g:
+            b.store(ir.Constant(self.vector, [0.0] * lanes), highest)
+            columns = [b.inttoptr(c.load(pointers, g + k), self.reals) for k in range(lanes)]
+            with c.loop(0, (n + (lanes - 1)) // lanes) as block:
+                i = (block * lanes).at_most(last)
                 found = []
-                for lane in range(g, g + lanes):
-                    column = b.inttoptr(c.load(pointers, lane), self.reals)
+                for column in columns:
                     at = self._anywhere(c, c.place(column, i), lanes)
                     found.append(b.load(at, align=self.size))
                     c.prefetch(c.place(column, i + n))
-                peak = b.load(peaks[g])
+                peak = b.load(highest)
                 for k, row in enumerate(self._transposed(c, found)):
                     c.store_vector(to, (i + k) * LANES + g, row)
                     peak = larger(c, b.call(absolute, [row]), peak)
-                b.store(peak, peaks[g])
-        for g in self.groups:
-            c.store_vector(most, g, b.load(peaks[g]))
+                b.store(peak, highest)
+            c.store_vector(most, g, b.load(highest))
         c.give(0)
         return c.function
 
@@ -222,52 +233,68 @@ class Chunk:
         )
         b, need, width = c.b, Int(c, need), Int(c, width)
         field = {name: self.field(c, job, name) for name in _PLACES}
-        data, before, after, spans = (
-            self.array(c, job, name) for name in ("data", "before", "after", "spans")
-        )
-        pointers = self.whole(c, work, _POINTERS)
+        data, spans = (self.array(c, job, name) for name in ("data", "spans"))
+        pointers, columns = self.whole(c, work, _POINTERS), c.place(work, _COLUMNS)
         m = need + field["extra"]
-        with c.loop(0, LANES) as j:
+        lead, n_samples = field["lead"], field["n_samples"]
+        known = c.whole(0) - lead
+        lanes = (width + (self.lanes - 1)) // self.lanes * self.lanes
+        with c.loop(0, lanes) as j:
             lane = j.at_most(width - 1)
-            log = Int(c, c.load(body, lane))
             first = Int(c, c.load(start, lane)) + Int(c, n) - field["history"]
-            own = c.place(data, log * field["n_samples"] * 3)
-            column = c.place(work, _COLUMNS + j * _COLUMN)
-            inside = _all(c, first >= 0, first + m <= field["n_samples"], m * 3 >= self.lanes)
+            log = Int(c, c.load(body, lane))
+            own = c.place(data, (log * (lead + n_samples) + lead) * 3)
+            column = c.place(columns, j * _COLUMN)
+            inside = _all(c, first >= known, first + m <= n_samples, m * 3 >= self.lanes)
             at = b.select(inside, c.place(own, first * 3), column)
             c.store(pointers, j, b.ptrtoint(at, I64))
             with c.when(b.not_(inside)):
-                lead = at_least(c, c.whole(0) - first, 0).at_most(m)
-                end = at_least(c, (field["n_samples"] - first).at_most(m), lead)
-                edge = (log * field["n_before"] + field["n_before"] + first) * 3
-                with c.loop(0, lead * 3) as i:
-                    c.store(column, i, c.load(before, edge + i))
-                self._copy(c, column, own, first * 3, (lead * 3, end * 3))
+                begin = at_least(c, known - first, 0).at_most(m)
+                end = at_least(c, (n_samples - first).at_most(m), begin)
+                with c.loop(0, begin) as i:
+                    row = c.whole(-1) - first - i
+                    self._mix(c, job, "head", row, own, c.place(column, i * 3))
+                self._copy(c, column, own, first * 3, (begin * 3, end * 3))
+                near = c.place(own, (n_samples - field["n_tail"]) * 3)
                 with c.loop(end, m) as i:
-                    k = (first + i - field["n_samples"]).at_most(field["n_after"] - 1)
-                    for axis in range(3):
-                        value = c.load(after, (log * field["n_after"] + k) * 3 + axis)
-                        c.store(column, i * 3 + axis, value)
+                    row = (first + i - n_samples).at_most(field["n_after"] - 1)
+                    self._mix(c, job, "tail", row, near, c.place(column, i * 3))
                 self._fill(c, column, m * 3)
         to = c.place(work, _SAMPLES)
-        b.call(self.columns, [pointers, c.raw(m * 3), to, c.place(work, _PEAK)])
+        b.call(self.columns, [pointers, c.raw(m * 3), width.value, to, c.place(work, _PEAK)])
         with c.when(field["n_spans"] > 0):
-            with c.loop(0, LANES) as j:
+            with c.loop(0, lanes) as j:
                 lane = j.at_most(width - 1)
                 first = Int(c, c.load(start, lane)) + Int(c, n) - field["history"]
-                column = c.place(work, _COLUMNS + j * _COLUMN)
-                inside = _all(c, first >= 0, first + need <= field["n_spans"], need >= self.lanes)
-                at = b.select(inside, c.place(spans, first), column)
+                column = c.place(columns, j * _COLUMN)
+                end = field["n_spans"]
+                inside = _all(c, first >= known, first + need <= end, need >= self.lanes)
+                at = b.select(inside, c.place(spans, first + lead), column)
                 c.store(pointers, j, b.ptrtoint(at, I64))
                 with c.when(b.not_(inside)):
                     with c.loop(0, need) as i:
-                        k = at_least(c, first + i, 0).at_most(field["n_spans"] - 1)
-                        c.store(column, i, c.load(spans, k))
+                        k = at_least(c, first + i, known).at_most(end - 1)
+                        c.store(column, i, c.load(spans, k + lead))
                     self._fill(c, column, need)
             to = c.place(work, _INTERVALS)
-            b.call(self.columns, [pointers, c.raw(need), to, c.place(work, _LONGEST)])
+            b.call(self.columns, [pointers, c.raw(need), width.value, to, c.place(work, _LONGEST)])
         c.give(0)
         return c.function
+
+    def _mix(self, c: Code, job: Any, name: str, row: Int, samples: Any, to: Any) -> None:
+        """A sample beyond a log: a row of a table times those near it."""
+        b, double = c.b, REALS["double"]
+        n = self.field(c, job, f"n_{name}")
+        table = c.place(self.array(c, job, name, double.as_pointer()), row * n)
+        total = c.room(double)
+        for axis in range(3):
+            b.store(ir.Constant(double, 0.0), total)
+            with c.loop(0, n) as k:
+                x = c.load(samples, k * 3 + axis)
+                x = x if self.kind == "double" else b.fpext(x, double)
+                b.store(b.fadd(b.load(total), b.fmul(c.load(table, k), x)), total)
+            value = b.load(total)
+            c.store(to, axis, value if self.kind == "double" else b.fptrunc(value, self.real))
 
     def _copy(self, c: Code, to: Any, source: Any, shift: Int, bounds: tuple[Int, Int]) -> None:
         """to[i] = source[shift + i] for i in [first, last), vectors first."""
@@ -293,79 +320,93 @@ class Chunk:
         The largest component of each lane's angles over an interval is kept. Both loops give a turn
         of at most π the same bits: a lane's neighbours change none of its own.
         """
-        c, (job, work) = self._part("choose", [self.wholes, self.reals])
+        c, (job, work, width) = self._part("choose", [self.wholes, self.reals, I64])
         b, lanes = c.b, self.lanes
         by_interval = self.field(c, job, "by_interval") > 0
         factor = c.splat(self._number(c, job, "factor"), lanes)
         near = c.splat(self._number(c, job, "near"), lanes)
-        far = []
-        for g in self.groups:
-            longest = b.select(by_interval, c.vector(work, _LONGEST + g, lanes), factor)
-            angle = b.fmul(c.vector(work, _PEAK + g, lanes), longest)
-            c.store_vector(work, MOST + g, larger(c, angle, c.vector(work, MOST + g, lanes)))
-            past = b.fcmp_unordered(">=", angle, near)
-            bits = ir.IntType(lanes)
-            far.append(b.icmp_unsigned("!=", b.bitcast(past, bits), ir.Constant(bits, 0)))
-        for more in far[1:]:
-            far[0] = b.or_(far[0], more)
+        far = c.variable(0)
+        with self.groups(c, Int(c, width)) as g:
+            longest = b.select(by_interval, c.vector(work, g + _LONGEST, lanes), factor)
+            angle = b.fmul(c.vector(work, g + _PEAK, lanes), longest)
+            c.store_vector(work, g + MOST, larger(c, angle, c.vector(work, g + MOST, lanes)))
+            past = b.bitcast(b.fcmp_unordered(">=", angle, near), ir.IntType(lanes))
+            b.store(b.or_(b.load(far), b.zext(past, I64)), far)
         short, wide = (c.raw(self.field(c, job, name)) for name in ("short", "wide"))
-        c.give(Int(c, b.select(far[0], wide, short)))
+        c.give(Int(c, b.select(c.get(far).equals(0), short, wide)))
         return c.function
 
-    def turn(self, c: Code, job: Any, work: Any, windows: Any, undone: Any) -> None:
+    def turn(self, c: Code, job: Any, work: Any, windows: Any, width: Int, undone: Any) -> None:
         """A chunk's windows; where their loop is not made yet the function gives ``undone``."""
         b = c.b
-        chosen = Int(c, b.call(self.choose, [job, work]))
+        chosen = Int(c, b.call(self.choose, [job, work, width.value]))
         with c.when(chosen.equals(0)):
             undone()
-        to = ir.FunctionType(I64, [self.reals, self.reals, self.reals, I64]).as_pointer()
-        own = b.ptrtoint(c.place(work, _INTERVALS), I64)
-        uneven = self.field(c, job, "n_spans") > 0
-        intervals = b.select(uneven, own, c.raw(self.field(c, job, "spans")))
-        given = [c.place(work, _SAMPLES), b.inttoptr(intervals, self.reals)]
-        given += [c.place(work, ATTITUDES), c.raw(windows)]
+        to = ir.FunctionType(I64, [self.reals, self.reals, self.reals, I64, I64]).as_pointer()
+        with c.when(self.field(c, job, "n_spans").equals(0)):
+            c.store(work, _INTERVALS, self._number(c, job, "interval"))
+        given = [c.place(work, _SAMPLES), c.place(work, _INTERVALS)]
+        given += [c.place(work, ATTITUDES), c.raw(windows), width.value]
         b.call(b.inttoptr(chosen.value, to), given)
 
     def _scatter(self) -> Any:
-        """The attitudes of ``left`` intervals to their places, past the cache.
+        """The attitudes p∘r of ``left`` intervals to their places, past the cache.
 
-        They are written once and not read again here; an ordinary store would first fetch the line
-        that it overwrites. The first attitude of a log is written too: whoever touches a page first
-        pays for it, on its thread.
+        p of each lane are those at the chunks' starts, r the rows. What is written once and not
+        read again here goes past the cache; an ordinary store would first fetch the line that it
+        overwrites. The first attitude of a log is written too: whoever touches a page first pays
+        for it, on its thread.
         """
         c, (job, work, body, start, n, left, width) = self._part(
             "scatter", [self.wholes, self.reals, self.wholes, self.wholes, I64, I64, I64]
         )
         b, lanes, n, left = c.b, self.lanes, Int(c, n), Int(c, left)
-        rows, columns = c.place(work, ATTITUDES), c.place(work, _COLUMNS)
+        rows, starts, columns = (c.place(work, at) for at in (ATTITUDES, STARTS, _COLUMNS))
         m = left * 4 + 4
-        last = at_least(c, m - lanes, 0)
-        with c.loop(0, (m + (lanes - 1)) // lanes) as block:
-            i = (block * lanes).at_most(last)
-            for g in self.groups:
-                found = [c.vector(rows, (i + k) * LANES + g, lanes) for k in range(lanes)]
-                for k, column in enumerate(self._transposed(c, found)):
-                    at = self._anywhere(c, c.place(columns, i + (g + k) * _COLUMN), lanes)
-                    b.store(column, at, align=self.size)
+        size = max(lanes, 4)
+        last = at_least(c, m - size, 0)
+        with self.groups(c, Int(c, width)) as g:
+            p = self.vectors(c, starts, 0, g)
+            with c.loop(0, (m + (size - 1)) // size) as block:
+                i = (block * size).at_most(last)
+                found: list[Any] = []
+                for k in range(0, size, 4):
+                    found += self.product(c, lanes, p, self.vectors(c, rows, i + k, g))
+                for k in range(0, size, lanes):
+                    for lane, column in enumerate(self._transposed(c, found[k : k + lanes])):
+                        to = c.place(columns, i + k + (g + lane) * _COLUMN)
+                        b.store(column, self._anywhere(c, to, lanes), align=self.size)
         out = self.field(c, job, "out")
         n_out = self.field(c, job, "n_out")
         aligned = (out % 16).equals(0)
-        pieces = 16 // self.size
+        pieces, line = 16 // self.size, 64 // self.size
         with c.loop(0, Int(c, width)) as j:
             first = Int(c, c.load(start, j)) + n
-            to = c.place(
-                b.inttoptr(out.value, self.reals), (first + Int(c, c.load(body, j)) * n_out) * 4
-            )
+            at = (first + Int(c, c.load(body, j)) * n_out) * 4
+            to = c.place(b.inttoptr(out.value, self.reals), at)
             column = c.place(columns, j * _COLUMN)
             begin = Int(c, b.select(first.equals(0), c.raw(0), c.raw(4)))
-            with c.when(aligned), c.loop(begin, m, 4) as i:
-                for k in range(0, 4, pieces):
-                    part = b.load(self._anywhere(c, c.place(column, i + k), pieces), align=16)
-                    at = self._anywhere(c, c.place(to, i + k), pieces)
-                    b.store(part, at, align=16).set_metadata("nontemporal", self.nontemporal)
-            with c.when(b.not_(aligned)), c.loop(begin, m) as i:
-                made = b.store(c.load(column, i), c.place(to, i))
+            end = m.at_most((n_out - first) * 4)
+
+            def move(i: Int, k: int, align: int) -> None:
+                part = b.load(self._anywhere(c, c.place(column, i), k), align=self.size)
+                made = b.store(part, self._anywhere(c, c.place(to, i), k), align=align)
                 made.set_metadata("nontemporal", self.nontemporal)
+
+            with c.when(aligned):
+                # to the next line, whole lines, and the rest
+                off = c.whole(0) - (out // self.size + at + begin)
+                low = (begin + (off % line + line) % line).at_most(end)
+                high = low + (end - low) // line * line
+                for first, last, k in (
+                    (begin, low, pieces),
+                    (low, high, line),
+                    (high, end, pieces),
+                ):
+                    with c.loop(first, last, k) as i:
+                        move(i, k, k * self.size)
+            with c.when(b.not_(aligned)), c.loop(begin, end) as i:
+                move(i, 1, self.size)
         c.give(0)
         return c.function
 

@@ -9,7 +9,10 @@ from __future__ import annotations
 import ctypes
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -18,23 +21,33 @@ from numpy.typing import NDArray
 from fastatt.arrays import quat_multiply
 from fastatt.flat import machine
 from fastatt.flat.code import text_of
+from fastatt.gyro import ends
 from fastatt.gyro.chunk import Job, scratch_size
 from fastatt.gyro.loops import Loops
 from fastatt.gyro.turns import WindowsLoop
-from fastatt.gyro.windows import Window
+from fastatt.gyro.windows import CHUNK, LANES, Window
+from fastatt.threads import in_threads, number_of
 
 _KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
 _SCRATCH = threading.local()
 # programs are made once: threads that meet the need of one together wait for the first
 _MAKING = threading.Lock()
+_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+# tiles below which a thread more is no gain
+_TILES = 64
+# tiles that take some 0.05 s
+_PIECE = 4096
+
+_Done = Callable[[int], object] | None
 
 
 class Run:
-    """Logs of one kind and a method's window: what is worked on, and how far turns went.
+    """A stretch of logs and a method's window: ``n`` intervals to be turned into attitudes.
 
-    ``data`` (N, n, 3) are samples, ``before`` and ``after`` (N, k, 3) those beyond the logs' ends,
-    ``spans`` the interval, s, or the intervals; ``out`` (N, m, 4) takes attitudes. All arrays are
-    C-contiguous, of one precision.
+    ``data`` (N, lead + m, 3) are samples, ``lead`` of them before the stretch's first interval,
+    ``spans`` the interval, s, or the intervals, (lead + n,); ``out`` (N, n + 1, 4) takes attitudes.
+    All arrays are C-contiguous, of one precision. Without ``lead`` the logs begin here; they end
+    here where the last window is not whole.
     """
 
     def __init__(
@@ -42,164 +55,230 @@ class Run:
         window: Window,
         increments: bool,
         data: NDArray[Any],
-        ends: tuple[NDArray[Any], NDArray[Any]],
         spans: Any,
         out: NDArray[Any],
+        lead: int = 0,
     ) -> None:
         uneven = isinstance(spans, np.ndarray)
-        self._window, self._increments = window, increments
-        self._held = (data, *ends, np.atleast_1d(spans), out)
-        self._kind = _KINDS[data.dtype]
-        self._windows = functools.partial(windows, window, increments, self._kind, uneven)
+        self._held = data, spans, out
         with _MAKING:
-            self._loops = _loops(self._kind)
-        before, after = ends
-        of_one = 1.0 if increments else 0.0 if uneven else abs(float(spans))
+            program = self._program = _program(window, increments, _KINDS[data.dtype], uneven)
+        samples, self._count = data.shape[1], out.shape[1] - 1
+        missing = 0 if window.iteration else -self._count % window.span
+        self._ends = program.ends(spans, samples, missing)
+        job = self._job = Job.from_buffer_copy(self._ends)
+        job.data, job.out = _address(data), _address(out)
+        job.n_samples, job.lead, job.n_out = samples - lead, lead, self._count + 1
+        if uneven:
+            job.spans, job.n_spans = _address(spans), len(spans) - lead
+        else:
+            job.interval = spans
+            if not increments:
+                job.factor = spans
+
+    def carry(
+        self, q: NDArray[Any], *, phase: int = 0, n_threads: int | None = 1, done: _Done = None
+    ) -> float:
+        """Write all attitudes from p and r, q (N, 8), at the start, ``phase`` intervals of a chunk.
+
+        It ends at the end. Gives the largest component of an angle over an interval, rad.
+        """
+        n_logs, count = len(q), self._count
+        head = min(-phase % CHUNK, count)
+        chunks = -(-(count - head) // CHUNK)
+        if n_logs >= LANES or n_logs * -(-chunks // LANES) > chunks:
+            return self._side_by_side(q, (0, count), phase, n_threads, done)
+        peak = self._side_by_side(q, (0, head), phase, 1, done) if head else 0.0
+        if head < count:
+            for log in range(n_logs):
+                peak = max(peak, self._one_log(log, q[log], (head, count - head), n_threads, done))
+        return peak
+
+    def _side_by_side(
+        self,
+        q: NDArray[Any],
+        bounds: tuple[int, int],
+        phase: int,
+        n_threads: int | None,
+        done: _Done,
+    ) -> float:
+        """A lane for each log."""
+        n_logs, count = len(q), bounds[1] - bounds[0]
+        job = Job.from_buffer_copy(self._job)
+        job.first, job.count, job.phase = bounds[0], count, phase
+        if n_logs <= LANES and not done:
+            return self._through(job, "sweep", (0, n_logs), _address(q))
+        n_threads = number_of(n_threads)
+        tiles = -(-n_logs // LANES)
+        size = LANES * max(1, min(-(-tiles // n_threads), 2_000_000 // (LANES * count)))
+        peaks = []
+
+        def task(first: int, stop: Event) -> None:
+            if not stop.is_set():
+                last = min(first + size, n_logs)
+                peaks.append(self._through(job, "sweep", (first, last), _address(q)))
+                if done:
+                    done((last - first) * count)
+
+        in_threads([partial(task, first) for first in range(0, n_logs, size)], n_threads)
+        return max(peaks)
+
+    def _one_log(
+        self, log: int, q: NDArray[Any], at: tuple[int, int], n_threads: int | None, done: _Done
+    ) -> float:
+        """Runs of tiles, each of whose lanes takes a chunk, on each thread."""
+        job = Job.from_buffer_copy(self._job)
+        job.log, (job.first, job.count) = log, at
+        tiles = -(-at[1] // (LANES * CHUNK))
+        if tiles < 2 * _TILES and not done:
+            return self._through(job, "along", (0, tiles), _address(q), 1)
+        threads = max(1, min(number_of(n_threads), tiles // _TILES))
+        bounds = [tiles * i // threads for i in range(threads + 1)]
+        starts = [q, *(q.copy() for _ in bounds[2:])]
+        peaks = []
+
+        def through(piece: tuple[int, int], p: NDArray[Any], write: int) -> None:
+            peaks.append(self._through(job, "along", piece, _address(p), write))
+
+        if threads > 1:
+            known = bounds[-2]
+            totals = np.empty((known * LANES, 4), dtype=q.dtype)
+            job.totals = _address(totals)
+            parts = [known * i // threads for i in range(threads + 1)]
+
+            def find(first: int, last: int, stop: Event) -> None:
+                for piece in _pieces(first, last, stop):
+                    through(piece, q, 0)
+
+            in_threads([partial(find, a, z) for a, z in pairwise(parts)], threads)
+            chain = self._program.loops["chain"]
+            for i in range(1, threads):
+                starts[i][:] = starts[i - 1]
+                first, last = (LANES * k for k in bounds[i - 1 : i + 1])
+                chain(_address(starts[i]), _address(totals[first:]), last - first)
+
+        def along(p: NDArray[Any], first: int, last: int, stop: Event) -> None:
+            for piece in _pieces(first, last, stop):
+                through(piece, p, 1)
+                if done:
+                    done(min(LANES * CHUNK * piece[1], at[1]) - LANES * CHUNK * piece[0])
+
+        runs = zip(starts, pairwise(bounds), strict=True)
+        in_threads([partial(along, p, a, z) for p, (a, z) in runs], threads)
+        q[:] = starts[-1]
+        return max(peaks)
+
+    def _through(self, given: Job, name: str, bounds: tuple[int, int], q: int, *how: int) -> float:
+        """Call a loop until all tiles are done; the largest component of an angle, rad."""
+        job = Job.from_buffer_copy(given)
+        at, last = bounds
+        call, work = self._program.loops[name], _scratch(self._program.kind)
+        where = ctypes.addressof(job)
+        while at < last:
+            job.short, job.wide = self._program.forms
+            at = call(where, work, q, *how, at, last)
+            if at < last:
+                with _MAKING:
+                    self._program.any_angle()
+        return float(job.peak)
+
+
+def finish(
+    window: Window, increments: bool, data: NDArray[Any], spans: Any, out: NDArray[Any]
+) -> None:
+    """Attitudes ``out[:, 1:]`` from ``out[:, 0]`` of an iteration's rest, the end of logs."""
+    count = out.shape[1] - 1
+    samples, apart, places = ends.rest(data, spans, count, window, increments)
+    turns = np.empty((len(out), window.span + 1, 4), dtype=out.dtype)
+    Run(window, increments, samples, apart, turns).carry(beginning(_NO_TURN, len(out), out.dtype))
+    out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
+
+
+def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:
+    """What logs are carried from: p, unit quaternions (4,) or (N, 4), and no turn, r."""
+    q = np.empty((n_logs, 8), dtype=precision)
+    q[:, :4] = unit
+    q[:, 4:] = _NO_TURN
+    return q
+
+
+def _address(x: NDArray[Any]) -> int:
+    memory: Any = x
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    except (TypeError, ValueError):  # what may not be written to, or is empty
+        return int(x.ctypes.data)
+
+
+def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
+    """Cuts between which a run may be stopped, some 0.05 s apart."""
+    for a in range(first, last, _PIECE):
+        if stop.is_set():
+            return
+        yield a, min(a + _PIECE, last)
+
+
+class _Program:
+    """A method's windows for a kind of samples, and the loops over them."""
+
+    def __init__(self, window: Window, increments: bool, kind: str, uneven: bool) -> None:
+        self.kind, self.loops = kind, _loops(kind)
+        self._given, self._uneven = (window, increments), uneven
         # an iteration has one form for all angles
         near = 0.0 if window.iteration else window.near
         self._job = Job(
-            data=data.ctypes.data,
-            n_samples=data.shape[1],
-            before=before.ctypes.data,
-            n_before=before.shape[1],
-            after=after.ctypes.data,
-            n_after=after.shape[1],
-            spans=self._held[3].ctypes.data,
-            n_spans=spans.size if uneven else 0,
-            out=out.ctypes.data,
-            n_out=out.shape[1],
             history=window.history,
             span=window.span,
             extra=not increments,
             by_interval=uneven and not increments,
             near=near,
-            factor=of_one,
+            factor=float(increments),
         )
-        self._short = self._made(False) if near else None
-        self._wide = None if near else self._made(True)
+        self._ends: dict[tuple[int, int], Job] = {}
+        self._made = partial(windows, window, increments, kind, uneven)
+        self._forms = [self._made(wide=False) if near else None, None]
+        self.forms = 0, 0
+        self._find() if near else self.any_angle()
 
-    def side_by_side(
-        self,
-        stretches: tuple[NDArray[np.int64], NDArray[np.int64]],
-        count: int,
-        q: NDArray[Any],
-        peak: NDArray[Any],
-        lanes: tuple[int, int],
-    ) -> None:
-        """Carry lanes [first, last) of attitudes ``q (L, 4)`` to the ends of their logs.
+    def any_angle(self) -> None:
+        """Make the form for turns of any angle."""
+        self._forms[1] = self._made(wide=True)
+        self._find()
 
-        ``stretches`` are the log of each lane (L,) and its first interval (L,), ``count`` intervals
-        before the end; ``peak (L,)`` gets the largest component of a lane's angles over an
-        interval, rad.
-        """
-        job = self._with(peak)
-        job.body, job.start = (of_lane.ctypes.data for of_lane in stretches)
-        job.count = count
-        sweep, last = self._loops["sweep"], lanes[1]
-        self._through(job, lanes, lambda *given, at: sweep(*given, q.ctypes.data, at, last))
-        rest = (self._held[-1].shape[1] - 1) % self._window.span
-        if self._window.iteration and rest:
-            self._finish(stretches[0][slice(*lanes)], rest)
+    def _find(self) -> None:
+        """Addresses of the windows' loop for turns of at most π and for any; 0 of none."""
+        short, wide = (form.address("windows") if form else 0 for form in self._forms)
+        self.forms = short, wide
 
-    def _finish(self, logs: NDArray[np.int64], rest: int) -> None:
-        """The last ``rest`` intervals of some logs, fewer than a window has, cut into as many.
-
-        Beyond a log's end the polynomial is soon so large that no iteration holds it.
-        """
-        data, *_, spans, out = self._held
-        with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
-            samples, apart, ends = _cut(data[logs], spans, rest, self._window, self._increments)
-        n, span = len(logs), self._window.span
-        turns = np.empty((n, span + 1, 4), dtype=out.dtype)
-        unit = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=out.dtype), (n, 1))
-        none = np.zeros((n, 1, 3), dtype=out.dtype)
-        run = Run(self._window, self._increments, samples, (none, none), apart, turns)
-        own = np.arange(n), np.zeros(n, dtype=np.int64)
-        run.side_by_side(own, span, unit, np.zeros(n, dtype=out.dtype), (0, n))
-        out[logs, -rest:] = quat_multiply(out[logs, -rest - 1][:, None], turns[:, ends])
-
-    def find_turns(
-        self, log: int, totals: NDArray[Any], peak: NDArray[Any], tiles: tuple[int, int]
-    ) -> None:
-        """The turns of tiles [first, last) of one log, ``TILE`` intervals each: ``totals (T, 4)``.
-
-        ``peak (T,)`` gets the largest component of a tile's angles over an interval, rad.
-        """
-        unit = np.array([1.0, 0.0, 0.0, 0.0], dtype=totals.dtype)
-        job = self._with(peak)
-        job.log, job.totals = log, totals.ctypes.data
-        along, last = self._loops["along"], tiles[1]
-        self._through(job, tiles, lambda *given, at: along(*given, unit.ctypes.data, 0, at, last))
-
-    def along(self, log: int, q: NDArray[Any], peak: NDArray[Any], tiles: tuple[int, int]) -> None:
-        """Write the attitudes of tiles from q (4,), at the first's start; it ends at the last's.
-
-        ``peak`` is as for ``find_turns``.
-        """
-        job = self._with(peak)
-        job.log = log
-        along, last = self._loops["along"], tiles[1]
-        self._through(job, tiles, lambda *given, at: along(*given, q.ctypes.data, 1, at, last))
-
-    def chain(self, q: NDArray[Any], totals: NDArray[Any]) -> None:
-        """Turn q (4,) by further turns (n, 4), one after the other."""
-        self._loops["chain"](q.ctypes.data, totals.ctypes.data, len(totals))
-
-    def _with(self, peak: NDArray[Any]) -> Job:
-        job = Job.from_buffer_copy(self._job)
-        job.peak = peak.ctypes.data
-        return job
-
-    def _made(self, wide: bool) -> machine.Compiled:
-        with _MAKING:
-            return self._windows(wide)
-
-    def _through(self, job: Job, bounds: tuple[int, int], call: Callable[..., int]) -> None:
-        at, last = bounds
-        work = _scratch(self._kind)
-        while at < last:
-            job.short, job.wide = (
-                form.address("windows") if form else 0 for form in (self._short, self._wide)
-            )
-            at = call(ctypes.addressof(job), work.ctypes.data, at=at)
-            if at < last:
-                self._wide = self._made(True)
+    def ends(self, spans: Any, n: int, missing: int) -> Job:
+        """A job with the tables of samples beyond the ends of logs of n, ``missing`` after them."""
+        window, increments = self._given
+        key = min(n, window.samples(increments)), missing
+        found = self._ends.get(key)
+        if found is None:
+            head = np.ascontiguousarray(ends.before(spans, n, window, increments))
+            # where none is missing, what is past a window's end may be anything: the last once more
+            tail = np.ones((1, 1))
+            if missing:
+                tail = np.ascontiguousarray(ends.after(spans, n, missing, window, increments))
+            found = Job.from_buffer_copy(self._job)
+            found.tables = head, tail  # which the job has the addresses of
+            found.head, found.n_head = _address(head), head.shape[1]
+            found.tail, (found.n_after, found.n_tail) = _address(tail), tail.shape
+            if not self._uneven:
+                self._ends[key] = found
+        return found
 
 
-def _cut(
-    data: NDArray[Any], spans: NDArray[Any], rest: int, window: Window, increments: bool
-) -> tuple[NDArray[Any], Any, NDArray[np.int64]]:
-    """Samples and intervals of a window that covers the last ``rest`` intervals of logs.
-
-    The samples are those of the polynomial through the last whole window, or all there is. Equal
-    intervals are one number. The third are the places where the logs' own intervals end.
-    """
-    near = min(window.samples(increments), data.shape[1])
-    gaps = np.broadcast_to(spans, len(spans) if len(spans) > 1 else near)
-    gaps = gaps[len(gaps) - near + (not increments) :].astype(np.float64)
-    parts = window.span // rest + (np.arange(rest) < window.span % rest)
-    fine = np.repeat(gaps[-rest:] / parts, parts)
-    nodes = np.concatenate([[0.0], np.cumsum(gaps)])
-    at = nodes[-1 - rest] + np.concatenate([[0.0], np.cumsum(fine)])
-    same = np.eye(len(nodes), dtype=bool)
-    ratios = (at[:, None, None] - nodes) / np.where(same, 1.0, nodes[:, None] - nodes)
-    lagrange = np.where(same, 1.0, ratios).prod(axis=-1)
-    if increments:  # the polynomial is that of the running angle, from 0 at the first node
-        values = np.diff(lagrange[:, 1:] @ data[:, -near:].cumsum(axis=1), axis=1)
-    else:
-        values = lagrange @ data[:, -near:]
-    apart = fine.astype(data.dtype)
-    return values.astype(data.dtype), apart[0] if np.ptp(apart) == 0.0 else apart, parts.cumsum()
-
-
-def _scratch(kind: str) -> NDArray[np.uint8]:
-    """Scratch memory, one for each thread."""
-    found: NDArray[np.uint8] | None = getattr(_SCRATCH, kind, None)
+def _scratch(kind: str) -> int:
+    """Address of scratch memory, one for each thread."""
+    found: tuple[int, NDArray[Any]] | None = getattr(_SCRATCH, kind, None)
     if found is None:
-        whole = np.zeros(scratch_size(kind) + 64, dtype=np.uint8)
-        found = whole[-whole.ctypes.data % 64 :]
+        memory = np.zeros(scratch_size(kind) + 64, dtype=np.uint8)
+        at = _address(memory)
+        found = at + -at % 64, memory
         setattr(_SCRATCH, kind, found)
-    return found
+    return found[0]
 
 
 @functools.cache
@@ -215,8 +294,13 @@ def _loops(kind: str) -> dict[str, Any]:
 
 
 @functools.cache
+def _program(window: Window, increments: bool, kind: str, uneven: bool) -> _Program:
+    return _Program(window, increments, kind, uneven)
+
+
+@functools.cache
 def windows(
-    window: Window, increments: bool, kind: str, uneven: bool, wide: bool
+    window: Window, increments: bool, kind: str, uneven: bool, *, wide: bool
 ) -> machine.Compiled:
     """A method's loop over a chunk's windows, on all lanes; compiled, or from disk.
 

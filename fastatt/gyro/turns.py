@@ -33,9 +33,10 @@ def exponentials(u: Numbers, wide: bool) -> list[Any]:
 
 
 class WindowsLoop:
-    """``windows(samples, intervals, attitudes, n)``: n windows of rows that hold all lanes.
+    """``windows(samples, intervals, attitudes, n, width)``: n windows of rows that hold all lanes.
 
-    The attitudes' first row is that at the start. ``intervals`` are rows too, or one number.
+    The attitudes' first row is that at the start. ``intervals`` are rows too, or one number. Only
+    the lanes' first ``width`` are looked at, a vector at a time.
     """
 
     def __init__(
@@ -47,9 +48,9 @@ class WindowsLoop:
         self.vector = ir.VectorType(REALS[kind], self.lanes)
         self.module = ir.Module("windows")
         reals = REALS[kind].as_pointer()
-        c = self.code = Code(self.module, "windows", [reals, reals, reals, I64])
+        c = self.code = Code(self.module, "windows", [reals, reals, reals, I64, I64])
         self.emitter = Emitter(c, self.lanes, processor().fuses)
-        self.samples, self.intervals, self.attitudes, n = c.function.args
+        self.samples, self.intervals, self.attitudes, n, width = c.function.args
         for pointer in c.function.args[:3]:
             pointer.add_attribute("noalias")
         self.interval = None if uneven else c.load(self.intervals, 0)
@@ -57,7 +58,7 @@ class WindowsLoop:
         iteration = window.iteration
         self.state: list[Any] = []
         one = self._iterated(iteration) if iteration else self._by_formula()
-        with c.loop(0, LANES, self.lanes) as j:
+        with c.loop(0, Int(c, width), self.lanes) as j:
             for i, place in enumerate(self.q):
                 c.b.store(c.vector(self.attitudes, j + i * LANES, self.lanes), place)
             with c.loop(0, Int(c, n)) as k:
@@ -77,7 +78,9 @@ class WindowsLoop:
         turns = traceable(self.window.formula(self.increments))(v, h)
         q = graph.inputs(self.kind, "q", 4)
         flat = Flat(graph, products(q, exponentials(turns, self.wide)), self.kind)
-        return lambda j, k: self._write(flat, j, k)
+        # what equal intervals alone give is the same for all windows
+        before = None if self.uneven else self.emitter.shared(flat, {"h": [self.interval]})
+        return lambda j, k: self._write(flat, j, k, before)
 
     def _iterated(self, iteration: Iteration) -> Callable[[Int, Int], None]:
         begin = Graph()
@@ -116,16 +119,16 @@ class WindowsLoop:
 
         return one
 
-    def _write(self, flat: Flat, j: Int, k: Int) -> None:
+    def _write(self, flat: Flat, j: Int, k: Int, before: Any = None) -> None:
         """The attitudes of window k, the last of which is the next one's first."""
         c, span = self.code, self.window.span
-        values = self._emit(flat, j, k)
+        values = self._emit(flat, j, k, before)
         for i, value in enumerate(values):
             c.store_vector(self.attitudes, (k * (4 * span) + 4 + i) * LANES + j, value)
         for value, place in zip(values[-4:], self.q, strict=True):
             c.b.store(value, place)
 
-    def _emit(self, flat: Flat, j: Int, k: Int) -> list[Any]:
+    def _emit(self, flat: Flat, j: Int, k: Int, before: Any = None) -> list[Any]:
         c, span = self.code, self.window.span
 
         def given(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
@@ -139,4 +142,4 @@ class WindowsLoop:
                 return self.interval, False
             return c.b.load((self.q if group == "q" else self.state)[i]), True
 
-        return self.emitter.wide(flat, given)
+        return self.emitter.wide(flat, given, before)

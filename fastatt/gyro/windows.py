@@ -20,15 +20,13 @@ from fastatt.flat.graph import both, choose
 CHUNK = 48
 #: stretches of logs that run side by side
 LANES = 16
-#: intervals of one log that run side by side
-TILE = CHUNK * LANES
 #: most intervals that a window may look back
 MOST_HISTORY = 8
 # a state of some 1 that a pass moves by more will not come back
 _FAR = 1e6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Iteration:
     """A method whose attitudes come of passes over a state, until it stays as it is.
 
@@ -64,7 +62,7 @@ class Iteration:
         return (*ends, choose(on, 1.0, 0.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Window:
     """Shape of a method's window, and its formulas by kind of samples.
 

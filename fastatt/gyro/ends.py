@@ -1,0 +1,86 @@
+"""Samples beyond the ends of logs, and the windows that logs end within."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt.gyro.windows import Window
+
+Array = NDArray[Any]
+
+
+def beyond(data: Array, spans: Any, window: Window, increments: bool) -> tuple[Array, Array]:
+    """Samples (N, k, 3) before and after logs, by the polynomial of the nearest whole window."""
+    n = data.shape[1]
+    head = before(spans, n, window, increments)[::-1]
+    tail = after(spans, n, -(n - (not increments)) % window.span, window, increments)
+    return head @ data[:, : head.shape[1]], tail @ data[:, n - tail.shape[1] :]
+
+
+def before(spans: Any, n: int, window: Window, increments: bool) -> Array:
+    """Table (history, near) of the samples before a log of n, the nearest first, from its first."""
+    near = min(window.samples(increments), n)
+    gaps = spans[: near - (not increments)][::-1] if np.ndim(spans) else near - (not increments)
+    return _table(gaps, window.history, increments)[:, ::-1]
+
+
+def after(spans: Any, n: int, count: int, window: Window, increments: bool) -> Array:
+    """Table (count, near) of the samples after a log of n, from its last."""
+    near = min(window.samples(increments), n)
+    inside = near - (not increments)
+    return _table(spans[len(spans) - inside :] if np.ndim(spans) else inside, count, increments)
+
+
+def _table(gaps: Any, n: int, increments: bool) -> Array:
+    """What gives ``n`` further samples, spaced as the last, from those with gaps between."""
+    if isinstance(gaps, int):
+        return _equal(gaps, n, increments)
+    gaps = gaps.astype(np.float64)
+    nodes = np.concatenate([[0.0], np.cumsum(gaps)])
+    return _interpolation(
+        nodes, nodes[-1] + gaps[-1] * np.arange(not increments, n + 1), increments
+    )
+
+
+@functools.cache
+def _equal(count: int, n: int, increments: bool) -> Array:
+    return _table(np.ones(count), n, increments)
+
+
+def _interpolation(nodes: Array, at: Array, increments: bool) -> Array:
+    """Table from samples at nodes to those at other instants, or from increments to increments."""
+    same = np.eye(len(nodes), dtype=bool)
+    ratios = (at[:, None, None] - nodes) / np.where(same, 1.0, nodes[:, None] - nodes)
+    lagrange: Array = np.where(same, 1.0, ratios).prod(axis=-1)
+    if not increments:
+        return lagrange
+    # the polynomial is that of the running angle, from 0 at the first node
+    return np.diff(lagrange[:, 1:] @ np.tri(len(nodes) - 1), axis=0)
+
+
+def rest(
+    data: Array, spans: Any, count: int, window: Window, increments: bool
+) -> tuple[Array, Any, Array]:
+    """Samples and intervals of a window over the last ``count`` intervals of logs.
+
+    They are cut into as many as it has; the samples are those of the polynomial through the last
+    whole window, or all there is: beyond a log's end it is soon so large that no iteration holds
+    it. Equal intervals are one number. The third are the places where the logs' own intervals end.
+    """
+    near = min(window.samples(increments), data.shape[1])
+    inside = near - (not increments)
+    gaps = (spans[len(spans) - inside :] if np.ndim(spans) else np.full(inside, spans)).astype("f8")
+    parts = window.span // count + (np.arange(count) < window.span % count)
+    fine = np.repeat(gaps[-count:] / parts, parts)
+    nodes = np.concatenate([[0.0], np.cumsum(gaps)])
+    at = nodes[-1 - count] + np.concatenate([[0.0], np.cumsum(fine)])
+    with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
+        table = _interpolation(nodes, at, increments)
+        values = table @ np.array(data[:, data.shape[1] - near :], dtype=np.float64, order="C")
+        samples = values.astype(data.dtype)
+    apart = fine.astype(data.dtype)
+    return samples, apart[0] if np.ptp(apart) == 0.0 else apart, parts.cumsum()

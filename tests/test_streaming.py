@@ -1,0 +1,175 @@
+"""Samples that come one by one or in pieces: the bits of the whole log."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+
+START = np.array([0.5, -0.5, 0.1, 0.7])
+SAMPLED = [
+    (m.name, increments)
+    for m in fa.METHODS.values()
+    if m.window is not None
+    for increments in (False, True)
+    if m.window.takes(increments)
+]
+LOG = np.cumsum(np.random.default_rng(0).normal(size=(20, 400, 3)), axis=1) * 0.01
+# samples at the ends of chunks and in the middle of windows
+CUTS = {
+    "singly": (1,) * 130,
+    "in pieces": (1, 1, 1, 45, 2, 50, 7, 1, 200, 3),
+    "few": (4,),
+    "one": (1,),
+}
+
+
+def streamed(rates, dt, cuts, **options):
+    """All that comes out of a log cut into pieces, the integrator pickled between two of them."""
+    increments = options.get("increments", False)
+    uneven = np.ndim(dt) > 0
+    flow = fa.integrator(options.pop("q0", START), None if uneven else dt, **options)
+    found, at = [], 0
+    for k, n in enumerate(cuts):
+        end = at + n
+        given = [rates[..., at:end, :]]
+        if uneven:
+            given.append(dt[at:end] if increments else dt[max(at - 1, 0) : end - 1])
+        found.append(flow.push(*given))
+        at = end
+        if k == 2:
+            flow = pickle.loads(pickle.dumps(flow))
+    return np.concatenate([*found, flow.close()], axis=-2)
+
+
+@pytest.mark.parametrize("cuts", CUTS)
+@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+def test_pieces_are_the_whole_log(method, increments, cuts):
+    data = LOG[0, : sum(CUTS[cuts])] * (0.02 if increments else 1.0)
+    options = {"method": method, "increments": increments}
+    whole = fa.integrate_rates(data, 0.02, START, **options)
+    found = streamed(data, 0.02, CUTS[cuts], **options)
+    assert found.shape == whole.shape
+    assert found.tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("n_bodies", [3, 20])
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+@pytest.mark.parametrize(
+    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
+)
+def test_pieces_of_many_bodies_with_intervals_given_along(method, increments, dtype, n_bodies):
+    rng = np.random.default_rng(1)
+    cuts = CUTS["in pieces"]
+    n = sum(cuts)
+    data = (LOG[:n_bodies, :n] * (0.02 if increments else 1.0)).astype(dtype)
+    spans = rng.uniform(0.015, 0.025, n - (not increments))
+    q0 = rng.normal(size=(n_bodies, 4))
+    options = {"method": method, "increments": increments}
+    whole = fa.integrate_rates(data, spans, q0, **options)
+    found = streamed(data, spans, cuts, q0=q0, **options)
+    assert found.dtype == dtype
+    assert found.tobytes() == whole.tobytes()
+
+
+def test_long_pieces_on_threads_are_the_whole_log():
+    """More than a thread takes at least, from within a chunk to within a chunk."""
+    data = np.resize(LOG, (150_000, 3))
+    whole = fa.integrate_rates(data, 0.01, START, n_threads=1)
+    found = streamed(data, 0.01, (20, 120_000, 29_980), n_threads=2)
+    assert found.tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("method", "increments", "sizes", "left"),
+    [
+        ("hold", False, [1, 1, 1, 1, 1], 0),
+        ("hold", True, [2, 1, 1, 1, 1], 0),
+        ("previous", False, [1, 0, 2, 1, 1], 0),  # the first interval takes three rates
+        ("previous", True, [1, 2, 1, 1, 1], 0),
+        ("coning2", False, [1, 0, 2, 0, 2], 0),
+        ("coning3", True, [1, 0, 3, 0, 0], 2),
+    ],
+)
+def test_attitudes_come_as_soon_as_they_are_final(method, increments, sizes, left):
+    flow = fa.integrator(START, 0.1, method=method, increments=increments)
+    assert [len(flow.push((0.1, 0.2, 0.3))) for _ in sizes] == sizes
+    assert flow.close().shape == (left, 4)
+
+
+def test_a_log_without_samples():
+    assert fa.integrator(START, 0.1).close().shape == (0, 4)
+    assert fa.integrator([START] * 2, 0.1).close().shape == (2, 0, 4)
+
+
+def test_what_comes_out_is_the_users_own():
+    flow = fa.integrator(START, 0.1, method="picard")
+    other = copy.copy(flow)
+    rates = LOG[0, :12]
+    flow.push(rates[:10])[:] = 7.0
+    other.push(rates[:10])
+    assert np.array_equal(flow.push(rates[10:]), other.push(rates[10:]))
+    assert np.array_equal(flow.close(), other.close())
+
+
+@pytest.mark.parametrize(
+    ("rates", "dt", "message"),
+    [
+        ([0.0, np.nan, 0.0], 0.1, "rates[1] is nan"),
+        ([0.0, 1e308, 1e308], 1e5, "rates: the angles overflow float64"),
+        ([[0.0] * 4], 0.1, "rates: has shape (1, 4); accepted: (3,) or (n, 3)"),
+        ([0.0] * 3, None, "dt: found None; accepted: a number or (1,)"),
+        ([0.0] * 3, -0.1, "dt: found -0.1; accepted: an interval above 0"),
+        ([0.0] * 3, [0.2], "dt[0] is 0.2: a gap; accepted: at most 0.15 s"),
+    ],
+)
+def test_refused_samples_leave_all_as_it_was(rates, dt, message):
+    flows = [fa.integrator(START, method="hold", max_gap=np.inf) for _ in range(2)]
+    if "gap" in message:
+        flows = [fa.integrator(START, method="hold", max_gap=0.15) for _ in range(2)]
+    for flow in flows:
+        flow.push([0.1, 0.2, 0.3])
+    if "overflow" in message:
+        for flow in flows:
+            flow.push(rates, 0.1)
+    with pytest.raises(ValueError, match=re.escape(message)):
+        flows[0].push(rates, dt)
+    first, second = (flow.push([0.3, 0.2, 0.1], 0.1) for flow in flows)
+    assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("given", "options", "message"),
+    [
+        ((START, 0.0), {}, "dt: found 0.0"),
+        ((START, 0.1), {"method": "rk4"}, "method: found 'rk4'"),
+        ((START,), {"method": "coning3_optimal", "increments": True}, "dt: found intervals"),
+        ((np.zeros(4), 0.1), {}, "q0 is the zero quaternion"),
+    ],
+)
+def test_refusals(given, options, message):
+    with pytest.raises(ValueError, match=message):
+        fa.integrator(*given, **options)
+
+
+def test_what_an_integrator_takes_no_more():
+    flow = fa.integrator(START, 0.1)
+    with pytest.raises(ValueError, match=r"dt: found 0\.1; accepted: None"):
+        flow.push([0.0] * 3, 0.1)
+    flow.close()
+    for call in (lambda: flow.push([0.0] * 3), flow.close):
+        with pytest.raises(ValueError, match="an integrator that is closed"):
+            call()
+
+
+def test_long_turns_are_told_by_their_place_in_the_log():
+    flow = fa.integrator(START, 0.1, method="coning2")
+    flow.push(np.zeros((60, 3)))
+    with pytest.warns(fa.StepWarning, match="interval 61 of log 0 turns by 3 rad") as said:
+        flow.push([[0.0] * 3, [30.0, 0.0, 0.0], [0.0] * 3])
+    assert said[0].filename == __file__
