@@ -49,6 +49,8 @@ class Job:
     raw: bool = False
     mends: bool = False
     looks: bool = True
+    #: each body has a step of its own, and saves are at any times
+    own_steps: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
     width: int = WIDTH
 

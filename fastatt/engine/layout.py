@@ -16,13 +16,13 @@ BLOCK = 256
 #: numbers of bodies and of rows, from save to save in bodies, the span
 INTS = (
     "bodies", "rows_q", "rows_y", "rows_p", "rows_known", "rows_flags", "stride", "first", "last",
-    "n_steps", "save_every", "slot", "restore", "origin", "stages",
+    "n_steps", "save_every", "slot", "restore", "origin", "stages", "rows_own",
 )  # fmt: skip
 #: times, and what the status is judged by
 NUMBERS = ("t0", "h", "edge", "quiet", "limit", "norm", "invariant")
 ARRAYS = (
     "q0", "y0", "p", "known", "flags", "stages", "x", "watch", "out", "defect", "status", "told",
-    "careful",
+    "dt", "counts", "rests", "slots", "careful",
 )  # fmt: skip
 
 _CHARS = I64.as_pointer()

@@ -43,6 +43,8 @@ class Pieces:
             invariants=formulas.invariants,
             bound=int(job.known),
             witness=1,
+            dt=self.doubles * job.own_steps,
+            before=self.doubles * job.own_steps,
         )
         self.copied = Rows(self.width, x=formulas.size, turn=1)
         self.done = Rows(self.width, y=max(formulas.handed_out, formulas.given), defect=1, change=1)
@@ -68,9 +70,12 @@ class Pieces:
 
     def _inputs(
         self, code: Code, given: Given, rows: Any, lane: Int, scalars: dict[str, Any],
-        source: tuple[Any, Rows] | None = None,
+        source: tuple[Any, Rows] | None = None, wide: dict[str, Any] | None = None,
     ) -> Any:  # fmt: skip
-        """Values of a formula's inputs: rows of the tile, or numbers that all lanes share."""
+        """Values of a formula's inputs: rows of the tile, or numbers that all lanes share.
+
+        ``wide`` are those that have a lane a body though they lie in no row.
+        """
         known: dict[Any, tuple[Any, bool]] = {}
 
         def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
@@ -83,6 +88,8 @@ class Pieces:
             if group in scalars:
                 value = scalars[group]
                 return (value[i[0]] if i else value), False
+            if wide and group in wide:
+                return wide[group], True
             if source is not None and group == "y":
                 memory, layout = source
                 return code.vector(memory, lane + layout.offset("y", i[0]), self.lanes), True
@@ -108,14 +115,53 @@ class Pieces:
         return {"p": [code.load(array, i) for i in range(self.formulas.parameters)]}
 
     def _narrow(self, code: Code, value: Any) -> Any:
-        """A double in the state's precision."""
-        return value if self.kind == "double" else code.b.fptrunc(value, self.real)
+        """A double, or a vector of such, in the state's precision."""
+        if self.kind == "double":
+            return value
+        vector = isinstance(value.type, ir.VectorType)
+        return code.b.fptrunc(value, ir.VectorType(self.real, self.lanes) if vector else self.real)
 
     def _time(self, code: Code, given: Given, n: Any) -> Any:
         """t0 + n h, of a number of steps."""
         b = code.b
         steps = b.sitofp(n.value, REALS["double"]) if isinstance(n, Int) else n
         return b.fadd(given.number("t0"), b.fmul(steps, given.number("h")))
+
+    def _lane_double(self, code: Code, rows: Any, name: str, lane: Int) -> Any:
+        """A row of doubles, as a vector."""
+        pointer, at = self._number(code, rows, name, 0, "double")
+        return code.vector(pointer, lane + at, self.lanes)
+
+    def _stepping(
+        self, code: Code, given: Given, n: Any, parts: tuple[Any, Any, Any] | None
+    ) -> tuple[dict[str, Any], Any]:
+        """(t, h, k) of step n, as numbers or, by a function of rows and lane, as vectors.
+
+        ``parts`` are a stage's shares of the step and where in it the other flow acts.
+        """
+        b, h = code.b, given.number("h")
+        if not self.job.own_steps:
+            if parts is None:
+                span = self._narrow(code, h)
+                return {"t": self._time(code, given, n), "h": span, "k": span}, None
+            share, other, at = parts
+            steps = b.fadd(b.sitofp(n.value, REALS["double"]), at)
+            spans = [self._narrow(code, b.fmul(x, h)) for x in (share, other)]
+            return {"t": self._time(code, given, steps), "h": spans[0], "k": spans[1]}, None
+        steps = b.sitofp(n.value, REALS["double"])
+        if parts is not None:
+            steps = b.fadd(steps, parts[2])
+        begin, count = (code.splat(x, self.lanes) for x in (given.number("t0"), steps))
+        shares = parts and [code.splat(x, self.lanes) for x in parts[:2]]
+
+        def wide(rows: Any, lane: Int) -> dict[str, Any]:
+            step, before = (self._lane_double(code, rows, x, lane) for x in ("dt", "before"))
+            time = b.fadd(begin, b.fmul(b.fadd(before, count), step))
+            spans = [b.fmul(x, step) for x in shares] if shares else [step, step]
+            narrow = [self._narrow(code, x) for x in spans]
+            return {"t": time, "h": narrow[0], "k": narrow[1]}
+
+        return {}, wide
 
     def _block(self, name: str, forms: Any, look: str) -> None:
         """Steps [first, last) of every lane."""
@@ -126,14 +172,16 @@ class Pieces:
             code.store_vector(rows, j + self.rows.offset("turn"), zero)
         shared = self._shared(code, given)
         emit = self._emitter(code, given)
-        h = given.number("h")
 
-        def lanes(noted: bool, t: Any, span: Any, other: Any) -> None:
-            scalars = {"t": t, "h": span, "k": other, **shared}
+        def lanes(noted: bool, n: Int, parts: Any = None) -> None:
+            scalars, wide = self._stepping(code, given, n, parts)
+            scalars.update(shared)
             flat = forms.noted if noted else forms.plain
             before = emit.shared(flat, scalars)
             with code.lanes(self.width, self.lanes) as j:
-                found = emit.wide(flat, self._inputs(code, given, rows, j, scalars), before)
+                own = wide(rows, j) if wide else None
+                find = self._inputs(code, given, rows, j, scalars, wide=own)
+                found = emit.wide(flat, find, before)
                 for i in range(self.formulas.size):
                     code.store_vector(rows, j + self.rows.offset("x", i), found[i])
                 if noted:
@@ -142,18 +190,12 @@ class Pieces:
                     code.store_vector(rows, at, most)
 
         def step(n: Int, noted: bool) -> None:
-            b = code.b
             if not self.job.method.stages:
-                span = self._narrow(code, h)
-                lanes(noted, self._time(code, given, n), span, span)
+                lanes(noted, n)
                 return
             stages = given.array("stages", REALS["double"].as_pointer())
-            steps = b.sitofp(n.value, REALS["double"])
             with code.loop(0, given.whole("stages")) as i:
-                share, other, at = (code.load(stages, i * 3 + k) for k in range(3))
-                t = self._time(code, given, code.b.fadd(steps, at))
-                spans = [self._narrow(code, code.b.fmul(x, h)) for x in (share, other)]
-                lanes(noted, t, *spans)
+                lanes(noted, n, tuple(code.load(stages, i * 3 + k) for k in range(3)))
 
         if look != "times":
             with code.loop(begin, end) as n:
@@ -205,11 +247,13 @@ class Pieces:
                     kind = constants.nodes[constants.results[i]].kind
                     pointer, at = self._number(code, rows, "c", i, kind)
                     code.store_vector(pointer, j + at, value)
-        h, edge = (self._narrow(code, given.number(x)) for x in ("h", "edge"))
-        scalars = {"t": given.number("t0"), "h": h, "edge": edge, **self._shared(code, given)}
+        if self.job.own_steps:
+            self._own_begin(code, given, rows, base)
+        scalars, wide = self._moment(code, given, None)
         emit = self._emitter(code, given)
         with code.lanes(self.width, self.lanes) as j:
-            find = self._inputs(code, given, rows, j, scalars, (done, self.done))
+            own = wide(rows, j) if wide else None
+            find = self._inputs(code, given, rows, j, scalars, (done, self.done), own)
             found = emit.wide(self.formulas.begin, find)
             at = 0
             names = ("x", "e", "invariants", *(["bound"] if self.job.bounds else []))
@@ -242,23 +286,19 @@ class Pieces:
         code, given, (rows, done, tile, n) = self._function("save", pointer, pointer, I64, I64)
         b = code.b
         steps = Int(code, n)
-        t = self._time(code, given, steps)
-        since = self._narrow(code, b.fmul(b.sitofp(n, REALS["double"]), given.number("h")))
-        edge = self._narrow(code, given.number("edge"))
-        scalars = {"t": t, "since": since, "edge": edge, **self._shared(code, given)}
+        scalars, wide = self._moment(code, given, steps)
         emit = self._emitter(code, given)
         size = self.formulas.handed_out
         with code.lanes(self.width, self.lanes) as j:
-            found = emit.wide(self.formulas.save, self._inputs(code, given, rows, j, scalars))
+            own = wide(rows, j) if wide else None
+            find = self._inputs(code, given, rows, j, scalars, wide=own)
+            found = emit.wide(self.formulas.save, find)
             for i, value in enumerate(found):
                 code.store_vector(done, j + self._handed(i), value)
         base = Int(code, tile) * self.width
         bodies = given.whole("bodies")
         width = (bodies - base).at_most(self.width)
-        every, stride = given.whole("save_every"), given.whole("stride")
-        gone = steps - given.whole("origin")
-        number = (gone - 1) // every + given.whole("slot")
-        slot = Int(code, b.select(gone > 0, number.value, code.raw(0)))
+        stride, slot = given.whole("stride"), self._slot(code, given, steps)
         out, defect, watch = (given.array(x, pointer) for x in ("out", "defect", "watch"))
         with code.loop(0, width) as j:
             body = base + j
@@ -272,6 +312,44 @@ class Pieces:
             change = code.load(done, j + self._handed(size + 1))
             self._worse(code, watch, bodies * 2 + body, change)
         code.give(0)
+
+    def _slot(self, code: Code, given: Given, steps: Int) -> Int:
+        """Which save is that after so many steps; of steps of each body's own, that number."""
+        if self.job.own_steps:
+            return steps
+        gone = steps - given.whole("origin")
+        number = (gone - 1) // given.whole("save_every") + given.whole("slot")
+        return Int(code, code.b.select(gone > 0, number.value, code.raw(0)))
+
+    def _moment(self, code: Code, given: Given, n: Int | None) -> tuple[dict[str, Any], Any]:
+        """What a run's begin (n None), or a save after n steps, needs of times."""
+        b, shared = code.b, self._shared(code, given)
+        if not self.job.own_steps:
+            h, edge = (self._narrow(code, given.number(x)) for x in ("h", "edge"))
+            if n is None:
+                return {"t": given.number("t0"), "h": h, "edge": edge, **shared}, None
+            since = b.fmul(b.sitofp(n.value, REALS["double"]), given.number("h"))
+            found = {"t": self._time(code, given, n), "since": self._narrow(code, since)}
+            return {**found, "edge": edge, **shared}, None
+        begin, share = (code.splat(given.number(x), self.lanes) for x in ("t0", "edge"))
+
+        def wide(rows: Any, lane: Int) -> dict[str, Any]:
+            step, before = (self._lane_double(code, rows, x, lane) for x in ("dt", "before"))
+            since = b.fmul(before, step)
+            spans = {"h": step, "since": since, "edge": b.fmul(share, step)}
+            narrow = {name: self._narrow(code, x) for name, x in spans.items()}
+            return {"t": b.fadd(begin, since), **narrow}
+
+        return shared, wide
+
+    def _own_begin(self, code: Code, given: Given, rows: Any, base: Int) -> None:
+        """Load each body's step."""
+        step, at = self._number(code, rows, "dt", 0, "double")
+        self._gather(code, given, step, base, ("dt", "rows_own"), at, 1)
+        before, at = self._number(code, rows, "before", 0, "double")
+        with code.lanes(self.width, self.lanes) as j:
+            zero = code.splat(code.real("double", 0.0), self.lanes)
+            code.store_vector(before, j + at, zero)
 
     def _handed(self, i: int) -> int:
         """Row of the i-th number that is handed out, the departures after them."""
