@@ -6,6 +6,7 @@ gravity gradient, a weight and damping, whose zeros switch them off.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 
@@ -95,14 +96,15 @@ def gap(traj, q, w):
 # orders
 
 
-END = ends(INERTIA)
-END_TORQUED = ends(INERTIA, acting(0.0))
-END_DAMPED = ends(INERTIA, acting(DRAG))
+@functools.cache
+def end(drag=None):
+    """Of the bodies: free, or under all torques with a damping, which may be 0."""
+    return ends(INERTIA, None if drag is None else acting(drag))
 
 
-def order(scene, end, method, representation="quat"):
+def order(scene, expected, method, representation="quat"):
     def error(n):
-        return gap(run(scene, method, n, representation=representation), *end)
+        return gap(run(scene, method, n, representation=representation), *expected)
 
     return observed_order(error, SPAN, ladder=DENSE)
 
@@ -111,14 +113,14 @@ def order(scene, end, method, representation="quat"):
 def test_order_on_free_bodies(method, representation):
     """Triaxial, their moments in every order; attitudes and rates."""
     declared = fa.METHODS[method].order_of("free")
-    assert order(FREE, END, method, representation) == pytest.approx(declared, abs=0.25)
+    assert order(FREE, end(), method, representation) == pytest.approx(declared, abs=0.25)
 
 
 @pytest.mark.parametrize(("method", "representation"), OF_TORQUED)
 def test_order_under_torque(method, representation):
     """Gravity gradient, which depends on time, and a weight."""
     declared = fa.METHODS[method].order_of("torqued")
-    found = order(under_torque(method), END_TORQUED, method, representation)
+    found = order(under_torque(method), end(0.0), method, representation)
     assert found == pytest.approx(declared, abs=0.25)
 
 
@@ -128,7 +130,7 @@ def test_order_with_damping(method):
     assert fa.METHODS[method].takes is not Dependence.POSITION
     declared = fa.METHODS[method].order_of("torqued")
     scene = torqued(INERTIA, drag=DRAG)
-    assert order(scene, END_DAMPED, method) == pytest.approx(declared, abs=0.25)
+    assert order(scene, end(DRAG), method) == pytest.approx(declared, abs=0.25)
 
 
 def test_damping_axis_by_axis():

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 from exact import EPS, START, angle, exp, mul
-from machine_code import assemblies, is_packed, jobs_of, large_loops, needs_avx
+from machine_code import assemblies, is_packed, job_of, large_loops, needs_avx
 from numba import njit
 
 import fastatt as fa
@@ -396,7 +396,7 @@ def steps_of(monkeypatch, scene, method, **options):
     def call():
         run(scene, Q0[:64], W0[:64], method, n=4, n_threads=1, **options)
 
-    (job,) = jobs_of(monkeypatch, call)
+    job = job_of(monkeypatch, call)
     return [large_loops(text) for text in assemblies(job)]
 
 

@@ -23,7 +23,7 @@ from machine_code import (
     arithmetic,
     assemblies,
     is_packed,
-    jobs_of,
+    job_of,
     large_loops,
     needs_avx,
 )
@@ -46,7 +46,7 @@ def run(scene=None, method="magnus4", representation="quat", n=4, h=0.01, q0=Q0,
 
 def steps_of(monkeypatch, *args, **options):
     """For each program of a run its loops with a step's worth of arithmetic."""
-    (job,) = jobs_of(monkeypatch, lambda: run(*args, **options))
+    job = job_of(monkeypatch, lambda: run(*args, **options))
     return [large_loops(text) for text in assemblies(job)]
 
 
@@ -265,7 +265,7 @@ print(run.q[-1, 1], fa.kernels.quat.mul((1.0, 0.0, 0.0, 0.0), (1.0, 0.5, 0.0, 0.
 def test_an_edited_kernel_is_never_served_stale(tmp_path):
     """In the loops that hold it, and in what Numba compiled of it and of its callers."""
     package = tmp_path / "fastatt"
-    shutil.copytree(ROOT / "fastatt", package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "fastatt", package)
     caches = {"FASTATT_CACHE": str(tmp_path / "a"), "NUMBA_CACHE_DIR": str(tmp_path / "b")}
 
     def found():
@@ -291,7 +291,7 @@ def test_an_edited_kernel_is_never_served_stale(tmp_path):
 @pytest.mark.parametrize(("method", "representation"), [("magnus4", "quat"), ("rk4", "dcm")])
 def test_steps_allocate_nothing(monkeypatch, method, representation):
     """The program calls nothing but the careful form of a block, whose address it is given."""
-    (job,) = jobs_of(monkeypatch, lambda: run(None, method, representation))
+    job = job_of(monkeypatch, lambda: run(None, method, representation))
     for text in assemblies(job):
         called = {match[1].strip() for line in text.splitlines() if (match := CALL.match(line))}
         own = {line.split(":")[0] for line in text.splitlines() if ":" in line}

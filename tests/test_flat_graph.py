@@ -1,7 +1,9 @@
 """Every kernel traced: its text and its machine code against the kernel, in both precisions."""
 
 import ctypes
+import itertools
 import math
+import operator as op
 import types
 from fractions import Fraction
 
@@ -198,6 +200,20 @@ def test_fused_machine_code(kind):
             np.testing.assert_array_equal(found, exactly_fused(flat, values), err_msg=name)
         size = max(1.0, *np.abs(expected))
         assert np.abs(found - expected).max() <= 4 * np.finfo(FLOATS[kind]).eps * size, name
+
+
+COMPARISONS = (op.lt, op.le, op.gt, op.ge, op.eq, op.ne)
+
+
+@every_precision
+def test_machine_code_compares_as_floats_do(kind):
+    """With NaN too, which is another number than any."""
+    _, x, y = numbers(kind=kind)
+    flat = Flat(x.graph, [choose(of(x, y), 1.0, 0.0) for of in COMPARISONS], kind)
+    program = Programs({"compared": flat}, kind, False)
+    for pair in itertools.product((1.0, 2.0, math.nan), repeat=2):
+        found = program("compared", pair, len(COMPARISONS))
+        assert found.tolist() == [float(of(*pair)) for of in COMPARISONS], pair
 
 
 # numbers

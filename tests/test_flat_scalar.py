@@ -73,6 +73,17 @@ def nested(s, h, unused):
 GIVEN = State((0.5, -0.5, 0.5, 0.5), (0.1, -0.2, 0.3), 1.0), 0.5, ((1.0, 2.0), 4.0)
 
 
+@pytest.mark.parametrize("options", [{"fastmath": True}, {"debug": True}])
+def test_a_callers_options_change_no_rounding(options):
+    made = scalar_function(lambda x: (x + 1e16) - 1e16)
+
+    @njit(**options)
+    def user(x):
+        return made(x), made(3.0 * x)
+
+    assert user(1.0) == (0.0, 4.0)
+
+
 def test_python_and_users_code_give_the_same():
     ends = run(START, P, 0.1, 1), step(START, P, 0.1)
     assert ends[0] == ends[1]

@@ -442,7 +442,8 @@ def test_a_function_that_is_let_go_is_forgotten():
     by_trace(function)
     alive = weakref.ref(function)
     del function
-    gc.collect()
+    if alive() is not None:  # all that the process ever made is looked through
+        gc.collect()
     assert alive() is None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -25,6 +26,7 @@ BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 SPAN = 2.0
 END = BODIES.attitude(0.0, SPAN)
+attitude_at = functools.cache(lambda t: BODIES.attitude(0.0, t))
 
 
 def kind(increments):
@@ -95,7 +97,7 @@ def test_observed_order_when_the_log_ends_within_a_window(method, increments):
         h = SPAN / n
         data = samples(BODIES, h * np.arange(n + 2), increments)
         q = fa.integrate_rates(data, h, START3, method=method, increments=increments)
-        return angle(q[:, -1], BODIES.attitude(0.0, SPAN + h)).max()
+        return angle(q[:, -1], attitude_at(SPAN + h)).max()
 
     declared = fa.METHODS[method].order_of(kind(increments))
     assert observed_order(error) == pytest.approx(declared, abs=0.25)

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import quaternion
 from exact import EPS, angle, matrix, mul, rotate
-from skinematics import quat as skquat
-from skinematics import vector as skvector
 
 import fastatt as fa
 from fastatt import interchange as ic
@@ -60,6 +58,9 @@ def test_ahrs():
 
 
 def test_scikit_kinematics():
+    from skinematics import quat as skquat  # a second's import
+    from skinematics import vector as skvector
+
     assert np.abs(skvector.rotate_vector(V, Q) - rotate(Q, V)).max() <= 16 * EPS
     same(skquat.q_mult(Q, Q[::-1]), mul(Q, Q[::-1]))
 

@@ -288,19 +288,16 @@ with machine._LOCK:
 def test_an_edited_source_is_never_served_stale(tmp_path):
     """A coefficient of a method changed: another result; changed back: the first, from disk."""
     package = tmp_path / "copy"
-    shutil.copytree(
-        ROOT / "fastatt", package / "fastatt", ignore=shutil.ignore_patterns("__pycache__")
-    )
+    shutil.copytree(ROOT / "fastatt", package / "fastatt")
     file = package / "fastatt" / "methods" / "magnus4.py"
     source = file.read_text(encoding="utf-8")
     changed = source.replace("0.14433756729740643", "0.15")
     assert changed != source
-    env = {"package": package, "PYTHONDONTWRITEBYTECODE": "1"}
-    first = process(RUN, tmp_path / "c", **env)
+    first = process(RUN, tmp_path / "c", package=package)
     file.write_text(changed, encoding="utf-8")
-    other = process(RUN, tmp_path / "c", **env)
+    other = process(RUN, tmp_path / "c", package=package)
     file.write_text(source, encoding="utf-8")
-    again = process(RUN, tmp_path / "c", **env)
+    again = process(RUN, tmp_path / "c", package=package)
     assert other[0] != first[0]
     assert int(other[1]) > 0
     assert again == [first[0], "0", first[1]]

@@ -14,11 +14,12 @@ import fastatt as fa
 from fastatt import warming
 
 ROOT = Path(__file__).resolve().parents[1]
+# of few methods
 SCENE = """
 inertia = [2.0, 1.0, 1.5]
 [torque]
-model = "Damping"
-coefficient = 0.1
+model = "Rotor"
+momentum = [0.1, 0.0, 0.2]
 """
 # users' runs, not those that warming makes: other numbers, sizes and saves
 LATER = """

@@ -6,7 +6,8 @@ and ``with when(...)`` open blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -23,8 +24,9 @@ def text_of(module: ir.Module) -> str:
     text = str(module)
     for function in module.functions:
         for block in function.blocks:
-            for instruction in block.instructions:
-                instruction.operands = ()
+            for phi in block.instructions:
+                if isinstance(phi, ir.PhiInstr):
+                    phi.incomings.clear()
             block.instructions.clear()
             block.terminator = block.parent = None
         function.blocks.clear()
@@ -33,52 +35,52 @@ def text_of(module: ir.Module) -> str:
     return text
 
 
+class Line:
+    """An operation, put into words at once; to llvmlite it is an instruction like its own.
+
+    A compiler whose function it stands in finds nothing to change about it.
+    """
+
+    __slots__ = ("_name", "_text", "type")
+    opname, metadata = "", ("dbg",)
+
+    def __init__(self, code: Code, kind: Any, text: str) -> None:
+        self.type, self._name = kind, f"%-{next(code.numbers)}"
+        self._text = f"{self._name} = {text}"
+        code.b._insert(self)  # noqa: SLF001
+
+    def get_reference(self) -> str:
+        """How others name its result."""
+        return self._name
+
+    def __str__(self) -> str:
+        return self._text
+
+
+def _arithmetic(name: str) -> Callable[[Int, Any], Int]:
+    return lambda x, y: Int(x.code, x.code.of(name, x.value, x.code.raw(y)))
+
+
+def _comparison(name: str) -> Callable[[Int, Any], Any]:
+    return lambda x, y: x.code.of(f"icmp {name}", x.value, x.code.raw(y), kind=BIT)
+
+
 class Int:
     """A whole number of 64 bits."""
 
     def __init__(self, code: Code, value: Any) -> None:
         self.code, self.value = code, value
 
-    def _with(self, make: str, other: Any) -> Int:
-        return Int(self.code, getattr(self.code.b, make)(self.value, self.code.raw(other)))
-
-    def __add__(self, other: Any) -> Int:
-        return self._with("add", other)
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Int:
-        return self._with("sub", other)
-
-    def __mul__(self, other: Any) -> Int:
-        return self._with("mul", other)
-
-    __rmul__ = __mul__
-
-    def __floordiv__(self, other: Any) -> Int:
-        return self._with("sdiv", other)
-
-    def __mod__(self, other: Any) -> Int:
-        return self._with("srem", other)
-
-    def _compared(self, op: str, other: Any) -> Any:
-        return self.code.b.icmp_signed(op, self.value, self.code.raw(other))
-
-    def __lt__(self, other: Any) -> Any:
-        return self._compared("<", other)
-
-    def __le__(self, other: Any) -> Any:
-        return self._compared("<=", other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self._compared(">", other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self._compared(">=", other)
-
-    def equals(self, other: Any) -> Any:
-        """Whether it is the other."""
-        return self._compared("==", other)
+    __add__ = __radd__ = _arithmetic("add")
+    __sub__ = _arithmetic("sub")
+    __mul__ = __rmul__ = _arithmetic("mul")
+    __floordiv__ = _arithmetic("sdiv")
+    __mod__ = _arithmetic("srem")
+    __lt__ = _comparison("slt")
+    __le__ = _comparison("sle")
+    __gt__ = _comparison("sgt")
+    __ge__ = _comparison("sge")
+    equals = _comparison("eq")
 
     def at_most(self, other: Any) -> Int:
         """The smaller of two."""
@@ -87,6 +89,9 @@ class Int:
 
 class Code:
     """A function that is being written: ``name(arguments) -> a whole number``."""
+
+    # of lines; those of another compiler's functions are counted together
+    numbers = itertools.count()
 
     def __init__(self, module: ir.Module, name: str, arguments: Sequence[Any]) -> None:
         self.module = module
@@ -97,6 +102,7 @@ class Code:
         self.function.attributes.alignstack = 64
         self.b = ir.IRBuilder(self.function.append_basic_block("entry"))
         self._entry = self.b.block
+        self.numbers = itertools.count()
 
     @classmethod
     def within(cls, builder: Any) -> Code:
@@ -106,6 +112,18 @@ class Code:
         code._entry = builder.function.entry_basic_block  # noqa: SLF001
         set.add(code.function.attributes, '"prefer-vector-width"="512"')
         return code
+
+    def of(self, name: str, *args: Any, kind: Any = None) -> Line:
+        """An operation on values of one type, and of its result unless it has another ``kind``."""
+        of = args[0].type
+        names = ", ".join([x.get_reference() for x in args])
+        return Line(self, kind or of, f"{name} {of} {names}")
+
+    def call(self, function: Any, args: Sequence[Any]) -> Line:
+        """What a function of the program gives."""
+        of = function.function_type.return_type
+        given = ", ".join(map(_typed, args))
+        return Line(self, of, f"call {of} {function.get_reference()}({given})")
 
     def raw(self, x: Any) -> Any:
         """LLVM's value of an Int or of a Python number."""
@@ -131,7 +149,7 @@ class Code:
 
     def get(self, variable: Any) -> Int:
         """What a variable holds."""
-        return Int(self, self.b.load(variable))
+        return Int(self, self._loaded(variable))
 
     def set(self, variable: Any, value: Any) -> None:
         """Change what a variable holds."""
@@ -139,11 +157,13 @@ class Code:
 
     def place(self, pointer: Any, index: Any) -> Any:
         """Address of an element."""
-        return self.b.gep(pointer, [self.raw(index)], inbounds=True)
+        kind, at = pointer.type, _typed(self.raw(index))
+        text = f"getelementptr inbounds {kind.pointee}, {_typed(pointer)}, {at}"
+        return Line(self, kind, text)
 
     def load(self, pointer: Any, index: Any) -> Any:
         """An element."""
-        return self.b.load(self.place(pointer, index))
+        return self._loaded(self.place(pointer, index))
 
     def store(self, pointer: Any, index: Any, value: Any) -> None:
         """Change an element."""
@@ -152,7 +172,7 @@ class Code:
     def vector(self, pointer: Any, index: Any, n: int) -> Any:
         """n elements in a row."""
         at = self._as_vector(pointer, index, n)
-        return self.b.load(at, align=_aligned(at))
+        return self._loaded(at, f", align {_aligned(at)}")
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change n elements in a row."""
@@ -161,16 +181,18 @@ class Code:
 
     def _as_vector(self, pointer: Any, index: Any, n: int) -> Any:
         to = ir.VectorType(pointer.type.pointee, n).as_pointer()
-        return self.b.bitcast(self.place(pointer, index), to)
+        return Line(self, to, f"bitcast {_typed(self.place(pointer, index))} to {to}")
+
+    def _loaded(self, pointer: Any, how: str = "") -> Line:
+        kind = pointer.type.pointee
+        return Line(self, kind, f"load {kind}, {_typed(pointer)}{how}")
 
     @contextmanager
     def loop(self, first: Any, last: Any, step: int = 1) -> Iterator[Int]:
         """for index in range(first, last, step)."""
         b = self.b
         before = b.block
-        head = b.append_basic_block("loop")
-        body = b.append_basic_block("body")
-        after = b.append_basic_block("after")
+        head, body, after = map(b.append_basic_block, ("loop", "body", "after"))
         start, end = self.raw(first), self.raw(last)
         b.branch(head)
         b.position_at_end(head)
@@ -188,8 +210,7 @@ class Code:
         """for index in range(0, width, step), which is never empty: tested at its end."""
         b = self.b
         before = b.block
-        body = b.append_basic_block("lanes")
-        after = b.append_basic_block("after")
+        body, after = map(b.append_basic_block, ("lanes", "after"))
         b.branch(body)
         b.position_at_end(body)
         index = b.phi(I64)
@@ -204,9 +225,7 @@ class Code:
     def repeat_while(self, condition: Any) -> Iterator[None]:
         """While ``condition()``, which is written at the head of the loop."""
         b = self.b
-        head = b.append_basic_block("while")
-        body = b.append_basic_block("body")
-        after = b.append_basic_block("after")
+        head, body, after = map(b.append_basic_block, ("while", "body", "after"))
         b.branch(head)
         b.position_at_end(head)
         b.cbranch(condition(), body, after)
@@ -219,8 +238,7 @@ class Code:
     def when(self, condition: Any) -> Iterator[None]:
         """Only where the condition holds; a block that returns ends there."""
         b = self.b
-        then = b.append_basic_block("then")
-        after = b.append_basic_block("after")
+        then, after = map(b.append_basic_block, ("then", "after"))
         b.cbranch(condition, then, after)
         b.position_at_end(then)
         yield
@@ -245,24 +263,25 @@ class Code:
         mask = ir.Constant(ir.VectorType(I32, n), [0] * n)
         return self.b.shuffle_vector(one, ir.Constant(to, ir.Undefined), mask)
 
+    def declared(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
+        """A function of that name that is found elsewhere."""
+        found = self.module.globals.get(name)
+        return found or ir.Function(self.module, ir.FunctionType(result, arguments), name)
+
     def intrinsic(self, name: str, kind: Any, n: int = 1) -> Any:
         """LLVM's function of that name for a type, of n arguments of it."""
-        label = f"{name}.{_suffix(kind)}"
-        found = self.module.globals.get(label)
-        if found is None:
-            found = ir.Function(self.module, ir.FunctionType(kind, [kind] * n), label)
-        return found
+        return self.declared(f"{name}.{_suffix(kind)}", kind, [kind] * n)
 
     def prefetch(self, pointer: Any) -> None:
         """Ask for the cache line of an address."""
         char = ir.IntType(8).as_pointer()
-        label = "llvm.prefetch.p0"
-        found = self.module.globals.get(label)
-        if found is None:
-            kind = ir.FunctionType(ir.VoidType(), [char, I32, I32, I32])
-            found = ir.Function(self.module, kind, label)
+        asked = self.declared("llvm.prefetch.p0", ir.VoidType(), [char, I32, I32, I32])
         read, near, data = (ir.Constant(I32, k) for k in (0, 3, 1))
-        self.b.call(found, [self.b.bitcast(pointer, char), read, near, data])
+        self.b.call(asked, [self.b.bitcast(pointer, char), read, near, data])
+
+
+def _typed(x: Any) -> str:
+    return f"{x.type} {x.get_reference()}"
 
 
 def _aligned(pointer: Any) -> int:

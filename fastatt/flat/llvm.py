@@ -7,7 +7,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from fastatt.flat.code import BIT, I64, REALS, Code
+from fastatt.flat.code import BIT, I32, I64, REALS, Code
 from fastatt.flat.finished import Flat
 from fastatt.flat.nodes import COMPARISONS, LIBRARY, Node, operands
 
@@ -17,8 +17,10 @@ _INSTRUCTIONS = {
     "rint": "llvm.rint",
     "floor": "llvm.floor",
 }
-_ARITHMETIC = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
-_LOGIC = {"and": "and_", "or": "or_"}
+_NAMES = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv", "neg": "fneg"}
+_NAMES |= {"and": "and", "or": "or"}
+#: a comparison with NaN is false, but that it is another number
+_ORDERS = dict(zip(COMPARISONS, ("olt", "ole", "ogt", "oge", "oeq", "une"), strict=True))
 
 Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
 
@@ -95,7 +97,7 @@ class Emitter:
     def _node(self, node: Node, values: list[tuple[Any, bool]], given: Given) -> tuple[Any, bool]:
         op, kind = node.op, node.kind
         if op == "const":
-            return ir.Constant(REALS[kind], node.args[0]), False
+            return self.code.real(kind, node.args[0]), False
         if op == "in":
             return given(node.args, kind)
         if op == "opaque":
@@ -110,54 +112,46 @@ class Emitter:
         return self._operation(op, kind, args, has_lanes), has_lanes
 
     def _operation(self, op: str, kind: str, args: list[Any], has_lanes: bool) -> Any:
-        b = self.code.b
-        if op in _ARITHMETIC:
-            return getattr(b, _ARITHMETIC[op])(*args)
+        code, of = self.code, args[0].type
+        if op in _NAMES:
+            return code.of(_NAMES[op], *args)
         if op in ("fma", "fms", "fnma"):
             return self._fused(op, *args)
-        if op == "neg":
-            return b.fneg(args[0])
         if op in _INSTRUCTIONS:
-            function = self.code.intrinsic(_INSTRUCTIONS[op], args[0].type)
-            return b.call(function, args)
+            return code.call(code.intrinsic(_INSTRUCTIONS[op], of), args)
         if op in LIBRARY:
             return self._library(op, args[0], has_lanes)
         if op == "select":
-            return b.select(*args)
+            return code.b.select(*args)
         if op in COMPARISONS:
-            if args[0].type in (BIT, ir.VectorType(BIT, self.lanes)):
-                return b.xor(*args)
-            compare = b.fcmp_unordered if op == "!=" else b.fcmp_ordered
-            return compare(op, *args)
-        if op in _LOGIC:
-            return getattr(b, _LOGIC[op])(*args)
+            bits = ir.VectorType(BIT, of.count) if isinstance(of, ir.VectorType) else BIT
+            if of == bits:
+                return code.of("xor", *args)
+            return code.of(f"fcmp {_ORDERS[op]}", *args, kind=bits)
         if op == "not":
-            return b.not_(args[0])
+            return code.b.not_(args[0])
         if op == "cast":
             to = REALS[kind]
             to = ir.VectorType(to, self.lanes) if has_lanes and self.lanes > 1 else to
-            return (b.fpext if kind == "double" else b.fptrunc)(args[0], to)
+            return (code.b.fpext if kind == "double" else code.b.fptrunc)(args[0], to)
         if op == "larger":
-            return larger(self.code, *args)
+            return larger(code, *args)
         raise NotImplementedError(op)
 
     def _fused(self, op: str, x: Any, y: Any, z: Any) -> Any:
-        b = self.code.b
+        code = self.code
         if not self.fuses:
-            product = b.fmul(x, y)
-            if op == "fnma":
-                return b.fsub(z, product)
-            return b.fadd(product, z) if op == "fma" else b.fsub(product, z)
-        x = b.fneg(x) if op == "fnma" else x
-        z = b.fneg(z) if op == "fms" else z
-        return b.call(self.code.intrinsic("llvm.fma", z.type, 3), [x, y, z])
+            product = code.of("fmul", x, y)
+            terms = (z, product) if op == "fnma" else (product, z)
+            return code.of("fadd" if op == "fma" else "fsub", *terms)
+        x = code.of("fneg", x) if op == "fnma" else x
+        z = code.of("fneg", z) if op == "fms" else z
+        return code.call(code.intrinsic("llvm.fma", z.type, 3), [x, y, z])
 
     def _library(self, op: str, x: Any, has_lanes: bool) -> Any:
         """The C library's function, lane by lane, in double precision."""
         double = REALS["double"]
-        function = self.code.module.globals.get(op)
-        if function is None:
-            function = ir.Function(self.code.module, ir.FunctionType(double, [double]), op)
+        function = self.code.declared(op, double, [double])
 
         def one(value: Any) -> Any:
             b = self.code.b
@@ -165,15 +159,16 @@ class Emitter:
             result = b.call(function, [b.fpext(value, double) if single else value])
             return b.fptrunc(result, REALS["single"]) if single else result
 
-        if not (has_lanes and self.lanes > 1):
-            return one(x)
-        return self._by_lane(x.type, lambda lane: one(self.code.b.extract_element(x, lane)))
+        return self._by_lane(one, x, has_lanes, x.type)
 
-    def _by_lane(self, kind: Any, one: Callable[[Any], Any]) -> Any:
-        result = ir.Constant(kind, ir.Undefined)
+    def _by_lane(self, one: Callable[[Any], Any], value: Any, has_lanes: bool, kind: Any) -> Any:
+        """A function of one number, of a value of any type; its result has lanes as that has."""
+        if not (has_lanes and self.lanes > 1):
+            return one(value)
+        b, result = self.code.b, ir.Constant(kind, ir.Undefined)
         for k in range(self.lanes):
-            lane = ir.Constant(ir.IntType(32), k)
-            result = self.code.b.insert_element(result, one(lane), lane)
+            lane = ir.Constant(I32, k)
+            result = b.insert_element(result, one(b.extract_element(value, lane)), lane)
         return result
 
     def _gathered(self, node: Node, index: tuple[Any, bool]) -> tuple[Any, bool]:
@@ -185,10 +180,8 @@ class Emitter:
             found = b.load(b.gep(table, [b.fptosi(where, I64)]))
             return found if node.kind == "double" else b.fptrunc(found, REALS["single"])
 
-        if not (has_lanes and self.lanes > 1):
-            return one(value), has_lanes
         to = ir.VectorType(REALS[node.kind], self.lanes)
-        return self._by_lane(to, lambda lane: one(b.extract_element(value, lane))), True
+        return self._by_lane(one, value, has_lanes, to), has_lanes
 
     def _called(self, node: Node, values: list[tuple[Any, bool]]) -> list[Any]:
         """An opaque function ``f(double* arguments, double* results)``, lane by lane."""
@@ -200,7 +193,7 @@ class Emitter:
         args = [self.spread(*values[i]) for i in at]
         results = [ir.Constant(ir.VectorType(double, self.lanes), ir.Undefined)] * n_results
         for k in range(self.lanes):
-            lane = ir.Constant(ir.IntType(32), k)
+            lane = ir.Constant(I32, k)
             for i, value in enumerate(args):
                 one = value if self.lanes == 1 else b.extract_element(value, lane)
                 self.code.store(taken, i, one)

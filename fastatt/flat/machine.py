@@ -46,7 +46,7 @@ def processor() -> Processor:
 
 
 # characters of a program beyond which code is chosen in a time that does not grow with its square
-_LONG = 600_000
+_LONG = 580_000
 
 
 def _target(effort: int = 2) -> Any:
