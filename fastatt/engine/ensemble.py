@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt.engine.job import Job
 from fastatt.engine.layout import ARRAYS, INTS, NUMBERS
+from fastatt.engine.own_steps import OwnWriter
 from fastatt.engine.plain import PlainProgram
 from fastatt.engine.tiles import Writer
 from fastatt.flat.machine import compiled
@@ -50,7 +51,8 @@ class Program:
         self.formulas = job.formulas
         self._job = job
         self._lock = threading.Lock()
-        self._code = compiled(Writer(job, self.formulas).quick())
+        writer = OwnWriter if job.own_steps else Writer
+        self._code = compiled(writer(job, self.formulas).quick())
         address = ctypes.c_void_p
         number = ctypes.c_int64
         self.tiles = self._code.function("tiles", number, number, address, address, address)

@@ -204,6 +204,21 @@ class Formulas:
         return scope.finished((*y, d, departure(before, scope.invariants(x))))
 
     @cached_property
+    def regrid(self) -> Flat | None:
+        """The state, and what is prepared, for a step ("k",) from those for another; None if same.
+
+        ("other",) is the edge of the new step.
+        """
+        steps = self.job.method.steps
+        if steps is None or not (steps.prepare or steps.enter or steps.leave):
+            return None
+        scope = self.scope()
+        t, since = scope.time(), scope.number("since")
+        x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
+        e = scope.prepared(scope.number("k"), x)
+        return scope.finished((*scope.entered(t, scope.number("other"), x, e), *e))
+
+    @cached_property
     def mend(self) -> Flat | None:
         """The state nearer to its group, and how far it had left it; None where it never is."""
         if not self.job.mends:

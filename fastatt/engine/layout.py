@@ -22,7 +22,7 @@ INTS = (
 NUMBERS = ("t0", "h", "edge", "quiet", "limit", "norm", "invariant")
 ARRAYS = (
     "q0", "y0", "p", "known", "flags", "stages", "x", "watch", "out", "defect", "status", "told",
-    "dt", "counts", "rests", "slots", "careful",
+    "dt", "times", "slots", "careful",
 )  # fmt: skip
 
 _CHARS = I64.as_pointer()

@@ -45,6 +45,7 @@ class Pieces:
             witness=1,
             dt=self.doubles * job.own_steps,
             before=self.doubles * job.own_steps,
+            begin=self.doubles * job.own_steps,
         )
         self.copied = Rows(self.width, x=formulas.size, turn=1)
         self.done = Rows(self.width, y=max(formulas.handed_out, formulas.given), defect=1, change=1)
@@ -127,6 +128,10 @@ class Pieces:
         steps = b.sitofp(n.value, REALS["double"]) if isinstance(n, Int) else n
         return b.fadd(given.number("t0"), b.fmul(steps, given.number("h")))
 
+    def _own_times(self, code: Code, rows: Any, lane: Int) -> list[Any]:
+        """Each body's step, how many it has taken, and when it began."""
+        return [self._lane_double(code, rows, x, lane) for x in ("dt", "before", "begin")]
+
     def _lane_double(self, code: Code, rows: Any, name: str, lane: Int) -> Any:
         """A row of doubles, as a vector."""
         pointer, at = self._number(code, rows, name, 0, "double")
@@ -151,11 +156,11 @@ class Pieces:
         steps = b.sitofp(n.value, REALS["double"])
         if parts is not None:
             steps = b.fadd(steps, parts[2])
-        begin, count = (code.splat(x, self.lanes) for x in (given.number("t0"), steps))
+        count = code.splat(steps, self.lanes)
         shares = parts and [code.splat(x, self.lanes) for x in parts[:2]]
 
         def wide(rows: Any, lane: Int) -> dict[str, Any]:
-            step, before = (self._lane_double(code, rows, x, lane) for x in ("dt", "before"))
+            step, before, begin = self._own_times(code, rows, lane)
             time = b.fadd(begin, b.fmul(b.fadd(before, count), step))
             spans = [b.fmul(x, step) for x in shares] if shares else [step, step]
             narrow = [self._narrow(code, x) for x in spans]
@@ -331,10 +336,10 @@ class Pieces:
             since = b.fmul(b.sitofp(n.value, REALS["double"]), given.number("h"))
             found = {"t": self._time(code, given, n), "since": self._narrow(code, since)}
             return {**found, "edge": edge, **shared}, None
-        begin, share = (code.splat(given.number(x), self.lanes) for x in ("t0", "edge"))
+        share = code.splat(given.number("edge"), self.lanes)
 
         def wide(rows: Any, lane: Int) -> dict[str, Any]:
-            step, before = (self._lane_double(code, rows, x, lane) for x in ("dt", "before"))
+            step, before, begin = self._own_times(code, rows, lane)
             since = b.fmul(before, step)
             spans = {"h": step, "since": since, "edge": b.fmul(share, step)}
             narrow = {name: self._narrow(code, x) for name, x in spans.items()}
@@ -346,10 +351,10 @@ class Pieces:
         """Load each body's step."""
         step, at = self._number(code, rows, "dt", 0, "double")
         self._gather(code, given, step, base, ("dt", "rows_own"), at, 1)
-        before, at = self._number(code, rows, "before", 0, "double")
-        with code.lanes(self.width, self.lanes) as j:
-            zero = code.splat(code.real("double", 0.0), self.lanes)
-            code.store_vector(before, j + at, zero)
+        for name, value in (("before", code.real("double", 0.0)), ("begin", given.number("t0"))):
+            pointer, at = self._number(code, rows, name, 0, "double")
+            with code.lanes(self.width, self.lanes) as j:
+                code.store_vector(pointer, j + at, code.splat(value, self.lanes))
 
     def _handed(self, i: int) -> int:
         """Row of the i-th number that is handed out, the departures after them."""

@@ -86,6 +86,10 @@ class Int:
         """The smaller of two."""
         return Int(self.code, self.code.b.select(self < other, self.value, self.code.raw(other)))
 
+    def at_least(self, other: Any) -> Int:
+        """The larger of two."""
+        return Int(self.code, self.code.b.select(self > other, self.value, self.code.raw(other)))
+
 
 class Code:
     """A function that is being written: ``name(arguments) -> a whole number``."""

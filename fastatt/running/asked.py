@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,8 @@ from fastatt.running.trajectory import Trajectory
 KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
 #: saves that are kept at a time where all of them are not
 RING = 16
+# steps of the fastest body between two times at which bodies wait for each other
+_LEG = 4096
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,66 @@ class Clock:
         every = self.every or max(self.n_steps, 1)
         slot = int(self.every is not None)
         return Span(self.done, self.end, self.end, every, slot, restore, self.done)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnClock(Clock):
+    """Steps of each body's own, and saves at any times; it begins at ``begin``.
+
+    ``h`` and ``n_steps`` of the base are those of the body with most steps.
+    """
+
+    steps: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    begin: float = 0.0
+
+    @classmethod
+    def made(
+        cls, steps: NDArray[np.float64], n_steps: int, at: NDArray[np.float64], begin: float
+    ) -> OwnClock:
+        """Of steps (N,) or (1,), the number of the smallest, and the times of saves."""
+        smallest = float(steps[np.abs(steps).argmin()])
+        return cls(smallest, n_steps, None, 0, steps, at, begin)
+
+    def part(self, rows: NDArray[np.intp]) -> OwnClock:
+        """That of some bodies."""
+        steps = self.steps[rows]
+        most = self.n_steps * abs(self.h) / float(np.abs(steps).min())
+        return OwnClock.made(steps, math.ceil(most), self.at, self.begin)
+
+    @cached_property
+    def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Times at which bodies wait for each other, and which of them are saves, else −1."""
+        legs = np.diff(self.at, prepend=self.begin)
+        most = np.abs(legs / self.h)
+        parts = np.maximum(1, np.ceil(most / _LEG)).astype(np.int64)
+        last = np.repeat(self.at, parts)
+        ends = np.cumsum(parts) - 1
+        left = np.repeat(ends, parts) - np.arange(parts.sum())
+        times = last - np.repeat(legs / parts, parts) * left
+        slots = np.full(times.size, -1)
+        slots[ends] = np.arange(self.at.size)
+        return times, slots
+
+    @property
+    def stops(self) -> dict[str, NDArray[Any]]:
+        """The same for the engine."""
+        times, slots = self._stops
+        return {"times": times, "slots": slots, "dt": self.steps}
+
+    @cached_property
+    def saved(self) -> list[int]:
+        """Numbers of the saves."""
+        return list(range(self.at.size))
+
+    def times(self, begin: float) -> NDArray[np.float64]:
+        """Times of the saves, s."""
+        return self.at
+
+    def span(self, restore: int) -> Span:
+        """All of it, for the engine."""
+        n = self._stops[0].size
+        return Span(0, n, n, 1, 0, restore)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fastatt.running import limits
-from fastatt.running.asked import Choice, Clock, Handling
+from fastatt.running.asked import Choice, Clock, Handling, OwnClock
 from fastatt.running.histories import History, check_memory
 from fastatt.running.initial import Given
 from fastatt.running.plan import Plan
@@ -51,7 +51,7 @@ class Wanted:
     def plan(self) -> Plan:
         """Its plan, kept with the scene where it is small."""
         n, kind = self.bodies, self.given.q.dtype
-        if n > _FEW or self.clock.done:
+        if n > _FEW or self.clock.done or isinstance(self.clock, OwnClock):
             return self.planned(self.scene, n)
         memo, key = self.scene.memo, (n, self.choice, self.clock, kind, self.position)
         found: Plan | None = memo.get(key)
@@ -71,7 +71,11 @@ class Wanted:
         """Whether the ensemble is run a part at a time."""
         handling = self.handling
         to_files = handling.sink or handling.checkpoint or self.out or self.end
-        return self.bodies > PART and not (to_files or self.ends or self.choice.method.is_exact)
+        if to_files or self.choice.method.is_exact:
+            return False
+        if isinstance(self.clock, OwnClock):
+            return self.clock.steps.size > 1 or self.bodies > PART
+        return self.bodies > PART and not self.ends
 
 
 def carry_out(wanted: Wanted) -> Trajectory:
@@ -111,6 +115,7 @@ def carry_out(wanted: Wanted) -> Trajectory:
             sink=partial(_deliver, sinks, done) if sinks else None,
         )
         ends = wanted.bodies <= MOST if wanted.ends is None else wanted.ends
+        ends = ends and not isinstance(clock, OwnClock)
         made = plan.run(wanted.given, wanted.t0, handling=handling, ends=ends, start=end)
     if history is None or history.array is None:
         return made
@@ -126,26 +131,36 @@ def _deliver(
 
 
 def _in_parts(wanted: Wanted) -> Trajectory:
-    """The run of a large ensemble, of a part of its bodies at a time."""
-    n, clock = wanted.bodies, wanted.clock
-    scene, handling, given = wanted.scene, wanted.handling, wanted.given
+    """The run of a large ensemble, of a part of its bodies at a time; those of like cost together.
+
+    A part lies in its place in the arrays; of bodies in another order it is copied there.
+    """
+    n, clock, scene, given = wanted.bodies, wanted.clock, wanted.scene, wanted.given
     own = scene.packed(None).params.ndim == 2
-    plan = wanted.planned(scene[:PART] if own else scene, PART)
-    saves = len(clock.saved)
-    check_memory((saves, n, plan.width), plan.kind)
-    memory = Results(
-        np.empty((saves, n, plan.width), plan.kind),
-        np.empty((saves, n), plan.kind),
-        np.empty(n, np.uint8),
-    )
-    turns = np.empty(n, plan.kind)
-    with progress_bar(wanted.progress, n * clock.n_steps, "step") as done:
-        handling = replace(handling, done=done if wanted.progress else None)
+    kind, saves = given.q.dtype, len(clock.saved)
+    order = np.argsort(np.abs(clock.steps)) if isinstance(clock, OwnClock) else None
+    plan = None
+    with progress_bar(wanted.progress, n * clock.span(0).last, "step") as done:
+        handling = replace(wanted.handling, done=done if wanted.progress else None)
         for a in range(0, n, PART):
-            b = min(a + PART, n)
-            if a and (own or b - a < PART):
-                plan = wanted.planned(scene[a:b] if own else scene, b - a)
-            turns[a:b] = plan.fill(given.part(a, b), wanted.t0, handling, memory.bodies(a, b))
-    plan.warn(turns, limits.decay(scene, clock.h))
+            m = min(PART, n - a)
+            rows: Any = slice(a, a + m) if order is None else order[a : a + m]
+            if plan is None or own or m < PART or isinstance(clock, OwnClock):
+                part = clock.part(rows) if isinstance(clock, OwnClock) else clock
+                plan = replace(wanted, clock=part).planned(scene[rows] if own else scene, m)
+            if a == 0:
+                check_memory((saves, n, plan.width), kind)
+                memory, turns = Results.empty(saves, n, plan.width, kind), np.empty(n, kind)
+            chosen = given.part(rows, m)
+            if order is None:
+                turns[rows] = plan.fill(chosen, wanted.t0, handling, memory.bodies(rows))
+            else:
+                made = Results.empty(saves, m, plan.width, kind)
+                turns[rows] = plan.fill(chosen, wanted.t0, handling, made)
+                memory.out[:, rows], memory.defect[:, rows] = made.out, made.defect
+                memory.status[rows] = made.status
+    assert plan is not None
+    steps = clock.steps if isinstance(clock, OwnClock) else clock.h
+    plan.warn(turns, limits.decay(scene, steps), steps)
     fields = plan.fields(clock.times(wanted.t0), memory, one_body=False)
-    return Trajectory(**{**fields, "packed": scene})
+    return Trajectory(**{**fields, "packed": scene, "dt": steps})

@@ -36,12 +36,11 @@ class Given(NamedTuple):
             q = np.ascontiguousarray(start, dtype=kind)
         return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
 
-    def part(self, first: int, last: int) -> Given:
-        """Some bodies."""
-        q = self.q if self.rows_q == 1 else self.q[first:last]
-        y = self.y if self.rows_y == 1 else self.y[first:last]
-        rows = last - first
-        return Given(q, y, min(self.rows_q, rows), min(self.rows_y, rows), self.one_body)
+    def part(self, rows: slice | NDArray[np.intp], n: int) -> Given:
+        """Some bodies, n of them."""
+        q = self.q if self.rows_q == 1 else self.q[rows]
+        y = self.y if self.rows_y == 1 else self.y[rows]
+        return Given(q, y, min(self.rows_q, n), min(self.rows_y, n), one_body=False)
 
 
 def initial(

@@ -33,12 +33,12 @@ def turn_limit(
     return method.limit(representation, body=scene.kind != "rate")
 
 
-def first_step(scene: Scene, method: Method, w: NDArray[Any], h: float) -> NDArray[np.float64]:
+def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
     """What the method's limit holds for, of the first step of each body, rad; w (3,) or (N, 3)."""
     with np.errstate(over="ignore", invalid="ignore"):
         if method.measure == "turn":
-            return lengths(_finite(w)) * abs(h)
-        m = _fastest(scene, w) * abs(h)
+            return np.asarray(lengths(_finite(w)) * abs(h))
+        m = np.asarray(_fastest(scene, w) * abs(h))
         if method.measure == "momentum":
             return m
         least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
@@ -92,7 +92,7 @@ def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
     return min(limit, 0.4 if method.measure == "momentum" else 1.0)
 
 
-def decay(scene: Scene, h: float) -> NDArray[np.float64]:
+def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
     """Largest c h/I of the damping in a scene, of each body or of all."""
     if scene.kind != "torqued":
         return np.zeros(1)
@@ -105,7 +105,7 @@ def warn(
     damped: NDArray[np.float64],
     limit: float,
     method: Method,
-    h: float,
+    h: Any,
     kind: np.dtype[Any],
     *,
     compensated: bool,
@@ -117,6 +117,9 @@ def warn(
         seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
         most = float(seen.max())
     eps = float(np.finfo(kind).eps)
+    if isinstance(h, np.ndarray):
+        worst_of = seen if most > limit or not (damped > method.damping_limit).any() else damped
+        h = float(np.broadcast_to(h, worst_of.shape)[worst_of.argmax()] if seen.size else 0.0)
     text = ""
     if most > limit:
         text = (

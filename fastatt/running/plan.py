@@ -21,7 +21,7 @@ from fastatt.engine.tiles import width_for
 from fastatt.exact import check_above_zero
 from fastatt.motion import carried, turning_part
 from fastatt.running import limits
-from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, few
+from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock, few
 from fastatt.running.closed import closed_form
 from fastatt.running.initial import Given, initial
 from fastatt.running.resume import End, about
@@ -74,7 +74,8 @@ class Plan:
         self.beside = [*body, *(["v"] if scene.moves else []), *(["r"] if position else [])]
         self._is_plain_body = self.beside == ["w"]
         self.limit = limits.turn_limit(scene, method, attitude.name, kind)
-        self.damped = limits.decay(scene, clock.h)
+        self._h = clock.steps if isinstance(clock, OwnClock) else clock.h
+        self.damped = limits.decay(scene, self._h)
         known = limits.known_turns(scene, choice, self.packed)
         self.job = Job(
             method,
@@ -86,6 +87,7 @@ class Plan:
             raw=choice.raw,
             mends=choice.restore > 0,
             looks=choice.looks,
+            own_steps=isinstance(clock, OwnClock),
             width=width_for(n_bodies, KINDS[kind]),
         )
         if method.is_exact:
@@ -110,7 +112,7 @@ class Plan:
         self.told: dict[str, Any] = {
             "method": method.name,
             "representation": attitude.name,
-            "dt": clock.h,
+            "dt": self._h,
             "packed": self.packed,
             "attitude": attitude,
             "record": method,
@@ -128,7 +130,7 @@ class Plan:
 
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params))
         with np.errstate(over="ignore", invalid="ignore"):
-            turns = np.atleast_1d(np.asarray(known, dtype=np.float64)) * abs(self.clock.h)
+            turns = np.atleast_1d(np.asarray(known, dtype=np.float64) * np.abs(self._h))
         stages = np.array(self.choice.method.stages, dtype=np.float64).reshape(-1, 3)
         flags = self._flags(params)
         return {"p": rows(params), "known": rows(turns), "flags": rows(flags), "stages": stages}
@@ -151,11 +153,17 @@ class Plan:
         run = Run(self._program, self.packed.resources)
         run.put(**fixed, x=x, watch=watch)
         stages = fixed["stages"]
+        share = 0.5 * float(stages[-1, 1]) if len(stages) else 0.0
+        edge = share * self.clock.h
+        if isinstance(self.clock, OwnClock):
+            run.put(**self.clock.stops)
+            run.count(rows_own=self.clock.steps.size)
+            edge = share
         rows = {f"rows_{name}": len(fixed[name]) for name in ("p", "known", "flags")}
         run.count(bodies=n, stages=len(stages), stride=n, **rows, **self._span.__dict__)
         run.name(
             h=self.clock.h,
-            edge=0.5 * float(stages[-1, 1]) * self.clock.h if len(stages) else 0.0,
+            edge=edge,
             quiet=limits.quiet_up_to(self.scene, choice.method, self.limit),
             limit=self.limit,
             norm=math.inf if choice.attitude.restore is None else limits.NORM_BOUND[self.kind],
@@ -453,10 +461,10 @@ class Plan:
         if self.scene.kind == "rate":
             return False
         w = np.atleast_2d(given.y)[:, :3]
-        turns = limits.first_step(self.scene, self.choice.method, w, self.clock.h)
+        turns = limits.first_step(self.scene, self.choice.method, w, self._h)
         return self.warn(turns, self.damped)
 
-    def warn(self, turns: NDArray[Any], damped: NDArray[np.float64]) -> bool:
+    def warn(self, turns: NDArray[Any], damped: NDArray[np.float64], steps: Any = None) -> bool:
         """Warn of steps by what bodies turn in one, rad, and by what damping takes."""
         choice = self.choice
         return limits.warn(
@@ -464,7 +472,7 @@ class Plan:
             damped,
             self.limit,
             choice.method,
-            self.clock.h,
+            self._h if steps is None else steps,
             self.kind,
             compensated=choice.attitude.compensated,
         )

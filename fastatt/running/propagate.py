@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks, exact
 from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
-from fastatt.running.asked import Choice, Clock, Handling
+from fastatt.running.asked import Choice, Clock, Handling, OwnClock
 from fastatt.running.carry_out import Wanted, carry_out
 from fastatt.running.choosing import DEFAULTS, chosen, method_of
 from fastatt.running.ensemble import Ensemble
+from fastatt.running.grids import clock_of
 from fastatt.running.initial import Given, initial
 from fastatt.running.plan import LONG, Plan
 from fastatt.running.resume import end_of
@@ -38,8 +39,8 @@ def propagate(
     *,
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
-    dt: float,
-    n_steps: int,
+    dt: float | ArrayLike,
+    n_steps: int | ArrayLike,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
     save_every: int | None = None,
@@ -57,6 +58,7 @@ def propagate(
     resume: Trajectory | str | os.PathLike[str] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     resumable: bool | None = None,
+    save_at: ArrayLike | None = None,
 ) -> Trajectory:
     """Propagate one attitude or an ensemble with a fixed step.
 
@@ -67,8 +69,9 @@ def propagate(
     w0 : (3,) or (N, 3), initial angular velocities along body axes, rad/s; a rate scene takes none.
     v0, r0 : (3,) or (N, 3), of a scene with mass: initial velocities along body axes, m/s, and
         positions along inertial axes, m, which are carried if given.
-    dt : step, s; negative runs backwards.
-    n_steps : number of steps, at least 0.
+    dt : step, s; negative runs backwards. Each body may have its own, (N,).
+    n_steps : number of steps, at least 0; with steps of each body's own (N,), so that all end at
+        one time, to rounding.
     method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.explicit``,
         ``fastatt.lie``); None takes the first of magnus4, exact, rk8 and rk4 that fits the scene
         and the representation; the trajectory names it.
@@ -104,6 +107,8 @@ def propagate(
         saves are counted from there.
     checkpoint : a file that the run's end so far is written to every ten seconds, whole or not at
         all. Where it exists the run goes on from there: the same call again, after a crash.
+    save_at : times within the run, s, in its order, at which states are kept instead: from the last
+        step before by one shorter step of the same method.
     resumable : whether the trajectory holds what ``resume`` needs; None: of up to 262144 bodies.
 
     Returns
@@ -130,7 +135,6 @@ def propagate(
     sample = checks.whole("check", check, 0)
     if sample and (flag or end is not None):
         raise ValueError('check: found with invalid "flag" or resume; accepted without')
-    clock = Clock.of(dt, n_steps, save_every, 0 if end is None else end.done)
     begin = checks.real("t0", t0)
     values, position = (q0, w0, v0, r0), r0 is not None
     if end is None:
@@ -139,8 +143,16 @@ def propagate(
     else:
         _check_none(values, begin)
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
+    bodies = max(given.rows_q, given.rows_y)
+    if end is None:
+        clock = clock_of(dt, n_steps, (save_every, save_at), begin, bodies)
+    else:
+        clock = Clock.of(dt, n_steps, save_every, end.done)
+    if isinstance(clock, OwnClock):
+        others = {"sink": sink, "out": out, "checkpoint": checkpoint, "resumable": resumable}
+        _check_own(compensated=compensated, normalise=choice.restore, check=sample, **others)
     _check_sink(sink, out, clock.every)
-    steps = max(given.rows_q, given.rows_y) * clock.n_steps
+    steps = bodies * clock.n_steps
     # a look at the initial values only if a body is flagged
     late = steps <= LONG and sink is None and end is None
     if end is None and not (flag or late):
@@ -244,7 +256,7 @@ def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
 
 
 def check_order(
-    ensemble: Ensemble, dt: float, n_steps: int, sample: int, at: str = "run", **options: Any
+    ensemble: Ensemble, dt: Any, n_steps: Any, sample: int, at: str = "run", **options: Any
 ) -> SelfCheck:
     """What the runs of a sample by ``propagate``, with its options, show of their order."""
 
@@ -272,6 +284,15 @@ def _check_sink(sink: Any, out: Any, every: int | None) -> None:
     for name, value in (("sink", sink), ("out", out)):
         if value is not None and every is None:
             raise ValueError(f"{name}: found without save_every; accepted: with it")
+
+
+def _check_own(**asked: Any) -> None:
+    """Refuse what goes with one step for all bodies, counted from the begin, alone."""
+    for name, value in asked.items():
+        if value:
+            raise ValueError(
+                f"{name}: found with save_at or steps of each body's own; accepted: without"
+            )
 
 
 def _check_none(values: tuple[Any, ...], t0: float) -> None:

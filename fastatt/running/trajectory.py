@@ -31,13 +31,22 @@ class Results(NamedTuple):
     defect: NDArray[Any]
     status: NDArray[np.uint8]
 
+    @classmethod
+    def empty(cls, saves: int, bodies: int, width: int, kind: Any) -> Results:
+        """New ones."""
+        return cls(
+            np.empty((saves, bodies, width), kind),
+            np.empty((saves, bodies), kind),
+            np.empty(bodies, np.uint8),
+        )
+
     def saves(self, slots: slice) -> Results:
         """Some saves."""
         return Results(self.out[slots], self.defect[slots], self.status)
 
-    def bodies(self, first: int, last: int) -> Results:
-        """Some bodies."""
-        return Results(self.out[:, first:last], self.defect[:, first:last], self.status[first:last])
+    def bodies(self, rows: Any) -> Results:
+        """Some bodies, by a slice."""
+        return Results(self.out[:, rows], self.defect[:, rows], self.status[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +66,8 @@ class Trajectory:
     status: NDArray[np.uint8]
     method: str
     representation: str
-    dt: float
+    #: the step, s, or each body's own
+    dt: Any
     one_body: bool
     #: numbers of what acts, or the scene to find them from
     packed: Packed | Scene = field(repr=False)
@@ -159,7 +169,7 @@ class Trajectory:
         far = np.nan_to_num(np.abs(self.defect)).max()
         first = (
             f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
-            f"t = {self.t[-1]:g} s by {self.dt:g} s, {self.t.size} saves; largest departure from "
+            f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest departure from "
             f"the group {far:.1e}"
         )
         lines = [first]
@@ -180,6 +190,12 @@ class Trajectory:
         if self.end is None:
             raise ValueError("end: this trajectory does not hold it; accepted: one of propagate")
         self.end.save(path)
+
+    @property
+    def _step(self) -> str:
+        steps = np.atleast_1d(self.dt)
+        few = f"{steps.min():g}"
+        return few if np.ptp(steps) == 0.0 else f"{few} to {steps.max():g}"
 
     def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
         return value[:, 0] if self.one_body else value

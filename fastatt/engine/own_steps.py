@@ -1,0 +1,235 @@
+"""The tile loop where each body has a step of its own, and saves are at any times.
+
+Bodies step together, each by its own step, to the last of their own steps before a save; one that
+is there waits. What is handed out is one shorter step of the same method from there, on a copy: the
+steps of a body depend neither on its neighbours nor on when it is looked at.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+
+from fastatt.engine.layout import ARGUMENTS, BLOCK, Given
+from fastatt.engine.tiles import Writer
+from fastatt.flat.code import I64, REALS, Code, Int, text_of
+
+_WHOLE = I64.as_pointer()
+_EPS = 2.0**-52
+
+
+class OwnWriter(Writer):
+    """Writes the program of a job whose bodies have steps of their own."""
+
+    def quick(self) -> str:
+        """The loop over tiles with the quick form of a block."""
+        self._block("block", self.formulas.quick, self.job.look)
+        self._begin()
+        self._save()
+        self._regrid()
+        self._tiles()
+        return text_of(self.module)
+
+    def _regrid(self) -> None:
+        """From states on the grid of one step to states as they are stepped with another.
+
+        ``old`` rows hold the first step, ``new`` ones the second; results go to ``made``.
+        """
+        regrid = self.formulas.regrid
+        if regrid is None:
+            return
+        pointer = self.real.as_pointer()
+        code, given, (old, new, made) = self._function("regrid", pointer, pointer, pointer)
+        emit = self._emitter(code, given)
+        share = code.splat(given.number("edge"), self.lanes)
+        shared, moment = self._moment(code, given, None)
+        with code.lanes(self.width, self.lanes) as j:
+            step = self._lane_double(code, new, "dt", j)
+            edge = code.b.fmul(share, step)
+            wide = {"k": self._narrow(code, step), "other": self._narrow(code, edge)}
+            find = self._inputs(code, given, old, j, shared, wide={**moment(old, j), **wide})
+            at = iter(emit.wide(regrid, find))
+            for name in ("x", "e"):
+                for i in range(self.rows.sizes[name]):
+                    code.store_vector(made, j + self.rows.offset(name, i), next(at))
+        code.give(0)
+
+    def _tiles(self) -> None:
+        """Saves [first, last) of tiles; the number of the tile that was not finished."""
+        code, given, (first_tile, last_tile) = self._function("tiles", I64, I64)
+        memory = {
+            "rows": code.room(self.real, self.rows.count * self.width),
+            "other": code.room(self.real, self.rows.count * self.width),
+            "made": code.room(self.real, self.rows.count * self.width),
+            "kept": code.room(self.real, self.copied.count * self.width),
+            "still": code.room(self.real, self.formulas.size * self.width),
+            "done": code.room(self.real, self.done.count * self.width),
+            "far": code.room(I64, self.width),
+            "left": code.room(I64, self.width),
+        }
+        with code.loop(Int(code, first_tile), Int(code, last_tile)) as tile:
+            self._own_tile(code, given, memory, tile)
+        code.give(Int(code, last_tile))
+
+    def _own_tile(self, code: Code, given: Given, memory: dict[str, Any], tile: Int) -> None:
+        rows, far = memory["rows"], memory["far"]
+        b, args = code.b, given.arguments
+        call = self.module.globals
+        base = tile * self.width
+        bodies, first = given.whole("bodies"), given.whole("first")
+        b.call(call["begin"], [rows, memory["done"], tile.value, *args])
+        watch = given.array("watch", self.real.as_pointer())
+        with code.when(first.equals(0)), code.loop(0, (bodies - base).at_most(self.width)) as j:
+            for row in range(3):
+                code.store(watch, bodies * row + (base + j), code.real(self.kind, 0.0))
+        loud = self._loud(code, given, rows, far, base) if self.job.known else None
+        before, row = self._number(code, rows, "before", 0, "double")
+        step, at = self._number(code, rows, "dt", 0, "double")
+        with code.when(first > 0), code.lanes(self.width, 1) as j:
+            count, _ = self._on_grid(code, given, code.load(step, j + at), first - 1)
+            code.store(before, j + row, b.sitofp(count.value, REALS["double"]))
+        with code.loop(first, given.whole("last")) as save:
+            self._leg(code, given, memory, (tile, save), loud)
+            slot = Int(code, code.load(given.array("slots", _WHOLE), save))
+            with code.when(slot >= 0):
+                self._look_between(code, given, memory, (tile, save, slot))
+        x = given.array("x", self.real.as_pointer())
+        with code.loop(0, (bodies - base).at_most(self.width)) as j:
+            target = (base + j) * self.formulas.size
+            with code.loop(0, self.formulas.size) as i:
+                code.store(x, target + i, code.load(rows, i * self.width + j))
+            self._judge(code, given, rows, (j, base + j))
+
+    def _on_grid(self, code: Code, given: Given, step: Any, save: Any) -> tuple[Int, Any]:
+        """Steps of a body from the begin to the last before a save, and what is left of one, s.
+
+        What rounding leaves is nothing.
+        """
+        b = code.b
+        double = REALS["double"]
+
+        def size(x: Any) -> Any:
+            return b.call(code.intrinsic("llvm.fabs", double), [x])
+
+        t0, time = given.number("t0"), code.load(given.array("times", double.as_pointer()), save)
+        ratio = b.fdiv(b.fsub(time, t0), step)
+        most = b.fmul(ratio, code.real("double", 1.0 + 4.0 * _EPS))
+        whole = b.call(code.intrinsic("llvm.floor", double), [most])
+        rest = b.fsub(time, b.fadd(t0, b.fmul(whole, step)))
+        rounding = b.fmul(b.fadd(size(t0), size(time)), code.real("double", 16.0 * _EPS))
+        is_rest = b.fcmp_ordered(">", size(rest), rounding)
+        rest = b.select(is_rest, rest, code.real("double", 0.0))
+        return Int(code, b.fptosi(whole, I64)), rest
+
+    def _leg(
+        self, code: Code, given: Given, memory: dict[str, Any], at: tuple[Int, Int], loud: Any
+    ) -> None:
+        """Each body's steps to its last before a save."""
+        rows, still, left = memory["rows"], memory["still"], memory["left"]
+        tile, save = at
+        b = code.b
+        base = tile * self.width
+        before, row = self._number(code, rows, "before", 0, "double")
+        step, of_step = self._number(code, rows, "dt", 0, "double")
+        most = code.variable(0)
+        with code.lanes(self.width, 1) as j:
+            gone = Int(code, b.fptosi(code.load(before, j + row), I64))
+            count = self._on_grid(code, given, code.load(step, j + of_step), save)[0] - gone
+            code.store(left, j, count.value)
+            code.set(most, code.get(most).at_least(count))
+            with code.when(count <= 0):
+                self._keep(code, rows, still, j)
+        n = code.variable(0)
+        with code.repeat_while(lambda: code.get(n) < code.get(most)):
+            begin = code.get(n)
+            stop = code.variable((begin + BLOCK).at_most(code.get(most)))
+            with code.lanes(self.width, 1) as j:
+                count = Int(code, code.load(left, j))
+                with code.when(count > begin):
+                    code.set(stop, code.get(stop).at_most(count))
+            end = code.get(stop)
+            everything = (rows, memory["kept"], memory["done"], memory["far"])
+            self._run_block(code, given, everything, (tile, begin, end), loud)
+            watch = given.array("watch", self.real.as_pointer())
+            last = given.whole("bodies") - 1 - base
+            with code.lanes(self.width, 1) as j:
+                count = Int(code, code.load(left, j))
+                with code.when(b.and_(count >= end, j <= last)):
+                    turn = code.load(rows, j + self.rows.offset("turn"))
+                    known = code.load(watch, base + j)
+                    larger = b.fcmp_ordered(">", turn, known)
+                    code.store(watch, base + j, b.select(larger, turn, known))
+                with code.when(count.equals(end)):
+                    self._keep(code, rows, still, j)
+            code.set(n, end)
+        with code.lanes(self.width, 1) as j:
+            self._keep(code, still, rows, j)
+            count, _ = self._on_grid(code, given, code.load(step, j + of_step), save)
+            code.store(before, j + row, b.sitofp(count.value, REALS["double"]))
+
+    def _keep(self, code: Code, source: Any, target: Any, lane: Int) -> None:
+        """A lane's state."""
+        with code.loop(0, self.formulas.size) as i:
+            code.store(target, i * self.width + lane, code.load(source, i * self.width + lane))
+
+    def _look_between(
+        self, code: Code, given: Given, memory: dict[str, Any], at: tuple[Int, Int, Int]
+    ) -> None:
+        """Hand out the states at a save: after what is left of a step, on a copy."""
+        rows, other = memory["rows"], memory["other"]
+        tile, save, slot = at
+        b, args = code.b, given.arguments
+        zero = code.real("double", 0.0)
+        with code.lanes(self.rows.count * self.width, self.lanes) as i:
+            code.store_vector(other, i, code.vector(rows, i, self.lanes))
+        step, row = self._number(code, other, "dt", 0, "double")
+        some = code.variable(0)
+        with code.lanes(self.width, 1) as j:
+            _, rest = self._on_grid(code, given, code.load(step, j + row), save)
+            partly = b.fcmp_unordered("!=", rest, zero)
+            code.store(memory["left"], j, b.zext(partly, I64))
+            with code.when(partly):
+                code.set(some, 1)
+                code.store(step, j + row, rest)
+        with code.when(code.get(some) > 0):
+            self._partly(code, given, memory, tile)
+        b.call(self.module.globals["save"], [other, memory["done"], tile.value, slot.value, *args])
+
+    def _partly(self, code: Code, given: Given, memory: dict[str, Any], tile: Int) -> None:
+        """One shorter step of the lanes that are marked, in the form that is good for any turn."""
+        rows, other, made = memory["rows"], memory["other"], memory["made"]
+        b, args = code.b, given.arguments
+        regrid = self.formulas.regrid
+        if regrid is not None:
+            b.call(self.module.globals["regrid"], [rows, other, made, *args])
+        places = {x: self._number(code, other, x, 0, "double") for x in ("dt", "before", "begin")}
+        with (
+            code.lanes(self.width, 1) as j,
+            code.when(Int(code, code.load(memory["left"], j)) > 0),
+        ):
+            # the time where the shorter step begins, by the longer ones before it
+            old, at = self._number(code, rows, "dt", 0, "double")
+            (before, k), (begin, i) = places["before"], places["begin"]
+            gone = b.fmul(code.load(before, j + k), code.load(old, j + at))
+            code.store(begin, j + i, b.fadd(code.load(begin, j + i), gone))
+            code.store(before, j + k, code.real("double", 0.0))
+            if regrid is not None:
+                for name in ("x", "e"):
+                    for i in range(self.rows.sizes[name]):
+                        lane = j + self.rows.offset(name, i)
+                        code.store(other, lane, code.load(made, lane))
+        run = self.module.globals["block"]
+        if self.job.has_careful_form:
+            kind = ir.FunctionType(I64, [self.real.as_pointer(), I64, I64, *ARGUMENTS])
+            run = given.array("careful", kind.as_pointer())
+            with code.when(b.icmp_unsigned("==", b.ptrtoint(run, I64), code.raw(0))):
+                code.give(tile)
+        b.call(run, [other, code.raw(0), code.raw(1), *args])
+        before, k = places["before"]
+        with code.lanes(self.width, 1) as j:
+            partly = Int(code, code.load(memory["left"], j)) > 0
+            one = code.real("double", 1.0)
+            code.store(before, j + k, b.select(partly, one, code.load(before, j + k)))
+            with code.when(b.not_(partly)):
+                self._keep(code, rows, other, j)
