@@ -20,6 +20,7 @@ from fastatt.flat import source
 from fastatt.flat.finished import Flat
 
 Array = NDArray[Any]
+_EPS = 2.0**-52
 _REALS = {"double": np.float64, "single": np.float32}
 
 
@@ -40,8 +41,17 @@ class PlainProgram:
         first, last = tiles[0] * width, min(tiles[1] * width, len(arrays["x"]))
         if first >= last:
             return 0.0, 0.0
+        bodies = np.arange(first, last)
         with np.errstate(all="ignore"):
-            return _PlainRun(self, arrays, numbers, np.arange(first, last), tables).go(span)
+            if not self.job.own_steps:
+                return _PlainRun(self, arrays, numbers, bodies, tables).go(span)
+            steps = arrays["dt"][np.minimum(bodies, len(arrays["dt"]) - 1)]
+            told = []
+            for h in np.unique(steps):
+                own = {**numbers, "h": h, "edge": numbers["edge"] * h}
+                run = _PlainRun(self, arrays, own, bodies[steps == h], tables)
+                told.append(run.go_between(span))
+            return max(x for x, _ in told), max(x for _, x in told)
 
     def evaluate(self, flat: Flat, find: Any, tables: Mapping[Any, Any]) -> list[Array]:
         """A graph's results on arrays."""
@@ -94,8 +104,7 @@ class _PlainRun:
     def _time(self, steps: float) -> float:
         return self.numbers["t0"] + steps * self.numbers["h"]
 
-    def go(self, span: Any) -> tuple[float, float]:
-        """Steps [first, last) and their saves: the largest turn, and whether there are flags."""
+    def _begin(self, first: int) -> None:
         forms, numbers = self.formulas, self.numbers
         found = self._evaluate(forms.begin, t=numbers["t0"], h=numbers["h"], edge=numbers["edge"])
         sizes = (forms.size, forms.extras, forms.invariants)
@@ -104,12 +113,27 @@ class _PlainRun:
         for name, size in zip(("x", "e", "invariants"), sizes, strict=True):
             self.rows[name] = found[at : at + size]
             at += size
-        if span.first > 0:
+        if first > 0:
             self.rows["x"] = list(self.arrays["x"][self.bodies].T)
         else:
             self.arrays["watch"][:, self.bodies] = 0.0
         if self.job.known:
-            self._listen(span.first == 0, found[-1])
+            self._listen(first == 0, found[-1])
+
+    def _end(self) -> tuple[float, float]:
+        self.arrays["x"][self.bodies] = np.stack(self.rows["x"], axis=-1)
+        return self._judged()
+
+    def _advance(self, first: int, last: int) -> None:
+        """A block of steps, and how far they turned."""
+        self._block(first, last)
+        watch = self.arrays["watch"][0]
+        watch[self.bodies] = np.maximum(watch[self.bodies], self.turn)
+
+    def go(self, span: Any) -> tuple[float, float]:
+        """Steps [first, last) and their saves: the largest turn, and whether there are flags."""
+        forms = self.formulas
+        self._begin(span.first)
         if span.first == span.origin and (span.slot == 1 or span.n_steps == span.origin):
             self._save(span, span.origin)
         n = span.first
@@ -118,9 +142,7 @@ class _PlainRun:
             stop = min(n + BLOCK, span.last, n + span.save_every - gone % span.save_every)
             if span.restore:
                 stop = min(stop, (n // span.restore + 1) * span.restore)
-            self._block(n, stop)
-            watch = self.arrays["watch"][0]
-            watch[self.bodies] = np.maximum(watch[self.bodies], self.turn)
+            self._advance(n, stop)
             n = stop
             if span.restore and n % span.restore == 0 and forms.mend is not None:
                 *x, far = self._evaluate(forms.mend)
@@ -128,8 +150,48 @@ class _PlainRun:
                 self._worse(1, far)
             if (n - span.origin) % span.save_every == 0 or n == span.n_steps:
                 self._save(span, n)
-        self.arrays["x"][self.bodies] = np.stack(self.rows["x"], axis=-1)
-        return self._judged()
+        return self._end()
+
+    def go_between(self, span: Any) -> tuple[float, float]:
+        """The same with saves at any times, of bodies with one step."""
+        self._begin(span.first)
+        times, slots = self.arrays["times"], self.arrays["slots"]
+        n = self._on_grid(times[span.first - 1])[0] if span.first > 0 else 0
+        for time, slot in zip(
+            times[span.first : span.last], slots[span.first : span.last], strict=True
+        ):
+            count, rest = self._on_grid(time)
+            while n < count:
+                stop = min(n + BLOCK, count)
+                self._advance(n, stop)
+                n = stop
+            if slot >= 0:
+                self._look_between(slot, n, rest)
+        return self._end()
+
+    def _on_grid(self, time: float) -> tuple[int, float]:
+        """Steps to the last before a time, and what is left of one; rounding leaves nothing."""
+        t0, h = self.numbers["t0"], self.numbers["h"]
+        count = math.floor((time - t0) / h * (1.0 + 4.0 * _EPS))
+        rest = time - (t0 + count * h)
+        return count, rest if abs(rest) > 16.0 * _EPS * (abs(t0) + abs(time)) else 0.0
+
+    def _look_between(self, slot: int, n: int, rest: float) -> None:
+        """Hand out the states after what is left of a step, on a copy."""
+        kept = dict(self.rows), self.numbers, self.turn
+        t, since, edge = self._time(n), n * self.numbers["h"], self.numbers["edge"]
+        if rest:
+            last = edge / self.numbers["h"] * rest
+            if self.formulas.regrid is not None:
+                old = {"t": t, "since": since, "edge": edge}
+                made = self._evaluate(self.formulas.regrid, **old, k=rest, other=last)
+                size = self.formulas.size
+                self.rows["x"], self.rows["e"] = made[:size], made[size:]
+            self.numbers = {**self.numbers, "h": rest, "t0": t}
+            self._block(0, 1)
+            t, since, edge = t + rest, rest, last
+        self._hand_out(slot, t, since, edge)
+        self.rows, self.numbers, self.turn = kept
 
     def _listen(self, begins: bool, bound: Array) -> None:
         """Which bodies' turns are not known to be quiet; of the others keep what is known."""
@@ -169,10 +231,10 @@ class _PlainRun:
     def _save(self, span: Any, n: int) -> None:
         gone = n - span.origin
         slot = (gone - 1) // span.save_every + span.slot if gone > 0 else 0
-        since = n * self.numbers["h"]
-        found = self._evaluate(
-            self.formulas.save, t=self._time(n), since=since, edge=self.numbers["edge"]
-        )
+        self._hand_out(slot, self._time(n), n * self.numbers["h"], self.numbers["edge"])
+
+    def _hand_out(self, slot: int, t: float, since: float, edge: float) -> None:
+        found = self._evaluate(self.formulas.save, t=t, since=since, edge=edge)
         size = self.formulas.handed_out
         self.arrays["out"][slot, self.bodies] = np.stack(found[:size], axis=-1)
         self.arrays["defect"][slot, self.bodies] = found[size]
