@@ -42,6 +42,7 @@ _HELD_BY = {
     "running.plan": "Plan",
     "running.choosing": "methods_for",
     "running.propagate": "plan propagate propagate_directions",
+    "running.reducer": "Reducer reducer",
     "running.self_check": "OrderWarning SelfCheck",
     "engine.status": "Status",
     "running.trajectory": "Trajectory",
@@ -68,7 +69,7 @@ __all__ = [
     "OrderWarning",
     "Plan",
     "Recommendation",
-   
+    "Reducer",
     "Scene",
     "SelfCheck",
     "Status",
@@ -108,7 +109,7 @@ __all__ = [
     "quat_to_rotation_vector",
     "rates",
     "recommend",
-   
+    "reducer",
     "rotate",
     "rotate_inverse",
     "rotation_vector_to_quat",
@@ -168,6 +169,7 @@ if TYPE_CHECKING:
     from fastatt.running.loop import show_loop
     from fastatt.running.plan import Plan
     from fastatt.running.propagate import plan, propagate, propagate_directions
+    from fastatt.running.reducer import Reducer, reducer
     from fastatt.running.self_check import OrderWarning, SelfCheck
     from fastatt.running.trajectory import Trajectory
     from fastatt.running.watch import DriftStatistics, watch_drift

@@ -139,6 +139,15 @@ class Trajectory:
         """Position in inertial axes, m, of a scene with mass where r0 was given."""
         return self._shaped(self._carried("r", "mass, propagated from an r0"))
 
+    @property
+    def reduced(self) -> NDArray[Any]:
+        """What ``propagate``'s ``reduce`` made of every body, (N, k), or (k,) of one body."""
+        if "s" not in self.carried:
+            raise ValueError(
+                "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
+            )
+        return np.asarray(self._shaped(self.carried["s"])[-1])
+
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
         if name not in self.carried:
             raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
