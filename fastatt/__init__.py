@@ -36,11 +36,13 @@ _HELD_BY = {
     "running.angular_velocity": "angular_velocity",
     "running.drift": "Drift drift",
     "running.energy": "angular_momentum kinetic_energy kinetic_energy_symmetric potential_energy",
+    "running.interpolation": "interpolate",
     "running.limits": "StepWarning",
     "running.loop": "show_loop",
     "running.plan": "Plan",
     "running.choosing": "methods_for",
     "running.propagate": "plan propagate propagate_directions",
+    "running.reducer": "Reducer reducer",
     "running.self_check": "OrderWarning SelfCheck",
     "engine.status": "Status",
     "running.trajectory": "Trajectory",
@@ -52,24 +54,87 @@ _HELD_BY = {
         "ErrorBudget Recommendation WorkPrecision error_budget recommend self_check work_precision"
     ),
 }
-_MODULES = ("estimation", "exact", "forces", "interchange", "kernels", "rates", "steps", "torques")
+_MODULES = (
+    "estimation", "exact", "forces", "interchange", "kernels", "plots", "rates", "steps", "torques",
+)  # fmt: skip
 _FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in names.split()}
 
 __all__ = [
-    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Method", "OrderWarning",
-    "Plan", "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
-    "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
-    "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
-    "from_scipy", "integrate_rates", "integrator", "interchange", "kernels", "kinetic_energy",
-    "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "plan", "potential_energy",
-    "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
-    "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
-    "rotation_vector_to_quat", "self_check", "show_loop", "single_step", "steps", "to_scipy",
-    "torques", "watch_drift", "work_precision",
+    "METHODS",
+    "Attitude",
+    "Drift",
+    "DriftStatistics",
+    "ErrorBudget",
+    "Method",
+    "OrderWarning",
+    "Plan",
+    "Recommendation",
+    "Reducer",
+    "Scene",
+    "SelfCheck",
+    "Status",
+    "StepWarning",
+    "Trajectory",
+    "WorkPrecision",
+    "angle_between",
+    "angular_momentum",
+    "angular_velocity",
+    "dcm_to_quat",
+    "drift",
+    "error_budget",
+    "estimation",
+    "euler313_to_quat",
+    "exact",
+    "explicit",
+    "forces",
+    "from_scipy",
+    "integrate_rates",
+    "integrator",
+    "interchange",
+    "interpolate",
+    "kernels",
+    "kinetic_energy",
+    "kinetic_energy_symmetric",
+    "lie",
+    "mean_attitude",
+    "methods_for",
+    "plan",
+    "plots",
+    "potential_energy",
+    "propagate",
+    "propagate_directions",
+    "quat_multiply",
+    "quat_to_dcm",
+    "quat_to_euler313",
+    "quat_to_rotation_vector",
+    "rates",
+    "recommend",
+    "reducer",
+    "rotate",
+    "rotate_inverse",
+    "rotation_vector_to_quat",
+    "self_check",
+    "show_loop",
+    "single_step",
+    "steps",
+    "to_scipy",
+    "torques",
+    "watch_drift",
+    "work_precision",
 ]  # fmt: skip
 
 if TYPE_CHECKING:
-    from fastatt import estimation, exact, forces, interchange, kernels, rates, steps, torques
+    from fastatt import (
+        estimation,
+        exact,
+        forces,
+        interchange,
+        kernels,
+        plots,
+        rates,
+        steps,
+        torques,
+    )
     from fastatt.arrays import (
         angle_between,
         dcm_to_quat,
@@ -99,10 +164,12 @@ if TYPE_CHECKING:
         kinetic_energy_symmetric,
         potential_energy,
     )
+    from fastatt.running.interpolation import interpolate
     from fastatt.running.limits import StepWarning
     from fastatt.running.loop import show_loop
     from fastatt.running.plan import Plan
     from fastatt.running.propagate import plan, propagate, propagate_directions
+    from fastatt.running.reducer import Reducer, reducer
     from fastatt.running.self_check import OrderWarning, SelfCheck
     from fastatt.running.trajectory import Trajectory
     from fastatt.running.watch import DriftStatistics, watch_drift

@@ -132,7 +132,12 @@ def attitudes(
     *,
     flag: bool = False,
 ) -> Floats:
-    """Quaternions, finite and not zero; others pass where the body is to be flagged for them."""
+    """Quaternions, finite and not zero; others pass where the body is to be flagged for them.
+
+    A SciPy ``Rotation`` from body to inertial components is taken as its quaternions.
+    """
+    if hasattr(value, "as_quat"):
+        value = np.roll(value.as_quat(), 1, axis=-1)
     if flag:
         return array_any(name, value, shapes, tails)
     q = array(name, value, shapes, tails)

@@ -23,6 +23,7 @@ from fastatt.flat.formulas import (
     quat,
     rigid,
 )
+from fastatt.flat.user import UserFunction
 from fastatt.models import Law
 from fastatt.torques import Pose, damping_rates, is_free, torque_of
 
@@ -94,12 +95,36 @@ class Moving(NamedTuple):
         return self.inner.tail + (6 if self.position else 3)
 
 
-Structure = GivenRate | RigidBody | Moving
+class Watched(NamedTuple):
+    """Structure of a scene whose states a user's function reduces to ``size`` numbers a body."""
+
+    inner: GivenRate | RigidBody | Moving
+    function: UserFunction
+    size: int
+
+    @property
+    def n_params(self) -> int:
+        """Number of parameters."""
+        return self.inner.n_params
+
+    @property
+    def tail(self) -> int:
+        """Numbers carried beside the attitude."""
+        return self.inner.tail + self.size
+
+
+Structure = GivenRate | RigidBody | Moving | Watched
+
+
+def moving_part(structure: Structure) -> GivenRate | RigidBody | Moving:
+    """What moves, of a scene that may be watched."""
+    return structure.inner if isinstance(structure, Watched) else structure
 
 
 def turning_part(structure: Structure) -> GivenRate | RigidBody:
     """What turns, of a scene that may carry a velocity too."""
-    return structure.inner if isinstance(structure, Moving) else structure
+    moving = moving_part(structure)
+    return moving.inner if isinstance(moving, Moving) else moving
 
 
 class Motion:

@@ -236,7 +236,7 @@ class Scene:
         pushing = forces.pack(model, n_bodies)
         params = join([packed.params, inverse[..., None], pushing.params], n_bodies, "mass, force")
         structure = packed.structure
-        assert not isinstance(structure, Moving)
+        assert isinstance(structure, (GivenRate, RigidBody))
         return Packed(
             Moving(structure, pushing.law, position),
             params,

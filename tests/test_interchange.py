@@ -8,7 +8,9 @@ import ahrs
 import numpy as np
 import pytest
 import quaternion
-from exact import EPS, angle, matrix, mul, rotate
+import scipy
+from exact import EPS, angle, exp, matrix, mul, rotate
+from scipy.spatial.transform import Rotation
 
 import fastatt as fa
 from fastatt import interchange as ic
@@ -33,6 +35,32 @@ def test_scipy_there_and_back():
     # their product is ours
     same(fa.from_scipy(rotation * rotation[::-1]), mul(Q, Q[::-1]))
     assert np.abs(rotation.as_rotvec() - fa.quat_to_rotation_vector(Q)).max() <= 16 * EPS
+
+
+def test_scipy_histories_and_the_version_they_need(monkeypatch):
+    history = Q.reshape(5, 10, 4)
+    monkeypatch.setattr(scipy, "__version__", "1.16.3")
+    with pytest.raises(ImportError, match=r"scipy: found 1.16.3; accepted .*\(5, 10, 4\): 1.17 or"):
+        fa.to_scipy(history)
+    assert fa.to_scipy(Q).as_quat().shape == (50, 4)
+    monkeypatch.undo()
+    if tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 17):
+        same(fa.from_scipy(fa.to_scipy(history)), history)
+
+
+def test_initial_attitudes_as_rotations():
+    """One or stacked, of any Euler sequence."""
+    body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    angles = np.array([[0.3, -0.4, 1.1], [2.0, 0.1, -0.7]])
+    turns = [exp(a * axis) for a, axis in zip(angles[0], np.eye(3)[[2, 1, 0]], strict=True)]
+    assert (
+        angle(fa.from_scipy(Rotation.from_euler("ZYX", angles[0])), mul(mul(*turns[:2]), turns[2]))
+        <= 4 * EPS
+    )
+    for q0 in (Rotation.from_euler("ZYX", angles[0]), Rotation.from_euler("xzx", angles)):
+        given = {"w0": [0.1, 0.2, 0.3], "dt": 0.1, "n_steps": 2, "method": "exact"}
+        run = fa.propagate(body, q0, **given)
+        assert np.array_equal(run.q, fa.propagate(body, fa.from_scipy(q0), **given).q)
 
 
 def test_the_scalar_last_trap():
@@ -123,3 +151,50 @@ def test_refusals(function, shape):
 def test_float32_stays():
     assert ic.to_mrp(Q.astype(np.float32)).dtype == np.float32
     assert ic.from_mrp(ic.to_mrp(Q.astype(np.float32))).dtype == np.float32
+
+
+# a run as a table
+
+
+def run_of(bodies, **options):
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    w0 = np.random.default_rng(4).normal(size=(bodies, 3))
+    q0 = Q[:bodies]
+    if bodies == 1:
+        q0, w0 = q0[0], w0[0]
+    return fa.propagate(scene, q0, w0, dt=0.1, n_steps=4, save_every=2, method="exact", **options)
+
+
+@pytest.mark.parametrize("bodies", [1, 3])
+def test_tables_hold_every_number_to_its_last_bit(bodies, tmp_path):
+    run = run_of(bodies)
+    run.to_csv(tmp_path / "run.csv")
+    frame = run.to_dataframe()
+    written = tmp_path / "run.csv"
+    assert written.read_text().partition("\n")[0] == ",".join(frame)
+    assert np.array_equal(np.loadtxt(written, delimiter=",", skiprows=1), frame)
+    names = ["t", "body", "q0", "q1", "q2", "q3", "wx", "wy", "wz", "status"]
+    assert list(frame) == [name for name in names if bodies > 1 or name != "body"]
+    assert np.array_equal(frame[["q0", "q1", "q2", "q3"]], run.q.reshape(-1, 4))
+    assert np.array_equal(frame[["wx", "wy", "wz"]], run.w.reshape(-1, 3))
+    if bodies > 1:
+        last = frame[frame.body == 2]
+        assert np.array_equal(last.t, run.t)
+        assert np.array_equal(last[["q0", "q1", "q2", "q3"]], run.q[:, 2])
+
+
+def test_long_tables_are_written_in_pieces(tmp_path, monkeypatch):
+    run = run_of(3)
+    run.to_csv(tmp_path / "whole.csv")
+    monkeypatch.setattr("fastatt.interchange.tables._ROWS", 4)
+    run.to_csv(tmp_path / "pieces.csv")
+    assert (tmp_path / "pieces.csv").read_text() == (tmp_path / "whole.csv").read_text()
+
+
+def test_a_run_shows_itself():
+    run = run_of(7)
+    assert repr(run) == run.summary()
+    shown = run._repr_html_()
+    assert shown.count("<tr>") == 6  # a head and five bodies
+    assert f"<td>{run.q[-1, 4, 2]:.6g}</td>" in shown
+    assert "exact on quat" in shown

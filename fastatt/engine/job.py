@@ -9,7 +9,7 @@ from typing import Any
 from fastatt.attitudes import Attitude
 from fastatt.engine.layout import WIDTH
 from fastatt.flat.finished import Constants, Flat
-from fastatt.flat.formulas import Vector, as_like, dot
+from fastatt.flat.formulas import Vector, as_like, dot, quat
 from fastatt.flat.graph import Graph, Number, choose
 from fastatt.methods.method import Method
 from fastatt.motion import (
@@ -18,8 +18,10 @@ from fastatt.motion import (
     Moving,
     Structure,
     Turning,
+    Watched,
     carried,
     motion_of,
+    moving_part,
     turning_part,
 )
 from fastatt.rates import is_constant
@@ -282,8 +284,9 @@ class Scope:
         turning = turning_part(structure)
         self.motion: Turning | Body = motion_of(turning, self.attitude, p[: turning.n_params], like)
         self.translation = None
-        if isinstance(structure, Moving):
-            self.translation = Translation(self.motion, structure, p[turning.n_params :])
+        moving = moving_part(structure)
+        if isinstance(moving, Moving):
+            self.translation = Translation(self.motion, moving, p[turning.n_params :])
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Numbers of the state's precision."""
@@ -333,9 +336,21 @@ class Scope:
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             y, z = chosen(self.motion, t, h, own)
+        watched = self._watched(t + h, y, beside)
+        beside = beside[: len(beside) - len(watched)]
         if self.translation is not None:
-            beside = self.translation.moved(t, h, x, y)
-        return (*y, *beside), z
+            beside = self.translation.moved(t, h, (*own, *beside), y)
+        return (*y, *beside, *watched), z
+
+    def _watched(self, t: Any, x: Vector, beside: Vector) -> Vector:
+        """What the user's function makes of a state and of what it made before."""
+        structure = self.job.structure
+        if not isinstance(structure, Watched):
+            return ()
+        q, w = self.motion.pose(t, x)
+        before = beside[len(beside) - structure.size :]
+        made = structure.function.call(t, quat.renormalise(q), w, before)
+        return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
 
     def begin(self, q: Vector, beside: Vector) -> Vector:
         """The state from an attitude as given and what is carried beside it."""

@@ -1,4 +1,4 @@
-"""A user's rate, torque, force or potential: traced where it is a straight line, else called.
+"""A user's rate, torque, force, potential or reducer: traced where it is straight, else called.
 
 A traced function is compared with what Python gives at a few points before it is trusted. One that
 is no straight line is compiled by Numba and called for each body (``UserFunction.reason`` says
@@ -33,7 +33,10 @@ _TOLERANCE = 1e-9
 
 
 class Form(NamedTuple):
-    """What a function takes before its parameters (0: a number, n: a tuple of n) and gives."""
+    """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
+
+    ``results`` 0 stands for as many as it has parameters.
+    """
 
     call: str
     before: tuple[int, ...]
@@ -46,6 +49,7 @@ FORMS = {
     "torque": Form("torque(t, q, w, p)", (0, 4, 3), 3, "N·m"),
     "force": Form("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
     "potential": Form("potential(t, q, p)", (0, 4), 1, "J"),
+    "reducer": Form("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
 }
 
 _KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int], UserFunction]] = WeakKeyDictionary()
@@ -104,7 +108,8 @@ class UserFunction:
         params: NDArray[np.float64] | None = None,
     ) -> None:
         self.argument = argument
-        self.form = FORMS[argument]
+        form = FORMS[argument]
+        self.form = form if form.results else form._replace(results=n_params)
         self.n_params = n_params
         self.name = getattr(function, "__name__", argument)
         self.reason = ""
@@ -397,7 +402,8 @@ def _wrapper(user: UserFunction) -> str:
 
 
 def _wrong(user: UserFunction, found: str) -> TypeError:
-    accepted = "a float" if user.form.results == 1 else "a tuple of three floats"
+    n = user.form.results
+    accepted = "a float" if n == 1 else f"a tuple of {'three' if n == 3 else n} floats"
     return TypeError(
         f"{user.argument}: {user.described} returns {found}; accepted is {accepted}, "
         f"{user.form.unit}"

@@ -16,6 +16,7 @@ from fastatt import checks, rounding
 from fastatt.attitudes import Attitude
 from fastatt.engine.ensemble import Span
 from fastatt.methods.method import Method
+from fastatt.running.reducer import Reducer
 from fastatt.running.trajectory import Trajectory
 
 KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
@@ -34,6 +35,7 @@ class Choice:
     restore: int = 0
     raw: bool = False
     looks: bool = True
+    reducer: Reducer | None = None
 
 
 @dataclass(frozen=True)

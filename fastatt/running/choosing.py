@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
 from fastatt.methods import METHODS, Method
 from fastatt.running.asked import Choice
+from fastatt.running.reducer import Reducer
 from fastatt.scene import Scene, as_scene
 from fastatt.torques import Dependence
 
@@ -111,17 +114,34 @@ def chosen(
     compensated: bool,
     normalise: str | int,
     looks: bool = True,
+    reducer: Reducer | None = None,
 ) -> Choice:
     """How a scene is propagated, from what a user asks for.
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
     attitude = attitude_of(representation)
-    record = method_of(scene, method or default_method(scene, attitude), attitude)
+    record = _method(scene, method, attitude, reducer)
     if compensated:
         attitude = _compensated(record, attitude)
     restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    return Choice(record, attitude, restore, normalise == "never", looks)
+    return Choice(record, attitude, restore, normalise == "never", looks, reducer)
+
+
+def _method(scene: Scene, method: str | Method | None, attitude: Attitude, reducer: Any) -> Method:
+    """The method asked for, or the first that fits."""
+    if reducer is None:
+        return method_of(scene, method or default_method(scene, attitude), attitude)
+    if not isinstance(reducer, Reducer):
+        raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
+    able = [name for name in methods_for(scene, attitude) if METHODS[name].translates]
+    first = next((name for name in DEFAULTS if name in able), None)
+    record = method_of(scene, method or first or default_method(scene, attitude), attitude)
+    if not record.translates:
+        raise ValueError(
+            f"reduce: found with method {record.name}; accepted with {', '.join(able)}"
+        )
+    return record
 
 
 def _compensated(method: Method, attitude: Attitude) -> Attitude:

@@ -31,7 +31,7 @@ class Given(NamedTuple):
             if len(values) == 1:
                 y = np.ascontiguousarray(values[0], dtype=kind)
             else:
-                wide = [np.broadcast_to(value, (rows, 3)) for value in values]
+                wide = [np.broadcast_to(x, (rows, x.shape[-1])) for x in values]
                 y = np.hstack([np.zeros((rows, 0)), *wide]).astype(kind)
             q = np.ascontiguousarray(start, dtype=kind)
         return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
@@ -69,11 +69,12 @@ def initial(
         if value is not None:
             look = checks.array_any if flag else checks.array
             found[name] = look(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
-    _same_number({**found, "q0": start})
+    same_number({**found, "q0": start})
     return start, found
 
 
-def _same_number(values: Mapping[str, NDArray[Any]]) -> None:
+def same_number(values: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse rows of different numbers of bodies."""
     rows = {name: len(value) for name, value in values.items() if value.ndim == 2}
     if len(set(rows.values()) - {1}) > 1:
         told = ", ".join(f"{name} {n}" for name, n in rows.items())

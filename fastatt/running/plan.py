@@ -6,6 +6,7 @@ import math
 import threading
 from dataclasses import replace
 from functools import partial
+from itertools import accumulate, pairwise
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -69,9 +70,15 @@ class Plan:
         method, attitude = choice.method, choice.attitude
         bodies = n_bodies // rows_each
         self.packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
+        if choice.reducer is not None:
+            self.packed = choice.reducer.watching(self.packed)
         structure = self.packed.structure
         body = ["w"] if scene.kind != "rate" else []
         self.beside = [*body, *(["v"] if scene.moves else []), *(["r"] if position else [])]
+        self._widths = [3] * len(self.beside)
+        if choice.reducer is not None:
+            self.beside.append("s")
+            self._widths.append(choice.reducer.start.shape[-1])
         self._is_plain_body = self.beside == ["w"]
         self.limit = limits.turn_limit(scene, method, attitude.name, kind)
         self._h = clock.steps if isinstance(clock, OwnClock) else clock.h
@@ -380,9 +387,10 @@ class Plan:
 
     def parts(self, out: NDArray[Any]) -> dict[str, Any]:
         """Attitudes, and what is carried beside them, of what is handed out (S, N, k or more)."""
-        ends = range(self.choice.attitude.stored, self.width + 1, 3)
-        carried = {x: out[..., k : k + 3] for x, k in zip(self.beside, ends, strict=False)}
-        found = {"state": out[..., : ends[0]], "carried": carried}
+        stored = self.choice.attitude.stored
+        spans = pairwise(accumulate(self._widths, initial=stored))
+        carried = {x: out[..., a:b] for x, (a, b) in zip(self.beside, spans, strict=True)}
+        found = {"state": out[..., :stored], "carried": carried}
         return {**found, "defect": out[..., -1]} if out.shape[-1] > self.width else found
 
     def _go(self, run: Run, span: Span, handling: Handling, found: Any = None) -> None:

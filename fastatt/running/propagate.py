@@ -20,8 +20,9 @@ from fastatt.running.carry_out import Wanted, carry_out
 from fastatt.running.choosing import DEFAULTS, chosen, method_of
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.grids import clock_of
-from fastatt.running.initial import Given, initial
+from fastatt.running.initial import Given, initial, same_number
 from fastatt.running.plan import LONG, Plan
+from fastatt.running.reducer import Reducer
 from fastatt.running.resume import end_of
 from fastatt.running.self_check import SelfCheck, examine
 from fastatt.running.trajectory import Trajectory
@@ -54,6 +55,7 @@ def propagate(
     sink: Callable[[Trajectory], object] | None = None,
     check: int = 0,
     looks: bool = True,
+    reduce: Reducer | None = None,
     out: str | os.PathLike[str] | None = None,
     resume: Trajectory | str | os.PathLike[str] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
@@ -100,6 +102,8 @@ def propagate(
         ``check`` is what was found.
     looks : look at how far each step turns. Without, steps past a method's limit and turns beyond
         π go unseen: for measuring what the looks cost.
+    reduce : a function of one's own that sees every step of every body (:func:`fastatt.reducer`);
+        the trajectory's ``reduced`` is what it made. With methods whose record says ``translates``.
     out : with ``save_every``, a file that the saves go to, 16 at a time: ``*.npy``, mapped into
         memory in the trajectory, or ``*.zarr``; (S, N, k), attitudes, then w, v and r.
     resume : a trajectory, or a file of ``Trajectory.save_end``, where this run goes on, to the same
@@ -130,7 +134,7 @@ def propagate(
     end = None if resume is None else end_of(resume)
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
-    choice = chosen(scene, method, representation, compensated, normalise, looks)
+    choice = chosen(scene, method, representation, compensated, normalise, looks, reduce)
     flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
     sample = checks.whole("check", check, 0)
     if sample and (flag or end is not None):
@@ -139,6 +143,9 @@ def propagate(
     values, position = (q0, w0, v0, r0), r0 is not None
     if end is None:
         start, beside = initial(scene, values, flag=True)
+        if reduce is not None:
+            beside["s0"] = reduce.start
+            same_number({**beside, "q0": start})
         given = Given.of(start, beside, checks.precision(dtype, *values))
     else:
         _check_none(values, begin)

@@ -80,6 +80,7 @@ def about(choice: Choice, h: float, kind: np.dtype[Any], position: bool) -> dict
         "normalise": "never" if choice.raw else choice.restore,
         "dtype": kind.name,
         "r0": position,
+        "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
     }
 
 

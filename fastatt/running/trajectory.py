@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -49,9 +50,11 @@ class Results(NamedTuple):
         return Results(self.out[:, rows], self.defect[:, rows], self.status[rows])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """Saved attitudes of one body or of an ensemble, time first.
+
+    At a prompt it prints its summary, in a notebook a table of the last save besides.
 
     ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
@@ -146,10 +149,64 @@ class Trajectory:
         """Position in inertial axes, m, of a scene with mass where r0 was given."""
         return self._shaped(self._carried("r", "mass, propagated from an r0"))
 
+    @property
+    def reduced(self) -> NDArray[Any]:
+        """What ``propagate``'s ``reduce`` made of every body, (N, k), or (k,) of one body."""
+        if "s" not in self.carried:
+            raise ValueError(
+                "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
+            )
+        return np.asarray(self._shaped(self.carried["s"])[-1])
+
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
         if name not in self.carried:
             raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
         return self.carried[name]
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, ``status``.
+
+        See :func:`fastatt.interchange.write_csv`.
+        """
+        from fastatt.interchange import write_csv
+
+        write_csv(self, path)
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame of a row for each save and body, its columns those of ``to_csv``.
+
+        Raises ``ImportError`` without pandas.
+        """
+        from fastatt.interchange import dataframe
+
+        return dataframe(self)
+
+    def to_aem(self, path: str | Path, **options: Any) -> None:
+        """Write one body as an attitude ephemeris message of the CCSDS.
+
+        ``options`` are those of :func:`fastatt.interchange.aem_of`: ``epoch`` and ``frame`` at
+        least.
+        """
+        from fastatt.interchange import aem_of
+
+        aem_of(self, **options).write(path)
+
+    def plot(self, path: str | Path, scene: Scene | None = None) -> None:
+        """Draw attitude, |w| and drift over time to a file; of many bodies percentiles.
+
+        See :func:`fastatt.plots.history`. Needs matplotlib.
+        """
+        from fastatt import plots
+
+        plots.history(self, path, scene)
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        from fastatt.interchange.tables import table
+
+        return table(self)
 
     @property
     def has_flags(self) -> bool:

@@ -1,4 +1,4 @@
-"""Pictures with matplotlib, drawn to files without a display."""
+"""Pictures of studies: work against precision, recordings, families of motions."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-# Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
-_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
+from fastatt.plots.drawing import COLOURS, curve_on, save, sphere_on, styles_of, tints_of
+
 _LINES: dict[str, Any] = {"quat": "-", "dcm": ":", "quat in float32": (0, (6, 2))}
 _KINDS = {"quat": "quaternion", "dcm": "matrix", "quat in float32": "quaternion, float32"}
 _ENTRY = 1.2  # inches, the width of a legend's entry below the panels
@@ -83,7 +80,7 @@ def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
     width = max(8.0, 5.8 * len(panels))
     figure = Figure(figsize=(width, 6.4), layout="constrained")
     drawn = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
-    styles = _styles([ladder.method for panel in panels for ladder in panel.ladders])
+    styles = styles_of([ladder.method for panel in panels for ladder in panel.ladders])
     for axes, panel in zip(drawn, panels, strict=True):
         best = panel.frontier
         x = np.array(best.seconds) * 1e6
@@ -108,21 +105,21 @@ def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
     )
     drawn[0].set_ylabel("attitude error, median over bodies, rad")
     figure.suptitle(heading)
-    _save(figure, path)
+    save(figure, path)
 
 
 def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], path: Path) -> None:
     """Polhodes on the momentum sphere in body axes; herpolhodes in the plane fixed in space."""
     figure = Figure(figsize=(13.0, 6.8), layout="constrained")
     sphere = figure.add_subplot(1, 2, 1, projection="3d")
-    view = _sphere(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
-    tints = _tints([p.energy for p in polhodes])
+    view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
+    tints = tints_of([p.energy for p in polhodes])
     styles = {p.energy: {"color": tints[p.energy], "lw": 1.8} for p in polhodes}
     styles |= {p.energy: {"color": "k", "lw": 2.4} for p in polhodes if p.separatrix}
     names = {p.energy: f"{p.energy:.3f} J{', separatrix' * p.separatrix}" for p in polhodes}
     for polhode in polhodes:
         for curve in polhode.curves:
-            _curve(sphere, curve, view, styles[polhode.energy])
+            curve_on(sphere, curve, view, styles[polhode.energy])
     for i, axis in enumerate(np.eye(3)):
         sphere.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
         sphere.text(*(1.62 * axis), f"$I_{i + 1}$", fontsize=13, ha="center", va="center")
@@ -143,7 +140,7 @@ def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], pat
         title="kinetic energy",
     )
     figure.suptitle("A free body with a momentum of 1 N·m·s and moments $I_1 > I_2 > I_3$")
-    _save(figure, path)
+    save(figure, path)
 
 
 def axis_traces(traces: Sequence[AxisTrace], path: Path) -> None:
@@ -151,13 +148,13 @@ def axis_traces(traces: Sequence[AxisTrace], path: Path) -> None:
     figure = Figure(figsize=(4.6 * len(traces), 5.2), layout="constrained")
     for i, trace in enumerate(traces):
         axes = figure.add_subplot(1, len(traces), i + 1, projection="3d")
-        view = _sphere(axes, elevation=38.0, azimuth=-60.0, zoom=1.3)
-        _curve(axes, trace.axis, view, {"color": _COLOURS[i], "lw": 1.8})
+        view = sphere_on(axes, elevation=38.0, azimuth=-60.0, zoom=1.3)
+        curve_on(axes, trace.axis, view, {"color": COLOURS[i], "lw": 1.8})
         axes.plot([0.0, 0.0], [0.0, 0.0], [1.0, 1.25], color="k", lw=1.2)
         axes.text(0.0, 0.0, 1.3, "up", ha="center")
         axes.set_title(trace.title)
     figure.suptitle("Axis of a heavy top in space, released with different rates of precession")
-    _save(figure, path)
+    save(figure, path)
 
 
 def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
@@ -167,7 +164,7 @@ def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
     figure = Figure(figsize=(6 * columns, 3.4 * lines), layout="constrained")
     panels = np.atleast_1d(figure.subplots(lines, columns)).ravel()
     for axes, log in zip(panels, logs, strict=False):
-        styles = _styles(list(log.methods))
+        styles = styles_of(list(log.methods))
         every = max(1, len(log.t) // 12)
         for name, angle in log.methods.items():
             axes.plot(log.t, angle, label=name, markevery=every, **styles[name])
@@ -181,47 +178,4 @@ def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
             axes.legend(fontsize=7, ncols=2)
     for axes in panels[len(logs) :]:
         axes.remove()
-    _save(figure, path)
-
-
-def _styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and marker of each name, filled markers for the first eight, then hollow ones."""
-    found = {}
-    for i, name in enumerate(dict.fromkeys(names)):
-        found[name] = {"color": _COLOURS[i % 8], "marker": _MARKERS[i % 8], "ms": 5, "lw": 1.4}
-        if i // 8 % 2:
-            found[name]["markerfacecolor"] = "white"
-    return found
-
-
-def _tints(values: Sequence[float]) -> dict[float, Any]:
-    """A colour of each value, in order of size, from a map that colour-blind readers can read."""
-    order = sorted(set(values))
-    return dict(zip(order, colormaps["viridis"](np.linspace(0.0, 0.9, len(order))), strict=True))
-
-
-def _sphere(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
-    """Draw a faint unit sphere and give the direction from which it is seen."""
-    axes.view_init(elev=elevation, azim=azimuth)
-    axes.set_proj_type("ortho")
-    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
-    axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
-    axes.set_axis_off()
-    around = np.linspace(0.0, 2.0 * np.pi, 73)
-    up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
-    x, y, z = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0.0 * around
-    axes.plot_wireframe(x, y, z, rstride=3, cstride=6, color="0.6", lw=0.3)
-    e, a = np.radians([elevation, azimuth])
-    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-
-
-def _curve(axes: Any, points: NDArray[Any], view: NDArray[Any], style: Mapping[str, Any]) -> None:
-    """A curve on the sphere: plain in front, faint behind."""
-    front = (points @ view > 0.0)[:, None]
-    axes.plot(*np.where(front, points, np.nan).T, **style)
-    axes.plot(*np.where(front, np.nan, points).T, alpha=0.25, **style)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=110)
+    save(figure, path)

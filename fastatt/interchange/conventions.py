@@ -1,4 +1,4 @@
-"""To and from the conventions of others: order of a quaternion's numbers, direction, sense.
+"""Order of a quaternion's numbers, direction, sense: to and from the conventions of others.
 
 Here q is scalar first, Hamilton, body to inertial; every function takes and gives any leading axes.
 """
@@ -15,6 +15,9 @@ from fastatt.arrays import floats, rotate, rotate_inverse
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+# SciPy's release whose rotations have any leading axes
+_STACKED = (1, 17)
+
 
 def to_scalar_last(q: ArrayLike) -> NDArray[Any]:
     """(x, y, z, w) of scalar-first q (..., 4): what SciPy, ROS and Eigen's ``coeffs()`` hold."""
@@ -27,13 +30,22 @@ def from_scalar_last(q: ArrayLike) -> NDArray[Any]:
 
 
 def to_scipy(q: ArrayLike) -> Rotation:
-    """SciPy's ``Rotation`` of q (4,) or (N, 4): its ``apply`` takes body to inertial components.
+    """SciPy's ``Rotation`` of q (..., 4): its ``apply`` takes body to inertial components.
 
-    Raises ``ImportError`` without SciPy.
+    Histories (S, N, 4) need SciPy 1.17, the first whose rotations have more than one axis.
+
+    Raises ``ImportError`` without SciPy, or where it is older than that and q has more axes.
     """
+    import scipy
     from scipy.spatial.transform import Rotation
 
-    return Rotation.from_quat(to_scalar_last(q))
+    last = to_scalar_last(q)
+    if last.ndim > 2 and tuple(map(int, scipy.__version__.split(".")[:2])) < _STACKED:
+        raise ImportError(
+            f"scipy: found {scipy.__version__}; accepted for q of shape {last.shape}: 1.17 or "
+            "newer, or q.reshape(-1, 4)"
+        )
+    return Rotation.from_quat(last)
 
 
 def from_scipy(rotation: Rotation) -> NDArray[np.float64]:

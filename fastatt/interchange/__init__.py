@@ -1,0 +1,41 @@
+"""To and from others: conventions of attitudes, tables of a run, attitude ephemeris messages."""
+
+from fastatt.interchange.aem import Aem, AemSegment, aem_of, read_aem
+from fastatt.interchange.conventions import (
+    from_gibbs,
+    from_jpl,
+    from_mrp,
+    from_scalar_last,
+    from_scipy,
+    rates_to_body,
+    rates_to_inertial,
+    to_gibbs,
+    to_jpl,
+    to_mrp,
+    to_passive,
+    to_scalar_last,
+    to_scipy,
+)
+from fastatt.interchange.tables import dataframe, write_csv
+
+__all__ = [
+    "Aem",
+    "AemSegment",
+    "aem_of",
+    "dataframe",
+    "from_gibbs",
+    "from_jpl",
+    "from_mrp",
+    "from_scalar_last",
+    "from_scipy",
+    "rates_to_body",
+    "rates_to_inertial",
+    "read_aem",
+    "to_gibbs",
+    "to_jpl",
+    "to_mrp",
+    "to_passive",
+    "to_scalar_last",
+    "to_scipy",
+    "write_csv",
+]

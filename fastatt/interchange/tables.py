@@ -1,0 +1,80 @@
+"""A run as a table: a row for each save and body."""
+
+from __future__ import annotations
+
+import csv
+import html
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fastatt.running.trajectory import Trajectory
+
+# rows that are turned into text at a time, and those that a notebook shows
+_ROWS = 1 << 16
+_SHOWN = 5
+
+
+def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
+    """Columns of a run by name, each (S,) of one body or (S, N).
+
+    ``t`` s; ``body``, of an ensemble; ``q0`` to ``q3``, body to inertial, scalar first; ``wx``,
+    ``wy``, ``wz`` rad/s along body axes; where the scene carries them ``vx`` to ``vz`` m/s along
+    body axes and ``rx`` to ``rz`` m along inertial axes; ``status``, of the whole run.
+    """
+    q = run.q
+    shape = q.shape[:-1]
+    # read-only views: nothing is copied that is the same for all
+    t = run.t.reshape(-1, *[1] * (q.ndim - 2))
+    found: dict[str, NDArray[Any]] = {"t": np.broadcast_to(t, shape)}
+    if not run.one_body:
+        found["body"] = np.broadcast_to(np.arange(shape[1]), shape)
+    found |= {f"q{k}": q[..., k] for k in range(4)}
+    for name in ("w", "v", "r"):
+        if name == "w" or name in run.carried:
+            value = getattr(run, name)
+            found |= {f"{name}{axis}": value[..., k] for k, axis in enumerate("xyz")}
+    status = run.status[0] if run.one_body else run.status
+    found["status"] = np.broadcast_to(status, shape)
+    return found
+
+
+def write_csv(run: Trajectory, path: str | Path) -> None:
+    """Write a run as CSV, a row for each save and body, every number to its last bit.
+
+    Columns are those of :func:`columns`.
+
+    Raises ``OSError`` where the file can't be written.
+    """
+    table = columns(run)
+    saves = max(1, _ROWS // run.status.size)
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(table)
+        for a in range(0, len(run.t), saves):
+            # tolist gives Python's floats, whose text is the shortest that gives them again
+            part = [x[a : a + saves].ravel().tolist() for x in table.values()]
+            writer.writerows(zip(*part, strict=True))
+
+
+def dataframe(run: Trajectory) -> Any:
+    """A run as a pandas DataFrame, a row for each save and body; columns as of ``write_csv``.
+
+    Raises ``ImportError`` without pandas.
+    """
+    import pandas as pd
+
+    return pd.DataFrame({name: x.ravel() for name, x in columns(run).items()})
+
+
+def table(run: Trajectory) -> str:
+    """A run's summary as HTML, with the last save of its first bodies."""
+    last = {name: x[-1:].ravel()[:_SHOWN] for name, x in columns(run).items()}
+    heads = "".join(f"<th>{name}</th>" for name in last)
+    rows = ("".join(f"<td>{x:.6g}</td>" for x in row) for row in zip(*last.values(), strict=True))
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    said = html.escape(run.summary()).replace("\n", "<br>")
+    return f"<p>{said}</p><table><tr>{heads}</tr>{body}</table>"

@@ -1,0 +1,32 @@
+"""Pictures with matplotlib, drawn to files without a display: of runs, and of studies."""
+
+from fastatt.plots.animated import animation
+from fastatt.plots.runs import history, polhode
+from fastatt.plots.study import (
+    AxisTrace,
+    Departures,
+    Herpolhode,
+    Ladder,
+    Panel,
+    Polhode,
+    axis_traces,
+    polhodes,
+    recordings,
+    work_precision,
+)
+
+__all__ = [
+    "AxisTrace",
+    "Departures",
+    "Herpolhode",
+    "Ladder",
+    "Panel",
+    "Polhode",
+    "animation",
+    "axis_traces",
+    "history",
+    "polhode",
+    "polhodes",
+    "recordings",
+    "work_precision",
+]

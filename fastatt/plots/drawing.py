@@ -1,0 +1,75 @@
+"""What the pictures share: colours, a sphere, files without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.running.trajectory import Trajectory
+
+# Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
+_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
+
+
+def styles_of(names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Colour and marker of each name, filled markers for the first eight, then hollow ones."""
+    found = {}
+    for i, name in enumerate(dict.fromkeys(names)):
+        found[name] = {"color": COLOURS[i % 8], "marker": _MARKERS[i % 8], "ms": 5, "lw": 1.4}
+        if i // 8 % 2:
+            found[name]["markerfacecolor"] = "white"
+    return found
+
+
+def tints_of(values: Sequence[float]) -> dict[float, Any]:
+    """A colour of each value, in order of size, from a map that colour-blind readers can read."""
+    order = sorted(set(values))
+    return dict(zip(order, colormaps["viridis"](np.linspace(0.0, 0.9, len(order))), strict=True))
+
+
+def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
+    """Draw a faint unit sphere and give the direction from which it is seen."""
+    axes.view_init(elev=elevation, azim=azimuth)
+    axes.set_proj_type("ortho")
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
+    axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
+    axes.set_axis_off()
+    around = np.linspace(0.0, 2.0 * np.pi, 73)
+    up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
+    x, y, z = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0.0 * around
+    axes.plot_wireframe(x, y, z, rstride=3, cstride=6, color="0.6", lw=0.3)
+    e, a = np.radians([elevation, azimuth])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def curve_on(axes: Any, points: NDArray[Any], view: NDArray[Any], style: Mapping[str, Any]) -> None:
+    """A curve on the sphere: plain in front, faint behind."""
+    front = (points @ view > 0.0)[:, None]
+    axes.plot(*np.where(front, points, np.nan).T, **style)
+    axes.plot(*np.where(front, np.nan, points).T, alpha=0.25, **style)
+
+
+def check_run(run: object) -> None:
+    """Refuse what is no run with two saves.
+
+    Raises ``TypeError`` or ``ValueError``.
+    """
+    if not isinstance(run, Trajectory):
+        raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
+    if len(run.t) < 2:
+        raise ValueError("run: has 1 save; accepted: two or more (save_every=)")
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure to a file."""
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=110)

@@ -1,0 +1,259 @@
+"""Pictures of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.arrays import angle_between, rotate
+from fastatt.plots.drawing import COLOURS, check_run, curve_on, save, sphere_on, tints_of
+from fastatt.running.drift import drift
+from fastatt.running.energy import angular_momentum
+from fastatt.running.trajectory import Trajectory
+from fastatt.scene import Scene, as_scene
+
+# saves of an ensemble that are drawn; more can't be told apart
+_SAVES = 500
+# bodies whose curves can be told apart, and those that are drawn of many
+_CURVES, _CHOSEN = 8, 4
+_STYLES = ("-", "--", "-.")
+# deg; angles that change by more from save to save have passed a pole or 180°
+_JUMP = 120.0
+
+
+def history(
+    run: Trajectory, path: str | Path, scene: Scene | None = None, *, attitude: str = "angles"
+) -> None:
+    """Draw attitude, angular velocity and drift over time.
+
+    Of one body its 3-1-3 angles in degrees or, with ``attitude="axis"``, its third axis in space,
+    and its rates; of many the percentiles, at up to 500 saves, of the angle from the first save and
+    of |w|. The drift is the departure from the group and, with the scene given, that of energy and
+    momentum, as :func:`fastatt.drift` says; of many bodies the median and the largest.
+
+    Parameters
+    ----------
+    run : with two saves at least.
+    path : of the picture; its ending says the format (png, pdf, svg).
+    scene : what acts, for energy and momentum.
+    attitude : "angles" or "axis".
+
+    Raises
+    ------
+    ValueError : a run with one save.
+    """
+    save(_history(run, scene, checks.choice("attitude", attitude, ("angles", "axis"))), path)
+
+
+def _history(run: Trajectory, scene: Scene | None, attitude: str) -> Figure:
+    check_run(run)
+    many = run.status.size > 1
+    if many:
+        run = _thinned(run)
+    figure = Figure(figsize=(9.0, 8.2), layout="constrained")
+    turned, rates, drifts = figure.subplots(3, 1, sharex=True)
+    if many:
+        turned_by = np.degrees(angle_between(run.q, run.q[:1]))
+        _percentiles(turned, run.t, turned_by, "angle from the first save, deg")
+        _percentiles(rates, run.t, np.linalg.norm(run.w, axis=-1), "|w|, rad/s")
+        _legend(turned)
+    else:
+        if attitude == "angles":
+            _angles(turned, run)
+        else:
+            _axis(turned, run)
+        _rates(rates, run)
+    _drifts(drifts, run, scene)
+    drifts.set_xlabel("time, s")
+    for axes in (turned, rates, drifts):
+        axes.grid(visible=True, alpha=0.3)
+    figure.suptitle(_title(run))
+    return figure
+
+
+def polhode(
+    run: Trajectory, scene: Scene, path: str | Path, *, bodies: Sequence[int] | None = None
+) -> None:
+    """Draw the angular momentum seen from the body, and the angular velocity seen from space.
+
+    On the left its direction along body axes on the unit sphere, faint on the far side; on the
+    right the angular velocity in the plane through the body that is square to the first save's
+    momentum. Without torque these are Poinsot's polhode and herpolhode.
+
+    Parameters
+    ----------
+    run : with two saves at least, close enough to draw curves through.
+    scene : the run's, with inertia.
+    path : of the picture; its ending says the format (png, pdf, svg).
+    bodies : up to 8 of an ensemble; None takes 4, evenly from the first to the last.
+
+    Raises
+    ------
+    ValueError : a scene without inertia, a run with one save, bodies that are not there.
+    """
+    save(_polhode(run, scene, bodies), path)
+
+
+def _polhode(run: Trajectory, scene: Scene, bodies: Sequence[int] | None) -> Figure:
+    check_run(run)
+    if as_scene(scene).inertia is None:
+        raise ValueError("scene: found a rate; accepted: a scene with inertia")
+    n = run.status.size
+    if bodies is None:
+        fine = np.flatnonzero(_numbers(run))
+        chosen = fine[np.unique(np.linspace(0, fine.size - 1, min(fine.size, _CHOSEN)).astype(int))]
+    else:
+        chosen = np.array([checks.whole("bodies", k, 0) for k in bodies], dtype=int)
+        if not 0 < chosen.size <= _CURVES or chosen.max() >= n:
+            raise ValueError(f"bodies: found {list(bodies)}; accepted: 1 to 8 of 0 to {n - 1}")
+    q, w = (x.reshape(len(run.t), n, -1)[:, chosen] for x in (run.q, run.w))
+    inertia: Any = scene[chosen].inertia
+    m = angular_momentum(w, inertia)
+    space, held = rotate(q, w), rotate(q[0], m[0])
+    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
+    ball = figure.add_subplot(1, 2, 1, projection="3d")
+    view = sphere_on(ball, elevation=24.0, azimuth=35.0, zoom=1.05)
+    plane = figure.add_subplot(1, 2, 2)
+    tints = tints_of(chosen.tolist())
+    with np.errstate(invalid="ignore"):
+        unit = m / np.linalg.norm(m, axis=-1, keepdims=True)
+    for k, body in enumerate(chosen.tolist()):
+        curve_on(ball, unit[:, k], view, {"color": tints[body], "lw": 1.8})
+        across = space[:, k] @ _square_to(held[k])
+        plane.plot(*across.T, color=tints[body], lw=1.3)
+        plane.plot(*across[:1].T, color=tints[body], marker="o", ms=5)
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        ball.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
+        ball.text(*(1.58 * axis), name, fontsize=13, ha="center", va="center")
+    ball.set_title("Polhode: direction of the momentum along body axes")
+    name = "angular velocity across the momentum, rad/s"
+    plane.set(aspect="equal", xlabel=name, ylabel=name)
+    plane.set_title("Herpolhode: angular velocity in space, from the dot on")
+    plane.grid(visible=True, alpha=0.3)
+    if chosen.size > 1:
+        entries = [Line2D([], [], color=tints[k], lw=2.4) for k in chosen.tolist()]
+        names = [f"body {k}" for k in chosen]
+        figure.legend(entries, names, loc="outside lower center", ncols=len(names))
+    figure.suptitle(_title(run))
+    return figure
+
+
+def _title(run: Trajectory) -> str:
+    n = run.status.size
+    flagged = np.count_nonzero(run.status)
+    said = f", {flagged} flagged" if flagged else ""
+    return f"{run.method}, {'1 body' if n == 1 else f'{n} bodies'}{said}, step {run.dt:g} s"
+
+
+def _numbers(run: Trajectory) -> NDArray[np.bool_]:
+    """Which bodies are finite at every save, (N,)."""
+    found = [np.isfinite(x).all(axis=(0, 2)) for x in (run.state, *run.carried.values())]
+    return np.asarray(np.logical_and.reduce(found))
+
+
+def _finite(run: Trajectory, scene: Scene) -> tuple[Trajectory, Scene]:
+    """The bodies with inertia that are finite at every save."""
+    kept = _numbers(run)
+    if kept.all() or not kept.any():
+        return run, scene
+    carried = {name: x[:, kept] for name, x in run.carried.items()}
+    part: dict[str, Any] = {"state": run.state[:, kept], "defect": run.defect[:, kept]}
+    return replace(run, status=run.status[kept], carried=carried, **part), scene[kept]
+
+
+def _thinned(run: Trajectory) -> Trajectory:
+    """The same with fewer saves, the first and the last among them."""
+    kept = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), _SAVES)).astype(int))
+    carried = {name: x[kept] for name, x in run.carried.items()}
+    return replace(
+        run, t=run.t[kept], state=run.state[kept], defect=run.defect[kept], carried=carried
+    )
+
+
+def _legend(axes: Any) -> None:
+    """Above the panel, where it covers nothing."""
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "frameon": False}
+    axes.legend(ncols=6, fontsize=9, columnspacing=1.4, handlelength=2.6, **place)
+
+
+def _percentiles(axes: Any, t: NDArray[Any], values: NDArray[Any], name: str) -> None:
+    """Bands over the bodies whose values are numbers at every save."""
+    kept = values[:, np.isfinite(values).all(axis=0)]
+    if kept.size:
+        low, quarter, middle, three, high = np.percentile(kept, (5, 25, 50, 75, 95), axis=1)
+        axes.fill_between(t, low, high, color=COLOURS[0], alpha=0.2, lw=0, label="5 to 95 %")
+        axes.fill_between(t, quarter, three, color=COLOURS[0], alpha=0.4, lw=0, label="25 to 75 %")
+        axes.plot(t, middle, color=COLOURS[0], lw=1.8, label="median of the bodies")
+    axes.set_ylabel(name)
+
+
+def _lines(axes: Any, run: Trajectory, values: NDArray[Any], names: Sequence[str]) -> None:
+    for k, name in enumerate(names):
+        axes.plot(run.t, values[:, k], color=COLOURS[k], ls=_STYLES[k], lw=1.4, label=name)
+
+
+def _angles(axes: Any, run: Trajectory) -> None:
+    angles = (np.degrees(_of_one(run, run.euler313)) + 180.0) % 360.0 - 180.0
+    angles[1:][np.abs(np.diff(angles, axis=0)) > _JUMP] = np.nan
+    _lines(axes, run, angles, "φθψ")
+    axes.set(ylabel="3-1-3 angles, deg", ylim=(-190, 190), yticks=range(-180, 181, 90))
+    _legend(axes)
+
+
+def _axis(axes: Any, run: Trajectory) -> None:
+    _lines(axes, run, _of_one(run, run.C[..., 2]), ("X", "Y", "Z"))
+    axes.set(ylabel="third body axis along X, Y, Z", ylim=(-1.1, 1.1))
+    _legend(axes)
+
+
+def _rates(axes: Any, run: Trajectory) -> None:
+    w = _of_one(run, run.w)
+    _lines(axes, run, w, ("$w_x$", "$w_y$", "$w_z$"))
+    axes.plot(run.t, np.linalg.norm(w, axis=-1), color="k", lw=1.8, label="|w|")
+    axes.set_ylabel("w along body axes, rad/s")
+    _legend(axes)
+
+
+def _of_one(run: Trajectory, values: NDArray[Any]) -> NDArray[Any]:
+    """Values (S, 3) of the only body, which an ensemble of one has an axis for."""
+    return np.asarray(values).reshape(len(run.t), 3)
+
+
+def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
+    found: dict[str, Any] = {"from the group": np.abs(run.defect)}
+    if scene is not None and as_scene(scene).inertia is not None:
+        measured = drift(*_finite(run, scene))
+        found |= {"energy": measured.energy, "momentum": measured.momentum}
+    for k, (name, values) in enumerate(found.items()):
+        if values is None:
+            continue
+        each = values.reshape(len(run.t), -1)
+        each = each[:, np.isfinite(each).all(axis=0)]
+        curves: list[tuple[Any, ...]] = [(_STYLES[k], name, np.median)] if each.size else []
+        if each.shape[1] > 1:
+            curves.append((":", None, np.max))
+        for style, label, of in curves:
+            curve = of(each, axis=1)
+            # a logarithm has no zero
+            curve = np.where(curve > 0.0, curve, np.nan)
+            axes.plot(run.t, curve, color=COLOURS[k], ls=style, lw=1.5, label=label)
+    if run.status.size > 1:
+        axes.plot([], [], color="0.3", ls=":", lw=1.5, label="largest (others: median)")
+    axes.set(yscale="log", ylabel="relative drift")
+    if not any((line.get_ydata() > 0.0).any() for line in axes.lines):
+        axes.set_ylim(1e-17, 1e-15)
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center")
+    _legend(axes)
+
+
+def _square_to(v: NDArray[Any]) -> NDArray[np.float64]:
+    """Two unit vectors (3, 2) square to one and to each other."""
+    return np.linalg.svd(np.asarray(v, dtype=np.float64)[None])[2][1:].T

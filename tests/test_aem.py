@@ -1,0 +1,280 @@
+"""Attitude ephemeris messages, beside the standard's examples and definitions."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact import EPS, angle, conj, mul, precession, rotate
+
+import fastatt as fa
+from fastatt import interchange as ic
+from fastatt.interchange import epochs
+
+EPOCH = "2016-12-31T23:59:58.25"
+T = np.array([0.0, 0.1, 0.30000000000000004, 1.0 / 3.0, 2.5, 1e5 + 0.7])
+Q = precession(T, 0.3, 0.2, 0.5, 0.1)
+W = np.stack([0.3 * np.cos(0.5 * T + 0.1), 0.3 * np.sin(0.5 * T + 0.1), 0.2 + 0 * T], axis=1)
+NEW = {
+    "OBJECT_NAME": "SAT",
+    "OBJECT_ID": "2026-001A",
+    "REF_FRAME_A": "EME2000",
+    "REF_FRAME_B": "SC_BODY_1",
+    "TIME_SYSTEM": "UTC",
+}
+OLD = {**NEW, "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
+SWAPPED = {"REF_FRAME_A": "SC_BODY_1", "REF_FRAME_B": "EME2000"}
+RATE = {"ATTITUDE_TYPE": "QUATERNION/RATE", "RATE_FRAME": "REF_FRAME_B"}
+ANGVEL = {"ATTITUDE_TYPE": "QUATERNION/ANGVEL", "ANGVEL_FRAME": "SC_BODY_1"}
+PLAIN = {"ATTITUDE_TYPE": "QUATERNION"}
+DERIVATIVE = {"ATTITUDE_TYPE": "QUATERNION/DERIVATIVE"}
+
+
+def message(version, metadata, q=Q, w=W):
+    segment = ic.AemSegment(EPOCH, T, q, w, metadata, ("a comment", "another"))
+    header = {"CREATION_DATE": "2026-01-01T00:00:00", "ORIGINATOR": "TEST"}
+    return ic.Aem(version, header, (segment, replace(segment, comments=())), ("of the header",))
+
+
+def read(text, tmp_path):
+    path = tmp_path / "message.aem"
+    path.write_text(text, encoding="ascii")
+    return ic.read_aem(path)
+
+
+@pytest.mark.parametrize(
+    ("version", "metadata"),
+    [
+        ("2.0", NEW | PLAIN),
+        ("2.0", NEW | DERIVATIVE),
+        ("2.0", NEW | ANGVEL),
+        ("2.0", NEW | ANGVEL | {"ANGVEL_FRAME": "EME2000"}),
+        ("2.0", NEW | SWAPPED | ANGVEL),
+        ("2.0", NEW | SWAPPED | DERIVATIVE),
+        ("1.0", OLD | PLAIN),
+        ("1.0", OLD | PLAIN | {"QUATERNION_TYPE": "FIRST"}),
+        ("1.0", OLD | DERIVATIVE | {"ATTITUDE_DIR": "B2A", "QUATERNION_TYPE": "FIRST"}),
+        ("1.0", OLD | SWAPPED | DERIVATIVE | {"ATTITUDE_DIR": "B2A"}),
+        ("1.0", OLD | RATE),
+        ("1.0", OLD | RATE | {"RATE_FRAME": "REF_FRAME_A"}),
+    ],
+)
+def test_there_and_back(version, metadata, tmp_path):
+    """Times and attitudes to the bit; rates to the rounding of deg/s and of a product."""
+    sent = message(version, metadata)
+    got = read(sent.text(), tmp_path)
+    assert (got.version, got.header, got.comments) == (version, sent.header, sent.comments)
+    assert got.segments[0].comments == ("a comment", "another")
+    for segment in got.segments:
+        again = epochs.seconds_since(
+            EPOCH, epochs.tags(segment.epoch, segment.t, leaps=True), leaps=True
+        )
+        assert np.array_equal(again, T)
+        assert np.array_equal(segment.q, Q)
+        assert segment.metadata.items() >= metadata.items()
+        if metadata["ATTITUDE_TYPE"] == "QUATERNION":
+            assert segment.w is None
+        else:
+            assert np.abs(segment.w - W).max() <= 4 * EPS
+
+
+# what the numbers mean, from the standards' words
+
+
+def lines(version, metadata, w=W):
+    """The numbers of the first data line but one."""
+    text = message(version, metadata, w=w).text()
+    return np.array([float(x) for x in text.split("DATA_START\n")[1].splitlines()[1].split()[1:]])
+
+
+def test_b2_says_the_rotation_from_a_to_b():
+    """Annex F2.2: +90° about Z takes A's axes to B's; X of B is (0, 1, 0) along A."""
+    quarter = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    text = message("2.0", NEW | PLAIN, q=np.tile(ic.from_scalar_last(quarter), (T.size, 1))).text()
+    assert f"{EPOCH} 0.0 0.0 {float(quarter[2])} {float(quarter[3])}" in text
+    assert np.abs(rotate(ic.from_scalar_last(quarter), [1.0, 0.0, 0.0]) - [0, 1, 0]).max() <= EPS
+
+
+def test_orders_and_directions():
+    q, qdot = Q[1], 0.5 * mul(Q[1], [0.0, *W[1]])
+    last, back = np.roll(q, -1), np.roll(conj(q), -1)
+    assert np.array_equal(lines("2.0", NEW | PLAIN), last)
+    assert np.array_equal(lines("1.0", OLD | PLAIN), last)
+    assert np.array_equal(lines("1.0", OLD | PLAIN | {"QUATERNION_TYPE": "FIRST"}), q)
+    assert np.array_equal(lines("1.0", OLD | PLAIN | {"ATTITUDE_DIR": "B2A"}), back)
+    assert np.array_equal(lines("2.0", NEW | SWAPPED | PLAIN), back)
+    found = lines("2.0", NEW | DERIVATIVE)
+    assert np.abs(found - np.concatenate([last, np.roll(qdot, -1)])).max() <= EPS
+    # B relative to A in deg/s, along either
+    inertial = rotate(q, W[1])
+    for metadata, wanted in (
+        (ANGVEL, W[1]),
+        (ANGVEL | {"ANGVEL_FRAME": "REF_FRAME_A"}, inertial),
+        (SWAPPED | ANGVEL, -W[1]),
+        (SWAPPED | ANGVEL | {"ANGVEL_FRAME": "EME2000"}, -inertial),
+    ):
+        assert np.abs(np.radians(lines("2.0", NEW | metadata)[4:]) - wanted).max() <= 4 * EPS
+    assert np.abs(np.radians(lines("1.0", OLD | RATE)[4:]) - W[1]).max() <= EPS
+
+
+EXAMPLE = """\
+CCSDS_AEM_VERS = 2.0
+CREATION_DATE = 2002-11-04T17:22:31
+ORIGINATOR    = NASA/JPL
+MESSAGE_ID    = A701523
+
+META_START
+COMMENT This file was produced by M.R. Somebody, MSOO NAV/JPL.
+OBJECT_NAME       = MARS_GLOBAL_SURVEYOR
+OBJECT_ID         = 1996-062A
+CENTER_NAME       = MARS BARYCENTER
+REF_FRAME_A         = EME2000
+REF_FRAME_B         = SC_BODY_1
+TIME_SYSTEM       = UTC
+START_TIME        = 1996-11-28T21:29:07.2555
+USEABLE_START_TIME = 1996-11-28T22:08:02.5555
+USEABLE_STOP_TIME  = 1996-11-30T01:18:02.5555
+STOP_TIME         = 1996-11-30T01:28:02.5555
+ATTITUDE_TYPE     = QUATERNION
+INTERPOLATION_METHOD = HERMITE
+INTERPOLATION_DEGREE = 7
+META_STOP
+
+DATA_START
+1996-11-28T21:29:07.2555 0.56748 0.03146 0.45689 0.68427
+1996-11-28T22:08:03.5555 0.42319 -0.45697 0.23784 0.74533
+COMMENT between
+1996-333T22:08:04.5555Z -0.84532 0.26974 -0.06532 0.45652
+DATA_STOP
+"""
+
+
+def test_the_standards_example(tmp_path):
+    """Figure G-4 of 504.0-B-2, with a comment and a day of the year among its lines."""
+    aem = read(EXAMPLE, tmp_path)
+    (segment,) = aem.segments
+    assert aem.header["MESSAGE_ID"] == "A701523"
+    assert segment.metadata["CENTER_NAME"] == "MARS BARYCENTER"
+    assert segment.comments[1:] == ("between",)
+    assert np.array_equal(segment.t, [0.0, 2336.3, 2337.3])
+    assert np.array_equal(segment.q[1], [0.74533, 0.42319, -0.45697, 0.23784])
+    assert "USEABLE_STOP_TIME = 1996-11-30T01:18:02.5555" in aem.text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("= 2.0", "= 3.0", "line 1: found CCSDS_AEM_VERS = 3.0; accepted"),
+        ("= 2.0", "= 1.0", "QUATERNION_TYPE is missing; accepted: FIRST, LAST"),
+        ("OBJECT_ID         = 1996-062A\n", "", "metadata without OBJECT_ID"),
+        ("= QUATERNION\n", "= EULER_ANGLE\n", "ATTITUDE_TYPE = EULER_ANGLE; accepted: QUATERNION"),
+        ("= QUATERNION\n", "= QUATERNION/ANGVEL\n", "ANGVEL_FRAME is missing; accepted: REF_FRAME"),
+        (" 0.74533\n", "\n", "line 25: found .* a time and 4 numbers, QUATERNION"),
+        ("0.74533", "nan", "line 25: .* a time and 4 numbers"),
+        ("0.74533", "0.84533", "quaternion at 1996-11-28T22:08:03.5555 has length 1.0"),
+        ("T22:08:03", "T20:08:03", "time 1996-11-28T20:08:03.5555 does not rise"),
+        ("T22:08:03", "T25:08:03", "line .*: time: found 1996-11-28T25:08:03.5555; accepted"),
+        ("DATA_STOP\n", "", "line 27: the message ends before a block does"),
+        ("META_STOP\n\nDATA_START", "META_STOP\n", "accepted: DATA_START"),
+        ("CENTER_NAME  ", "OBJECT_ID", "line 10: OBJECT_ID is there twice"),
+        ("ORIGINATOR    = NASA/JPL", "ORIGINATOR", "line 3: found ORIGINATOR; accepted: KEYWORD"),
+    ],
+)
+def test_what_is_not_right_is_refused_with_its_line(old, new, message, tmp_path):
+    assert old in EXAMPLE
+    with pytest.raises(ValueError, match=message):
+        read(EXAMPLE.replace(old, new), tmp_path)
+
+
+def test_rates_that_can_be_read_in_two_ways_are_refused(tmp_path):
+    text = message("1.0", OLD | RATE).text()
+    for change in ("ATTITUDE_DIR = B2A", "ATTITUDE_DIR = A2B\nEULER_ROT_SEQ = 312"):
+        with pytest.raises(ValueError, match="can be read in two ways; accepted: A2B without it"):
+            read(text.replace("ATTITUDE_DIR = A2B", change), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"t": T[::-1]}, r"segments\[0\].t: does not rise"),
+        ({"w": None}, r"segments\[0\].w: is missing; QUATERNION/ANGVEL needs"),
+        ({"q": Q * np.nan}, r"segments\[0\].q\[0, 0\] is nan"),
+        ({"epoch": "yesterday"}, "time: found yesterday; accepted: YYYY-MM-DD"),
+        ({"metadata": NEW | ANGVEL | {"COLOUR": "RED"}}, "metadata: found COLOUR; accepted: OBJ"),
+        ({"metadata": NEW}, "without ATTITUDE_TYPE"),
+    ],
+)
+def test_no_wrong_message_is_written(change, message):
+    segment = ic.AemSegment(EPOCH, T, Q, W, NEW | ANGVEL)
+    with pytest.raises(ValueError, match=message):
+        ic.Aem("2.0", {}, (replace(segment, **change),)).text()
+
+
+# time
+
+
+def test_leap_seconds_of_utc_count():
+    tags = ["2016-12-31T23:59:59", "2016-12-31T23:59:60.5", "2017-01-01T00:00:00.25"]
+    utc, tai = (
+        epochs.seconds_since(tags[0], tags[::k], leaps=leaps)
+        for k, leaps in ((1, True), (2, False))
+    )
+    assert np.array_equal(utc, [0.0, 1.5, 2.25])
+    assert np.array_equal(tai, [0.0, 1.25])
+    assert epochs.tags(tags[0], utc, leaps=True) == tags
+    for wrong in ("2016-12-30T23:59:60", "2015-13-01T00:00:00", "2015-366T00:00:00"):
+        with pytest.raises(ValueError, match=f"time: found {wrong}"):
+            epochs.seconds_since(tags[0], [wrong], leaps=True)
+    # 37 − 10 s since 1972
+    assert epochs.seconds_since("1972-01-01T00:00:00", ["2017-001T00:00:00"], leaps=True) == [
+        16437 * 86400.0 + 27.0
+    ]
+
+
+def test_times_come_back_to_the_bit():
+    rng = np.random.default_rng(5)
+    t = np.concatenate([rng.normal(0.0, 10.0 ** rng.uniform(-9, 9, 200)), [1e-20, -0.1, 5e9]])
+    tags = epochs.tags("2020-02-29T12:00:00.1", t, leaps=True)
+    assert np.array_equal(epochs.seconds_since("2020-02-29T12:00:00.1", tags, leaps=True), t)
+    with pytest.raises(ValueError, match="passes the years 1 to 9999"):
+        epochs.tags("2020-02-29T12:00:00.1", np.array([1e18]), leaps=False)
+
+
+# of a run
+
+
+def test_a_run_as_a_message(tmp_path):
+    body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    run = fa.propagate(
+        body,
+        q0,
+        [[0.1, 0.3, -0.2], [0.0, 1e-9, 0.2]],
+        dt=0.5,
+        n_steps=4,
+        save_every=1,
+        method="exact",
+    )
+    path = tmp_path / "run.aem"
+    run.to_aem(
+        path, epoch="2026-01-01T00:00:00", frame="ICRF", body=1, metadata={"TIME_SYSTEM": "TAI"}
+    )
+    (segment,) = ic.read_aem(path).segments
+    assert np.array_equal(segment.q, run.q[:, 1])
+    assert np.array_equal(segment.t, run.t)
+    assert np.abs(segment.w - run.w[:, 1]).max() <= EPS
+    assert segment.metadata["ANGVEL_FRAME"] == segment.metadata["REF_FRAME_B"] == "SC_BODY_1"
+    # numbers as the standard writes them: a point in every mantissa
+    assert re.search(r"\d\.\d+e-\d+", path.read_text())
+    assert not re.search(r" -?\d+(e| |$)", path.read_text().split("DATA_START")[1])
+    old = ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", version="1.0")
+    assert angle(read(old.text(), tmp_path).segments[0].q, run.q[:, 0]).max() == 0.0
+    for options, message in (
+        ({"body": 2}, "body: found 2; accepted: 0 to 1"),
+        ({"version": "3.0"}, "version: found '3.0'; accepted: 1.0, 2.0"),
+        ({"attitude_type": "SPIN"}, "attitude_type: found 'SPIN'; accepted: QUATERNION, QUAT"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", **options)

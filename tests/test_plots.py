@@ -1,0 +1,179 @@
+"""Pictures of runs: what they show, and what they say that they show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from PIL import Image
+
+import fastatt as fa
+from fastatt.plots import animated, runs
+from fastatt.plots.drawing import COLOURS
+
+BODY = fa.Scene(inertia=(3.0, 2.0, 1.0))
+RATE = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 1.0)))
+
+
+def run_of(bodies=1, n_steps=40, **options):
+    rng = np.random.default_rng(3)
+    w0 = rng.normal(size=(bodies, 3))
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (bodies, 1))
+    if bodies == 1:
+        q0, w0 = q0[0], [0.1, 1.0, 0.0]
+    given = {"dt": 0.1, "n_steps": n_steps, "save_every": 1, "method": "rk4"} | options
+    return fa.propagate(BODY, q0, w0, **given)
+
+
+def curves(axes):
+    return {line.get_label(): line for line in axes.lines}
+
+
+def labels(figure):
+    return [axes.get_ylabel() for axes in figure.axes]
+
+
+def test_one_body():
+    run = run_of()
+    figure = runs._history(run, BODY, "angles")
+    turned, rates, drifts = figure.axes
+    assert labels(figure) == ["3-1-3 angles, deg", "w along body axes, rad/s", "relative drift"]
+    assert drifts.get_xlabel() == "time, s"
+    theta = curves(turned)["θ"]
+    assert np.array_equal(theta.get_xdata(), run.t)
+    assert np.allclose(theta.get_ydata(), np.degrees(run.euler313[:, 1]))
+    assert np.array_equal(curves(rates)["$w_y$"].get_ydata(), run.w[:, 1])
+    assert np.array_equal(curves(rates)["|w|"].get_ydata(), np.linalg.norm(run.w, axis=1))
+    energy = curves(drifts)["energy"].get_ydata()
+    assert np.array_equal(energy[1:], fa.drift(run, BODY).energy[1:])
+    axis = runs._history(run, None, "axis").axes
+    assert np.array_equal(curves(axis[0])["Z"].get_ydata(), run.C[:, 2, 2])
+    assert set(curves(axis[2])) == {"from the group"}
+
+
+def test_angles_break_where_they_wrap():
+    """A spin about the third axis: φ + ψ passes 180° and goes on from −180°."""
+    run = fa.propagate(RATE, [1, 0, 0, 0], dt=0.1, n_steps=100, save_every=1)
+    lines = runs._history(run, None, "angles").axes[0].lines
+    values = np.stack([line.get_ydata() for line in lines])
+    with np.errstate(invalid="ignore"):
+        assert np.nanmax(np.abs(np.diff(values))) <= 120.0
+    assert np.isnan(values).any()
+    assert np.nanmax(np.abs(values)) <= 180.0
+
+
+def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
+    run = run_of(9)
+    figure = runs._history(run, BODY, "angles")
+    assert labels(figure) == ["angle from the first save, deg", "|w|, rad/s", "relative drift"]
+    middle = curves(figure.axes[1])["median of the bodies"].get_ydata()
+    assert np.allclose(middle, np.median(np.linalg.norm(run.w, axis=-1), axis=1), rtol=1e-15)
+    assert "9 bodies" in figure.get_suptitle()
+    w0 = run.w[0].copy()
+    w0[4] = np.nan
+    run = fa.propagate(
+        BODY, run.q[0], w0, dt=0.1, n_steps=40, save_every=1, method="rk4", invalid="flag"
+    )
+    figure = runs._history(run, BODY, "angles")
+    assert "1 flagged" in figure.get_suptitle()
+    assert np.isfinite(curves(figure.axes[2])["momentum"].get_ydata()[1:]).all()
+    assert len(runs._polhode(run, BODY, None).axes[1].lines) == 2 * 4
+    assert np.isfinite(curves(figure.axes[1])["median of the bodies"].get_ydata()).all()
+
+
+def test_of_long_histories_of_many_some_saves_are_drawn(monkeypatch):
+    monkeypatch.setattr(runs, "_SAVES", 11)
+    run = run_of(3)
+    t = curves(runs._history(run, None, "angles").axes[1])["median of the bodies"].get_xdata()
+    assert t.size == 11
+    assert (t[0], t[-1]) == (run.t[0], run.t[-1])
+
+
+def test_polhode_is_poinsots():
+    """The momentum keeps its size and its energy; the herpolhode stays between two circles."""
+    run = run_of()
+    ball, plane = runs._polhode(run, BODY, None).axes
+    m = np.stack([line.get_data_3d() for line in ball.lines[:2]])
+    m = np.where(np.isfinite(m[0]), m[0], m[1]).T
+    assert np.abs(np.linalg.norm(m, axis=1) - 1.0).max() < 1e-12
+    energy = (m**2 / np.array([3.0, 2.0, 1.0])).sum(axis=1)
+    assert np.ptp(energy) < 1e-5  # rk4's own drift
+    across = np.stack(plane.lines[0].get_data(), axis=1)
+    held = fa.rotate(run.q[0], np.array([3.0, 2.0, 1.0]) * run.w[0])
+    along = fa.rotate(run.q, run.w) @ held / np.linalg.norm(held)
+    size = np.hypot(np.linalg.norm(across, axis=1), along)
+    assert np.abs(size - np.linalg.norm(run.w, axis=1)).max() < 1e-12
+    assert "rad/s" in plane.get_xlabel()
+    assert "rad/s" in plane.get_ylabel()
+
+
+def test_polhodes_of_some_bodies():
+    run = run_of(9)
+    figure = runs._polhode(run, BODY, [2, 5])
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["body 2", "body 5"]
+
+
+def test_colours_are_apart_in_grey():
+    """Lines that are told apart by colour have a style besides, or shades of their own."""
+    figure = runs._history(run_of(), BODY, "angles")
+    for axes in figure.axes:
+        seen = {(to_hex(line.get_color()), line.get_linestyle()) for line in axes.lines}
+        assert len({style for _, style in seen}) >= min(3, len(axes.lines))
+        assert all(colour.upper() in {*COLOURS, "#000000"} for colour, _ in seen)
+
+
+def test_files(tmp_path):
+    run = run_of(n_steps=8)
+    run.plot(tmp_path / "run.png", BODY)
+    fa.plots.animation(run, tmp_path / "run.gif", seconds=0.15, fps=20)
+    with Image.open(tmp_path / "run.png") as picture:
+        assert picture.size == (990, 902)
+    with Image.open(tmp_path / "run.gif") as film:
+        assert film.n_frames == 3
+        assert film.info["duration"] == 50
+        pictures = []
+        for k in (0, 2):
+            film.seek(k)
+            pictures.append(np.asarray(film.convert("RGB"), dtype=int))
+    assert np.abs(pictures[0] - pictures[1]).max() > 100
+
+
+def test_the_film_turns_the_box(monkeypatch):
+    stage = animated._Stage(Figure())
+    seen = []
+    monkeypatch.setattr(stage.faces, "set_verts", seen.append)
+    C = fa.quat_to_dcm([0.5, 0.5, -0.5, 0.5])
+    stage.show(C, "t")
+    centres = np.mean(seen[0], axis=1)  # of the faces, two an axis, the negative one first
+    assert np.abs(centres[1::2] - (C * [0.75, 0.5, 0.2]).T).max() <= 1e-15
+    assert np.abs(centres[::2] + centres[1::2]).max() <= 1e-15
+    for k, arm in enumerate(stage.arms):
+        assert np.allclose(np.transpose(arm.get_data_3d())[1], 1.15 * C[:, k])
+
+
+@pytest.mark.parametrize(
+    ("draw", "given", "message"),
+    [
+        ("history", {"saves": None}, "run: has 1 save; accepted: two or more"),
+        ("history", {"attitude": "pole"}, "attitude: found 'pole'; accepted: angles, axis"),
+        ("polhode", {"scene": RATE}, "scene: found a rate; accepted: a scene with inertia"),
+        ("polhode", {"scene": BODY, "bodies": [1]}, r"bodies: found \[1\]; accepted: 1 to 8 of 0"),
+        ("animation", {"body": 1}, "body: found 1; accepted: 0 to 0"),
+        ("animation", {"path": "x.txt"}, "path: found x.txt; accepted here: .gif"),
+        ("animation", {"seconds": 0.0}, "seconds: found 0.0; accepted: above 0"),
+    ],
+)
+def test_refusals(draw, given, message, tmp_path):
+    run = run_of(save_every=given.get("saves", 1), n_steps=2)
+    options = {"path": "x.gif"} | {name: x for name, x in given.items() if name != "saves"}
+    options["path"] = tmp_path / options["path"]
+    with pytest.raises(ValueError, match=message):
+        getattr(fa.plots, draw)(run, **options)
+
+
+def test_what_is_no_run_is_refused(tmp_path):
+    for draw in (fa.plots.history, fa.plots.animation):
+        with pytest.raises(TypeError, match=r"run: found .run\.csv.; accepted: a Trajectory"):
+            draw("run.csv", tmp_path / "x.gif")
