@@ -30,6 +30,7 @@ _HELD_BY = {
     "estimation.filters": "mean_attitude",
     "integrate": "integrate_rates",
     "interchange": "from_scipy to_scipy",
+    "logs": "Log LogError LogWarning read_log",
     "methods": "METHODS Method",
     "methods.explicit": "explicit",
     "methods.lie": "lie",
@@ -56,14 +57,15 @@ _MODULES = ("estimation", "exact", "forces", "interchange", "kernels", "rates", 
 _FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in names.split()}
 
 __all__ = [
-    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Method", "OrderWarning",
-    "Plan", "Recommendation", "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory",
+    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Log", "LogError",
+    "LogWarning", "Method", "OrderWarning", "Plan", "Recommendation", "Scene", "SelfCheck",
+    "Status", "StepWarning", "Trajectory",
     "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat",
     "drift", "error_budget", "estimation", "euler313_to_quat", "exact", "explicit", "forces",
     "from_scipy", "integrate_rates", "integrator", "interchange", "kernels", "kinetic_energy",
     "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "plan", "potential_energy",
     "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm", "quat_to_euler313",
-    "quat_to_rotation_vector", "rates", "recommend", "rotate", "rotate_inverse",
+    "quat_to_rotation_vector", "rates", "read_log", "recommend", "rotate", "rotate_inverse",
     "rotation_vector_to_quat", "self_check", "show_loop", "single_step", "steps", "to_scipy",
     "torques", "watch_drift", "work_precision",
 ]  # fmt: skip
@@ -87,6 +89,7 @@ if TYPE_CHECKING:
     from fastatt.estimation.filters import mean_attitude
     from fastatt.integrate import integrate_rates
     from fastatt.interchange import from_scipy, to_scipy
+    from fastatt.logs import Log, LogError, LogWarning, read_log
     from fastatt.methods import METHODS, Method
     from fastatt.methods.explicit import explicit
     from fastatt.methods.lie import lie
