@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import sys
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -98,7 +99,8 @@ def test_at_a_rate_a_row_left_out_leaves_a_hole():
     content = "0,1,2,3\n0,nan,2,3\n0,1,2,3\n"
     dropped = fa.read_log(text(content), rate=4.0, bad="drop")
     assert (dropped.t.tolist(), dropped.dt.tolist()) == ([0.0, 0.5], [0.5])
-    held = fa.read_log(text(content), rate=4.0, bad="hold")
+    assert fa.read_log(text(content[:20]), rate=4.0, bad="drop").dt == 0.25
+    held = fa.read_log(text(content), rate=4.0, bad="hold", max_gap=Decimal(1))
     assert (held.t.tolist(), held.dt) == ([0.0, 0.25, 0.5], 0.25)
 
 

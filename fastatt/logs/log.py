@@ -140,7 +140,7 @@ def in_one(reader: Reader, chunks: list[Chunk]) -> Log:
     return Log(
         path=Path(reader.layout.name),
         rates=np.ascontiguousarray(values[:, :3]),
-        dt=reader.dt(t),
+        dt=1.0 / reader.rate if reader.rate and len(t) == 1 else reader.dt(t),
         t=t,
         columns=reader.names,
         unit=reader.unit_said,

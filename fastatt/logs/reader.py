@@ -56,8 +56,12 @@ class Options:
             if not (rate > 0.0 and math.isfinite(1.0 / rate)):
                 raise LogError(f"rate: found {rate}; accepted: a sample rate above 0, Hz")
         for name, value in (("max_gap", self.max_gap), ("bias_seconds", self.bias_seconds)):
-            if value is not None and not checks.any_real(name, value, "a number above 0") > 0.0:
-                raise LogError(f"{name}: found {value}; accepted: a number above 0, s")
+            if value is None:
+                continue
+            number = checks.any_real(name, value, "a number above 0")
+            if not number > 0.0:
+                raise LogError(f"{name}: found {number}; accepted: a number above 0, s")
+            object.__setattr__(self, name, number)
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from fuzz.logs import Log, hostile_log, read_wrong, written
 
 READER = (
     "source", "time stamp", "columns", "unit", "rate", "time_column", "attitude_columns",
-    "time column", "attitude columns", "log.csv",
+    "time_unit", "bad", "max_gap", "bias_seconds", "time column", "attitude columns", "log.csv",
 )  # fmt: skip
 
 
@@ -32,6 +32,10 @@ def read(d: Draw, folder: Path) -> Call:
         for name, value in (
             ("rate", lambda: d.real(50.0)),
             ("unit", lambda: d.word("rad/s", "deg/s")),
+            ("time_unit", lambda: d.word("s", "ms", "us", "ns")),
+            ("bad", lambda: d.word("drop", "split", "hold")),
+            ("max_gap", lambda: d.real(1.0)),
+            ("bias_seconds", lambda: d.real(1.0)),
             ("columns", lambda: _chosen(d, 3)),
             ("time_column", lambda: d.one(("1", "t", 1, 0, "", None, *ODD[:30]))),
             ("attitude_columns", lambda: _chosen(d, 4)),
