@@ -286,6 +286,7 @@ def test_run_leaves_its_files(tmp_path, capsys, coning, monkeypatch):
     logs, methods = trade.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
     with warnings.catch_warnings():
         warnings.simplefilter("error", StepWarning)
+        warnings.simplefilter("ignore", fa.LogWarning)  # the recording names no unit
         trade.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
     names = {"recordings.csv", "recordings.png", "trade.csv", "trade.png"}
     assert {p.name for p in tmp_path.iterdir()} == names
