@@ -17,11 +17,11 @@ from fastatt.checks import attitudes, real, whole
 from fastatt.flat import store
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.logs.attitudes import integrate_chunks, writing
+from fastatt.logs.command import add_options
 from fastatt.logs.log import in_one
-from fastatt.logs.names import TIME_UNITS, UNITS
 from fastatt.logs.reader import Options, reading
 from fastatt.logs.reference import against_reference, read_attitudes
-from fastatt.logs.stamps import BAD, Chunk
+from fastatt.logs.stamps import Chunk
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade import (
@@ -88,7 +88,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     methods.set_defaults(run=_methods)
 
-    _add_integrate(commands)
+    integrate = commands.add_parser(
+        "integrate",
+        help="gyro log to attitudes",
+        description="Read a gyro log, integrate it, write the attitudes (body to inertial, scalar "
+        "first), a chunk at a time; with --compare, say how far the methods differ on it.",
+    )
+    add_options(integrate, _names, _floats)
+    integrate.set_defaults(run=_integrate)
+
     trade = commands.add_parser(
         "trade",
         help="every method's speed against its error",
@@ -143,64 +151,6 @@ def _parser() -> argparse.ArgumentParser:
     advice.set_defaults(run=_recommend)
     _add_cache(commands)
     return parser
-
-
-def _add_integrate(commands: Any) -> None:
-    """The command for logs."""
-    integrate = commands.add_parser(
-        "integrate",
-        help="gyro log to attitudes",
-        description="Read a gyro log, integrate it, write the attitudes (body to inertial, scalar "
-        "first), a chunk at a time; with --compare, say how far the methods differ on it.",
-    )
-    integrate.add_argument(
-        "log", help="text table with three rate columns, gzipped or not; - is standard input"
-    )
-    integrate.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        help="attitudes as .csv, .npy or .zarr (default: LOG.attitudes.csv)",
-    )
-    integrate.add_argument(
-        "-m", "--method", default="previous", help="a method for sampled rates (default: previous)"
-    )
-    integrate.add_argument(
-        "-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z"
-    )
-    integrate.add_argument("-u", "--unit", choices=UNITS, help="unit of the rates")
-    integrate.add_argument("--time-unit", choices=TIME_UNITS, help="unit of the time stamps")
-    timing = integrate.add_mutually_exclusive_group()
-    timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
-    timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
-    integrate.add_argument(
-        "--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3"
-    )
-    integrate.add_argument(
-        "--bad",
-        choices=BAD,
-        default="refuse",
-        help="what becomes of rows that are no numbers, stamps that do not grow, and gaps: refuse "
-        "(default), drop (intervals go across), split (each piece begins at q0), hold (the last "
-        "rates stay)",
-    )
-    integrate.add_argument("--max-gap", type=float, help="longest interval that is no gap, s")
-    integrate.add_argument(
-        "--bias-seconds", type=float, help="take off the mean rate of so many s from the start"
-    )
-    integrate.add_argument(
-        "--reference",
-        type=Path,
-        help="table of a reference's attitudes: clocks and frames aligned, the angle is said",
-    )
-    integrate.add_argument(
-        "--compare",
-        action=argparse.BooleanOptionalAction,
-        default=False,
-        help="besides, how far the other methods differ, and where the error comes from",
-    )
-    integrate.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
-    integrate.set_defaults(run=_integrate)
 
 
 def _add_cache(commands: Any) -> None:
