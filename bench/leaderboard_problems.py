@@ -14,7 +14,6 @@ import equations
 import numpy as np
 
 import fastatt as fa
-from fastatt import gyrolog
 from fastatt.trade import coning_attitudes, coning_rates, find_recordings
 
 N_BODIES, N_EXACT = 1024, 8
@@ -257,7 +256,7 @@ def gyro_log(quick: bool) -> Log:
     from scipy.interpolate import CubicSpline
 
     path = next(p for p in find_recordings() if p.name == RECORDING)
-    log = gyrolog.read_log(path)
+    log = fa.read_log(path, unit="rad/s")
     n = 201 if quick else (len(log.rates) - 1) // 2 * 2 + 1
     rates, h = log.rates[:n], float(np.mean(log.dt))
     t = h * np.arange(n)

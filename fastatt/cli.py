@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import warnings
 from collections.abc import Sequence
@@ -11,10 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from fastatt import __version__, gyrolog, listing, warming
+from fastatt import __version__, listing, warming
 from fastatt.checks import attitudes, real, whole
 from fastatt.flat import store
 from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.logs.attitudes import integrate_chunks, writing
+from fastatt.logs.command import add_options
+from fastatt.logs.log import in_one
+from fastatt.logs.reader import Options, reading
+from fastatt.logs.reference import against_reference, read_attitudes
+from fastatt.logs.stamps import Chunk
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade import (
@@ -85,36 +92,9 @@ def _parser() -> argparse.ArgumentParser:
         "integrate",
         help="gyro log to attitudes",
         description="Read a gyro log, integrate it, write the attitudes (body to inertial, scalar "
-        "first); with --compare, say how far the methods differ on it.",
+        "first), a chunk at a time; with --compare, say how far the methods differ on it.",
     )
-    integrate.add_argument("log", type=Path, help="text table with three rate columns")
-    integrate.add_argument(
-        "-o", "--out", type=Path, help="attitudes as .csv or .npy (default: LOG.attitudes.csv)"
-    )
-    integrate.add_argument(
-        "-m", "--method", default="previous", help="a method for sampled rates (default: previous)"
-    )
-    integrate.add_argument(
-        "-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z"
-    )
-    integrate.add_argument("-u", "--unit", choices=("rad/s", "deg/s"), help="unit of the rates")
-    integrate.add_argument(
-        "--time-unit", choices=("s", "ms", "us", "ns"), help="unit of the time stamps"
-    )
-    timing = integrate.add_mutually_exclusive_group()
-    timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
-    timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
-    integrate.add_argument(
-        "--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3"
-    )
-    integrate.add_argument("--max-gap", type=float, help="longest interval allowed, s")
-    integrate.add_argument(
-        "--compare",
-        action=argparse.BooleanOptionalAction,
-        default=False,
-        help="besides, how far the other methods differ, and where the error comes from",
-    )
-    integrate.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
+    add_options(integrate, _names, _floats)
     integrate.set_defaults(run=_integrate)
 
     trade = commands.add_parser(
@@ -290,37 +270,47 @@ def _integrate(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"--method: found {arguments.method!r}; accepted: {', '.join(methods_for_samples())}"
         )
-    size = arguments.log.stat().st_size
-    if not arguments.log.is_file():
+    if Path(arguments.log).is_dir():
         raise ValueError(f"LOG: found the directory {arguments.log}; accepted: a file")
-    out = arguments.out or arguments.log.with_suffix(".attitudes.csv")
-    if out.suffix not in (".csv", ".npy"):
-        raise ValueError(f"--out: found the ending {out.suffix!r}; accepted: .csv and .npy")
-    bar = _bar_wanted(arguments.quiet)
-    with progress_bar(bar, size, "B") as done:
-        log = gyrolog.read_log(
-            arguments.log,
-            columns=arguments.columns,
-            unit=arguments.unit,
-            rate=arguments.rate,
-            time_column=arguments.time_column,
-            time_unit=arguments.time_unit,
-            progress=done,
+    piped = arguments.log == "-"
+    name = "log" if piped else arguments.log.removesuffix(".gz")
+    out = arguments.out or Path(name).with_suffix(".attitudes.csv")
+    size = 0 if piped else Path(arguments.log).stat().st_size
+    options = Options(
+        columns=arguments.columns,
+        unit=arguments.unit,
+        rate=arguments.rate,
+        time_column=arguments.time_column,
+        time_unit=arguments.time_unit,
+        bad=arguments.bad,
+        max_gap=arguments.max_gap,
+        bias_seconds=arguments.bias_seconds,
+        beside=("quat",) if arguments.compare else (),
+    )
+    reference = arguments.reference and read_attitudes(arguments.reference)
+    kept: list[Chunk] | None = [] if arguments.compare or reference else None
+    with (
+        progress_bar(_bar_wanted(arguments.quiet), size, "B") as done,
+        reading(arguments.log, options, done) as reader,
+        writing(out, pieces=arguments.bad == "split") as write,
+    ):
+        integrate_chunks(reader, q0, arguments.method, write, kept)
+    print(reader.summary())
+    n, method = reader.samples, arguments.method
+    print(f"{out}: {n} attitudes by {method}, body to inertial, scalar first")
+    if kept is None or n == 1:
+        return 0
+    log = in_one(reader, kept)
+    if len(log.pieces) > 1:
+        raise ValueError(
+            f"--bad: found {len(log.pieces)} pieces; accepted with --compare and --reference: one"
         )
-    n = len(log.rates)
-    print(
-        f"{log.path}: {n} samples at {log.rate:.6g} Hz ({log.timing}), {', '.join(log.columns)} "
-        f"in {log.unit}"
-    )
-    q = integrate_rates(
-        log.rates, log.dt, q0, method=arguments.method, progress=bar, max_gap=arguments.max_gap
-    )
-    with progress_bar(bar and out.suffix == ".csv", n, "row") as done:
-        gyrolog.write_attitudes(out, log.t, q, done)
-    print(f"{out}: {n} attitudes by {arguments.method}, body to inertial, scalar first")
-    if arguments.compare and n > 1:
+    if reference:
+        q = integrate_rates(log.rates, log.dt, q0, method=method, max_gap=math.inf)
+        print(against_reference(log.t, q, reference, log.start))
+    if arguments.compare:
         print("comparing with the other methods ...", flush=True)
-        print(compare_on_log(log, arguments.method, arguments.max_gap))
+        print(compare_on_log(log, method, math.inf))
     return 0
 
 

@@ -34,3 +34,12 @@ def _collect_garbage():
     if gc.get_count()[0] > _MANY:
         gc.collect()
         gc.freeze()
+
+
+@pytest.fixture(params=["pyarrow", "numpy"])
+def reader(request, monkeypatch):
+    """Both ways to read numbers."""
+    if request.param == "numpy":
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+    else:
+        pytest.importorskip("pyarrow")

@@ -46,14 +46,19 @@ def test_integrate(log, tmp_path, capsys, suffix):
 
 
 def test_time_stamps_in_another_unit(tmp_path, capsys):
-    """Nanoseconds without a unit are refused with the option that reads them."""
+    """A unit that is not said is told, or refused with the option that says it."""
     path = tmp_path / "log.csv"
     rows = "\n".join(f"{5_000_000 * i},0.1,0.2,0.3" for i in range(9))
     path.write_text(f"time,gyro_x,gyro_y,gyro_z\n{rows}\n", encoding="utf-8")
+    assert main(["integrate", str(path)]) == 0
+    found = capsys.readouterr()
+    assert "time has no unit: taken as ns (200 Hz)" in found.err
+    assert "9 samples at 200 Hz" in found.out
+    path.write_text("time,gyro_x,gyro_y,gyro_z\n0,1,2,3\n1,1,2,3\n2,1,2,3\n", encoding="utf-8")
     assert main(["integrate", str(path)]) == 2
-    assert "time_unit (" in capsys.readouterr().err
-    assert main(["integrate", str(path), "--time-unit", "ns"]) == 0
-    assert "9 samples at 200 Hz" in capsys.readouterr().out
+    assert "time_unit (1 Hz in s or 1000 Hz in ms" in capsys.readouterr().err
+    assert main(["integrate", str(path), "--time-unit", "ms"]) == 0
+    assert "3 samples at 1000 Hz" in capsys.readouterr().out
 
 
 def test_integrate_compares_methods(log, capsys, monkeypatch):

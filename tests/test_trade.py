@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt import gyrolog, trade
+from fastatt import trade
 from fastatt.cli import main
 from fastatt.integrate import methods_for_samples
 from fastatt.running.ensemble import Ensemble
@@ -208,7 +208,7 @@ def test_exact_attitudes_obey_the_rates():
 def test_recordings_are_found_and_agree_with_their_maker():
     paths = trade.find_recordings()
     assert len(paths) == len(trade.RECORDINGS)
-    log = gyrolog.read_log(paths[0])
+    log = fa.read_log(paths[0], unit="rad/s")
     assert (len(log.rates), log.rate) == (953, 50.0)
     names = ("hold", "previous", "coning3")
     rows = {r.method: r for r in trade.log_rows(log, repeats=1, methods=names)}
@@ -219,7 +219,7 @@ def test_recordings_are_found_and_agree_with_their_maker():
 
 
 def test_a_log_is_compared_with_every_method(monkeypatch):
-    log = gyrolog.read_log(trade.find_recordings()[0])
+    log = fa.read_log(trade.find_recordings()[0], unit="rad/s")
     monkeypatch.setattr(trade.recordings, "integrate_rates", still)
     assert [r.method for r in trade.log_rows(log, 1)] == methods_for_samples()
     monkeypatch.setattr(trade.recordings, "error_budget", lambda *a, **k: k["rivals"])
@@ -286,6 +286,7 @@ def test_run_leaves_its_files(tmp_path, capsys, coning, monkeypatch):
     logs, methods = trade.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
     with warnings.catch_warnings():
         warnings.simplefilter("error", StepWarning)
+        warnings.simplefilter("ignore", fa.LogWarning)  # the recording names no unit
         trade.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
     names = {"recordings.csv", "recordings.png", "trade.csv", "trade.png"}
     assert {p.name for p in tmp_path.iterdir()} == names

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import gyrolog
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.logs import Log
 from fastatt.running.limits import StepWarning
 from fastatt.trade.error_budget import LEAST, error_budget
 from fastatt.trade.measure import best_time
@@ -76,7 +76,7 @@ def find_recordings() -> list[Path]:
     return [found[name] for name in RECORDINGS]
 
 
-def _start(log: gyrolog.GyroLog) -> NDArray[np.float64]:
+def _start(log: Log) -> NDArray[np.float64]:
     return np.array([1.0, 0.0, 0.0, 0.0]) if log.attitudes is None else log.attitudes[0]
 
 
@@ -89,7 +89,7 @@ def _without_warnings() -> Iterator[list[warnings.WarningMessage]]:
 
 
 def log_rows(
-    log: gyrolog.GyroLog,
+    log: Log,
     repeats: int,
     max_gap: float | None = None,
     methods: Sequence[str] | None = None,
@@ -138,7 +138,7 @@ def log_rows(
 
 
 def compare_on_log(
-    log: gyrolog.GyroLog,
+    log: Log,
     method: str,
     max_gap: float | None = None,
     methods: Sequence[str] | None = None,
@@ -176,7 +176,7 @@ def log_table(rows: Sequence[LogRow]) -> str:
     return "\n".join(lines)
 
 
-def departures(log: gyrolog.GyroLog, methods: Sequence[str] | None = None) -> plots.Departures:
+def departures(log: Log, methods: Sequence[str] | None = None) -> plots.Departures:
     """Each method's angle from the reference on a recording, and the maker's orientation's."""
     from fastatt import plots
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fastatt import checks, gyrolog
+from fastatt import checks
 from fastatt.integrate import methods_for_samples
+from fastatt.logs import Log, read_log
 from fastatt.trade import recordings
 from fastatt.trade.bodies import BODY_SCENES, body_cases, body_scene, body_trade
 from fastatt.trade.bodies import T_END as BODY_T_END
@@ -73,7 +74,9 @@ def run_trade(
     read = []
     if RECORDED in plan:
         paths = recordings.find_recordings() if logs is None else logs
-        read = [gyrolog.read_log(path) for path in paths]
+        # the recordings' maker writes rad/s, and does not say so
+        unit = "rad/s" if logs is None else None
+        read = [read_log(path, unit=unit) for path in paths]
     out.mkdir(parents=True, exist_ok=True)
     repeats = 1 if quick else 3
     print(machine_line())
@@ -121,9 +124,7 @@ def _cases(scene: str) -> _Cases:
     return coning_cases() if scene == CONING else {scene: body_cases(BODY_SCENES[scene])}
 
 
-def _run_recordings(
-    out: Path, logs: Sequence[gyrolog.GyroLog], cases: _Cases, repeats: int
-) -> list[str]:
+def _run_recordings(out: Path, logs: Sequence[Log], cases: _Cases, repeats: int) -> list[str]:
     from fastatt import plots
 
     names = [case.name for case in cases[RECORDED]]

@@ -32,7 +32,7 @@ _NAMES = (
     ("omega_x", "omega_y", "omega_z"), ("rate_x (rad/s)", "rate_y (rad/s)", "rate_z (rad/s)"),
     ("gx\u2028", "gy\x0b", "gz"), ("a", "b", "c"),
 )  # fmt: skip
-_CLOCKS = {"t": 1.0, "Time (s)": 1.0, "t_ms": 1e-3, "timestamp us": 1e-6, "time [ns]": 1e-9}
+_CLOCKS = {"t [s]": 1.0, "Time (s)": 1.0, "t_ms": 1e-3, "timestamp us": 1e-6, "time [ns]": 1e-9}
 _DEGREES = math.pi / 180.0
 # rad/s, where the names say
 _SCALES = {"deg/s": _DEGREES, "mdps": 1e-3 * _DEGREES, "deg/h": _DEGREES / 3600.0}

@@ -1,0 +1,217 @@
+"""What the names of a table's columns mean: which are the gyro's axes, the time, their units."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+
+class LogError(ValueError):
+    """A log that can't be read, and why, in one line."""
+
+
+class LogWarning(UserWarning):
+    """Something that a log does not say was taken from its numbers."""
+
+
+UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # how many of them are a second
+STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
+
+_GYRO = (
+    r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
+    r"|rateofturn"
+)
+_KINDS = {
+    "gyro": re.compile(_GYRO),
+    "accel": re.compile(r"(?!.*(ang|user|grav)).*acc.*|a|arss|alpha"),
+    "mag": re.compile(r".*mag(?!nitude).*|m"),
+}
+_QUAT = re.compile(
+    r"(?P<stem>(.*[./])?((\w*quat\w*?|orientation|q|q_rs)[ _.\[(/-]*)?)(?P<axis>[wxyz])[\])]?"
+    r"|(?P<numbered>q|quat)[\[_]?(?P<number>[0-3])\]?",
+    re.IGNORECASE,
+)
+# beside a gyro's rates stand numbers about them
+_NOT_RATES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
+_IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_UNIT_AT_END = re.compile(r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms])|m?g$|m[ _/]*s).*$", re.IGNORECASE)
+_AXIS = re.compile(
+    r"(?P<stem>.*?)[ _.\-/]*(?P<axis>[\[(][012xyz][\])]|[xyz])", re.IGNORECASE | re.DOTALL
+)
+_ABOUT_RATES = re.compile(r"gyr|ang(ular)?[ _]?(vel|rate)|rotation[ _]?rate", re.IGNORECASE)
+_TIME = re.compile(
+    r"(_*times?|timestamps?|ts?|stamps?|datetime|date|elapsed(time)?|seconds(?P<elapsed>elapsed)?"
+    r"|timesincestart|unixtime(stamp)?|epoch|clock|\w*timestampunix|loggingtime|logtime)(in)?"
+    r"(?P<unit>s|sec|secs|seconds?|ms|msec|milli(second)?s|us|µs|μs|usec|micro(second)?s"
+    r"|ns|nsec|nano(second)?s)?"
+)
+_STAMP = re.compile(r"(.*[./])?header[./]stamp", re.IGNORECASE)
+_UNIT = re.compile(
+    r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms])"
+    r"([ _]*(/|per|p)[ _]*(?P<per>[a-z]*)|[ _.*·]*(?P<time>s|sec|min|h|hr|hours?)(?![a-z]))?"
+    r"(?![a-z])"
+)
+_SECOND = ("s", "sec", "secs", "second", "seconds")
+# ROS has rad/s (REP 103), Betaflight's flight recorder deg/s
+_BY_CONVENTION = {"rad/s": re.compile(r"angular_velocity[./]"), "deg/s": re.compile("gyroadc")}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns are what, by their places; accel, mag and quat where there are any."""
+
+    gyro: list[int]
+    clock: int | None
+    accel: list[int] | None = None
+    mag: list[int] | None = None
+    quat: list[int] | None = None
+
+    @property
+    def values(self) -> list[int]:
+        """All but the clock's."""
+        return [i for part in (self.gyro, self.accel, self.mag, self.quat) for i in part or ()]
+
+
+def printable(name: object) -> str:
+    """A name of a column as it can stand in a message."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(str(name).split()))
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for a message."""
+    some = [repr(n[:60]) for n in names]
+    return ", ".join(some[:20]) + (f" and {len(some) - 20} more" if len(some) > 20 else "")
+
+
+def triples(names: Sequence[str], kind: str) -> list[list[int]]:
+    """Columns x, y, z of every sensor of a kind: "gyro", "accel", "mag", or "" of no name."""
+    found: dict[str, list[tuple[str, int]]] = {}
+    for i, name in enumerate(names):
+        match = _axis(name)
+        if match is None:
+            continue
+        stem = re.sub(r"[ _\-]", "", re.split(r"[./]", match["stem"])[-1]).lower()
+        pattern = _KINDS.get(kind)
+        fits = stem in ("", "xyz") if pattern is None else pattern.fullmatch(stem)
+        if fits and not _NOT_RATES.search(stem):
+            axis = match["axis"].strip("[]()").lower()
+            found.setdefault(match["stem"].lower(), []).append((axis, i))
+    sets = [sorted(axes) for axes in found.values()]
+    return [[i for _, i in axes] for axes in sets if "".join(a for a, _ in axes) in ("xyz", "012")]
+
+
+def gyro(names: Sequence[str], about: str) -> list[int] | None:
+    """The gyro's columns, None where there are none; ``about`` says what the table holds.
+
+    Raises ``LogError`` for more than one gyro.
+    """
+    found = triples(names, "gyro")
+    words = [bare(name)[0].lower() for name in names]
+    if not found and all(words.count(word) == 1 for word in "pqr"):
+        return [words.index(word) for word in "pqr"]
+    if not found and _ABOUT_RATES.search(about):
+        found = triples(names, "")
+    if len(found) > 1:
+        first = listed(names[i] for axes in found for i in axes)
+        raise LogError(f"found more than one gyro ({first}); say which with columns")
+    return found[0] if found else None
+
+
+def quaternion(names: Sequence[str]) -> list[int] | None:
+    """Columns w, x, y, z of the only attitude; None where there is none."""
+    found: dict[str, list[tuple[str, int]]] = {}
+    for i, name in enumerate(names):
+        match = _QUAT.fullmatch(bare(name)[0])
+        if match and match["axis"]:
+            found.setdefault(match["stem"].lower(), []).append((match["axis"].lower(), i))
+        elif match:  # scalar first
+            found.setdefault("0", []).append(("wxyz"[int(match["number"])], i))
+    sets = [dict(axes) for axes in found.values() if "".join(sorted(dict(axes))) == "wxyz"]
+    only = len(sets) == 1 and sum(len(x) == 4 for x in found.values()) == 1
+    return [sets[0][axis] for axis in "wxyz"] if only else None
+
+
+def clock(names: Sequence[str]) -> int | None:
+    """The column of time stamps: a sensor's own, else one with a unit, else any.
+
+    Raises ``LogError`` for more than one.
+    """
+    found: dict[int, list[int]] = {}
+    for i, name in enumerate(names):
+        if _STAMP.fullmatch(bare(name)[0]):
+            found.setdefault(0, []).append(i)
+        elif _time(name):
+            found.setdefault(1 if time_unit(name) else 2, []).append(i)
+    best = found[min(found)] if found else []
+    if len(best) > 1:
+        two = listed(names[i] for i in best)
+        raise LogError(f"found more than one time column ({two}); say which with time_column")
+    return best[0] if best else None
+
+
+def time_unit(name: str) -> str | None:
+    """The unit that the name of a column of time stamps carries, known or not; None: none."""
+    match = _time(name)
+    if match is None:
+        return None
+    unit = (match["unit"] or bare(name)[1] or ("s" if match["elapsed"] else "")).lower()
+    for short, start in (("ms", "m(s|illi)"), ("us", "([uµμ]s|micro)"), ("ns", "n(s|ano)")):
+        if re.match(start, unit):
+            return short
+    return "s" if unit in _SECOND else unit or None
+
+
+def rate_unit(names: Sequence[str]) -> str | None:
+    """rad/s or deg/s as the names of a gyro's columns carry it, None where they carry none."""
+    found = {m[0]: m for name in names for m in _UNIT.finditer(name.lower())}
+    units = set()
+    for m in found.values():
+        time = m["per"] or m["time"] or "s"
+        known = not m["scale"] and not m["angle"].startswith("rp") and time in _SECOND
+        units.add(("rad/s" if m["angle"].startswith("rad") else "deg/s") if known else None)
+    if None in units or len(units) > 1:
+        raise LogError(
+            f"found the unit {', '.join(found)[:60]} in the names of columns; accepted: rad/s or "
+            "deg/s, one for all, or unit, to say which it is"
+        )
+    for unit, pattern in _BY_CONVENTION.items():
+        if not units and all(pattern.search(name.lower()) for name in names):
+            return unit
+    return units.pop() if units else None
+
+
+def accel_unit(name: str) -> float | None:
+    """m/s² in the unit that an accelerometer's column is named with; None where there is none."""
+    text = name.lower()
+    if re.search(r"m[ _]*[/ _.*·]?[ _]*s", text):
+        return 1.0
+    match = re.search(r"(?<=[\[( _])(m?)g[\])]?$", text)
+    return match and (STANDARD_GRAVITY * (1e-3 if match[1] else 1.0))
+
+
+def is_unit(text: str) -> bool:
+    """Whether a cell of a second line of names is a unit."""
+    return not text or _UNIT.fullmatch(text.lower()) is not None or len(text) <= 8
+
+
+def bare(name: str) -> tuple[str, str]:
+    """A name without its unit in brackets and signs of a comment, and the unit."""
+    text = re.sub(r"_cal(?=$|[ \[(])", "", name.strip("#% "), flags=re.IGNORECASE)
+    match = _IN_BRACKETS.search(text)
+    if match and match["unit"].strip().lower() not in ("0", "1", "2", "x", "y", "z"):
+        return text[: match.start()], match["unit"].strip()
+    return text, ""
+
+
+def _axis(name: str) -> re.Match[str] | None:
+    text = bare(name)[0]
+    return _AXIS.fullmatch(text) or _AXIS.fullmatch(_UNIT_AT_END.sub("", text))
+
+
+def _time(name: str) -> re.Match[str] | None:
+    word = re.split(r"[./]", bare(name)[0])[-1]
+    word = re.sub("[ _]s$", "seconds", word.lower())
+    return _TIME.fullmatch(re.sub(r"(?<=.)[ _\-]", "", word))

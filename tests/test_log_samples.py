@@ -1,0 +1,280 @@
+"""Rows that are no samples, biases, references, tables in memory, and logs in chunks."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import sys
+from decimal import Decimal
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.cli import main
+from fastatt.logs import LogError, blocks
+from fastatt.logs.reference import Reference, against_reference, read_attitudes
+
+HEAD = "t [s],wx [rad/s],wy [rad/s],wz [rad/s]\n"
+# a row of no number, one repeated, one back in time, a gap, one of too few columns, one of no time
+BAD = """\
+0.0,1,2,3
+0.1,1.1,2,3
+0.2,nan,2,3
+0.3,1.3,2,3
+0.3,9,9,9
+0.1,9,9,9
+0.4,1.4,2,3
+5.0,1.5,2,3
+5.1,1.6,2
+5.2,1.7,2,3
+x,9,9,9
+5.3,1.8,2,3
+"""
+DROPPED = [0.0, 0.1, 0.3, 0.4, 5.0, 5.2, 5.3]
+
+
+@pytest.fixture(params=[1, 25, 1000])
+def size(request, monkeypatch):
+    """Blocks that end anywhere."""
+    monkeypatch.setattr(blocks, "BYTES", request.param)
+    monkeypatch.setattr(blocks, "_HEAD", 3)
+
+
+def text(content, name="log.csv"):
+    file = io.BytesIO((HEAD + content).encode())
+    file.name = name
+    return file
+
+
+def test_bad_rows_dropped(size):
+    log = fa.read_log(text(BAD), bad="drop")
+    assert log.t.tolist() == DROPPED
+    assert log.rates[:, 0].tolist() == [1.0, 1.1, 1.3, 1.4, 1.5, 1.7, 1.8]
+    assert log.dt.tolist() == np.diff(DROPPED).tolist()
+    assert log.summary.endswith("; 5 rows dropped; 1 gaps")
+    assert log.pieces == (slice(0, 7),)
+
+
+def test_bad_rows_cut_a_log(size):
+    log = fa.read_log(text(BAD), bad="split")
+    assert log.t.tolist() == DROPPED
+    assert [log.t[p].tolist() for p in log.pieces] == [
+        [0.0, 0.1], [0.3], [0.4], [5.0], [5.2], [5.3],
+    ]  # fmt: skip
+
+
+def test_bad_rows_held(size):
+    log = fa.read_log(text(BAD), bad="hold")
+    # the row without a number keeps its time; before the gap's end, and a usual interval, one more
+    assert log.t.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, pytest.approx(4.9), 5.0, 5.2, 5.3]
+    assert log.rates[:, 0].tolist() == [1.0, 1.1, 1.1, 1.3, 1.4, 1.4, 1.5, 1.7, 1.8]
+    assert log.summary.endswith("; 4 rows dropped; 1 rows held; 1 gaps")
+
+
+def test_held_rates_have_their_bias_taken_off_once(size):
+    rest = "".join(f"{k},0.01,0,0\n" for k in range(8))
+    log = fa.read_log(
+        text(rest + "8,nan,0,0\n9,0.11,0,0\n50,0.01,0,0\n"), bad="hold", bias_seconds=5
+    )
+    assert np.abs(log.rates[:, 0] - [*[0.0] * 9, 0.1, 0.1, 0.0]).max() < 1e-17
+    assert "bias 0.01, 0, 0 rad/s taken off" in log.summary
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("0.2,nan,2,3", "line 4: wx .rad/s. is 'nan'; accepted: a finite number, or bad"),
+        ("0.1,1,2,3", r"t \[s\] in line 4 is repeated \(0.1 s after the first\)"),
+        ("0.05,1,2,3", "line 4 is decreasing"),
+        ("9.0,1,2,3", "line 4: a gap of 8.9 s; accepted: at most 1 s"),
+    ],
+)
+def test_bad_rows_are_refused(size, row, message):
+    with pytest.raises(LogError, match=message):
+        fa.read_log(text(f"0,1,2,3\n0.1,1,2,3\n{row}\n9.1,1,2,3\n9.2,1,2,3\n"))
+
+
+def test_at_a_rate_a_row_left_out_leaves_a_hole():
+    content = "0,1,2,3\n0,nan,2,3\n0,1,2,3\n"
+    dropped = fa.read_log(text(content), rate=4.0, bad="drop")
+    assert (dropped.t.tolist(), dropped.dt.tolist()) == ([0.0, 0.5], [0.5])
+    assert fa.read_log(text(content[:20]), rate=4.0, bad="drop").dt == 0.25
+    held = fa.read_log(text(content), rate=4.0, bad="hold", max_gap=Decimal(1))
+    assert (held.t.tolist(), held.dt) == ([0.0, 0.25, 0.5], 0.25)
+
+
+def test_a_bias_is_that_of_a_start_at_rest(size):
+    rates = np.array([[0.02, -0.01, 0.0], [0.02, -0.03, 0.0], [0.02, -0.02, 0.0], [1.0, 1.0, 1.0]])
+    rows = "".join(f"{k},{','.join(map(repr, w))}\n" for k, w in enumerate(rates.tolist()))
+    log = fa.read_log(text(rows), bias_seconds=2.5)
+    assert np.allclose(log.rates, rates - [0.02, -0.02, 0.0], rtol=0, atol=3e-17)
+    with pytest.raises(LogError, match=r"not at rest in the first 3\.5 s"):
+        fa.read_log(text(rows + "4,0,0,0\n"), bias_seconds=3.5)
+
+
+CONTENT = "".join(f"{0.01 * k!r},{0.1 * k!r},{-0.2 * k!r},0.5\n" for k in range(40))
+PLAIN = fa.read_log(text(CONTENT))
+
+
+def same(log):
+    return np.array_equal(log.rates, PLAIN.rates) and np.array_equal(log.t, PLAIN.t)
+
+
+def test_gzip_and_open_files(tmp_path, monkeypatch, size):
+    data = (HEAD + CONTENT).encode()
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(gzip.compress(data))
+    assert same(fa.read_log(path))
+    assert same(fa.read_log(io.StringIO(data.decode())))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    assert same(fa.read_log("-"))
+    path.write_bytes(gzip.compress(data)[:-20])
+    with pytest.raises(LogError, match="damaged gzip data"):
+        fa.read_log(path)
+    source = text(CONTENT)
+    assert same(fa.read_log(source))
+    assert not source.closed
+
+
+def test_data_frames():
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_csv(text(CONTENT))
+    assert same(fa.read_log(frame))
+    when = pandas.to_datetime((frame.pop("t [s]") * 1e9).round().astype("int64"))
+    log = fa.read_log(frame.set_index(pandas.DatetimeIndex(when, name="when")), time_column="when")
+    # whole ns
+    assert np.abs(log.t - PLAIN.t).max() <= 0.5e-9
+    spans = fa.read_log(frame.set_index(pandas.TimedeltaIndex(when - when[0])))
+    assert np.array_equal(spans.t, log.t)
+    frame.iloc[2, 1] = np.nan
+    with pytest.raises(LogError, match=r"row 2: wy \[rad/s\] is no finite number"):
+        fa.read_log(frame, rate=1.0)
+    assert len(fa.read_log(frame, rate=1.0, bad="drop").t) == 39
+
+
+def test_data_sets():
+    xarray = pytest.importorskip("xarray")
+    data = xarray.Dataset(
+        {
+            "angular_velocity": (("time", "axis"), PLAIN.rates),
+            "orientation": (("time", "part"), np.tile([1.0, 0.0, 0.0, 0.0], (40, 1))),
+        },
+        coords={"time": PLAIN.t},
+    )
+    log = fa.read_log(data)
+    assert same(log)
+    assert np.array_equal(log.attitudes, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))
+    assert same(fa.read_log({"t": PLAIN.t, "gyro": PLAIN.rates}, unit="rad/s"))
+    with pytest.raises(LogError, match=r"columns of lengths \[2, 3\]"):
+        fa.read_log({"t": [1, 2], "gx": [1, 2, 3]})
+
+
+@pytest.mark.parametrize("method", ["hold", "previous", "coning3", "picard"])
+@pytest.mark.parametrize("rate", [None, "100"])
+def test_chunks_are_the_whole_bit_for_bit(tmp_path, size, method, rate, capsys):
+    path, out = tmp_path / "log.csv", tmp_path / "q.npy"
+    path.write_text(HEAD + CONTENT, encoding="utf-8")
+    given = [] if rate is None else ["-r", rate]
+    assert main(["integrate", str(path), "-q", "-m", method, "-o", str(out), *given]) == 0
+    log = fa.read_log(path, rate=rate and float(rate))
+    q = fa.integrate_rates(log.rates, log.dt, method=method)
+    assert np.array_equal(np.load(out), np.column_stack([log.t, q]))
+    assert "40 samples at 100 Hz" in capsys.readouterr().out
+
+
+def test_pieces_begin_anew(tmp_path, size):
+    path, out = tmp_path / "log.csv", tmp_path / "q.npy"
+    path.write_text(HEAD + BAD, encoding="utf-8")
+    assert main(["integrate", str(path), "-q", "-o", str(out), "--bad", "split"]) == 0
+    log = fa.read_log(path, bad="split")
+    expected = [
+        np.column_stack([log.t[p], q, np.full(len(q), k)])
+        for k, p in enumerate(log.pieces)
+        for q in [fa.integrate_rates(log.rates[p], np.diff(log.t[p]))]
+    ]
+    assert np.array_equal(np.load(out), np.concatenate(expected))
+
+
+def test_what_fails_leaves_no_file(tmp_path, capsys):
+    path, out = tmp_path / "log.csv", tmp_path / "q.csv"
+    path.write_text(HEAD + CONTENT + "9,1,2\n", encoding="utf-8")
+    assert main(["integrate", str(path), "-q", "-o", str(out)]) == 2
+    assert "line 42: found 3 columns" in capsys.readouterr().err
+    assert [x.name for x in tmp_path.iterdir()] == ["log.csv"]
+
+
+WORLD = np.array([0.5, 0.5, -0.5, 0.5])
+BODY = np.array([0.9, 0.1, -0.3, 0.3])
+SHIFT = 0.0437
+
+
+def conjugate(q):
+    return q * [1.0, -1.0, -1.0, -1.0]
+
+
+def motion(t):
+    """Attitudes whose turning changes its axis and speed."""
+    first = fa.rotation_vector_to_quat(np.outer(np.sin(1.3 * t), [0.4, 0.9, 0.2]))
+    return fa.quat_multiply(
+        first, fa.rotation_vector_to_quat(np.outer(t * t / 20, [0.0, 0.6, 0.8]))
+    )
+
+
+def test_a_reference_is_aligned_in_time_and_frames():
+    t, when = np.arange(0.0, 10.0, 0.005), np.arange(-1.0, 9.0, 0.02)
+    q = fa.quat_multiply(WORLD, fa.quat_multiply(motion(when), BODY))
+    for start, ahead in ((0.0, SHIFT), (1000.0, SHIFT), (0.0, 500.0 + SHIFT)):
+        reference = Reference(when - when[0], q, start + when[0] + ahead)
+        found = against_reference(t, motion(t), reference, start)
+        assert found.told == (True, True)
+        assert found.shift == pytest.approx(ahead, abs=1e-5)
+        # attitudes between two samples 5 ms apart: the angle of w' h²/8, w' below 2 rad/s²
+        assert found.angle.max() < 2.0 * 0.005**2 / 8 + 1e-5 * 3.0
+        assert len(found.t) == np.count_nonzero((when >= 0.0) & (when <= t[-1]))
+
+
+def test_what_the_motion_does_not_tell_stays():
+    """A constant turn tells neither the time nor the axes across it."""
+    t = np.arange(0.0, 5.0, 0.01)
+    q = fa.rotation_vector_to_quat(np.outer(t, [0.0, 0.0, 1.0]))
+    found = against_reference(t, q, Reference(t, q), 0.0)
+    assert (found.told, found.shift) == ((False, False), 0.0)
+    assert found.angle.max() < 1e-7
+    with pytest.raises(LogError, match="no time in common"):
+        against_reference(t, q, Reference(t, q, 100.0))
+    with pytest.raises(LogError, match="reference: 1 attitudes within the log's time"):
+        against_reference(t, q, Reference(t, q, t[-1] - 0.005))
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "# timestamp tx ty tz qx qy qz qw",
+        "#timestamp, p_R_x [m], p_R_y [m], p_R_z [m], q_RS_x [], q_RS_y [], q_RS_z [], q_RS_w []",
+    ],
+)
+def test_references_are_read(tmp_path, head, capsys):
+    t = np.arange(0.0, 4.0, 0.02)
+    q = motion(t)
+    separator = "," if "," in head else " "
+    rows = np.column_stack([1.4e9 + t, np.zeros((len(t), 3)), q[:, [1, 2, 3, 0]]])
+    path, log, out = (tmp_path / n for n in ("truth.csv", "log.csv", "q.csv"))
+    lines = [separator.join(map(repr, r)) for r in rows.tolist()]
+    path.write_text("\n".join([head, *lines]), encoding="utf-8")
+    found = read_attitudes(path)
+    assert np.abs(found.q - q).max() < 1e-15
+    assert found.start == 1.4e9
+    w = fa.angular_velocity(q, 0.02)
+    np.savetxt(
+        log, np.column_stack([1.4e9 + t, w]), delimiter=",", header=HEAD.strip(), comments=""
+    )
+    arguments = ["integrate", str(log), "-q", "-o", str(out), "-m", "coning3"]
+    assert main([*arguments, "--reference", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "reference attitudes (clocks " in said
+    # attitudes written here are a reference too
+    written = np.loadtxt(out, delimiter=",", skiprows=1)
+    assert np.abs(read_attitudes(out).q - written[:, 1:]).max() < 1e-15
+    assert main([*arguments, "-r", "50", "--reference", str(out)]) == 0
+    assert "at the end" in capsys.readouterr().out
