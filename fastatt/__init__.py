@@ -52,7 +52,8 @@ _HELD_BY = {
     "steps": "single_step",
     "streaming": "integrator",
     "trade": (
-        "ErrorBudget Recommendation WorkPrecision error_budget recommend self_check work_precision"
+        "ErrorBudget OwnSteps Recommendation WorkPrecision error_budget own_steps recommend "
+        "self_check work_precision"
     ),
 }
 _MODULES = (
@@ -62,12 +63,12 @@ _FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in name
 
 __all__ = [
     "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Log", "LogError",
-    "LogWarning", "Method", "OrderWarning", "Plan", "Recommendation", "Reducer", "Scene",
-    "SelfCheck", "Status", "StepWarning", "Trajectory", "WorkPrecision", "angle_between",
+    "LogWarning", "Method", "OrderWarning", "OwnSteps", "Plan", "Recommendation", "Reducer",
+    "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory", "WorkPrecision", "angle_between",
     "angular_momentum", "angular_velocity", "dcm_to_quat", "drift", "error_budget", "estimation",
     "euler313_to_quat", "exact", "explicit", "forces", "from_scipy", "integrate_rates",
     "integrator", "interchange", "interpolate", "kernels", "kinetic_energy",
-    "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "plan", "plots",
+    "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "own_steps", "plan", "plots",
     "potential_energy", "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm",
     "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
     "rotate", "rotate_inverse", "rotation_vector_to_quat", "self_check", "show_loop", "single_step",
@@ -128,7 +129,7 @@ if TYPE_CHECKING:
     from fastatt.scene import Scene
     from fastatt.steps import single_step
     from fastatt.streaming import integrator
-    from fastatt.trade import Recommendation, recommend, self_check
+    from fastatt.trade import OwnSteps, Recommendation, own_steps, recommend, self_check
     from fastatt.trade.error_budget import ErrorBudget, error_budget
     from fastatt.trade.work_precision import WorkPrecision, work_precision
 

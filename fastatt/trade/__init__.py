@@ -6,6 +6,7 @@ from fastatt.trade.coning import coning_cases, coning_rates, coning_trade
 from fastatt.trade.error_budget import ErrorBudget, error_budget
 from fastatt.trade.measure import Case, Problem, Row, State, frontier, trade_table
 from fastatt.trade.order import self_check
+from fastatt.trade.each import OwnSteps, own_steps
 from fastatt.trade.recommendation import Recommendation
 from fastatt.trade.recordings import (
     RECORDINGS,
@@ -28,6 +29,7 @@ __all__ = [
     "Case",
     "ErrorBudget",
     "LogRow",
+    "OwnSteps",
     "Problem",
     "Recommendation",
     "Reference",
@@ -48,6 +50,7 @@ __all__ = [
     "frontier",
     "log_rows",
     "log_table",
+    "own_steps",
     "recommend",
     "reference",
     "run_trade",
