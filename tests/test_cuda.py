@@ -19,7 +19,7 @@ import pytest
 from exact import EPS, START, generic
 
 import fastatt as fa
-from fastatt.device import kernel
+from fastatt.device import kernel, program
 from fastatt.running.choosing import default_method
 from fastatt.running.loop import job_of
 
@@ -214,6 +214,11 @@ def test_steps_of_each_body_are_refused():
     job = job_of(FREE, "rk4", "quat", np.dtype("float64"))
     with pytest.raises(ValueError, match=r"^device: found \"cuda\" with a dt of each body"):
         kernel.text(replace(job, own_steps=True))
+
+
+def test_a_run_that_does_not_fit_is_refused_with_its_size():
+    with pytest.raises(MemoryError, match=r"^device: the run takes 2 GB, 1\.5 GB are free; "):
+        program._check_room(2_000_000_000, 1_500_000_000)
 
 
 def test_another_device_is_refused():
