@@ -41,6 +41,10 @@ def spinning(t, p):
     return p[0] + 0.1 * t, p[1], p[2] if t > 0.2 else p[0]
 
 
+def largest(t, q, w, s):
+    return max(s[0], w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+
+
 FAST = np.array([[0.3, 0.2, 0.1], [70.0, 40.0, 90.0]])  # one in the quick form, one beyond π a step
 SAMPLED = fa.torques.Sampled(RNG.normal(size=(9, 3)) * 0.2, 0.25)
 FREE = fa.Scene(inertia=INERTIA)
@@ -57,6 +61,7 @@ RUNS = {
     ),
     "angles": (BODIES.scene, "rk4", {"representation": "euler313"}),
     "free": (FREE, "rk4", {"save_every": 1, "t0": 2.0}),
+    "reduced": (FREE, "rk4", {"reduce": fa.reducer(largest, start=0.0)}),
     "compensated": (FREE, "dmv2", {"compensated": True}),
     "kicked": (fa.Scene(inertia=INERTIA, torque=SAMPLED), "strang2", {"normalise": "never"}),
     "falling": (
