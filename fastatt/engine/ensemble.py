@@ -94,10 +94,10 @@ class Run:
     ``told`` is, after a call, the largest turn of a step, rad, and whether any body has a flag.
     """
 
-    def __init__(self, made: Program | PlainProgram, resources: Mapping[Any, Any]) -> None:
+    def __init__(self, made: Any, resources: Mapping[Any, Any]) -> None:
         self._resources = resources
-        self._plain = made if isinstance(made, PlainProgram) else None
-        #: whether it runs without a compiler, on arrays that it must be given (``put``)
+        self._plain = None if isinstance(made, Program) else made
+        #: whether it runs without this machine code, on arrays that it must be given (``put``)
         self.is_plain = self._plain is not None
         self._program = made if isinstance(made, Program) else None
         formulas = made.formulas
@@ -152,10 +152,10 @@ class Run:
 
     def __call__(self, tiles: int) -> None:
         """Steps of the span that the numbers tell on all tiles, in the caller's thread."""
+        self.told[0] = self.told[1] = 0.0
         if self._program is None:
             self._slowly(self._span, 0, tiles)
             return
-        self.told[0] = self.told[1] = 0.0
         first = self._program.tiles(0, tiles, *self._where)
         while first < tiles:
             self.addresses[_CAREFUL] = self._program.careful()

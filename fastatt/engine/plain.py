@@ -122,7 +122,7 @@ class _PlainRun:
 
     def _end(self) -> tuple[float, float]:
         self.arrays["x"][self.bodies] = np.stack(self.rows["x"], axis=-1)
-        return self._judged()
+        return judged(self.job, self.arrays, self.numbers, self.bodies)
 
     def _advance(self, first: int, last: int) -> None:
         """A block of steps, and how far they turned."""
@@ -204,24 +204,6 @@ class _PlainRun:
             watch = self.arrays["watch"][0]
             watch[self.bodies] = np.where(quiet, bound, 0.0)
 
-    def _judged(self) -> tuple[float, float]:
-        square, norm, change = self.arrays["watch"][:, self.bodies]
-        numbers, turn = self.numbers, np.sqrt(square)
-        bad = np.isnan(sum(x * 0.0 for x in self.rows["x"]))
-        large = Status.SINGULAR if self.job.attitude.has_poles else Status.STEP_TOO_LARGE
-        given = self.arrays["flags"]
-        flags = given[np.minimum(self.bodies, len(given) - 1)]
-        for where, flag in (
-            (bad, Status.NON_FINITE),
-            (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
-            ((turn > self.real(numbers["limit"])) & ~np.isinf(turn), large),
-            (~(change <= self.real(numbers["invariant"])) & ~bad, Status.INVARIANT),
-            (~(norm <= self.real(numbers["norm"])) & ~bad, Status.NORM_LOST),
-        ):
-            flags = flags | where * np.uint8(flag)
-        self.arrays["status"][self.bodies] = flags
-        return float(turn.max()), float(flags.any())
-
     def _worse(self, row: int, value: Array) -> None:
         watch = self.arrays["watch"][row]
         before = watch[self.bodies]
@@ -269,3 +251,25 @@ class _PlainRun:
                     *found, z = found
                     self.turn = np.where(z > self.turn, z, self.turn)
                 self.rows["x"] = list(found)
+
+
+def judged(
+    job: Job, arrays: Mapping[str, Any], numbers: Mapping[str, float], bodies: Array
+) -> tuple[float, float]:
+    """Flags of bodies from their last states and what the run watched: what ``run`` hands out."""
+    square, norm, change = arrays["watch"][:, bodies]
+    turn, real = np.sqrt(square), _REALS[job.kind]
+    bad = np.isnan(sum(x * 0.0 for x in arrays["x"][bodies].T))
+    large = Status.SINGULAR if job.attitude.has_poles else Status.STEP_TOO_LARGE
+    given = arrays["flags"]
+    flags = given[np.minimum(bodies, len(given) - 1)]
+    for where, flag in (
+        (bad, Status.NON_FINITE),
+        (np.isinf(turn) & ~bad, Status.NOT_CONVERGED),
+        ((turn > real(numbers["limit"])) & ~np.isinf(turn), large),
+        (~(change <= real(numbers["invariant"])) & ~bad, Status.INVARIANT),
+        (~(norm <= real(numbers["norm"])) & ~bad, Status.NORM_LOST),
+    ):
+        flags = flags | where * np.uint8(flag)
+    arrays["status"][bodies] = flags
+    return float(turn.max()), float(flags.any())

@@ -26,12 +26,15 @@ LONG = 1.0
 
 
 class Processor:
-    """What the compiler may use: name, features, the width of a vector in bytes."""
+    """What the compiler may use: name, features, the width of a vector in bytes.
 
-    def __init__(self, name: str, features: str) -> None:
+    A 64-bit ARM has vectors of 16 bytes and fused multiplications, whether it says so or not.
+    """
+
+    def __init__(self, name: str, features: str, triple: str = "") -> None:
         self.name, self.features = name, features
         found = dict.fromkeys(f[1:] for f in features.split(",") if f.startswith("+"))
-        self.fuses = "fma" in found or "neon" in found
+        self.fuses = "fma" in found or triple.startswith(("aarch64", "arm64"))
         self.vector = 64 if "avx512f" in found else 32 if "avx" in found else 16
 
 
@@ -42,7 +45,7 @@ def processor() -> Processor:
     features = os.environ.get("NUMBA_CPU_FEATURES")
     if features is None:
         features = llvm.get_host_cpu_features().flatten()
-    return Processor(name, features)
+    return Processor(name, features, llvm.get_default_triple())
 
 
 # characters of a program beyond which code is chosen in a time that does not grow with its square

@@ -52,10 +52,13 @@ _FORMS: dict[str, Callable[..., ast.expr]] = {
 
 
 class Text:
-    """A graph as a Python function: ``names`` of its arguments, its ``lines``, its ``results``."""
+    """A graph as a Python function: ``names`` of its arguments, its ``lines``, its ``results``.
 
-    def __init__(self, flat: Flat) -> None:
-        self.flat = flat
+    Values in between are named ``prefix`` and a number.
+    """
+
+    def __init__(self, flat: Flat, prefix: str = "t") -> None:
+        self.flat, self.prefix = flat, prefix
         self.names = _names(flat.inputs())
         self.functions = list(dict.fromkeys(n.args[0] for n in flat.nodes if n.op == "opaque"))
         self.lines: list[str] = []
@@ -84,7 +87,7 @@ class Text:
         once = self._uses[i] == 1 and i not in self.flat.results
         if once and depth < _DEPTH and len(ast.unparse(made)) <= _LENGTH:
             return made, depth
-        name = f"t{len(self.lines) + 1}"
+        name = f"{self.prefix}{len(self.lines) + 1}"
         self.lines.append(f"{name} = {ast.unparse(made)}")
         return ast.Name(name), 0
 
@@ -148,7 +151,7 @@ def function(
     """
     made = Text(flat)
     program = compile(made.as_function("flat"), "<flat>", "exec")
-    scope: dict[str, Any] = dict(_SCOPE)
+    scope: dict[str, Any] = dict(SCOPE)
     scope |= {f"table{k}": np.asarray(x) for k, x in (tables or {}).items()}
     for name, opaque in made.function_names().items():
         scope[name] = _each((functions or {}).get(opaque, opaque))
@@ -203,7 +206,8 @@ def _gather(table: Any, index: Any) -> Any:
     return table.reshape(-1)[np.asarray(index).astype(np.int64)]
 
 
-_SCOPE: dict[str, Any] = {
+#: NumPy's functions by their names in the text
+SCOPE: dict[str, Any] = {
     "abs": np.abs,
     "acos": np.arccos,
     "asin": np.arcsin,
@@ -231,9 +235,9 @@ def _names(inputs: list[tuple[Any, ...]]) -> list[str]:
     found: list[str] = []
     for parts in inputs:
         name = _identifier("".join(map(str, parts)))
-        if name in found or name in _SCOPE:
+        if name in found or name in SCOPE:
             name = _identifier("_".join(map(str, parts)))
-        while name in found or name in _SCOPE or re.fullmatch(r"t\d+", name):
+        while name in found or name in SCOPE or re.fullmatch(r"t\d+", name):
             name += "_"
         found.append(name)
     return found

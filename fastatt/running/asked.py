@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks, rounding
 from fastatt.attitudes import Attitude
+from fastatt.device import Device
 from fastatt.engine.ensemble import Span
 from fastatt.methods.method import Method
 from fastatt.running.reducer import Reducer
@@ -36,6 +37,8 @@ class Choice:
     raw: bool = False
     looks: bool = True
     reducer: Reducer | None = None
+    #: where it runs, if not on the processor
+    device: Device | None = None
 
 
 @dataclass(frozen=True)

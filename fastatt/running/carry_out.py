@@ -51,7 +51,8 @@ class Wanted:
     def plan(self) -> Plan:
         """Its plan, kept with the scene where it is small."""
         n, kind = self.bodies, self.given.q.dtype
-        if n > _FEW or self.clock.done or isinstance(self.clock, OwnClock):
+        fresh = self.clock.done or isinstance(self.clock, OwnClock) or self.choice.device
+        if n > _FEW or fresh:
             return self.planned(self.scene, n)
         memo, key = self.scene.memo, (n, self.choice, self.clock, kind, self.position)
         found: Plan | None = memo.get(key)
@@ -71,7 +72,7 @@ class Wanted:
         """Whether the ensemble is run a part at a time."""
         handling = self.handling
         to_files = handling.sink or handling.checkpoint or self.out or self.end
-        if to_files or self.choice.method.is_exact:
+        if to_files or self.choice.method.is_exact or self.choice.device:
             return False
         if isinstance(self.clock, OwnClock):
             return self.clock.steps.size > 1 or self.bodies > PART
@@ -117,6 +118,9 @@ def carry_out(wanted: Wanted) -> Trajectory:
         ends = wanted.bodies <= MOST if wanted.ends is None else wanted.ends
         ends = ends and not isinstance(clock, OwnClock)
         made = plan.run(wanted.given, wanted.t0, handling=handling, ends=ends, start=end)
+    device = wanted.choice.device
+    if device is not None and device.saves is not None:
+        return replace(made, **plan.parts(device.saves))
     if history is None or history.array is None:
         return made
     return replace(made, t=plan.clock.times(wanted.t0), **plan.parts(history.array))

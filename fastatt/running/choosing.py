@@ -6,6 +6,7 @@ from typing import Any
 
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
+from fastatt.device import Device
 from fastatt.methods import METHODS, Method
 from fastatt.running.asked import Choice
 from fastatt.running.reducer import Reducer
@@ -29,12 +30,12 @@ def methods_for(scene: Scene, representation: str | Attitude | None = None) -> l
     return [m.name for m in METHODS.values() if fits(m, scene, representation)]
 
 
-def default_method(scene: Scene, representation: str | Attitude) -> str:
-    """The first of magnus4, exact, rk8 and rk4 that fits, else of all.
+def default_method(scene: Scene, representation: str | Attitude, *, steps: bool = False) -> str:
+    """The first of magnus4, exact, rk8 and rk4 that fits, else of all; with ``steps`` not exact.
 
     Raises ``ValueError`` where none does.
     """
-    key = "default", _known_as(attitude_of(representation))
+    key = "default", steps, _known_as(attitude_of(representation))
     if key in scene.memo:
         return str(scene.memo[key])
     fitting = methods_for(scene, representation)
@@ -43,6 +44,8 @@ def default_method(scene: Scene, representation: str | Attitude) -> str:
             f"representation: found {_name_of(representation)}, for which no method takes this "
             f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
         )
+    if steps:
+        fitting = [name for name in fitting if not METHODS[name].is_exact]
     found = scene.memo[key] = next((name for name in DEFAULTS if name in fitting), fitting[0])
     return found
 
@@ -115,23 +118,29 @@ def chosen(
     normalise: str | int,
     looks: bool = True,
     reducer: Reducer | None = None,
+    device: Device | None = None,
 ) -> Choice:
     """How a scene is propagated, from what a user asks for.
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
     attitude = attitude_of(representation)
-    record = _method(scene, method, attitude, reducer)
+    steps = device is not None
+    record = _method(scene, method, attitude, reducer, steps=steps)
+    if steps and record.is_exact:
+        raise ValueError(f'method: found {record.name}; accepted with device "cuda": steps')
     if compensated:
         attitude = _compensated(record, attitude)
     restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    return Choice(record, attitude, restore, normalise == "never", looks, reducer)
+    return Choice(record, attitude, restore, normalise == "never", looks, reducer, device)
 
 
-def _method(scene: Scene, method: str | Method | None, attitude: Attitude, reducer: Any) -> Method:
+def _method(
+    scene: Scene, method: str | Method | None, attitude: Attitude, reducer: Any, *, steps: bool
+) -> Method:
     """The method asked for, or the first that fits."""
     if reducer is None:
-        return method_of(scene, method or default_method(scene, attitude), attitude)
+        return method_of(scene, method or default_method(scene, attitude, steps=steps), attitude)
     if not isinstance(reducer, Reducer):
         raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
     able = [name for name in methods_for(scene, attitude) if METHODS[name].translates]

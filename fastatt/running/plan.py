@@ -95,12 +95,13 @@ class Plan:
             mends=choice.restore > 0,
             looks=choice.looks,
             own_steps=isinstance(clock, OwnClock),
-            width=width_for(n_bodies, KINDS[kind]),
+            # a device runs all at once
+            width=n_bodies if choice.device else width_for(n_bodies, KINDS[kind]),
         )
         if method.is_exact:
             check_above_zero(scene.principal)
         else:
-            self._program = prepare(self.job)
+            self._program = (choice.device.program if choice.device else prepare)(self.job)
         self._fixed = self._arrays(0.0 if known is None else known, rows_each)
         self._span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
@@ -391,12 +392,17 @@ class Plan:
         spans = pairwise(accumulate(self._widths, initial=stored))
         carried = {x: out[..., a:b] for x, (a, b) in zip(self.beside, spans, strict=True)}
         found = {"state": out[..., :stored], "carried": carried}
-        return {**found, "defect": out[..., -1]} if out.shape[-1] > self.width else found
+        return {**found, "defect": out[..., -1]} if out.shape[2] > self.width else found
 
     def _go(self, run: Run, span: Span, handling: Handling, found: Any = None) -> None:
         """Steps of a span, of all bodies; ``found()`` gives the fields of their trajectory."""
         run.told[:] = [0.0, 0.0]
         width = self.job.width
+        if self.choice.device:
+            run.part(span, 0, 1)
+            if handling.done is not None:
+                handling.done(self.n_bodies * (span.last - span.first))
+            return
         try:
             pool.run_ensemble(
                 run.part, span, (self.n_bodies, width), handling.threads, handling.done

@@ -1,0 +1,323 @@
+"""A job's run as Python text that Numba compiles for a GPU: one thread a body, state in registers.
+
+What is computed is what ``fastatt.engine`` computes, in the same order. Products and fused
+products are written as calls that no compiler merges, so that a kernel rounds as a processor with
+fused multiplications does; functions of a library (``exp``, ``log`` ...) are the device's.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import config
+
+from fastatt.engine.job import Forms, Job
+from fastatt.engine.layout import BLOCK
+from fastatt.flat import source
+from fastatt.flat.finished import Flat
+from fastatt.flat.nodes import LIBRARY, Node
+
+#: arguments of a kernel before its tables
+ARGUMENTS = (
+    "q_rows", "y_rows", "p_rows", "x_rows", "out", "defect", "watch", "known", "stages", "t0",
+    "step", "last_edge", "most_quiet", "first", "last", "n_steps", "save_every", "slot", "restore",
+    "origin", "begins",
+)  # fmt: skip
+_FUSED = ("fma", "fms", "fnma")
+
+
+def _call(name: str, *args: ast.expr) -> ast.expr:
+    return ast.Call(ast.Name(name), list(args), [])
+
+
+def _negative(x: ast.expr) -> ast.expr:
+    return ast.UnaryOp(ast.USub(), x)
+
+
+def _larger(x: ast.expr, y: ast.expr) -> ast.expr:
+    """The larger of two numbers, or NaN."""
+    above = ast.BinOp(
+        ast.Compare(x, [ast.Gt()], [y]), ast.BitOr(), ast.Compare(x, [ast.NotEq()], [x])
+    )
+    return _call("selp", above, x, y)
+
+
+class _Text(source.Text):
+    """A graph as statements of a kernel, its constants in ``constants``.
+
+    A number in the text is of double precision, and takes Numba longer than a name does.
+    """
+
+    def __init__(self, flat: Flat, prefix: str, constants: dict[str, Any]) -> None:
+        self._constants = constants
+        super().__init__(flat, prefix)
+
+    def _expression(self, node: Node, name: str | None) -> tuple[ast.expr, int]:
+        if node.op == "const":
+            value = source.SCOPE[node.kind](node.args[0])
+            known = f"{node.kind}_{value.tobytes().hex()}"
+            self._constants[known] = value
+            return ast.Name(known), 0
+        return super()._expression(node, name)
+
+    def _operation(self, node: Node, args: list[ast.expr]) -> ast.expr:
+        op = node.op
+        narrow = "f" if node.kind == "single" else ""
+        if op in _FUSED:
+            x, y, z = args
+            x = _negative(x) if op == "fnma" else x
+            return _call(f"fma{narrow}", x, y, _negative(z) if op == "fms" else z)
+        if op in ("*", "rint", "floor"):
+            return _call({"*": "product"}.get(op, op) + narrow, *args)
+        if op == "select":
+            return _call("selp", *args)
+        if op == "larger":
+            return _larger(*args)
+        if op == "gather":
+            table = ast.Subscript(ast.Name(f"table{node.args[0]}"), _call("whole", *args))
+            return _call(node.kind, table)
+        return super()._operation(node, args)
+
+
+class _Writer:
+    """Writes the lines of a job's kernel."""
+
+    def __init__(self, job: Job) -> None:
+        self.job, self.formulas = job, job.formulas
+        self.lines: list[str] = []
+        self.constants: dict[str, Any] = {}
+        self._indent = 0
+
+    def _add(self, *lines: str) -> None:
+        self.lines += [" " * self._indent + line for line in lines]
+
+    def _open(self, line: str) -> None:
+        self._add(line)
+        self._indent += 4
+
+    def _close(self) -> None:
+        self._indent -= 4
+
+    def _formulas(self, flat: Flat, prefix: str, *targets: str) -> list[str]:
+        """Write a graph; its first results get names, the others are handed back."""
+        text = _Text(flat, prefix, self.constants)
+        self._add(*text.lines)
+        n = len(targets)
+        if n:
+            self._add(f"{', '.join(targets)}, = {', '.join(text.results[:n])},")
+        return text.results[n:]
+
+    def _names(self, group: str, n: int) -> list[str]:
+        return [f"{group}{i}" for i in range(n)]
+
+    def text(self) -> str:
+        """The whole kernel."""
+        formulas = self.formulas
+        tables = [f"table{name[1]}" for name in formulas.resources]
+        state = self._names("x", formulas.size)
+        self._open(f"def kernel({', '.join([*ARGUMENTS, *tables])}):")
+        self._add("body = cuda.grid(1)", "selp = cuda.selp")
+        self._open("if body >= x_rows.shape[0]:")
+        self._add("return")
+        self._close()
+        self._begin(state)
+        self._add("n = first")
+        self._add("due = begins")
+        self._open("while True:")
+        self._open("if due:")
+        self._save()
+        self._close()
+        self._open("if n >= last:")
+        self._add("break")
+        self._close()
+        self._add("gone = (n - origin) % save_every")
+        self._add(f"stop = min(n + {BLOCK}, last, n + save_every - gone)")
+        if formulas.mend is not None:
+            self._open("if restore > 0:")
+            self._add("stop = min(stop, (n // restore + 1) * restore)")
+            self._close()
+        self._block(state)
+        self._open("if turn > most:")
+        self._add("most = turn")
+        self._close()
+        self._add("n = stop")
+        if formulas.mend is not None:
+            self._open("if restore > 0 and n % restore == 0:")
+            (far,) = self._formulas(formulas.mend, "m", *state)
+            self._worse(1, far)
+            self._close()
+        self._add("due = (n - origin) % save_every == 0 or n == n_steps")
+        self._close()
+        self._add(*(f"x_rows[body, {i}] = {x}" for i, x in enumerate(state)))
+        self._add("watch[0, body] = most")
+        return "\n".join([*self.lines, ""])
+
+    def _begin(self, state: list[str]) -> None:
+        """The body's numbers, and the state that it starts from."""
+        job, formulas = self.job, self.formulas
+        kind = job.kind
+        self._add(f"h = {kind}(step)", "k = h", f"edge = {kind}(last_edge)", "t = t0")
+        groups = [("q_rows", "y", 0, formulas.coordinates)]
+        groups.append(("y_rows", "y", formulas.coordinates, formulas.given - formulas.coordinates))
+        groups.append(("p_rows", "p", 0, formulas.parameters))
+        for array, name, at, n in groups:
+            if n:
+                self._add(f"row = min(body, {array}.shape[0] - 1)")
+            self._add(*(f"{name}{at + i} = {array}[row, {i}]" for i in range(n)))
+        constants = self._names("c", len(formulas.constants.results))
+        if constants:
+            self._formulas(formulas.constants, "d", *constants)
+        extras = self._names("e", formulas.extras)
+        kept = self._names("invariants", formulas.invariants)
+        rest = self._formulas(formulas.begin, "b", *state, *extras, *kept)
+        self._open("if first > 0:")
+        self._add(*(f"{x} = x_rows[body, {i}]" for i, x in enumerate(state)))
+        self._add("most = watch[0, body]")
+        self._close()
+        self._open("else:")
+        self._add(*(f"watch[{i}, body] = 0.0" for i in range(3)), f"most = {kind}(0.0)")
+        self._close()
+        if not job.known:
+            return
+        self._add("row = min(body, known.shape[0] - 1)")
+        self._add(
+            f"bound = {rest[0] if job.bounds else f'{kind}(product(known[row], known[row]))'}"
+        )
+        self._add(f"quiet = bound <= {kind}(product(most_quiet, most_quiet))")
+        self._open("if quiet and first == 0:")
+        self._add("most = bound")
+        self._close()
+
+    def _save(self) -> None:
+        """Hand out the state after n steps, and how far it left what it keeps."""
+        formulas = self.formulas
+        size = formulas.handed_out
+        self._add("span = product(double(n), step)", "t = t0 + span")
+        self._add(f"since = {self.job.kind}(span)")
+        found = self._formulas(formulas.save, "s")
+        self._add("save = (n - origin - 1) // save_every + slot if n > origin else 0")
+        self._add(*(f"out[save, body, {i}] = {x}" for i, x in enumerate(found[:size])))
+        self._add(f"defect[save, body] = {found[size]}")
+        self._worse(1, f"abs({found[size]})")
+        self._worse(2, found[size + 1])
+
+    def _worse(self, row: int, value: str) -> None:
+        """Keep the larger of two numbers, or NaN."""
+        self._add(f"before = watch[{row}, body]", f"value = {value}")
+        self._open("if not (before >= value or before != before):")
+        self._add(f"watch[{row}, body] = value")
+        self._close()
+
+    def _block(self, state: list[str]) -> None:
+        """Steps [n, stop), again from their start in the careful form where the quick is not."""
+        job, formulas = self.job, self.formulas
+        quick = (formulas.quick, job.look != "never", "a")
+        if formulas.careful is None:
+            self._steps(state, *quick)
+            return
+        careful = (formulas.careful, True, "f")
+        if job.known:
+            self._open("if quiet:")
+            self._steps(state, *quick)
+            self._close()
+            self._open("else:")
+            self._steps(state, *careful)
+            self._close()
+            return
+        start = ", ".join(self._names("start", formulas.size))
+        names = ", ".join(state)
+        self._add(f"{start}, = {names},")
+        self._steps(state, *quick)
+        self._open(f"if turn > {math.pi**2!r}:")
+        self._add(f"{names}, = {start},")
+        self._steps(state, *careful)
+        self._close()
+
+    def _steps(self, state: list[str], forms: Forms, noted: bool, prefix: str) -> None:
+        job = self.job
+        flat = forms.noted if noted else forms.plain
+        self._add(f"turn = {job.kind}(0.0)")
+        self._open("for m in range(n, stop):")
+        time = "double(m)"
+        if job.method.stages:
+            self._open("for i in range(stages.shape[0]):")
+            time += " + stages[i, 2]"
+            self._add(f"h = {job.kind}(product(stages[i, 0], step))")
+            self._add(f"k = {job.kind}(product(stages[i, 1], step))")
+        if ("t",) in flat.inputs():
+            self._add(f"t = t0 + product({time}, step)")
+        rest = self._formulas(flat, prefix, *state)
+        if noted:
+            (z,) = rest
+            self._add(f"turn = {ast.unparse(_larger(ast.Name('turn'), ast.Name(z)))}")
+        if job.method.stages:
+            self._close()
+        self._close()
+
+
+def text(job: Job) -> tuple[str, dict[str, Any]]:
+    """The kernel of a job as Python text, ``kernel(*ARGUMENTS, *tables)``, and its constants.
+
+    Raises ``ValueError`` for formulas that call a function which is no straight line, and for steps
+    of each body's own or saves at any times.
+    """
+    if job.own_steps:
+        raise ValueError(
+            'device: found "cuda" with a dt of each body or save_at; accepted: one dt, save_every'
+        )
+    for group, function in job.formulas.resources:
+        if group == "function":
+            raise ValueError(
+                f'device: found "cuda" with {getattr(function, "name", function)}, a function that '
+                "is compiled for the processor alone; accepted: functions whose branches and "
+                "loops are known beforehand, of + - * / and the functions of math"
+            )
+    writer = _Writer(job)
+    return writer.text(), writer.constants
+
+
+@lru_cache(maxsize=256)
+def kernel_of(job: Job) -> Any:
+    """The kernel of a job for Numba, which compiles it for a device at its first launch."""
+    from numba import cuda
+
+    program, constants = text(job)
+    scope: dict[str, Any] = {**_scope(), **constants, "cuda": cuda}
+    exec(compile(program, "<kernel>", "exec"), scope)
+    return cuda.jit(scope["kernel"])
+
+
+def _scope() -> dict[str, Any]:
+    """What names of the text stand for: Numba's functions of a device, NumPy's in its simulator."""
+    named: dict[str, Any] = {"single": np.float32, "double": np.float64, "nan": math.nan}
+    if config.ENABLE_CUDASIM:
+        both = {"fma": _fma, "product": np.multiply, "rint": np.rint, "floor": np.floor}
+        named |= {name + narrow: f for name, f in both.items() for narrow in ("", "f")}
+        return {**source.SCOPE, **named, "whole": int}
+    from numba.cuda import libdevice
+
+    return (
+        named
+        | {name: getattr(math, name) for name in ("sqrt", *LIBRARY)}
+        | {
+            "abs": math.fabs,
+            "logical_not": np.logical_not,
+            "fma": libdevice.fma_rn,
+            "fmaf": libdevice.fmaf_rn,
+            "product": libdevice.dmul_rn,
+            "productf": libdevice.fmul_rn,
+            "rint": libdevice.rint,
+            "rintf": libdevice.rintf,
+            "floor": libdevice.floor,
+            "floorf": libdevice.floorf,
+            "whole": np.int64,
+        }
+    )
+
+
+def _fma(x: Any, y: Any, z: Any) -> Any:
+    return x * y + z

@@ -1,0 +1,152 @@
+"""Narrower vectors, no fused multiplication, ARM: the same formulas, the same bits where fused."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exact import START, generic
+from llvmlite import binding as llvm
+
+import fastatt as fa
+from fastatt.engine import pieces, tiles
+from fastatt.flat.machine import Processor, processor
+from fastatt.running.loop import job_of
+
+ROOT = Path(fa.__file__).resolve().parents[1]
+N = 5
+BODIES = generic(N)
+Q0 = np.tile(START, (N, 1))
+W0 = np.random.default_rng(3).normal(size=(N, 3))
+FAST = fa.rates.Polynomial(BODIES.c * np.linspace(1.0, 100.0, N)[:, None, None])
+# name: what NUMBA_CPU_NAME and NUMBA_CPU_FEATURES say, bytes of a vector, whether it fuses
+PROCESSORS = {
+    "AVX2": ("haswell", "+sse2,+sse3,+ssse3,+sse4.1,+sse4.2,+avx,+avx2,+fma", 32, True),
+    "no AVX": ("x86-64", "+sse2", 16, False),
+}
+
+
+def free():
+    return fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+
+
+def results():
+    """Of each run, state, defect and status; scenes are new, and remember no program."""
+    found = {}
+    for name, scene, method, dtype in (
+        ("free", free(), "rk4", "float64"),
+        ("fast", fa.Scene(rate=FAST), "lie_midpoint", "float32"),
+    ):
+        w0 = None if scene.kind == "rate" else W0
+        traj = fa.propagate(
+            scene, Q0, w0, dt=0.05, n_steps=20, save_every=8, method=method, dtype=dtype
+        )
+        found |= {f"{name} {k}": getattr(traj, k) for k in ("state", "defect", "status")}
+    return found
+
+
+def results_on(name, path, **environment):
+    """The results of a process that is told what its processor is."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", __file__, str(path)],
+        cwd=ROOT,
+        env={
+            **os.environ,
+            **environment,
+            "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests"))),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(x) for x in PROCESSORS[name][2:]]
+    with np.load(path) as file:
+        return dict(file)
+
+
+def on(name, tmp_path):
+    cpu, features, *_ = PROCESSORS[name]
+    if not set(re.findall(r"\w[\w.]*", features)) <= set(
+        re.findall(r"\+([\w.]+)", llvm.get_host_cpu_features().flatten())
+    ):
+        pytest.skip(f"{name}: not a part of this processor")
+    told = {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": features}
+    return results_on(name, tmp_path / "runs.npz", **told)
+
+
+def different(a, b):
+    return [name for name in a if a[name].tobytes() != b[name].tobytes()]
+
+
+@pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
+def test_half_the_vectors_give_the_same_bits(tmp_path):
+    there = on("AVX2", tmp_path)
+    here = results()
+    assert different(here, there) == []
+    assert here["fast status"].any()  # turns beyond π: the careful form was compiled there too
+    assert not here["fast status"].all()
+
+
+@pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
+def test_without_fused_multiplication_the_bits_are_those_of_the_formulas_in_python(
+    tmp_path, monkeypatch
+):
+    there = on("no AVX", tmp_path)
+    monkeypatch.setattr("numba.config.DISABLE_JIT", True)
+    assert different(results(), there) == []
+
+
+@pytest.fixture
+def arm(monkeypatch):
+    """Programs are written for a 64-bit ARM; what makes its assembly."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    try:
+        target = llvm.Target.from_triple("aarch64-linux-gnu")
+    except RuntimeError as error:
+        pytest.skip(str(error))
+    found = Processor("generic", "", "aarch64-linux-gnu")
+    for module in (pieces, tiles):
+        monkeypatch.setattr(module, "processor", lambda: found)
+    machine = target.create_target_machine(cpu=found.name, features=found.features, opt=2)
+
+    def assembly(text):
+        module = llvm.parse_assembly(text)
+        module.triple, module.data_layout = machine.triple, str(machine.target_data)
+        return machine.emit_assembly(module)
+
+    return assembly
+
+
+@pytest.mark.parametrize(("dtype", "lanes"), [("float64", "2d"), ("float32", "4s")])
+def test_an_arm_computes_on_whole_vectors(arm, dtype, lanes):
+    job = job_of(free(), "rk4", "quat", dtype)
+    text = arm(tiles.Writer(job, job.formulas).quick())
+    formulas = job.formulas
+    wanted = [n.op for f in (formulas.quick.noted, formulas.begin, formulas.save) for n in f.nodes]
+    fused = re.findall(r"\tfml[as]\tv\d+\.(\w+)", text)
+    assert len(fused) == sum(op in ("fma", "fms", "fnma") for op in wanted)
+    assert set(fused) == {lanes}
+    # alone come h/2, h/6 and h², once for all bodies
+    steps = text[text.index("\nblock:") : text.index("\nbegin:")]
+    assert "fmla" in steps
+    alone = re.findall(r"\t(f(?:n?m(?:add|sub|ul)|add|sub|div|sqrt))\t[ds]\d+", steps)
+    assert alone == ["fmul"] * 3
+    assert set(re.findall(r"\tbl\t(\w+)", text)) == {"begin", "block", "save"}
+
+
+def test_the_environment_names_the_processor():
+    assert processor().vector in (16, 32, 64)
+    assert Processor("neoverse-n1", "+neon", "aarch64-linux-gnu").vector == 16
+    assert not Processor("x86-64", "+sse2,-fma", "x86_64-linux-gnu").fuses
+
+
+if __name__ == "__main__":
+    np.savez(sys.argv[1], **results())
+    print(processor().vector, processor().fuses)
