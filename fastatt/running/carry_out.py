@@ -90,7 +90,7 @@ def carry_out(wanted: Wanted) -> Trajectory:
     plan, clock, handling = wanted.plan, wanted.clock, wanted.handling
     end = wanted.end
     to_saves = handling.sink is not None or wanted.out is not None
-    shape = (len(plan.clock.saved), wanted.bodies, plan.width)
+    shape = (len(plan.clock.saved), wanted.bodies, plan.handed.width)
     if not to_saves:
         check_memory(shape, plan.kind)
     mine = about(wanted.choice, clock.h, plan.kind, wanted.position)
@@ -120,10 +120,10 @@ def carry_out(wanted: Wanted) -> Trajectory:
         made = plan.run(wanted.given, wanted.t0, handling=handling, ends=ends, start=end)
     device = wanted.choice.device
     if device is not None and device.saves is not None:
-        return replace(made, **plan.parts(device.saves))
+        return replace(made, **plan.handed.parts(device.saves))
     if history is None or history.array is None:
         return made
-    return replace(made, t=plan.clock.times(wanted.t0), **plan.parts(history.array))
+    return replace(made, t=plan.clock.times(wanted.t0), **plan.handed.parts(history.array))
 
 
 def _deliver(
@@ -154,18 +154,18 @@ def _in_parts(wanted: Wanted) -> Trajectory:
                 part = clock.part(rows) if isinstance(clock, OwnClock) else clock
                 plan = replace(wanted, clock=part).planned(scene[rows] if own else scene, m)
             if a == 0:
-                check_memory((saves, n, plan.width), kind)
-                memory, turns = Results.empty(saves, n, plan.width, kind), np.empty(n, kind)
+                check_memory((saves, n, plan.handed.width), kind)
+                memory, turns = Results.empty(saves, n, plan.handed.width, kind), np.empty(n, kind)
             chosen = given.part(rows, m)
             if order is None:
                 turns[rows] = plan.fill(chosen, wanted.t0, handling, memory.bodies(rows))
             else:
-                made = Results.empty(saves, m, plan.width, kind)
+                made = Results.empty(saves, m, plan.handed.width, kind)
                 turns[rows] = plan.fill(chosen, wanted.t0, handling, made)
                 memory.out[:, rows], memory.defect[:, rows] = made.out, made.defect
                 memory.status[rows] = made.status
     assert plan is not None
     steps = clock.steps if isinstance(clock, OwnClock) else clock.h
     plan.warn(turns, limits.decay(scene, steps), steps)
-    fields = plan.fields(clock.times(wanted.t0), memory, one_body=False)
+    fields = plan.handed.fields(clock.times(wanted.t0), memory, one_body=False)
     return Trajectory(**{**fields, "packed": scene, "dt": steps})

@@ -40,5 +40,5 @@ def closed_form(
         status=bad * np.uint8(Status.NON_FINITE) | far * np.uint8(Status.STEP_TOO_LARGE),
         one_body=given.one_body,
         carried={"w": w},
-        **plan.told,
+        **plan.handed.told,
     )

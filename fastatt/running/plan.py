@@ -6,7 +6,6 @@ import math
 import threading
 from dataclasses import replace
 from functools import partial
-from itertools import accumulate, pairwise
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -24,6 +23,7 @@ from fastatt.motion import carried, turning_part
 from fastatt.running import limits
 from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock, few
 from fastatt.running.closed import closed_form
+from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
 from fastatt.running.resume import End, about
 from fastatt.running.trajectory import Results, Trajectory
@@ -75,10 +75,10 @@ class Plan:
         structure = self.packed.structure
         body = ["w"] if scene.kind != "rate" else []
         self.beside = [*body, *(["v"] if scene.moves else []), *(["r"] if position else [])]
-        self._widths = [3] * len(self.beside)
+        widths = [3] * len(self.beside)
         if choice.reducer is not None:
             self.beside.append("s")
-            self._widths.append(choice.reducer.start.shape[-1])
+            widths.append(choice.reducer.start.shape[-1])
         self._is_plain_body = self.beside == ["w"]
         self.limit = limits.turn_limit(scene, method, attitude.name, kind)
         self._h = clock.steps if isinstance(clock, OwnClock) else clock.h
@@ -106,18 +106,7 @@ class Plan:
         self._span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
         self._is_exact = method.is_exact
-        self._saves, self.width = len(clock.saved), attitude.stored + structure.tail
-        self._offsets = self._layout(self._saves)
-        self._tiles = -(-n_bodies // self.job.width)
-        self._length = clock.end * clock.h
-        eps = float(np.finfo(kind).eps)
-        # turns of a step, rad, of which there is nothing to say
-        self._calm = (0.0 if attitude.compensated else eps, min(self.limit, eps**-0.5))
-        if (self.damped > method.damping_limit).any():
-            self._calm = (math.inf, 0.0)
-        self._local = threading.local()
-        #: what all trajectories have in common
-        self.told: dict[str, Any] = {
+        told = {
             "method": method.name,
             "representation": attitude.name,
             "dt": self._h,
@@ -126,6 +115,17 @@ class Plan:
             "record": method,
             "check": None,
         }
+        self.handed = Handed(n_bodies, kind, attitude.stored, (self.beside, widths), told)
+        self._saves = len(clock.saved)
+        self._offsets = self.handed.layout(self._saves)
+        self._tiles = -(-n_bodies // self.job.width)
+        self._length = clock.end * clock.h
+        eps = float(np.finfo(kind).eps)
+        # turns of a step, rad, of which there is nothing to say
+        self._calm = (0.0 if attitude.compensated else eps, min(self.limit, eps**-0.5))
+        if (self.damped > method.damping_limit).any():
+            self._calm = (math.inf, 0.0)
+        self._local = threading.local()
 
     def __reduce__(self) -> Any:
         return self._asked
@@ -263,36 +263,17 @@ class Plan:
         other.packed = self.packed._replace(params=numbers)
         rows = np.ascontiguousarray(np.atleast_2d(numbers))
         other._fixed = {**self._fixed, "p": rows, "flags": other._flags(rows)}
-        other.told = {**self.told, "packed": other.packed}
+        other.handed = self.handed.with_packed(other.packed)
         return other
 
     def _over(self, out: Trajectory) -> NDArray[np.uint8]:
         """The memory of an earlier trajectory."""
         if getattr(out, "record", None) is self.choice.method and isinstance(out, Trajectory):
             raw = out.raw
-            if raw is not None and raw.size == self._layout(self._saves)[-1]:
+            if raw is not None and raw.size == self.handed.layout(self._saves)[-1]:
                 return raw
         raise ValueError(
             f"out: found {checks.brief(out)}; accepted: an earlier trajectory of this plan"
-        )
-
-    def _layout(self, saves: int) -> tuple[int, int, int]:
-        """Where in a run's memory the departures and the flags begin, and where it ends."""
-        size = saves * self.n_bodies * self.kind.itemsize
-        return (
-            size * self.width,
-            size * (self.width + 1),
-            size * (self.width + 1) + self.n_bodies,
-        )
-
-    def views(self, raw: NDArray[np.uint8], saves: int) -> Results:
-        """The arrays in a run's memory."""
-        first, second, end = self._layout(saves)
-        n, kind = self.n_bodies, self.kind
-        return Results(
-            raw[:first].view(kind).reshape(saves, n, self.width),
-            raw[first:second].view(kind).reshape(saves, n),
-            raw[second:end],
         )
 
     def run(
@@ -319,14 +300,17 @@ class Plan:
         piecewise = handling.sink is not None or handling.checkpoint is not None
         if piecewise and handling.sink is not None:
             saves = min(saves, 1 + RING)
-            offsets = self._layout(saves)
+            offsets = self.handed.layout(saves)
         if raw is None:
             raw = np.empty(offsets[2], np.uint8)
-        bench = self._bench() if piecewise or ends or start else self._own_bench()
-        run = bench.run
+        bench = self._bench() if piecewise else self._own_bench()
+        own, run = bench, bench.run
+        if ends or start is not None:  # memory that the trajectory's end keeps
+            bench = _Bench(run, np.empty_like(bench.x), np.empty_like(bench.watch))
+            run.put(x=bench.x, watch=bench.watch)
         run.load(given, raw, offsets, t0)
         if run.is_plain:
-            run.put(q0=given.q, y0=given.y, **self.views(raw, saves)._asdict())
+            run.put(q0=given.q, y0=given.y, **self.handed.views(raw, saves)._asdict())
         if start is not None:
             bench.x[...], bench.watch[...] = start.x, start.watch
         if run.is_timed and self.clock.is_rounded(t0):
@@ -334,7 +318,7 @@ class Plan:
         warned = not self.is_short and self._warn_of_first(given)
         end = partial(self._end, given, bench, t0)
         if piecewise:
-            results = self.views(raw, saves)
+            results = self.handed.views(raw, saves)
             begin = self.clock.done if start is None else start.done
             made = self._piecewise(run, t0, results, given.one_body, (handling, begin, end))
         else:
@@ -348,6 +332,8 @@ class Plan:
             made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=later)
         if ends:
             made.__dict__["end"] = end(self.clock.end)
+        if bench is not own:
+            run.put(x=own.x, watch=own.watch)
         least, limit = self._calm
         noted = not least <= run.told[0] <= limit and run.told[0] and self.clock.n_steps
         # of an iteration that did not converge the first step tells how large it was
@@ -373,26 +359,9 @@ class Plan:
 
     def _found(self, raw: NDArray[np.uint8], t0: float, one_body: bool) -> dict[str, Any]:
         """The fields of a trajectory."""
-        return self.fields(self.clock.times(t0), self.views(raw, self._saves), one_body)
-
-    def fields(self, t: NDArray[np.float64], results: Results, one_body: bool) -> dict[str, Any]:
-        """Fields of a trajectory of some saves."""
-        return {
-            **self.told,
-            "t": t,
-            "defect": results.defect,
-            "status": results.status,
-            "one_body": one_body,
-            **self.parts(results.out),
-        }
-
-    def parts(self, out: NDArray[Any]) -> dict[str, Any]:
-        """Attitudes, and what is carried beside them, of what is handed out (S, N, k or more)."""
-        stored = self.choice.attitude.stored
-        spans = pairwise(accumulate(self._widths, initial=stored))
-        carried = {x: out[..., a:b] for x, (a, b) in zip(self.beside, spans, strict=True)}
-        found = {"state": out[..., :stored], "carried": carried}
-        return {**found, "defect": out[..., -1]} if out.shape[2] > self.width else found
+        return self.handed.fields(
+            self.clock.times(t0), self.handed.views(raw, self._saves), one_body
+        )
 
     def _go(self, run: Run, span: Span, handling: Handling, found: Any = None) -> None:
         """Steps of a span, of all bodies; ``found()`` gives the fields of their trajectory."""
@@ -442,15 +411,15 @@ class Plan:
                 # the initial save, with which all pieces begin, is handed out with the first
                 new = slice(min(before, 1), len(slots))
                 part = results.saves(new)._replace(status=results.status.copy())
-                handling.sink(Trajectory(**self.fields(t[slots[new]], part, one_body)))
+                handling.sink(Trajectory(**self.handed.fields(t[slots[new]], part, one_body)))
             due = last == span.n_steps or perf_counter() - written > _WRITTEN
             if handling.checkpoint is not None and due:
                 end(last).save(handling.checkpoint)
                 written = perf_counter()
         if handling.sink is None:
-            return Trajectory(**self.fields(t, results, one_body))
+            return Trajectory(**self.handed.fields(t, results, one_body))
         final = results.saves(slice(len(slots) - 1, len(slots)))
-        return Trajectory(**self.fields(t[-1:], final, one_body))
+        return Trajectory(**self.handed.fields(t[-1:], final, one_body))
 
     def _pieces(self, saves: bool) -> list[tuple[int, list[int]]]:
         """(last step, slots of the saves on the way) of each piece of a run."""

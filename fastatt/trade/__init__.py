@@ -3,10 +3,10 @@
 from fastatt.trade.advice import recommend
 from fastatt.trade.bodies import BODY_SCENES, BodyScene, body_cases, body_scene, body_trade
 from fastatt.trade.coning import coning_cases, coning_rates, coning_trade
+from fastatt.trade.each import OwnSteps, own_steps
 from fastatt.trade.error_budget import ErrorBudget, error_budget
 from fastatt.trade.measure import Case, Problem, Row, State, frontier, trade_table
 from fastatt.trade.order import self_check
-from fastatt.trade.each import OwnSteps, own_steps
 from fastatt.trade.recommendation import Recommendation
 from fastatt.trade.recordings import (
     RECORDINGS,
