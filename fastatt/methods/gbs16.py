@@ -44,7 +44,6 @@ METHOD = Method(
     conserves=(),
     rate_calls=1 + sum(n - 1 for n in COLUMNS),
     exponentials=0,
-    compensates=True,
     limits={"quat": 5.9},
     steps=Steps(body=step),
     damping_limit=7.5,
