@@ -153,7 +153,7 @@ def test_damping_axis_by_axis():
     ordered = INERTIA[[0]]
     scene = fa.Scene(inertia=ordered, torque=model)
     q, w = ends(ordered, lambda _: ro.linear_damping(drag))
-    for method in stepped(scene):
+    for method in set(stepped(scene)) - LENGTHY:
         assert gap(run(scene, method, 2000, q0=ONE_START, w0=ONE_SPIN), q, w) < 1e-6
     refused = set(stepped(scene)) - set(stepped(fa.Scene(inertia=INERTIA, torque=model)))
     assert refused == {"strang2", "suzuki4", "kahan_li6", "kahan_li8"}
