@@ -252,7 +252,11 @@ _ALL = (
     TorqueRecord(GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True),
     TorqueRecord(
         HeavyTop, (_VECTOR, _NUMBER),
-        lambda t, pose, p: vec3.cross(p[:3], pose.to_body((0.0, 0.0, -p[3]))), _POSITION, False,
+        # half of the vertical: the doubling is done to what stays
+        lambda t, pose, p: vec3.cross(
+            vec3.scale(-2.0 * p[3], p[:3]), pose.to_body((0.0, 0.0, 0.5))
+        ),
+        _POSITION, False,
         potential=lambda t, pose, p: p[3] * dot(p[:3], pose.to_body((0.0, 0.0, 1.0))),
     ),
     TorqueRecord(

@@ -14,7 +14,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import rigid_oracle as ro
-from exact import EPS, START, angle, observed_order
+from exact import EPS, LENGTHY, START, angle, observed_order, representations
 from oracle import floats
 
 import fastatt as fa
@@ -28,7 +28,7 @@ Q0, W0 = np.tile(START, (N, 1)), np.tile(SPIN, (N, 1))
 MOTION, ARM, WEIGHT, DRAG = 0.5, np.array([0.1, 0.2, 0.3]), 1.0, 0.3
 SPAN = 2.0
 ONE_START, ONE_SPIN = START[None], SPIN[None]
-DENSE = (4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24, 32, 48, 64)
+DENSE = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 20, 24, 32, 48, 64)
 
 
 def torqued(inertia, motion=MOTION, arm=ARM, drag=0.0):
@@ -55,7 +55,7 @@ def stepped(scene):
 def in_each(names):
     """With each representation that is stepped without poles."""
     matrices = ("quat", "dcm", "dcm_rows")
-    return [(m, r) for m in names for r in fa.METHODS[m].representations if r in matrices]
+    return [(m, r) for m in names for r in representations(fa.METHODS[m]) if r in matrices]
 
 
 FREE = fa.Scene(inertia=INERTIA)
@@ -106,31 +106,44 @@ def order(scene, expected, method, representation="quat"):
     def error(n):
         return gap(run(scene, method, n, representation=representation), *expected)
 
-    return observed_order(error, SPAN, ladder=DENSE)
+    # of order 16 float64 holds two points
+    least = 2 if fa.METHODS[method].order > 10 else 3
+    return observed_order(error, SPAN, ladder=DENSE, least=least)
+
+
+def is_order(found, method, kind):
+    """Of order 9 and more float64 leaves steps of a rad and more, where next terms count too."""
+    declared = fa.METHODS[method].order_of(kind)
+    slack = (0.5, 2.5) if method in LENGTHY else (0.25, 0.25)
+    return declared - slack[0] <= found <= declared + slack[1]
 
 
 @on_free
 def test_order_on_free_bodies(method, representation):
     """Triaxial, their moments in every order; attitudes and rates."""
-    declared = fa.METHODS[method].order_of("free")
-    assert order(FREE, end(), method, representation) == pytest.approx(declared, abs=0.25)
+    if fa.METHODS[method].order > 10:  # 2 s in one step are rounding: 16 s by the closed form
+        known = fa.exact.free_body(Q0, W0, INERTIA, 16.0)
+        found = observed_order(
+            lambda n: gap(run(FREE, method, n, 16.0), *known), 16.0, ladder=range(4, 12)
+        )
+        assert is_order(found, method, "free")
+        return
+    assert is_order(order(FREE, end(), method, representation), method, "free")
 
 
 @pytest.mark.parametrize(("method", "representation"), OF_TORQUED)
 def test_order_under_torque(method, representation):
     """Gravity gradient, which depends on time, and a weight."""
-    declared = fa.METHODS[method].order_of("torqued")
     found = order(under_torque(method), end(0.0), method, representation)
-    assert found == pytest.approx(declared, abs=0.25)
+    assert is_order(found, method, "torqued")
 
 
 @pytest.mark.parametrize("method", DAMPED_METHODS)
 def test_order_with_damping(method):
     """Damping is no kick that a position decides: splittings of Nyström's kind do not take it."""
     assert fa.METHODS[method].takes is not Dependence.POSITION
-    declared = fa.METHODS[method].order_of("torqued")
     scene = torqued(INERTIA, drag=DRAG)
-    assert order(scene, end(DRAG), method) == pytest.approx(declared, abs=0.25)
+    assert is_order(order(scene, end(DRAG), method), method, "torqued")
 
 
 def test_damping_axis_by_axis():
@@ -140,7 +153,7 @@ def test_damping_axis_by_axis():
     ordered = INERTIA[[0]]
     scene = fa.Scene(inertia=ordered, torque=model)
     q, w = ends(ordered, lambda _: ro.linear_damping(drag))
-    for method in stepped(scene):
+    for method in set(stepped(scene)) - LENGTHY:
         assert gap(run(scene, method, 2000, q0=ONE_START, w0=ONE_SPIN), q, w) < 1e-6
     refused = set(stepped(scene)) - set(stepped(fa.Scene(inertia=INERTIA, torque=model)))
     assert refused == {"strang2", "suzuki4", "kahan_li6", "kahan_li8"}
@@ -307,7 +320,7 @@ def test_reversal_of_free_bodies(method):
     out = run(H, method, 200, 10.0, ONE, H_W0)
     back = run(H, method, 200, -10.0, out.q[-1], out.w[-1])
     found = gap(back, ONE, H_W0)
-    if "free" in fa.METHODS[method].reversible or fa.METHODS[method].order == 8:
+    if "free" in fa.METHODS[method].reversible or fa.METHODS[method].order >= 8:
         assert found < 200 * fa.METHODS[method].rate_calls * EPS
     else:
         assert found == pytest.approx(3e-9, rel=0.5)
@@ -323,7 +336,7 @@ def test_reversal_under_torque(method, drag):
     back = fa.propagate(scene, out.q[-1], out.w[-1], dt=-0.05, n_steps=n, t0=5.0, method=method)
     found = gap(back, Q0, W0)
     grown = math.exp(DRAG / 0.6 * 5.0) if drag else 1.0
-    if "torqued" in fa.METHODS[method].reversible or fa.METHODS[method].order == 8:
+    if "torqued" in fa.METHODS[method].reversible or fa.METHODS[method].order >= 8:
         assert found < n * 2 * fa.METHODS[method].rate_calls * EPS * grown
     else:
         assert 1e-11 < found < 1e-6

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from differences import attitude_errors, derivative, displaced
+from exact import LENGTHY
 from numba import njit
 from oracle import EPS
 
@@ -244,7 +245,7 @@ def test_stages_in_a_loop_are_the_stages_one_by_one(method, parameters):
         assert np.abs(np.subtract(a, b)).max() <= 8 * EPS * np.abs(b).max()
 
 
-@pytest.mark.parametrize("method", [m for m in fa.methods_for(TOP, "quat") if m != "exact"])
+@pytest.mark.parametrize("method", sorted({*fa.methods_for(TOP, "quat")} - {"exact", *LENGTHY}))
 def test_what_is_compiled_does_not_grow_with_the_stages(method):
     """Some 0.1 ms an operation: below half a second for each."""
     made = estimation.step_tangent(TOP, method=method)

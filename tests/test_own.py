@@ -11,7 +11,7 @@ from exact import EPS, START, angle, exp, generic, mul, observed_order
 from numba import njit
 
 import fastatt as fa
-from fastatt.methods import rk4, rk8
+from fastatt.methods import rk4, rk8, rk9
 from fastatt.methods.explicit import Tableau
 
 SPAN = 2.0
@@ -217,7 +217,9 @@ def test_a_wrong_tableau_is_refused(change, error, message):
         fa.explicit(**{"name": "wrong", **GOOD, **change})
 
 
-@pytest.mark.parametrize("tableau", [rk4.TABLEAU, rk8.TABLEAU], ids=["rk4", "rk8"])
+@pytest.mark.parametrize(
+    "tableau", [rk4.TABLEAU, rk8.TABLEAU, rk9.TABLEAU], ids=["rk4", "rk8", "rk9"]
+)
 def test_a_digit_of_a_built_in_tableau_that_is_wrong_is_seen_at_import(tableau):
     """Each by itself: a node and a weight in the eighth digit, a row that keeps its sum by 1e-3."""
     given = {"order": tableau.order, "c": tableau.c, "a": tableau.a, "b": tableau.b}
@@ -242,10 +244,11 @@ def test_a_digit_of_a_built_in_tableau_that_is_wrong_is_seen_at_import(tableau):
 
 
 def test_every_explicit_method_of_the_library_is_checked():
-    """Those that step by derivatives are made of tableaux."""
+    """Those that step by derivatives are made of tableaux, but for the extrapolated rule."""
     stepping = {m.name for m in fa.METHODS.values() if m.uses == ("derivative",)}
-    assert stepping == {"rk4", "rk8"}
-    for tableau, name in ((rk4.TABLEAU, "rk4"), (rk8.TABLEAU, "rk8")):
+    made = {"rk4": rk4.TABLEAU, "rk8": rk8.TABLEAU, "rk9": rk9.TABLEAU}
+    assert stepping == {*made, "gbs16"}
+    for name, tableau in made.items():
         assert tableau.order == fa.METHODS[name].order
 
 
@@ -459,7 +462,7 @@ def test_defaults_fit_ones_own():
     assert run(BODIES.scene, None, representation=DOUBLED).method == "magnus4"
     assert run(body_scene(), None, 24, START4, SPIN4, MRP).method == "rk8"
     names = fa.methods_for(BODIES.scene, MRP)
-    assert names == ["rk4"]
+    assert names == ["rk4", "gauss12"]
     message = re.escape("method for representation \"mrp\": found 'magnus4'; accepted: rk4")
     with pytest.raises(ValueError, match=message):
         run(BODIES.scene, "magnus4", representation=MRP)

@@ -13,6 +13,7 @@ DIRECTION = Attitude(
     coordinates=3,
     start=lambda v: v,
     turn=lambda x, u: quat.rotate_inverse(quat.exp(u), x),
+    compose=lambda x, q: quat.rotate_inverse(q, x),
     turn_short=lambda x, u: quat.rotate_inverse(quat.exp_short(u), x),
     derivative=dcm.derivative_row,
     flip=lambda x: x,

@@ -45,8 +45,8 @@ def rotate(q, v):
     """
     F = type(q[0])
     u = (q[1], q[2], q[3])
-    t = cross(u, v)
-    t = (F(2.0) * t[0], F(2.0) * t[1], F(2.0) * t[2])
+    # twice v and not twice the product: of a vector that stays it is taken once
+    t = cross(u, (F(2.0) * v[0], F(2.0) * v[1], F(2.0) * v[2]))
     c = cross(u, t)
     return v[0] + q[0] * t[0] + c[0], v[1] + q[0] * t[1] + c[1], v[2] + q[0] * t[2] + c[2]
 

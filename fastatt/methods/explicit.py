@@ -19,8 +19,8 @@ from fastatt.methods.method import BODIES, Method, Steps
 
 #: representations whose numbers obey a differential equation
 STEPPED = ("quat", "dcm", "dcm_rows", "euler313", "rotation_vector")
-# of trees beyond, 486 of order 9 and more, the conditions are not looked at
-_CHECKED = 8
+# of trees beyond, 719 of order 10 and more, the conditions are not looked at
+_CHECKED = 9
 _CLOSE = 1e-12
 
 
@@ -65,11 +65,15 @@ class Tableau:
             matrix[i, :i] = row
         b = np.array(self.b)
         size = max(1.0, float(np.abs(matrix).sum(axis=1).max()), float(np.abs(b).sum()))
-        values: dict[Any, Any] = {}
+        values: dict[Any, Any] = {(): np.ones(s)}
+        stems: dict[Any, Any] = {}
 
         def of(tree: Any) -> Any:
             if tree not in values:
-                values[tree] = np.prod([matrix @ of(child) for child in tree], axis=0) * np.ones(s)
+                *rest, branch = tree
+                if branch not in stems:
+                    stems[branch] = matrix @ of(branch)
+                values[tree] = of(tuple(rest)) * stems[branch]
             return values[tree]
 
         for n in range(1, min(self.order, _CHECKED) + 1):
@@ -196,7 +200,7 @@ def explicit(
     Parameters
     ----------
     name : what tables call it.
-    order : the order declared; up to order 8 all its conditions are checked here.
+    order : the order declared; up to order 9 all its conditions are checked here.
     c : the nodes, the first of them 0.
     a : a row for each stage but the first, of one number, two, and so on.
     b : the weights.

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import reduce
+from functools import cache, reduce
 from typing import Any
+
+import numpy as np
 
 from fastatt import checks
 from fastatt.flat.finished import Flat
-from fastatt.flat.formulas import Vector, dot, plus, scale
+from fastatt.flat.formulas import Vector, axpy, dot, minus, plus, scale, weighted
 from fastatt.flat.functions import larger
 from fastatt.flat.graph import Graph, Number
 from fastatt.flat.nodes import NotStraight
@@ -26,6 +28,35 @@ def one_exponential(motion: Any, t: Any, h: Any, x: Vector) -> Any:
     """The exponential of the rate at the middle of the step: exact for a constant rate."""
     u = scale(h, motion.rate(t + 0.5 * h))
     return motion.turned(x, u), dot(u, u)
+
+
+def gauss_polynomial(w: Any, t: Any, h: Any, n: int) -> list[Vector]:
+    """h times the coefficients of the rate's polynomial through n Gauss nodes, n even.
+
+    In powers of the time from the middle of the step over h. Of a constant rate all but the first
+    are exactly 0.
+    """
+    nodes, even, odd = _fits(n)
+    pairs = [(w(t + (0.5 - x) * h), w(t + (0.5 + x) * h)) for x in nodes]
+    sums = [plus(*pair) for pair in pairs]
+    moved = [minus(s, sums[0]) for s in sums[1:]]
+    gaps = [minus(b, a) for a, b in pairs]
+    found = []
+    for of_sums, of_gaps in zip(even, odd, strict=True):
+        for weights, vectors in ((of_sums[1:], moved), (of_gaps, gaps)):
+            k, v = weighted(weights, vectors)
+            found.append(scale(h * k, v))
+    found[0] = axpy(0.5 * h, sums[0], found[0])
+    return found
+
+
+@cache
+def _fits(n: int) -> tuple[Any, Any, Any]:
+    """Nodes on one side of the middle; coefficients from sums over both sides, and from gaps."""
+    nodes = 0.5 * np.polynomial.legendre.leggauss(n)[0][n // 2 :]
+    even = 2.0 * np.vander(nodes**2, increasing=True)
+    fits = (np.linalg.inv(even), np.linalg.inv(even * nodes[:, None]))
+    return nodes.tolist(), *(fit.tolist() for fit in fits)
 
 
 def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:

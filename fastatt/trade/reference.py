@@ -27,6 +27,7 @@ from fastatt.trade.measure import Case, Problem, State
 # of other families than those run tight; order 4 is extrapolated from a step and its half
 _CONFIRMING = ("dmv10", "kahan_li8", "rkmk4", "cf4", "rk4")
 _HIGH = 6
+_EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
 _EPS = float(np.finfo(np.float64).eps)
 _LEAST = 8  # steps
 # body-steps that a tight run may take, about 4 s of the slowest of them on one core
@@ -113,8 +114,9 @@ def reference(
         if found is not None:
             return found
         fitting = [METHODS[name] for name in methods_for(problem.ensemble.scene, "quat")]
+        short = [m for m in fitting if m.is_stepped and m.rate_calls <= _EVALUATIONS]
         # the first of the highest order
-        method = max((m for m in fitting if m.is_stepped), key=lambda m: m.order).name
+        method = max(short, key=lambda m: m.order).name
     return _tight(problem, method, looks, goal)
 
 
