@@ -122,6 +122,12 @@ class Run:
         if self._plain is not None:
             self._arrays.update(arrays)
 
+    def lend(self, x: NDArray[Any], watch: NDArray[Any]) -> None:
+        """Other memory for states and what is watched."""
+        self.addresses[_X], self.addresses[_WATCH] = address_of(x), address_of(watch)
+        if self.is_plain:
+            self._arrays.update(x=x, watch=watch)
+
     def load(
         self, given: Any, memory: NDArray[np.uint8], offsets: tuple[int, int, int], t0: float
     ) -> None:
@@ -197,8 +203,9 @@ _at, _byte = ctypes.addressof, ctypes.c_char.from_buffer
 _INTS, _NUMBERS, _ARRAYS = (
     {name: i for i, name in enumerate(names)} for names in (INTS, NUMBERS, ARRAYS)
 )
-_TOLD, _CAREFUL, _Q0, _Y0, _OUT, _DEFECT, _STATUS = (
-    _ARRAYS[name] for name in ("told", "careful", "q0", "y0", "out", "defect", "status")
+_TOLD, _CAREFUL, _Q0, _Y0, _X, _WATCH, _OUT, _DEFECT, _STATUS = (
+    _ARRAYS[name]
+    for name in ("told", "careful", "q0", "y0", "x", "watch", "out", "defect", "status")
 )
 _ROWS_Q, _ROWS_Y = (_INTS[name] for name in ("rows_q", "rows_y"))
 _T0 = _NUMBERS["t0"]

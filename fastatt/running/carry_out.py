@@ -14,7 +14,7 @@ from fastatt.running.asked import Choice, Clock, Handling, OwnClock
 from fastatt.running.histories import History, check_memory
 from fastatt.running.initial import Given
 from fastatt.running.plan import Plan
-from fastatt.running.resume import MOST, End, about, check, check_begin, loaded
+from fastatt.running.resume import MOST, End, check, check_begin, loaded
 from fastatt.running.trajectory import Results, Trajectory
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
@@ -93,14 +93,17 @@ def carry_out(wanted: Wanted) -> Trajectory:
     shape = (len(plan.clock.saved), wanted.bodies, plan.handed.width)
     if not to_saves:
         check_memory(shape, plan.kind)
-    mine = about(wanted.choice, clock.h, plan.kind, wanted.position)
-    file = handling.checkpoint
+    ends = wanted.bodies <= MOST if wanted.ends is None else wanted.ends
+    ends = ends and not isinstance(clock, OwnClock)
+    device, file = wanted.choice.device, handling.checkpoint
+    if not (to_saves or end or file or device or wanted.progress):
+        return plan.run(wanted.given, wanted.t0, handling=handling, ends=ends)
     goes_on = end is None and file is not None and file.exists()
     if goes_on and file is not None:
         end = loaded(file)
         check_begin(end, wanted.given, wanted.t0)
     if end is not None:
-        check(end, mine, plan.packed)
+        check(end, plan.about, plan.packed)
     history = None
     if wanted.out is not None:
         first = 0
@@ -115,10 +118,7 @@ def carry_out(wanted: Wanted) -> Trajectory:
             done=done if wanted.progress and not to_saves else None,
             sink=partial(_deliver, sinks, done) if sinks else None,
         )
-        ends = wanted.bodies <= MOST if wanted.ends is None else wanted.ends
-        ends = ends and not isinstance(clock, OwnClock)
         made = plan.run(wanted.given, wanted.t0, handling=handling, ends=ends, start=end)
-    device = wanted.choice.device
     if device is not None and device.saves is not None:
         return replace(made, **plan.handed.parts(device.saves))
     if history is None or history.array is None:

@@ -124,6 +124,10 @@ def chosen(
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
+    key = ("choice", method, representation, compensated, normalise, looks)
+    of_names = type(method) is type(representation) is str and type(normalise) is str
+    if of_names and reducer is device is None and key in scene.memo:
+        return scene.memo[key]  # type: ignore[no-any-return]
     attitude = attitude_of(representation)
     steps = device is not None
     record = _method(scene, method, attitude, reducer, steps=steps)
@@ -132,7 +136,10 @@ def chosen(
     if compensated:
         attitude = _compensated(record, attitude)
     restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    return Choice(record, attitude, restore, normalise == "never", looks, reducer, device)
+    found = Choice(record, attitude, restore, normalise == "never", looks, reducer, device)
+    if of_names and reducer is device is None:
+        scene.memo[key] = found
+    return found
 
 
 def _method(

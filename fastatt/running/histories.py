@@ -73,14 +73,17 @@ def check_memory(shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:
 
     Raises ``MemoryError``, with the sizes.
     """
-    free = _available()
-    if free is not None:
+    if _bytes(shape, kind) > _LITTLE and (free := _available()) is not None:
         _check_room(shape, kind, free, "memory")
 
 
+def _bytes(shape: tuple[int, int, int], kind: np.dtype[Any]) -> int:
+    return shape[0] * shape[1] * (shape[2] + 1) * kind.itemsize
+
+
 def _check_room(shape: tuple[int, int, int], kind: Any, free: int, where: str) -> None:
-    saves, bodies, width = shape
-    need = saves * bodies * (width + 1) * np.dtype(kind).itemsize
+    saves, bodies, _ = shape
+    need = _bytes(shape, kind)
     if need > _LITTLE and need > free:
         raise MemoryError(
             f"save_every: {saves} saves of {bodies} bodies take {need / 1e9:.3g} GB, of "

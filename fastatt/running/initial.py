@@ -27,6 +27,9 @@ class Given(NamedTuple):
         values = list(beside.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
         rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
+        if len(values) == 1 and start.dtype == values[0].dtype == kind:
+            y, q = np.ascontiguousarray(values[0]), np.ascontiguousarray(start)
+            return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
         with np.errstate(over="ignore"):
             if len(values) == 1:
                 y = np.ascontiguousarray(values[0], dtype=kind)

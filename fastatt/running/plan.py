@@ -4,35 +4,30 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import replace
-from functools import partial
-from time import perf_counter
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
-from fastatt.engine import pool
-from fastatt.engine.ensemble import Run, Span, prepare
+from fastatt.engine.ensemble import Run, prepare
 from fastatt.engine.job import Job
 from fastatt.engine.status import Status
 from fastatt.engine.tiles import width_for
 from fastatt.exact import check_above_zero
 from fastatt.motion import carried, turning_part
 from fastatt.running import limits
-from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock, few
-from fastatt.running.closed import closed_form
+from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock
 from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
+from fastatt.running.pieces import go, in_closed_form, piecewise
 from fastatt.running.resume import End, about
 from fastatt.running.trajectory import Results, Trajectory
 from fastatt.scene import Scene
 
 # body-steps: of a longer run the first steps are looked at before it, and Ctrl-C is answered in it
 LONG = 1_000_000
-# s from one writing of a run's end to the next, and body-steps between two looks at the clock
-_WRITTEN, _CHECKED = 10.0, 200_000_000
 _NOTHING = np.zeros((1, 0))
 
 
@@ -103,7 +98,7 @@ class Plan:
         else:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
         self._fixed = self._arrays(0.0 if known is None else known, rows_each)
-        self._span = clock.span(choice.restore)
+        self.span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
         self._is_exact = method.is_exact
         told = {
@@ -118,6 +113,9 @@ class Plan:
         self.handed = Handed(n_bodies, kind, attitude.stored, (self.beside, widths), told)
         self._saves = len(clock.saved)
         self._offsets = self.handed.layout(self._saves)
+        own = self.handling
+        alone = own.threads == 1 and own.done is None and own.sink is None
+        self._is_quick = self.is_short and alone and not method.is_exact
         self._tiles = -(-n_bodies // self.job.width)
         self._length = clock.end * clock.h
         eps = float(np.finfo(kind).eps)
@@ -168,7 +166,7 @@ class Plan:
             run.count(rows_own=self.clock.steps.size)
             edge = share
         rows = {f"rows_{name}": len(fixed[name]) for name in ("p", "known", "flags")}
-        run.count(bodies=n, stages=len(stages), stride=n, **rows, **self._span.__dict__)
+        run.count(bodies=n, stages=len(stages), stride=n, **rows, **self.span.__dict__)
         run.name(
             h=self.clock.h,
             edge=edge,
@@ -291,61 +289,97 @@ class Plan:
         ``raw`` is memory to write to, ``ends`` says that the trajectory holds its end, ``start``
         where the run goes on.
         """
+        if handling is None and self._is_quick and not ends and start is None:
+            return self._quickly(given, t0, raw)
         handling = handling or self.handling
-        if not -math.inf < t0 + self._length < math.inf:
-            self.clock.times(t0)  # which refuses them
+        self._refuse_overflow(t0)
         if self._is_exact:
-            return self._in_closed_form(given, t0, handling)
-        saves, offsets = self._saves, self._offsets
-        piecewise = handling.sink is not None or handling.checkpoint is not None
-        if piecewise and handling.sink is not None:
-            saves = min(saves, 1 + RING)
-            offsets = self.handed.layout(saves)
-        if raw is None:
-            raw = np.empty(offsets[2], np.uint8)
-        bench = self._bench() if piecewise else self._own_bench()
-        own, run = bench, bench.run
+            return in_closed_form(self, given, t0, handling)
+        in_pieces = handling.sink is not None or handling.checkpoint is not None
+        saves = self._saves if handling.sink is None else min(self._saves, 1 + RING)
+        raw = np.empty(self.handed.layout(saves)[2], np.uint8) if raw is None else raw
+        own = self._bench() if in_pieces else self._own_bench()
+        run, bench = own.run, own
         if ends or start is not None:  # memory that the trajectory's end keeps
-            bench = _Bench(run, np.empty_like(bench.x), np.empty_like(bench.watch))
-            run.put(x=bench.x, watch=bench.watch)
-        run.load(given, raw, offsets, t0)
-        if run.is_plain:
-            run.put(q0=given.q, y0=given.y, **self.handed.views(raw, saves)._asdict())
+            bench = _Bench(run, np.empty_like(own.x), np.empty_like(own.watch))
+            run.lend(bench.x, bench.watch)
+        self._load(run, given, t0, (raw, saves))
         if start is not None:
             bench.x[...], bench.watch[...] = start.x, start.watch
-        if run.is_timed and self.clock.is_rounded(t0):
-            rounding.warn(rounding.of_times(self.clock.longest(t0), self.clock.h))
         warned = not self.is_short and self._warn_of_first(given)
-        end = partial(self._end, given, bench, t0)
-        if piecewise:
-            results = self.handed.views(raw, saves)
+        later = partial(self._found, raw, t0, given.one_body)
+        if in_pieces:
+            end = partial(self._end, given, bench, t0)
             begin = self.clock.done if start is None else start.done
-            made = self._piecewise(run, t0, results, given.one_body, (handling, begin, end))
+            results = self.handed.views(raw, saves)
+            made = piecewise(self, run, t0, results, given.one_body, (handling, begin, end))
         else:
             if self.is_short and handling.threads == 1 and handling.done is None:
                 run(self._tiles)
             else:
-                self._go(run, self._span, handling, partial(self._found, raw, t0, given.one_body))
-            made = object.__new__(Trajectory)
-            # what a caller may never ask for takes longer than the run of a few steps
-            later = partial(self._found, raw, t0, given.one_body)
-            made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=later)
+                go(self, run, self.span, handling, later)
+            made = self._promised(raw, run, later)
         if ends:
-            made.__dict__["end"] = end(self.clock.end)
+            made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
+        if not warned:
+            self._warn_after(run, given, bench.watch)
         if bench is not own:
-            run.put(x=own.x, watch=own.watch)
+            run.lend(own.x, own.watch)
+        return made
+
+    def _refuse_overflow(self, t0: float) -> None:
+        if not -math.inf < t0 + self._length < math.inf:
+            self.clock.times(t0)
+
+    def _load(self, run: Run, given: Given, t0: float, memory: tuple[Any, int]) -> None:
+        """Tell a run what it works on; memory is told with its number of saves."""
+        raw, saves = memory
+        run.load(
+            given, raw, self._offsets if saves == self._saves else self.handed.layout(saves), t0
+        )
+        if run.is_plain:
+            run.put(q0=given.q, y0=given.y, **self.handed.views(raw, saves)._asdict())
+        if run.is_timed and self.clock.is_rounded(t0):
+            rounding.warn(rounding.of_times(self.clock.longest(t0), self.clock.h))
+
+    @staticmethod
+    def _promised(raw: NDArray[np.uint8], run: Run, later: Any) -> Trajectory:
+        """A trajectory whose fields are found when they are asked for.
+
+        To find them takes longer than a run of a few steps.
+        """
+        made = object.__new__(Trajectory)
+        made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=later)
+        return made
+
+    def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
+        """The same of a few steps in this thread, with memory that is there."""
+        self._refuse_overflow(t0)
+        if raw is None:
+            raw = np.empty(self._offsets[2], np.uint8)
+        run, _, watch = self._own_bench()
+        self._load(run, given, t0, (raw, self._saves))
+        run(self._tiles)
+        if not self._calm[0] <= run.told[0] <= self._calm[1]:
+            self._warn_after(run, given, watch)
+        return self._promised(raw, run, partial(self._found, raw, t0, given.one_body))
+
+    def _warn_after(self, run: Run, given: Given, watch: NDArray[Any]) -> None:
+        """Warn of steps as they were; of an iteration that failed the first tells how large."""
         least, limit = self._calm
         noted = not least <= run.told[0] <= limit and run.told[0] and self.clock.n_steps
-        # of an iteration that did not converge the first step tells how large it was
-        if noted and not warned and not self._warn_of_first(given):
-            self.warn(np.sqrt(bench.watch[0]), self.damped)
-        return made
+        if noted and not self._warn_of_first(given):
+            self.warn(np.sqrt(watch[0]), self.damped)
 
     def _end(self, given: Given, bench: _Bench, t0: float, done: int) -> End:
         """The end of a run, which keeps the bench's memory and a copy of what was given."""
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
-        told = about(self.choice, self.clock.h, self.kind, "r" in self.beside)
-        return End(kept, bench.x, bench.watch, done, t0, told, self.packed.params)
+        return End(kept, bench.x, bench.watch, done, t0, self.about, self.packed.params)
+
+    @cached_property
+    def about(self) -> dict[str, Any]:
+        """What must be the same in a run that goes on."""
+        return about(self.choice, self.clock.h, self.kind, "r" in self.beside)
 
     def fill(self, given: Given, t0: float, handling: Handling, results: Results) -> NDArray[Any]:
         """Run into arrays of more bodies; the turns of each body's steps, rad, for a warning."""
@@ -354,7 +388,7 @@ class Plan:
         run.put(q0=given.q, y0=given.y, **results._asdict())
         run.count(rows_q=given.rows_q, rows_y=given.rows_y, stride=stride)
         run.name(t0=t0)
-        self._go(run, self._span, handling)
+        go(self, run, self.span, handling)
         return np.asarray(np.sqrt(bench.watch[0]))
 
     def _found(self, raw: NDArray[np.uint8], t0: float, one_body: bool) -> dict[str, Any]:
@@ -362,82 +396,6 @@ class Plan:
         return self.handed.fields(
             self.clock.times(t0), self.handed.views(raw, self._saves), one_body
         )
-
-    def _go(self, run: Run, span: Span, handling: Handling, found: Any = None) -> None:
-        """Steps of a span, of all bodies; ``found()`` gives the fields of their trajectory."""
-        run.told[:] = [0.0, 0.0]
-        width = self.job.width
-        if self.choice.device:
-            run.part(span, 0, 1)
-            if handling.done is not None:
-                handling.done(self.n_bodies * (span.last - span.first))
-            return
-        try:
-            pool.run_ensemble(
-                run.part, span, (self.n_bodies, width), handling.threads, handling.done
-            )
-        except pool.InterruptedRun as stopped:
-            if found is None:
-                raise
-            fields = found()
-            saved = np.array(self.clock.saved)
-            for first, last, done in stopped.reached:
-                bodies = slice(first * width, last * width)
-                if done < span.n_steps:
-                    fields["status"][bodies] = Status.UNFINISHED
-                    for array in (fields["state"], fields["defect"], *fields["carried"].values()):
-                        array[saved > done, bodies] = np.nan
-            stopped.trajectory = Trajectory(**fields)
-            raise
-
-    def _piecewise(
-        self, run: Run, t0: float, results: Results, one_body: bool, how: Any
-    ) -> Trajectory:
-        """A few saves at a time, each handed out once, or a few steps; the final states."""
-        handling, begin, end = how
-        span, t = self._span, self.clock.times(t0)
-        written = perf_counter()
-        for last, slots in self._pieces(handling.sink is not None):
-            if last <= begin and last < span.n_steps:
-                continue
-            before = (slots[1] if len(slots) > 1 else 1) - 1
-            slot = 1 - before if handling.sink is not None else span.slot
-            piece = replace(span, first=max(begin, span.origin), last=last, slot=slot)
-            if begin == last:  # of a run that was finished its last states are handed out again
-                piece = replace(piece, origin=last)
-            self._go(run, piece, handling)
-            begin = last
-            if handling.sink is not None:
-                # the initial save, with which all pieces begin, is handed out with the first
-                new = slice(min(before, 1), len(slots))
-                part = results.saves(new)._replace(status=results.status.copy())
-                handling.sink(Trajectory(**self.handed.fields(t[slots[new]], part, one_body)))
-            due = last == span.n_steps or perf_counter() - written > _WRITTEN
-            if handling.checkpoint is not None and due:
-                end(last).save(handling.checkpoint)
-                written = perf_counter()
-        if handling.sink is None:
-            return Trajectory(**self.handed.fields(t, results, one_body))
-        final = results.saves(slice(len(slots) - 1, len(slots)))
-        return Trajectory(**self.handed.fields(t[-1:], final, one_body))
-
-    def _pieces(self, saves: bool) -> list[tuple[int, list[int]]]:
-        """(last step, slots of the saves on the way) of each piece of a run."""
-        saved, span = self.clock.saved, self._span
-        if saves:
-            return [(saved[slots[-1]], slots) for slots in few(len(saved))]
-        each = max(1, _CHECKED // self.n_bodies)
-        ends = [*range(span.origin + each, span.n_steps, each), span.n_steps]
-        return [(last, [0]) for last in ends]
-
-    def _in_closed_form(self, given: Given, t0: float, handling: Handling) -> Trajectory:
-        t = self.clock.times(t0)
-        if handling.sink is None:
-            return closed_form(self, given, t, t0, handling)
-        for slots in few(len(t)):
-            new = slots[1:] if slots[1:2] > [1] else slots
-            handling.sink(closed_form(self, given, t[new], t0, handling))
-        return closed_form(self, given, t[-1:], t0, handling)
 
     def _warn_of_first(self, given: Given) -> bool:
         """Warn of a body's first step."""

@@ -1,0 +1,102 @@
+"""How a run goes: in one go, in pieces for a sink or a file, or in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fastatt.engine import pool
+from fastatt.engine.ensemble import Run, Span
+from fastatt.engine.status import Status
+from fastatt.running.asked import Handling, few
+from fastatt.running.closed import closed_form
+from fastatt.running.initial import Given
+from fastatt.running.trajectory import Results, Trajectory
+
+if TYPE_CHECKING:
+    from fastatt.running.plan import Plan
+
+# s from one writing of a run's end to the next, and body-steps between two looks at the clock
+_WRITTEN, _CHECKED = 10.0, 200_000_000
+
+
+def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) -> None:
+    """Steps of a span, of all bodies; ``found()`` gives the fields of their trajectory."""
+    run.told[:] = [0.0, 0.0]
+    width = plan.job.width
+    if plan.choice.device:
+        run.part(span, 0, 1)
+        if handling.done is not None:
+            handling.done(plan.n_bodies * (span.last - span.first))
+        return
+    try:
+        pool.run_ensemble(run.part, span, (plan.n_bodies, width), handling.threads, handling.done)
+    except pool.InterruptedRun as stopped:
+        if found is None:
+            raise
+        fields = found()
+        saved = np.array(plan.clock.saved)
+        for first, last, done in stopped.reached:
+            bodies = slice(first * width, last * width)
+            if done < span.n_steps:
+                fields["status"][bodies] = Status.UNFINISHED
+                for array in (fields["state"], fields["defect"], *fields["carried"].values()):
+                    array[saved > done, bodies] = np.nan
+        stopped.trajectory = Trajectory(**fields)
+        raise
+
+
+def piecewise(
+    plan: Plan, run: Run, t0: float, results: Results, one_body: bool, how: Any
+) -> Trajectory:
+    """A few saves at a time, each handed out once, or a few steps; the final states."""
+    handling, begin, end = how
+    span, t = plan.span, plan.clock.times(t0)
+    written = perf_counter()
+    for last, slots in _pieces(plan, handling.sink is not None):
+        if last <= begin and last < span.n_steps:
+            continue
+        before = (slots[1] if len(slots) > 1 else 1) - 1
+        slot = 1 - before if handling.sink is not None else span.slot
+        piece = replace(span, first=max(begin, span.origin), last=last, slot=slot)
+        if begin == last:  # of a run that was finished its last states are handed out again
+            piece = replace(piece, origin=last)
+        go(plan, run, piece, handling)
+        begin = last
+        if handling.sink is not None:
+            # the initial save, with which all pieces begin, is handed out with the first
+            new = slice(min(before, 1), len(slots))
+            part = results.saves(new)._replace(status=results.status.copy())
+            handling.sink(Trajectory(**plan.handed.fields(t[slots[new]], part, one_body)))
+        due = last == span.n_steps or perf_counter() - written > _WRITTEN
+        if handling.checkpoint is not None and due:
+            end(last).save(handling.checkpoint)
+            written = perf_counter()
+    if handling.sink is None:
+        return Trajectory(**plan.handed.fields(t, results, one_body))
+    final = results.saves(slice(len(slots) - 1, len(slots)))
+    return Trajectory(**plan.handed.fields(t[-1:], final, one_body))
+
+
+def _pieces(plan: Plan, saves: bool) -> list[tuple[int, list[int]]]:
+    """(last step, slots of the saves on the way) of each piece of a run."""
+    saved, span = plan.clock.saved, plan.span
+    if saves:
+        return [(saved[slots[-1]], slots) for slots in few(len(saved))]
+    each = max(1, _CHECKED // plan.n_bodies)
+    ends = [*range(span.origin + each, span.n_steps, each), span.n_steps]
+    return [(last, [0]) for last in ends]
+
+
+def in_closed_form(plan: Plan, given: Given, t0: float, handling: Handling) -> Trajectory:
+    """The trajectory at all saves, or a few of them at a time."""
+    t = plan.clock.times(t0)
+    if handling.sink is None:
+        return closed_form(plan, given, t, t0, handling)
+    for slots in few(len(t)):
+        new = slots[1:] if slots[1:2] > [1] else slots
+        handling.sink(closed_form(plan, given, t[new], t0, handling))
+    return closed_form(plan, given, t[-1:], t0, handling)
