@@ -135,7 +135,7 @@ class Run:
 
         What is handed out begins in ``memory``, departures and flags at the first two ``offsets``.
         """
-        q, y, rows_q, rows_y, *_ = given
+        q, y, rows_q, rows_y = given[:4]
         a, ints = self.addresses, self.ints
         a[_OUT] = at = _at(_byte(cast(Any, memory)))
         a[_DEFECT], a[_STATUS] = at + offsets[0], at + offsets[1]

@@ -126,7 +126,7 @@ def chosen(
     """
     key = ("choice", method, representation, compensated, normalise, looks)
     of_names = type(method) is type(representation) is str and type(normalise) is str
-    if of_names and reducer is device is None and key in scene.memo:
+    if of_names and reducer is None and device is None and key in scene.memo:
         return scene.memo[key]  # type: ignore[no-any-return]
     attitude = attitude_of(representation)
     steps = device is not None
@@ -137,7 +137,7 @@ def chosen(
         attitude = _compensated(record, attitude)
     restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
     found = Choice(record, attitude, restore, normalise == "never", looks, reducer, device)
-    if of_names and reducer is device is None:
+    if of_names and reducer is None and device is None:
         scene.memo[key] = found
     return found
 

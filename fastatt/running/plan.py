@@ -75,6 +75,7 @@ class Plan:
             self.beside.append("s")
             widths.append(choice.reducer.start.shape[-1])
         self._is_plain_body = self.beside == ["w"]
+        self._usual = ((n_bodies, 4), (n_bodies, 3)) if self._is_plain_body else None
         self.limit = limits.turn_limit(scene, method, attitude.name, kind)
         self._h = clock.steps if isinstance(clock, OwnClock) else clock.h
         self.damped = limits.decay(scene, self._h)
@@ -207,19 +208,26 @@ class Plan:
         begin = t0 if type(t0) is float and -math.inf < t0 < math.inf else checks.real("t0", t0)
         given = self.given(q0, w0, v0, r0)
         raw = None if out is None else self._over(out)
-        plan = self if params is None else self._with(params)
-        made = plan.run(given, begin, raw=raw)
-        if self.handling.invalid == "raise" and made.has_flags:
+        if params is None and self._is_quick:
+            made = self._quickly(given, begin, raw)
+            flagged = made.__dict__["_flagged"]
+        else:
+            made = (self if params is None else self._with(params)).run(given, begin, raw=raw)
+            flagged = made.has_flags
+        if flagged and self.handling.invalid == "raise":
             initial(self.scene, (q0, w0, v0, r0), flag=False)
         return made
 
     def given(self, q0: Any, w0: Any, v0: Any = None, r0: Any = None) -> Given:
         """Initial states as they were given, checked in all but whether they are finite."""
         n, kind = self.n_bodies, self.kind
+        if type(q0) is type(w0) is np.ndarray and q0.dtype is w0.dtype is kind:
+            shaped = (q0.shape, w0.shape) == self._usual and v0 is None and r0 is None
+            if shaped and q0.flags.c_contiguous and w0.flags.c_contiguous:
+                return tuple.__new__(Given, (q0, w0, n, n, False))  # without names: a third
         if self._fits(q0, 4) and v0 is r0 is None:
             rows = 1 if q0.ndim == 1 else n
             one = n == 1 == q0.ndim
-            # without names a third of the time
             if self._is_plain_body and self._fits(w0, 3):
                 rows_w = 1 if w0.ndim == 1 else n
                 return tuple.__new__(Given, (q0, w0, rows, rows_w, one and w0.ndim == 1))
@@ -349,20 +357,31 @@ class Plan:
         To find them takes longer than a run of a few steps.
         """
         made = object.__new__(Trajectory)
-        made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=later)
+        made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=(later,))
         return made
 
     def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
         """The same of a few steps in this thread, with memory that is there."""
-        self._refuse_overflow(t0)
+        if not -math.inf < t0 + self._length < math.inf:
+            self.clock.times(t0)  # which refuses them
+        offsets, local = self._offsets, self._local
         if raw is None:
-            raw = np.empty(self._offsets[2], np.uint8)
-        run, _, watch = self._own_bench()
-        self._load(run, given, t0, (raw, self._saves))
+            raw = np.empty(offsets[2], np.uint8)
+        bench: _Bench = local.bench if hasattr(local, "bench") else self._own_bench()
+        run = bench.run
+        if run.is_timed or run.is_plain:
+            self._load(run, given, t0, (raw, self._saves))
+        else:
+            run.load(given, raw, offsets, t0)
         run(self._tiles)
-        if not self._calm[0] <= run.told[0] <= self._calm[1]:
-            self._warn_after(run, given, watch)
-        return self._promised(raw, run, partial(self._found, raw, t0, given.one_body))
+        told = run.told
+        if not self._calm[0] <= told[0] <= self._calm[1]:
+            self._warn_after(run, given, bench.watch)
+        made = object.__new__(Trajectory)
+        fields = made.__dict__
+        fields["raw"], fields["_flagged"] = raw, told[1] > 0.0
+        fields["_later"] = (self._found, raw, t0, given[4])
+        return made
 
     def _warn_after(self, run: Run, given: Given, watch: NDArray[Any]) -> None:
         """Warn of steps as they were; of an iteration that failed the first tells how large."""

@@ -89,7 +89,8 @@ class Trajectory:
         later = self.__dict__.pop("_later", None)
         if later is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        self.__dict__.update(later())
+        found, *arguments = later
+        self.__dict__.update(found(*arguments))
         return getattr(self, name)
 
     @cached_property
