@@ -21,6 +21,7 @@ _CLASSES, _SAMPLE, _LOOKS = 12, 1536, 16
 _FIRST = 0.3  # rad a step of the first trial
 _LARGE = 0.1  # rad between two trials: more is no order yet
 _TRIALS = 10
+_WORTH = 0.7  # of the steps: less is offered
 _SAFETY = 1.5  # for the bodies that were not measured
 
 
@@ -112,6 +113,19 @@ def own_steps(
         wanted,
         float(steps.mean() / steps.max()),
     )
+
+
+def share_of(ensemble: Ensemble, order: int) -> float | None:
+    """Steps of each body's own beside those of one dt, by rates alone; None where not much less.
+
+    At an equal error steps grow with the rate to the power 1 + 1/order.
+    """
+    if ensemble.w0 is None or not order or ensemble.size < 2 * _CLASSES:
+        return None
+    rates = lengths(np.atleast_2d(ensemble.w0).astype(np.float64))
+    most = float(rates.max(initial=0.0))
+    share = float(np.mean((rates / most) ** (1.0 + 1.0 / order))) if most > 0.0 else 1.0
+    return share if share < _WORTH else None
 
 
 def _stepped(scene: Any, method: str | Method | None) -> Method:

@@ -28,7 +28,9 @@ class Recommendation:
     ``case`` holds a method and a representation of one's own, where those are what is recommended.
     ``margin`` is how many times as long the ``runner_up`` takes. ``limited_by`` is "truncation"
     where a smaller step would gain accuracy, "round-off" where it would not, "sampling" where
-    the interval of a sampled torque costs more than both. ``curve`` holds all that was measured.
+    the interval of a sampled torque costs more than both. ``own_steps`` is what steps of each
+    body's own (``fastatt.own_steps``) would be of these, by the rates, None where it is not much
+    less. ``curve`` holds all that was measured.
     """
 
     method: str
@@ -53,6 +55,7 @@ class Recommendation:
     reference_error: float
     sampling_error: float | None
     extrapolated_from: float | None
+    own_steps: float | None
     case: Case = field(repr=False)
     curve: list[Point] = field(repr=False)
 
@@ -82,6 +85,8 @@ class Recommendation:
                 f"  runner-up  {up.case}, {up.n_steps} steps: {self.margin:.2f} times as long"
             )
         lines.append(f"  reference  {self.reference}, good to {self.reference_error:.1e} rad")
+        if self.own_steps is not None:
+            lines.append(f"  own steps  {self.own_steps:.2f} of the steps, by fastatt.own_steps")
         if self.sampling_error is not None:
             lines.append(f"  sampling   the torque's interval costs {self.sampling_error:.1e} rad")
         if self.extrapolated_from is not None:

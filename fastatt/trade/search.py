@@ -12,6 +12,7 @@ import numpy as np
 from fastatt import torques
 from fastatt.arrays import angle_between
 from fastatt.models import Sum
+from fastatt.trade.each import share_of
 from fastatt.trade.measure import Case, best_time, is_flat
 from fastatt.trade.recommendation import Point, Recommendation, told
 from fastatt.trade.reference import intervals, reference
@@ -278,6 +279,7 @@ class Search(Sample):
             reference=self.known.source,
             reference_error=float(self.known.own_error.max()),
             sampling_error=sampling,
+            own_steps=share_of(self.whole.ensemble, look.order),
             extrapolated_from=self.problem.t_end if self.divide > 1 else None,
             case=look.case,
             curve=self.points,
