@@ -12,7 +12,7 @@ PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
 export FASTATT_CACHE ?= $(CURDIR)/.fastatt_cache
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: help venv test trade bench leaderboard extremes cases bench-smoke lint format types layers readme clean
+.PHONY: help venv test trade bench leaderboard extremes cases scale bench-smoke lint format types layers readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -56,6 +56,9 @@ extremes: $(VENV)/.test  ## every method at the extremes, half an hour: bench/EX
 
 cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.md
 	$(BIN)/python bench/cases.py
+
+scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench/SCALE.md
+	$(BIN)/python bench/scale.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
 	@if ls bench/bench_*.py >/dev/null 2>&1; \

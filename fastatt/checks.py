@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.floating[Any]]
 
+_ROWS = 1 << 14
 _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
 
@@ -141,12 +142,22 @@ def attitudes(
     if flag:
         return array_any(name, value, shapes, tails)
     q = array(name, value, shapes, tails)
-    with np.errstate(over="ignore"):
-        zero = np.abs(q) @ np.ones(4, dtype=q.dtype) == 0.0
+    zero = _zero_rows(q.reshape(-1, 4))
     if zero.any():
-        where = [int(i) for i in np.argwhere(zero)[0]] if q.ndim > 1 else ""
+        first = np.unravel_index(int(zero.argmax()), q.shape[:-1])
+        where = [int(i) for i in first] if q.ndim > 1 else ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
     return q
+
+
+def _zero_rows(x: Floats) -> NDArray[np.bool_]:
+    """Which rows are zero, some at a time: new memory takes longer than numbers that are there."""
+    ones, found = np.ones(x.shape[1], dtype=x.dtype), np.empty(len(x), dtype=np.bool_)
+    with np.errstate(over="ignore"):
+        for a in range(0, len(x), _ROWS):
+            rows = slice(a, a + _ROWS)
+            found[rows] = np.abs(x[rows]) @ ones == 0.0
+    return found
 
 
 def _fits(shape: tuple[int, ...], tail: tuple[int, ...]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,6 +76,8 @@ class Scene:
     allow_unphysical: bool = False
     mass: ArrayLike | None = None
     force: Any = None
+    #: how many bodies have numbers of their own; None where all share theirs
+    rows: ClassVar[int | None] = None
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
@@ -94,7 +96,9 @@ class Scene:
             raise ValueError("torque: found beside a rate; accepted: with inertia only")
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
-        self.packed(None)
+        params = self.packed(None).params
+        # that of all bodies takes long to find again
+        object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         for field in fields(self):
             object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
 
@@ -117,10 +121,9 @@ class Scene:
         return hash(self._key)
 
     def __getitem__(self, bodies: Any) -> Scene:
-        params = self.packed(None).params
-        if params.ndim == 1:
+        if self.rows is None:
             return self
-        rows = np.arange(len(params))[bodies]
+        rows = np.arange(self.rows)[bodies]
         dims = {"rate": 1, "params": 1, "torque": 1, "mass": 0, "force": 1}
         own = {name: _of_rows(getattr(self, name), rows, n) for name, n in dims.items()}
         inertia: Any = self.inertia

@@ -19,6 +19,7 @@ import advice
 import check_cost
 import long_runs
 import method_table
+import scale
 
 
 @pytest.mark.parametrize("representation", ["quat", "dcm"])
@@ -101,6 +102,18 @@ def test_long_runs_tell_how_errors_grow():
     assert errors.max() < 1e-14
     assert lengths.max() < 1e-15
     assert long_runs.exponent(np.array([1.0, 10.0]), np.array([1.0, 100.0])) == pytest.approx(2.0)
+
+
+def test_scale_tells_cost_calls_and_memory(tmp_path, monkeypatch):
+    """A cell of each size and number of steps; the largest ensemble's own process left out."""
+    monkeypatch.setattr(scale, "large", scale.of_large)
+    monkeypatch.setattr(scale, "MOST", 10_000)
+    scale.report([1, 10, 100], 0.0, tmp_path)
+    lines = (tmp_path / "SCALE.md").read_text(encoding="utf-8").splitlines()
+    rows = [line.split("|")[1:-1] for line in lines if line.startswith("| 1 | ")]
+    assert [row[1].strip() for row in rows[:3]] == ["1", "100", "10000"]
+    assert [sum(bool(x.strip()) for x in row[2:]) for row in rows[:3]] == [3, 3, 1]
+    assert (tmp_path / "scale.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("kind", ["coning", "gravity"])

@@ -7,9 +7,8 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
@@ -128,16 +127,14 @@ class Run:
         if self.is_plain:
             self._arrays.update(x=x, watch=watch)
 
-    def load(
-        self, given: Any, memory: NDArray[np.uint8], offsets: tuple[int, int, int], t0: float
-    ) -> None:
+    def load(self, given: Any, memory: Any, offsets: tuple[int, int, int], t0: float) -> None:
         """Initial states (q, y, rows of q, rows of y), where results go, and when it begins.
 
         What is handed out begins in ``memory``, departures and flags at the first two ``offsets``.
         """
         q, y, rows_q, rows_y = given[:4]
         a, ints = self.addresses, self.ints
-        a[_OUT] = at = _at(_byte(cast(Any, memory)))
+        a[_OUT] = at = _at(_byte(memory))
         a[_DEFECT], a[_STATUS] = at + offsets[0], at + offsets[1]
         try:
             a[_Q0], a[_Y0] = _at(_byte(q)), _at(_byte(y))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
+from fastatt.engine.pool import InterruptedRun
+from fastatt.engine.status import Status
 from fastatt.running import limits
 from fastatt.running.asked import Choice, Clock, Handling, OwnClock
 from fastatt.running.histories import History, check_memory
@@ -42,7 +44,7 @@ class Wanted:
     #: whether the trajectory holds its end
     ends: bool | None = None
 
-    @property
+    @cached_property
     def bodies(self) -> int:
         """How many there are."""
         return max(self.given.rows_q, self.given.rows_y)
@@ -101,16 +103,16 @@ def carry_out(wanted: Wanted) -> Trajectory:
     goes_on = end is None and file is not None and file.exists()
     if goes_on and file is not None:
         end = loaded(file)
-        check_begin(end, wanted.given, wanted.t0)
+        check_begin(end, wanted.given, wanted.t0, clock.end)
     if end is not None:
-        check(end, plan.about, plan.packed)
+        check(end, plan)
     history = None
     if wanted.out is not None:
         first = 0
         if goes_on and end is not None:
             first = int(np.searchsorted(plan.clock.saved, end.done, side="right"))
         history = History(wanted.out, shape, plan.kind, first)
-    total, unit = (shape[0], "save") if to_saves else (wanted.bodies * clock.n_steps, "step")
+    total, unit = (shape[0], "save") if to_saves else (shape[1] * clock.n_steps, "step")
     with progress_bar(wanted.progress, total, unit) as done:
         sinks = [x for x in (handling.sink, history) if x is not None]
         handling = replace(
@@ -118,12 +120,20 @@ def carry_out(wanted: Wanted) -> Trajectory:
             done=done if wanted.progress and not to_saves else None,
             sink=partial(_deliver, sinks, done) if sinks else None,
         )
-        made = plan.run(wanted.given, wanted.t0, handling=handling, ends=ends, start=end)
+        try:
+            made = plan.run(wanted.given, wanted.t0, handling=handling, ends=ends, start=end)
+        except InterruptedRun as stopped:
+            if history is not None and history.array is not None:
+                fields = {**plan.handed.told, **plan.handed.parts(history.array[: history.saves])}
+                fields["t"] = clock.times(wanted.t0)[: history.saves]
+                fields["status"] = np.full(shape[1], Status.UNFINISHED, np.uint8)
+                stopped.trajectory = Trajectory(**fields, one_body=wanted.given.one_body)
+            raise
     if device is not None and device.saves is not None:
         return replace(made, **plan.handed.parts(device.saves))
     if history is None or history.array is None:
         return made
-    return replace(made, t=plan.clock.times(wanted.t0), **plan.handed.parts(history.array))
+    return replace(made, t=clock.times(wanted.t0), **plan.handed.parts(history.array))
 
 
 def _deliver(
@@ -140,11 +150,18 @@ def _in_parts(wanted: Wanted) -> Trajectory:
     A part lies in its place in the arrays; of bodies in another order it is copied there.
     """
     n, clock, scene, given = wanted.bodies, wanted.clock, wanted.scene, wanted.given
-    own = scene.packed(None).params.ndim == 2
+    own = scene.rows is not None
     kind, saves = given.q.dtype, len(clock.saved)
     # those with most steps first: no thread is left with them at the end
     order = np.argsort(np.abs(clock.steps)) if isinstance(clock, OwnClock) else None
-    plan = None
+    steps = clock.steps if isinstance(clock, OwnClock) else clock.h
+    plan: Plan | None = None
+
+    def whole() -> Trajectory:
+        assert plan is not None
+        fields = plan.handed.fields(clock.times(wanted.t0), memory, one_body=False)
+        return Trajectory(**{**fields, "packed": scene, "dt": steps})
+
     with progress_bar(wanted.progress, n * clock.span(0).last, "step") as done:
         handling = replace(wanted.handling, done=done if wanted.progress else None)
         for a in range(0, n, PART):
@@ -156,16 +173,29 @@ def _in_parts(wanted: Wanted) -> Trajectory:
             if a == 0:
                 check_memory((saves, n, plan.handed.width), kind)
                 memory, turns = Results.empty(saves, n, plan.handed.width, kind), np.empty(n, kind)
+                begun = np.zeros(n)  # what bodies turn in their first step, of parts that tell
             chosen = given.part(rows, m)
-            if order is None:
-                turns[rows] = plan.fill(chosen, wanted.t0, handling, memory.bodies(rows))
-            else:
-                made = Results.empty(saves, m, plan.handed.width, kind)
-                turns[rows] = plan.fill(chosen, wanted.t0, handling, made)
-                memory.out[:, rows], memory.defect[:, rows] = made.out, made.defect
-                memory.status[rows] = made.status
+            in_place = order is None
+            made = (
+                memory.bodies(rows)
+                if in_place
+                else Results.empty(saves, m, plan.handed.width, kind)
+            )
+            try:
+                turns[rows] = found = plan.fill(chosen, wanted.t0, handling, made)
+                if not plan.calm[0] <= found.max() <= plan.calm[1]:
+                    begun[rows] = plan.first_turns(chosen)
+            except InterruptedRun as stopped:
+                rest = slice(a + m, n) if order is None else order[a + m :]
+                memory.out[:, rest] = memory.defect[:, rest] = np.nan
+                memory.status[rest] = Status.UNFINISHED
+                stopped.trajectory = whole()
+                raise
+            finally:
+                if not in_place:
+                    memory.out[:, rows], memory.defect[:, rows] = made.out, made.defect
+                    memory.status[rows] = made.status
     assert plan is not None
-    steps = clock.steps if isinstance(clock, OwnClock) else clock.h
-    plan.warn(turns, limits.decay(scene, steps), steps)
-    fields = plan.handed.fields(clock.times(wanted.t0), memory, one_body=False)
-    return Trajectory(**{**fields, "packed": scene, "dt": steps})
+    damped = limits.decay(scene, steps)
+    _ = plan.warn(begun, damped, steps) or plan.warn(turns, damped, steps)
+    return whole()

@@ -28,11 +28,13 @@ class History:
     ) -> None:
         if not isinstance(path, (str, os.PathLike)):
             raise TypeError(f"out: found {checks.brief(path)}; accepted: a path, *.npy or *.zarr")
-        target, self._next = Path(path), first
+        target = Path(path)
+        #: how many there are
+        self.saves = first
         if target.suffix not in (".npy", ".zarr"):
             raise ValueError(f"out: found {target.name}; accepted: *.npy or *.zarr")
         if not first:
-            _check_room(shape, kind, shutil.disk_usage(target.resolve().parent).free, "disk")
+            _check_room(shape, kind, _free_on_disk(target), "disk")
         shape = (*shape[:2], shape[2] + 1)
         opened = (_mapped if target.suffix == ".npy" else _zarr)(target, shape, kind, first > 0)
         if opened.shape != shape or opened.dtype != kind:
@@ -45,10 +47,10 @@ class History:
 
     def __call__(self, piece: Trajectory) -> None:
         """Write a few saves."""
-        rows = slice(self._next, self._next + piece.t.size)
+        rows = slice(self.saves, self.saves + piece.t.size)
         columns = [piece.state, *piece.carried.values(), piece.defect[..., None]]
         self._file[rows] = np.concatenate(columns, axis=-1)
-        self._next = rows.stop
+        self.saves = rows.stop
 
 
 def _mapped(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
@@ -90,6 +92,10 @@ def _check_room(shape: tuple[int, int, int], kind: Any, free: int, where: str) -
             f"{free / 1e9:.3g} GB of free {where}; accepted: fewer saves, a sink, or "
             'out="history.npy" on a disk that holds them'
         )
+
+
+def _free_on_disk(path: Path) -> int:
+    return shutil.disk_usage(path.resolve().parent).free
 
 
 def _available() -> int | None:

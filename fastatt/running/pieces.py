@@ -44,7 +44,7 @@ def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) 
             if done < span.n_steps:
                 fields["status"][bodies] = Status.UNFINISHED
                 for array in (fields["state"], fields["defect"], *fields["carried"].values()):
-                    array[saved > done, bodies] = np.nan
+                    array[(saved > done) | (done == span.first), bodies] = np.nan
         stopped.trajectory = Trajectory(**fields)
         raise
 
@@ -56,17 +56,24 @@ def piecewise(
     handling, begin, end = how
     span, t = plan.span, plan.clock.times(t0)
     written = perf_counter()
-    for last, slots in _pieces(plan, handling.sink is not None):
+    pieces = _pieces(plan, handling.sink is not None)
+    if handling.sink is not None and begin not in {span.origin, *(last for last, _ in pieces)}:
+        raise ValueError(
+            f"checkpoint: the file is of a run that saved after step {begin}, where this one does "
+            "not; accepted: the same call again, or no file"
+        )
+    is_over = span.origin < begin == span.n_steps
+    for last, slots in pieces:
         if last <= begin and last < span.n_steps:
             continue
         before = (slots[1] if len(slots) > 1 else 1) - 1
         slot = 1 - before if handling.sink is not None else span.slot
         piece = replace(span, first=max(begin, span.origin), last=last, slot=slot)
-        if begin == last:  # of a run that was finished its last states are handed out again
-            piece = replace(piece, origin=last)
+        if is_over:  # its last states are handed out again, as the first
+            piece, slots = replace(piece, origin=last), slots[:1]  # noqa: PLW2901
         go(plan, run, piece, handling)
         begin = last
-        if handling.sink is not None:
+        if handling.sink is not None and not is_over:
             # the initial save, with which all pieces begin, is handed out with the first
             new = slice(min(before, 1), len(slots))
             part = results.saves(new)._replace(status=results.status.copy())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import threading
-from functools import cached_property, partial
+from functools import cached_property, partial, partialmethod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +29,13 @@ from fastatt.scene import Scene
 
 # body-steps: of a longer run the first steps are looked at before it, and Ctrl-C is answered in it
 LONG = 1_000_000
+_ARRAY = np.ndarray
 _NOTHING = np.zeros((1, 0))
+
+
+def _apart(x: Any, memory: NDArray[np.uint8]) -> Any:
+    """Initial values, a copy of those that a run writes over."""
+    return np.array(x) if type(x) is _ARRAY and np.may_share_memory(x, memory) else x
 
 
 class _Bench(NamedTuple):
@@ -101,6 +108,7 @@ class Plan:
         self._fixed = self._arrays(0.0 if known is None else known, rows_each)
         self.span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
+        self._shapes = tuple(((k,), (n_bodies, k)) for k in (4, 3))
         self._is_exact = method.is_exact
         told = {
             "method": method.name,
@@ -120,14 +128,21 @@ class Plan:
         self._tiles = -(-n_bodies // self.job.width)
         self._length = clock.end * clock.h
         eps = float(np.finfo(kind).eps)
-        # turns of a step, rad, of which there is nothing to say
-        self._calm = (0.0 if attitude.compensated else eps, min(self.limit, eps**-0.5))
+        #: turns of a step, rad, of which there is nothing to say
+        self.calm = (0.0 if attitude.compensated else eps, min(self.limit, eps**-0.5))
         if (self.damped > method.damping_limit).any():
-            self._calm = (math.inf, 0.0)
+            self.calm = (math.inf, 0.0)
         self._local = threading.local()
 
     def __reduce__(self) -> Any:
+        if not self._asked:
+            raise TypeError("plan: this one is propagate's own; accepted: one of fastatt.plan")
         return self._asked
+
+    def __deepcopy__(self, memo: Any) -> Plan:
+        return self  # nothing of it changes
+
+    __copy__ = partialmethod(__deepcopy__, None)
 
     def _arrays(self, known: Any, rows_each: int) -> dict[str, NDArray[Any]]:
         """What is the same in all runs."""
@@ -205,9 +220,12 @@ class Plan:
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does; initial values that are not
         finite are refused after the run.
         """
-        begin = t0 if type(t0) is float and -math.inf < t0 < math.inf else checks.real("t0", t0)
+        begin = t0 if type(t0) is float else checks.real("t0", t0)
+        raw = None
+        if out is not None:
+            raw = self._over(out)
+            q0, w0, v0, r0 = (_apart(x, raw) for x in (q0, w0, v0, r0))
         given = self.given(q0, w0, v0, r0)
-        raw = None if out is None else self._over(out)
         if params is None and self._is_quick:
             made = self._quickly(given, begin, raw)
             flagged = made.__dict__["_flagged"]
@@ -225,10 +243,10 @@ class Plan:
             shaped = (q0.shape, w0.shape) == self._usual and v0 is None and r0 is None
             if shaped and q0.flags.c_contiguous and w0.flags.c_contiguous:
                 return tuple.__new__(Given, (q0, w0, n, n, False))  # without names: a third
-        if self._fits(q0, 4) and v0 is r0 is None:
+        if self._fits(q0, self._shapes[0]) and v0 is r0 is None:
             rows = 1 if q0.ndim == 1 else n
             one = n == 1 == q0.ndim
-            if self._is_plain_body and self._fits(w0, 3):
+            if self._is_plain_body and self._fits(w0, self._shapes[1]):
                 rows_w = 1 if w0.ndim == 1 else n
                 return tuple.__new__(Given, (q0, w0, rows, rows_w, one and w0.ndim == 1))
             if w0 is None and not self.beside:
@@ -246,13 +264,13 @@ class Plan:
             raise ValueError("r0: accepted, and needed, in a plan that was made with position=True")
         return found
 
-    def _fits(self, x: Any, width: int) -> bool:
+    def _fits(self, x: Any, shapes: tuple[tuple[int, ...], ...]) -> bool:
         """Whether an array can be used as it is."""
         return (
-            type(x) is np.ndarray
+            type(x) is _ARRAY
             and x.dtype is self.kind
+            and x.shape in shapes
             and x.flags.c_contiguous
-            and x.shape in ((self.n_bodies, width), (width,))
         )
 
     def _with(self, params: Any) -> Plan:
@@ -311,32 +329,35 @@ class Plan:
         if ends or start is not None:  # memory that the trajectory's end keeps
             bench = _Bench(run, np.empty_like(own.x), np.empty_like(own.watch))
             run.lend(bench.x, bench.watch)
-        self._load(run, given, t0, (raw, saves))
-        if start is not None:
-            bench.x[...], bench.watch[...] = start.x, start.watch
-        warned = not self.is_short and self._warn_of_first(given)
-        later = partial(self._found, raw, t0, given.one_body)
-        if in_pieces:
-            end = partial(self._end, given, bench, t0)
-            begin = self.clock.done if start is None else start.done
-            results = self.handed.views(raw, saves)
-            made = piecewise(self, run, t0, results, given.one_body, (handling, begin, end))
-        else:
-            if self.is_short and handling.threads == 1 and handling.done is None:
-                run(self._tiles)
+        try:
+            self._load(run, given, t0, (raw, saves))
+            if start is not None:
+                bench.x[...], bench.watch[...] = start.x, start.watch
+            warned = not self.is_short and self._warn_of_first(given)
+            later = partial(self._found, raw, t0, given.one_body)
+            if in_pieces:
+                end = partial(self._end, given, bench, t0)
+                begin = self.clock.done if start is None else start.done
+                results = self.handed.views(raw, saves)
+                made = piecewise(self, run, t0, results, given.one_body, (handling, begin, end))
             else:
-                go(self, run, self.span, handling, later)
-            made = self._promised(raw, run, later)
-        if ends:
-            made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
-        if not warned:
-            self._warn_after(run, given, bench.watch)
-        if bench is not own:
-            run.lend(own.x, own.watch)
+                if self.is_short and handling.threads == 1 and handling.done is None:
+                    run(self._tiles)
+                else:
+                    go(self, run, self.span, handling, later)
+                made = self._promised(raw, run, later)
+            if ends:
+                made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
+            if not warned:
+                self._warn_after(run, given, bench.watch)
+        finally:  # what is left by an exception too
+            if bench is not own:
+                run.lend(own.x, own.watch)
         return made
 
     def _refuse_overflow(self, t0: float) -> None:
         if not -math.inf < t0 + self._length < math.inf:
+            checks.real("t0", t0)
             self.clock.times(t0)
 
     def _load(self, run: Run, given: Given, t0: float, memory: tuple[Any, int]) -> None:
@@ -363,6 +384,7 @@ class Plan:
     def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
         """The same of a few steps in this thread, with memory that is there."""
         if not -math.inf < t0 + self._length < math.inf:
+            checks.real("t0", t0)
             self.clock.times(t0)  # which refuses them
         offsets, local = self._offsets, self._local
         if raw is None:
@@ -375,7 +397,7 @@ class Plan:
             run.load(given, raw, offsets, t0)
         run(self._tiles)
         told = run.told
-        if not self._calm[0] <= told[0] <= self._calm[1]:
+        if not self.calm[0] <= told[0] <= self.calm[1]:
             self._warn_after(run, given, bench.watch)
         made = object.__new__(Trajectory)
         fields = made.__dict__
@@ -385,7 +407,7 @@ class Plan:
 
     def _warn_after(self, run: Run, given: Given, watch: NDArray[Any]) -> None:
         """Warn of steps as they were; of an iteration that failed the first tells how large."""
-        least, limit = self._calm
+        least, limit = self.calm
         noted = not least <= run.told[0] <= limit and run.told[0] and self.clock.n_steps
         if noted and not self._warn_of_first(given):
             self.warn(np.sqrt(watch[0]), self.damped)
@@ -393,12 +415,20 @@ class Plan:
     def _end(self, given: Given, bench: _Bench, t0: float, done: int) -> End:
         """The end of a run, which keeps the bench's memory and a copy of what was given."""
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
-        return End(kept, bench.x, bench.watch, done, t0, self.about, self.packed.params)
+        return End(kept, bench.x, bench.watch, done, t0, self.about, self.packed.params, self)
 
     @cached_property
     def about(self) -> dict[str, Any]:
         """What must be the same in a run that goes on."""
         return about(self.choice, self.clock.h, self.kind, "r" in self.beside)
+
+    @cached_property
+    def equations(self) -> str:
+        """A hash of what a step computes and of the tables that it reads."""
+        read = hashlib.sha256(repr(self.job.formulas.quick.plain.nodes).encode())
+        for table in self.packed.tables.values():
+            read.update(table.tobytes())
+        return read.hexdigest()
 
     def fill(self, given: Given, t0: float, handling: Handling, results: Results) -> NDArray[Any]:
         """Run into arrays of more bodies; the turns of each body's steps, rad, for a warning."""
@@ -407,8 +437,11 @@ class Plan:
         run.put(q0=given.q, y0=given.y, **results._asdict())
         run.count(rows_q=given.rows_q, rows_y=given.rows_y, stride=stride)
         run.name(t0=t0)
-        go(self, run, self.span, handling)
+        go(self, run, self.span, handling, partial(self._fields, t0, results))
         return np.asarray(np.sqrt(bench.watch[0]))
+
+    def _fields(self, t0: float, results: Results) -> dict[str, Any]:
+        return self.handed.fields(self.clock.times(t0), results, one_body=False)
 
     def _found(self, raw: NDArray[np.uint8], t0: float, one_body: bool) -> dict[str, Any]:
         """The fields of a trajectory."""
@@ -418,11 +451,14 @@ class Plan:
 
     def _warn_of_first(self, given: Given) -> bool:
         """Warn of a body's first step."""
+        return self.warn(self.first_turns(given), self.damped)
+
+    def first_turns(self, given: Given) -> NDArray[np.float64]:
+        """What each body turns in its first step, rad; of rates that are given nothing is said."""
         if self.scene.kind == "rate":
-            return False
+            return np.zeros(1)
         w = np.atleast_2d(given.y)[:, :3]
-        turns = limits.first_step(self.scene, self.choice.method, w, self._h)
-        return self.warn(turns, self.damped)
+        return limits.first_step(self.scene, self.choice.method, w, self._h)
 
     def warn(self, turns: NDArray[Any], damped: NDArray[np.float64], steps: Any = None) -> bool:
         """Warn of steps by what bodies turn in one, rad, and by what damping takes."""

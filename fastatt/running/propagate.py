@@ -161,6 +161,11 @@ def propagate(
     else:
         _check_none(values, begin)
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
+        if dtype is not None and checks.precision(dtype) != given.q.dtype:
+            raise ValueError(
+                f"dtype: found {checks.brief(dtype)} with resume; accepted: {given.q.dtype}, with "
+                "which the run began, or None"
+            )
     bodies = max(given.rows_q, given.rows_y)
     if end is None:
         clock = clock_of(dt, n_steps, (save_every, save_at), begin, bodies)
@@ -170,6 +175,11 @@ def propagate(
         others = {"sink": sink, "out": out, "checkpoint": checkpoint, "resumable": resumable}
         _check_own(compensated=compensated, normalise=choice.restore, check=sample, **others)
     _check_sink(sink, out, clock.every)
+    if checkpoint is not None and clock.every is not None and sink is None and out is None:
+        raise ValueError(
+            "checkpoint: found with save_every alone; accepted: with out or a sink, which have the "
+            "saves so far, or without save_every"
+        )
     steps = bodies * clock.n_steps
     # a look at the initial values only if a body is flagged
     late = steps <= LONG and sink is None and end is None

@@ -12,7 +12,7 @@ import tempfile
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.running.asked import Choice
 from fastatt.running.initial import Given
-from fastatt.scene import Packed
+
+if TYPE_CHECKING:
+    from fastatt.running.plan import Plan
 
 _FORMAT = 1
 #: bodies of which a trajectory holds its end unasked
@@ -38,6 +40,13 @@ class End:
     t0: float
     about: dict[str, Any]
     params: NDArray[np.float64]
+    #: whose ``equations`` it goes by, or they themselves
+    by: Plan | str
+
+    @property
+    def equations(self) -> str:
+        """A hash of what a step computes."""
+        return self.by if isinstance(self.by, str) else self.by.equations
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it to a file, whole or not at all."""
@@ -47,6 +56,7 @@ class End:
             "format": _FORMAT,
             "done": self.done,
             "t0": self.t0.hex(),
+            "equations": self.equations,
             "rows": [given.rows_q, given.rows_y, given.one_body],
             **self.about,
         }
@@ -90,14 +100,15 @@ def loaded(path: str | os.PathLike[str]) -> End:
     Raises ``ValueError`` for a file that is none, ``OSError`` for one that can't be read.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             told = json.loads(str(file["told"]))
             if told.pop("format") != _FORMAT:
                 raise KeyError("format")
             rows_q, rows_y, one_body = told.pop("rows")
             given = Given(file["q"], file["y"], rows_q, rows_y, one_body)
             done, t0 = told.pop("done"), float.fromhex(told.pop("t0"))
-            return End(given, file["x"], file["watch"], done, t0, told, file["params"])
+            equations = told.pop("equations")
+            return End(given, file["x"], file["watch"], done, t0, told, file["params"], equations)
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
             f"resume: {path} is no file of a run's end ({error}); accepted: one that "
@@ -125,26 +136,31 @@ def end_of(resume: Any) -> End:
     )
 
 
-def check(end: End, wanted: dict[str, Any], packed: Packed) -> None:
+def check(end: End, plan: Plan) -> None:
     """Refuse to go on with anything else than what was begun."""
-    for name, value in wanted.items():
+    for name, value in plan.about.items():
         if end.about[name] != value:
             raise ValueError(
                 f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, with which "
                 "the run began that is resumed"
             )
-    if end.params.shape != packed.params.shape or not np.array_equal(end.params, packed.params):
+    if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
         raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")
 
 
-def check_begin(end: End, given: Given, t0: float) -> None:
-    """Refuse to go on with a run that began elsewhere."""
+def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:
+    """Refuse to go on with a run that began elsewhere, or got further."""
     begin = end.given
     same = np.array_equal(begin.q, given.q, equal_nan=True)
     if end.t0 != t0 or not (same and np.array_equal(begin.y, given.y, equal_nan=True)):
         raise ValueError(
             "checkpoint: the file is of a run from other initial values; accepted: the same call "
             "again, or no file"
+        )
+    if end.done > n_steps:
+        raise ValueError(
+            f"n_steps: found {n_steps}; accepted: at least {end.done}, after which the checkpoint "
+            "was written"
         )
 
 

@@ -86,12 +86,12 @@ class Trajectory:
 
     def __getattr__(self, name: str) -> Any:
         """What a plan left to be found when it is asked for."""
-        later = self.__dict__.pop("_later", None)
-        if later is None:
+        later = self.__dict__.get("_later")
+        if later is None or name not in self.__dataclass_fields__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         found, *arguments = later
-        self.__dict__.update(found(*arguments))
-        return getattr(self, name)
+        self.__dict__.update(found(*arguments))  # several threads may ask at a time
+        return self.__dict__[name]
 
     @cached_property
     def q(self) -> NDArray[Any]:

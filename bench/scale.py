@@ -1,0 +1,206 @@
+"""Cost against scale: bodies, steps, threads, calls, memory.
+
+    python bench/scale.py                    # a minute: bench/SCALE.md and scale.png
+    python bench/scale.py --small --out DIR  # seconds
+
+A free body by rk4, in double precision. A cell is the median over calls that fill a tenth of a
+second, after one that is not counted; cells of more than 2e8 body-steps are left out. Memory and
+speed of the largest ensemble are those of a process of its own (Linux: VmHWM).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+
+import fastatt as fa
+from fastatt.threads import default_threads
+
+FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+STEPS = (1, 100, 10_000)
+MOST = 200_000_000  # body-steps of a cell
+LARGE = 500  # steps of the largest ensemble
+
+
+def states(n):
+    """Initial attitudes and rates of n bodies."""
+    q0, w0 = np.empty((n, 4)), np.empty((n, 3))
+    q0[:], w0[:] = (1.0, 0.1, 0.2, 0.3), (0.1, 0.2, 0.3)
+    w0[:, 0] += np.linspace(0.0, 0.1, n)
+    return q0, w0
+
+
+def seconds(call, least):
+    """Median time of a call, of as many as take that long."""
+    call()
+    taken = []
+    while not taken or sum(taken) < least:
+        begin = perf_counter()
+        call()
+        taken.append(perf_counter() - begin)
+    return median(taken)
+
+
+def cost(n, steps, threads, least):
+    """Nanoseconds a body-step."""
+    values = states(n)
+    options = {"dt": 0.01, "n_steps": steps, "method": "rk4", "n_threads": threads}
+    return 1e9 * seconds(lambda: fa.propagate(FREE, *values, **options), least) / (n * steps)
+
+
+def overheads(least):
+    """Microseconds of one step by a plan's call, the same in given memory, and by propagate."""
+    rows = []
+    for n in (1, 10, 100):
+        values, options = states(n), {"dt": 0.01, "n_steps": 1, "method": "rk4"}
+        plan = fa.plan(FREE, n, **options)
+        run = plan(*values)
+        calls = (
+            lambda: plan(*values),  # noqa: B023
+            lambda: plan(*values, out=run),  # noqa: B023
+            lambda: fa.propagate(FREE, *values, **options),  # noqa: B023
+        )
+        rows.append((n, *(1e6 * seconds(call, least) for call in calls)))
+    return rows
+
+
+def peak():
+    """Most bytes of memory that this process had; getrusage counts what its parent had too."""
+    told = Path("/proc/self/status").read_text(encoding="ascii")
+    return 1024 * int(re.search(r"VmHWM:\s+(\d+)", told)[1])
+
+
+def of_large(n):
+    """Peak memory over inputs plus outputs, and nanoseconds a body-step, of one run."""
+    options = {"dt": 0.01, "n_steps": LARGE, "method": "rk4"}
+    fa.propagate(FREE, *states(1000), **options)
+    before, values = peak(), states(n)
+    begin = perf_counter()
+    run = fa.propagate(FREE, *values, **options)
+    taken = perf_counter() - begin
+    arrays = [*values, run.state, run.defect, run.status, *run.carried.values()]
+    return (peak() - before) / sum(x.nbytes for x in arrays), 1e9 * taken / (n * LARGE)
+
+
+def large(n):
+    """The same, of a process of its own."""
+    root = Path(__file__).resolve().parents[1]
+    found = subprocess.run(
+        [sys.executable, __file__, "--large", str(n)],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return json.loads(found.stdout)
+
+
+def cells(bodies, least):
+    """{(threads, steps, bodies): ns a body-step}."""
+    every = sorted({1, default_threads()})
+    return {
+        (threads, steps, n): cost(n, steps, threads, least)
+        for threads in every
+        for steps in STEPS
+        for n in bodies
+        if n * steps <= MOST
+    }
+
+
+def table(found, bodies):
+    lines = [
+        "| threads | steps | " + " | ".join(f"{n:.0e}" for n in bodies) + " |",
+        "| --- | --- |" + " --- |" * len(bodies),
+    ]
+    for threads, steps in dict.fromkeys(key[:2] for key in found):
+        each = [found.get((threads, steps, n)) for n in bodies]
+        shown = ["" if x is None else f"{x:.3g}" for x in each]
+        lines.append(f"| {threads} | {steps} | " + " | ".join(shown) + " |")
+    return lines
+
+
+def picture(found, path):
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    kinds = list(dict.fromkeys(key[:2] for key in found))
+    colours = dict(zip(STEPS, ("#0072b2", "#d55e00", "#009e73"), strict=True))
+    for threads, steps in kinds:
+        points = [(n, x) for (*kind, n), x in found.items() if kind == [threads, steps]]
+        axes.loglog(
+            *zip(*points, strict=True),
+            "-o" if threads == 1 else "--s",
+            color=colours[steps],
+            markersize=4,
+            label=f"{steps} step{'s' * (steps > 1)}, {threads} thread{'s' * (threads > 1)}",
+        )
+    axes.set_xlabel("bodies")
+    axes.set_ylabel("time a body-step, ns")
+    axes.grid(visible=True, which="major", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def report(bodies, least, folder):
+    found, few, big = cells(bodies, least), overheads(least), large(bodies[-1])
+    threads = max(key[0] for key in found)
+    middle = bodies[-3]
+    beside = cost(middle, LARGE, None, 10.0 * least)
+    one, several = (cost(middle, LARGE, k, 10.0 * least) for k in (1, threads))
+    lines = [
+        "# Cost against scale",
+        "",
+        "Made by `make scale`: a free body by rk4, final state, double precision.",
+        "",
+        "## Nanoseconds a body-step, by number of bodies",
+        "",
+        *table(found, bodies),
+        "",
+        "![time a body-step against bodies](scale.png)",
+        "",
+        "## Microseconds a call, of one step",
+        "",
+        "| bodies | plan | plan, `out=` | `propagate` |",
+        "| --- | --- | --- | --- |",
+        *(f"| {n} | {a:.1f} | {b:.1f} | {c:.1f} |" for n, a, b, c in few),
+        "",
+        "## Many bodies",
+        "",
+        f"| of {LARGE} steps | |",
+        "| --- | --- |",
+        f"| {bodies[-1]:.0e} bodies: peak memory over inputs plus outputs | {big[0]:.2f} |",
+        f"| {bodies[-1]:.0e} bodies: speed over that of {middle:.0e} | {beside / big[1]:.2f} |",
+        f"| {middle:.0e} bodies: speed of {threads} threads over one | {one / several:.2f} |",
+    ]
+    (folder / "SCALE.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    picture(found, folder / "scale.png")
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description="cost against bodies, steps and threads")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent)
+    parser.add_argument("--small", action="store_true", help="to 10^3 bodies, a call a cell")
+    parser.add_argument("--large", type=int, help="one run of so many bodies, printed as JSON")
+    given = parser.parse_args(arguments)
+    if given.large:
+        print(json.dumps(of_large(given.large)))
+    else:
+        bodies = [10**k for k in range(4 if given.small else 8)]
+        report(bodies, 0.0 if given.small else 0.1, given.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,281 @@
+"""Plans: what ``propagate`` gives, to the bit, of values given in any form and by any thread."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.engine import ensemble
+
+BODY = (2.0, 1.0, 2.0 / 3.0)
+SCENES = {
+    "free": fa.Scene(inertia=BODY),
+    "torqued": fa.Scene(inertia=BODY, torque=fa.torques.HeavyTop((0.0, 0.0, 0.5), 2.0)),
+    "rate": fa.Scene(rate=fa.rates.Coning(1.0, 1.0)),
+}
+# each method once: DMV and the closed form are of free bodies alone
+PAIRS = [
+    (kind, name)
+    for name, method in fa.METHODS.items()
+    for kind in ("torqued", "rate", "free")
+    if kind in method.scenes and (kind != "free" or "torqued" not in method.scenes)
+]
+N = 5
+RNG = np.random.default_rng(5)
+Q0, W0 = RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))
+
+
+def swing(t, q, w, p):
+    return (p[0] * np.sin(t), p[1] * w[1], 0.0)
+
+
+OWN = fa.Scene(inertia=BODY, torque=swing, params=(0.3, -0.1))
+
+
+def bits(run):
+    """All numbers of a trajectory."""
+    arrays = [run.t, run.q, run.w, run.defect, run.status, *run.carried.values()]
+    return [(x.shape, x.dtype, np.ascontiguousarray(x).tobytes()) for x in arrays]
+
+
+def rates_of(scene, w=W0):
+    return () if scene.kind == "rate" else (w,)
+
+
+@pytest.mark.parametrize(("kind", "method"), PAIRS)
+def test_every_method(kind, method):
+    """Twice in the same memory, with another run between."""
+    scene = SCENES[kind]
+    options = {"dt": 0.05, "n_steps": 9, "method": method, "save_every": 4}
+    plan = fa.plan(scene, N, **options)
+    wanted = fa.propagate(scene, Q0.tolist(), *rates_of(scene, W0.tolist()), t0=3.0, **options)
+    assert bits(plan(Q0, *rates_of(scene), t0=3.0)) == bits(wanted)
+    other = plan(Q0[::-1], *rates_of(scene, 2.0 * W0))
+    assert bits(other) != bits(wanted)
+    assert bits(plan(Q0, *rates_of(scene), t0=3.0)) == bits(wanted)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"representation": "dcm_rows"},
+        {"representation": "euler313"},
+        {"dtype": np.float32},
+        {"compensated": True, "normalise": 2},
+        {"normalise": "never"},
+        {"looks": False},
+        {"n_threads": 2},
+        {"n_steps": 0},
+    ],
+    ids=str,
+)
+def test_every_option(options):
+    options = {"dt": -0.05, "n_steps": 7, "method": "rk4", "save_every": 3, **options}
+    plan = fa.plan(SCENES["torqued"], N, **options)
+    assert bits(plan(Q0, W0)) == bits(fa.propagate(SCENES["torqued"], Q0, W0, **options))
+
+
+@pytest.mark.parametrize("position", [False, True])
+def test_with_mass(position):
+    scene = fa.Scene(inertia=BODY, mass=2.0, force=(0.1, 0.2, 0.3))
+    values = {"v0": W0 + 1.0, **({"r0": W0 - 1.0} if position else {})}
+    options = {"dt": 0.05, "n_steps": 3, "method": "rk4"}
+    plan = fa.plan(scene, N, position=position, **options)
+    run = plan(Q0, W0, **values)
+    assert bits(run) == bits(fa.propagate(scene, Q0, W0, **values, **options))
+    assert list(run.carried) == ["w", "v", "r"][: 2 + position]
+    if not position:
+        with pytest.raises(ValueError, match=r"r0: accepted, and needed.*position=True"):
+            plan(Q0, W0, **values, r0=W0)
+
+
+@pytest.mark.parametrize("kind", ["torqued", "rate"])
+def test_values_in_any_form(kind):
+    """Rows given once, lists, arrays with gaps, of the other precision, that can't be written."""
+    scene = SCENES[kind]
+    plan = fa.plan(scene, N, dt=0.05, n_steps=3, method="rk4")
+    wide, whole = np.zeros((N, 8)), np.asfortranarray(Q0)
+    wide[:, ::2] = Q0
+    fixed = Q0.copy()
+    fixed.setflags(write=False)
+    wanted = bits(plan(Q0, *rates_of(scene)))
+    for q in (wide[:, ::2], whole, fixed, Q0.tolist(), Q0.astype(">f8")):
+        assert bits(plan(q, *rates_of(scene))) == wanted
+    single = Q0.astype(np.float32)
+    assert bits(plan(single, *rates_of(scene))) == bits(plan(single * 1.0, *rates_of(scene)))
+    one = bits(plan(np.tile(Q0[1], (N, 1)), *rates_of(scene)))
+    assert bits(plan(Q0[1], *rates_of(scene))) == one
+    assert bits(plan(Q0[1:2], *rates_of(scene))) == one
+    if kind == "torqued":
+        assert bits(plan(Q0, W0[2])) == bits(plan(Q0, np.tile(W0[2], (N, 1))))
+
+
+def test_one_body():
+    """Histories of one body have no axis of bodies, unless it is given as an ensemble of one."""
+    plan = fa.plan(SCENES["torqued"], 1, dt=0.05, n_steps=3, method="rk4")
+    for q, w, shape in (
+        (Q0[0], W0[0], (1, 4)),
+        (Q0[:1], W0[0], (1, 1, 4)),
+        (Q0[0], W0[:1], (1, 1, 4)),
+        (Q0[0].tolist(), W0[0].tolist(), (1, 4)),
+    ):
+        run = plan(q, w)
+        assert run.q.shape == shape
+        wanted = fa.propagate(SCENES["torqued"], q, w, dt=0.05, n_steps=3, method="rk4")
+        assert bits(run) == bits(wanted)
+
+
+def test_new_numbers_compile_nothing(monkeypatch):
+    plan = fa.plan(OWN, N, dt=0.05, n_steps=3, method="rk4")
+    other = (-0.7, 0.2)
+    wanted = fa.plan(replace(OWN, params=other), N, dt=0.05, n_steps=3, method="rk4")(Q0, W0)
+    before = bits(plan(Q0, W0))
+    monkeypatch.setattr(ensemble, "compiled", lambda text: pytest.fail("compiled"))
+    ensemble.program.cache_clear()
+    assert bits(plan(Q0, W0, params=other)) == bits(wanted)
+    assert bits(plan(Q0, W0)) == before != bits(wanted)
+
+
+def test_numbers_beyond_the_precision_are_flagged():
+    plan = fa.plan(OWN, N, dt=0.05, n_steps=1, method="rk4", dtype=np.float32)
+    assert (plan(Q0, W0, params=(1e39, 0.0)).status & fa.Status.NON_FINITE).all()
+    assert not plan(Q0, W0).status.any()
+
+
+def test_results_over_earlier_ones():
+    plan = fa.plan(SCENES["torqued"], N, dt=0.05, n_steps=4, save_every=2, method="rk4")
+    first, wanted = plan(Q0, W0), bits(plan(Q0[::-1], W0))
+    second = plan(Q0[::-1], W0, out=first)
+    assert bits(second) == wanted
+    assert second.raw is first.raw
+    assert np.shares_memory(first.state, second.state)
+
+
+def test_results_over_the_values_that_they_come_from():
+    """One attitude for many bodies, in memory that the first tile writes over."""
+    n = 200
+    plan = fa.plan(SCENES["rate"], n, dt=0.05, n_steps=2, method="magnus4")
+    run = plan(Q0[0])
+    wanted = bits(plan(run.q[-1, 0].copy()))
+    assert bits(plan(run.q[-1, 0], out=run)) == wanted
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_copies(copied):
+    plan = fa.plan(SCENES["torqued"], N, dt=0.05, n_steps=4, save_every=2, method="rk4", dtype="f4")
+    other = copied(plan)
+    if copied is pickle.dumps:
+        other = pickle.loads(other)
+        assert other is not plan
+    wanted = bits(plan(Q0, W0, t0=1.0))
+    assert bits(other(Q0, W0, t0=1.0)) == wanted
+    if copied is not pickle.dumps:
+        assert bits(copied(plan(Q0, W0, t0=1.0))) == wanted
+        run = fa.propagate(SCENES["torqued"], Q0, W0, dt=0.05, n_steps=3, method="rk4")
+        assert bits(copied(run)) == bits(run)
+
+
+def test_several_threads():
+    """Each finds what it finds alone, and may read what another ran."""
+    plan = fa.plan(SCENES["torqued"], N, dt=1e-3, n_steps=2000, method="rk4")
+    values = [(RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))) for _ in range(24)]
+    alone = [bits(plan(*pair)) for pair in values]
+    with ThreadPoolExecutor(8) as pool:
+        runs = list(pool.map(lambda pair: plan(*pair), values))
+        assert list(pool.map(bits, runs)) == alone
+        assert len(set(map(str, pool.map(lambda _: bits(runs[0]), range(8))))) == 1
+
+
+def test_warnings_and_status():
+    """As of ``propagate``, for a fast body, one of no motion to speak of, a small step."""
+    for scene, w0, dt in (
+        (SCENES["torqued"], W0 * np.array([[1], [1], [300], [1], [1]]), 0.05),
+        (SCENES["free"], W0, 3.0),
+        (SCENES["free"], W0, 1e-18),
+        (fa.Scene(inertia=BODY, torque=fa.torques.Damping(80.0)), W0, 0.05),
+    ):
+        options = {"dt": dt, "n_steps": 2, "method": "rk4"}
+        found = []
+        for planned in (True, False):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                if planned:
+                    run = fa.plan(scene, N, **options)(Q0, w0)
+                else:
+                    run = fa.propagate(scene, Q0, w0, **options)
+            found.append((bits(run), [str(w.message) for w in caught]))
+        assert found[0] == found[1]
+        assert len(found[0][1]) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"q0": np.full((N, 4), np.nan), "w0": W0}, r"q0\[0, 0\] is nan"),
+        ({"q0": Q0, "w0": np.where(W0[3, 1] == W0, np.inf, W0)}, r"w0\[3, 1\] is inf"),
+        ({"q0": Q0 * [[1], [1], [0], [1], [1]], "w0": W0}, r"q0\[2\] is the zero quaternion"),
+        ({"q0": Q0[:3], "w0": W0[:3]}, r"q0: found 3 bodies; accepted: 5"),
+        ({"q0": Q0[:3], "w0": W0}, "q0: found rows|w0: found rows"),
+        ({"q0": Q0}, "w0: is missing"),
+        ({"q0": Q0[:, :3], "w0": W0}, "q0: .*accepted"),
+        ({"q0": Q0, "w0": W0, "v0": W0}, "v0: found, but this scene has none"),
+        ({"q0": Q0, "w0": W0, "t0": np.inf}, "t0: found inf"),
+        ({"q0": Q0, "w0": W0, "params": (1.0, 2.0)}, "params: found, but the scene has none"),
+        ({"q0": Q0, "w0": W0, "out": Q0}, "out: found .*accepted: an earlier trajectory"),
+    ],
+)
+def test_wrong_values(values, message):
+    plan = fa.plan(SCENES["torqued"], N, dt=0.05, n_steps=3, method="rk4")
+    with pytest.raises(ValueError, match=message):
+        plan(**values)
+
+
+def test_wrong_numbers():
+    plan = fa.plan(OWN, N, dt=0.05, n_steps=3, method="rk4")
+    for params in ((1.0,), ((1.0, 2.0),), (1.0, np.nan)):
+        with pytest.raises(ValueError, match="params"):
+            plan(Q0, W0, params=params)
+    other = fa.plan(OWN, N, dt=0.05, n_steps=3, save_every=1, method="rk4")
+    with pytest.raises(ValueError, match="out: found"):
+        plan(Q0, W0, out=other(Q0, W0))
+
+
+def test_bad_bodies_are_flagged_where_asked():
+    w = W0.copy()
+    w[3, 1] = np.nan
+    options = {"dt": 0.05, "n_steps": 3, "method": "rk4", "invalid": "flag"}
+    run = fa.plan(SCENES["torqued"], N, **options)(Q0, w)
+    assert run.status.tolist() == [0, 0, 0, int(fa.Status.NON_FINITE), 0]
+    assert bits(run) == bits(fa.propagate(SCENES["torqued"], Q0, w, **options))
+
+
+@pytest.mark.parametrize(
+    ("n", "options", "message"),
+    [
+        (0, {}, "n_bodies: found 0"),
+        (2.5, {}, r"n_bodies: found 2\.5"),
+        (N, {"method": "nothing"}, "method: found 'nothing'"),
+        (N, {"dt": 0.0}, "dt: found 0"),
+        (N, {"n_steps": -1}, "n_steps: found -1"),
+        (N, {"position": True}, "position: found True, but this scene has no mass"),
+        (N, {"invalid": "pass"}, "invalid: found 'pass'"),
+        (N, {"dtype": "f2"}, "dtype: found 'f2'"),
+        (N, {"n_threads": 0}, "n_threads: found 0"),
+    ],
+)
+def test_wrong_plans(n, options, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        fa.plan(SCENES["free"], n, **{"dt": 0.05, "n_steps": 3, **options})
+
+
+def test_plans_of_propagate_are_its_own():
+    run = fa.propagate(SCENES["torqued"], Q0, W0, dt=0.05, n_steps=3, method="rk4")
+    with pytest.raises(TypeError, match=r"accepted: one of fastatt\.plan"):
+        pickle.dumps(run.end.by)
