@@ -12,7 +12,9 @@ from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt import forces, tables, torques
+from fastatt.estimation.tangent import own_numbers
 from fastatt.flat.rows import rows
+from fastatt.flat.user import user_function
 from fastatt.torques import Pose, torque_of
 
 EPS = np.finfo(np.float64).eps
@@ -222,6 +224,58 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
     params = with_table.params[1] if own else with_table.params
     (found,) = acting(with_table.law)(*at, params, tables=with_table.tables)
     assert np.abs(found - expected).max() <= 8 * EPS * np.abs(expected).max()
+
+
+def test_tables_of_several_terms_and_of_a_force_are_apart():
+    """A ball turns by the sum of two torques; none of it comes from the force's table."""
+    terms = (torques.Constant(steady((0.1, 0.0, 0.0))), torques.Constant(steady((0.2, 0.0, 0.0))))
+    scene = fa.Scene(
+        inertia=(2.0, 2.0, 2.0), torque=torques.Sum(terms), mass=4.0,
+        force=forces.Constant(steady((0.8, 0.0, 0.0))),
+    )  # fmt: skip
+    run = fa.propagate(
+        scene, Q0, (0.0, 0.0, 0.0), v0=(0.0, 0.0, 0.0), dt=0.25, n_steps=8, method="rk4"
+    )
+    assert np.allclose(run.w[-1], (0.3, 0.0, 0.0), rtol=0, atol=8 * EPS)
+    assert np.allclose(run.v[-1], (0.4, 0.0, 0.0), rtol=0, atol=8 * EPS)
+
+
+def steady(vector):
+    return fa.Table([0.0, 4.0], [vector, vector])
+
+
+def test_which_row_is_a_bodys_is_no_parameter_of_its_model():
+    target = fa.Table([0.0, 4.0], [[Q0, Q0]] * 3)
+    law = torques.pack(torques.QuaternionPD(0.4, 0.3, target), None).law
+    assert list(own_numbers(law)) == [True, True, False]
+
+
+def test_a_function_is_looked_into_where_its_tables_are():
+    table = fa.Table([100.0, 101.0], [0.1, 0.2])
+
+    def brake(t, q, w, p):
+        return -table(t) * w[0], 0.0, 0.0
+
+    found = user_function(brake, "torque", 0)
+    assert found.straight
+    assert found.span == (100.0, 101.0)
+    with pytest.raises(ValueError, match=r"found Custom\.uses_rate False with brake"):
+        fa.Scene(inertia=INERTIA, torque=torques.Custom(brake, uses_rate=False))
+
+
+def by_series(t, p):
+    total = 0.0
+    while total < p[0]:
+        total += HELD(t)
+    return total, 0.0, 0.0
+
+
+HELD = fa.Table([0.0, 1.0], [0.5, 0.5])
+
+
+def test_a_function_that_is_called_reads_no_table():
+    with pytest.raises(TypeError, match=r"by_series.*HELD.*or that is traced: this is not, for a"):
+        fa.Scene(rate=by_series, params=[1.0])
 
 
 def test_wheels_and_body_keep_their_momentum():

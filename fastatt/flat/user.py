@@ -375,7 +375,8 @@ def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
         raise TypeError(
             f"{user.argument}: {user.described} does not compile for floats, with p a tuple of "
             f"{user.n_params} floats: {_words_of(error)} ({_place_of(error, plain)}); accepted is "
-            f"a function that numba.njit compiles"
+            "a function that numba.njit compiles, or that is traced: this is not, for "
+            f"{user.reason}"
         ) from error
     returned = inner.overloads[signature].signature.return_type
     n = user.form.results
