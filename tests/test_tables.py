@@ -70,6 +70,16 @@ def test_a_table_is_within_its_bound_and_of_its_order(kind, spacing):
     assert order - 0.1 < math.log2(errors[0] / errors[1]) < order + 1.1
 
 
+def test_slopes_between_two_samples_each_way_are_of_order_four():
+    times = uniform(81)
+    h, middle = times[1] - times[0], times[2:-2]
+    table = fa.Table(times, wave(times))
+    found = np.array([table.slope(t) for t in middle])
+    # values off by EPS, over h
+    bound = h**4 * FREQUENCY**5 / 30.0 + 4 * EPS / h
+    assert (np.abs(found - wave_slope(middle)).max(axis=0) <= bound).all()
+
+
 @pytest.mark.parametrize("n", [2, 3, 4, 9])
 @pytest.mark.parametrize("spacing", [uniform, uneven])
 def test_polynomials_and_their_slopes_are_exact(n, spacing):
@@ -179,6 +189,10 @@ def test_a_time_outside_ends_as_a_status_of_that_body():
     for run in (late, early):
         assert run.status[0] == fa.Status.NON_FINITE
         assert np.isnan(run.q[-1]).all()
+    # 3 times 0.1 is more than 0.3
+    brief = fa.Scene(rate=of_table(fa.Table([0.0, 0.3], np.ones((2, 3)))))
+    assert not fa.propagate(brief, Q0, dt=0.1, n_steps=3, method="rk4").status.any()
+    assert fa.propagate(brief, Q0, dt=0.1, n_steps=4, method="rk4").status.any()
     rows_ = np.array([[0.0], [7.0], [1.0]])
     table = fa.Table(times, RNG.normal(size=(2, 21, 3)))
     none = fa.propagate(fa.Scene(rate=of_rows(table), params=rows_), [Q0] * 3, **RUN)
