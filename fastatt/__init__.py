@@ -51,6 +51,7 @@ _HELD_BY = {
     "scene": "Scene",
     "steps": "single_step",
     "streaming": "integrator",
+    "tables": "Table",
     "trade": (
         "ErrorBudget OwnSteps Recommendation WorkPrecision error_budget own_steps recommend "
         "self_check work_precision"
@@ -64,10 +65,10 @@ _FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in name
 __all__ = [
     "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Log", "LogError",
     "LogWarning", "Method", "OrderWarning", "OwnSteps", "Plan", "Recommendation", "Reducer",
-    "Scene", "SelfCheck", "Status", "StepWarning", "Trajectory", "WorkPrecision", "angle_between",
-    "angular_momentum", "angular_velocity", "dcm_to_quat", "drift", "error_budget", "estimation",
-    "euler313_to_quat", "exact", "explicit", "forces", "from_scipy", "integrate_rates",
-    "integrator", "interchange", "interpolate", "kernels", "kinetic_energy",
+    "Scene", "SelfCheck", "Status", "StepWarning", "Table", "Trajectory", "WorkPrecision",
+    "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat", "drift", "error_budget",
+    "estimation", "euler313_to_quat", "exact", "explicit", "forces", "from_scipy",
+    "integrate_rates", "integrator", "interchange", "interpolate", "kernels", "kinetic_energy",
     "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "own_steps", "plan", "plots",
     "potential_energy", "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm",
     "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
@@ -129,6 +130,7 @@ if TYPE_CHECKING:
     from fastatt.scene import Scene
     from fastatt.steps import single_step
     from fastatt.streaming import integrator
+    from fastatt.tables import Table
     from fastatt.trade import OwnSteps, Recommendation, own_steps, recommend, self_check
     from fastatt.trade.error_budget import ErrorBudget, error_budget
     from fastatt.trade.work_precision import WorkPrecision, work_precision

@@ -23,18 +23,19 @@ from fastatt.models import (
     pack_sum,
     pack_user,
 )
+from fastatt.tables import Table
 
 
 class Constant(NamedTuple):
-    """A force fixed in the body, such as a thrust. ``force``: (3,) or (N, 3), N."""
+    """A force along body axes, such as a thrust: (3,), (N, 3) or a table, N."""
 
-    force: ArrayLike
+    force: ArrayLike | Table
 
 
 class ConstantInertial(NamedTuple):
-    """A force fixed in space, such as a weight. ``force``: (3,) or (N, 3), N, inertial axes."""
+    """A force along inertial axes, such as a weight: (3,), (N, 3) or a table, N."""
 
-    force: ArrayLike
+    force: ArrayLike | Table
 
 
 class Drag(NamedTuple):
@@ -54,9 +55,10 @@ class Custom(NamedTuple):
 
 
 # formulas of (t, q, w, v, p): force (N) along body axes at an attitude, a rate and a velocity
+_VECTOR = Field((3,), table="values")
 _ALL = (
-    Record(Constant, (Field((3,)),), lambda t, q, w, v, p: p),
-    Record(ConstantInertial, (Field((3,)),), lambda t, q, w, v, p: quat.rotate_inverse(q, p)),
+    Record(Constant, (_VECTOR,), lambda t, q, w, v, p: p),
+    Record(ConstantInertial, (_VECTOR,), lambda t, q, w, v, p: quat.rotate_inverse(q, p)),
     Record(Drag, (Field(),), lambda t, q, w, v, p: scale(-p[0], v)),
 )
 RECORDS: dict[type, Record] = {r.model: r for r in _ALL if r.model is not None}

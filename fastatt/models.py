@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.flat.trace import traceable
 from fastatt.flat.user import FORMS, user_function
+from fastatt.tables import Form, Table, recorded
 
 Model = Any  # an instance of a model's class
 
@@ -29,10 +30,15 @@ class Sum(NamedTuple):
 
 
 class Field(NamedTuple):
-    """One field of a model: the shape for one body (−1: any length) and whether it must be > 0."""
+    """One field of a model: the shape for one body (−1: any length) and whether it must be > 0.
+
+    ``table`` says whether it may be a table, and what a formula then finds in its place: "values",
+    or "slopes", the values and their time derivatives.
+    """
 
     shape: tuple[int, ...] = ()
     above_zero: bool = False
+    table: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +55,19 @@ class Record:
         return traceable(self.formula)
 
 
+class LookUp(NamedTuple):
+    """A field that is a table: the number of its array, how it is read, whether slopes too."""
+
+    number: int
+    form: Form
+    slopes: bool
+
+    def numbers(self, t: Any, p: Any) -> tuple[Any, ...]:
+        """What a formula finds in place of the field; p is the row, if there are some."""
+        values, slopes = recorded(self.number, self.form, t, *p)
+        return (*values, *slopes) if self.slopes else values
+
+
 @dataclass(frozen=True)
 class Law:
     """A model without its numbers: which formula, of how many numbers.
@@ -62,8 +81,8 @@ class Law:
     #: a user's functions: what is traced or called, and the potential, if there is one
     function: Any = None
     potential: Any = None
-    #: number of the table that the formula looks up
-    table: int | None = None
+    #: of each field what it looks up, if there is one that does
+    look_ups: tuple[LookUp | None, ...] = ()
 
     @cached_property
     def count(self) -> int:
@@ -78,6 +97,18 @@ class Law:
             at += part.count
         return found
 
+    def numbers(self, t: Any, p: Any) -> Any:
+        """What the record's formula takes at a time: parameters, and what is looked up."""
+        if not self.look_ups:
+            return p
+        at = 0
+        found: list[Any] = []
+        for size, look_up in zip(self.sizes, self.look_ups, strict=True):
+            own = p[at : at + size]
+            found += own if look_up is None else look_up.numbers(t, own)
+            at += size
+        return tuple(found)
+
     def formula(self, *given: Any) -> Any:
         """The record's formula of what is given, parameters last; of a sum that of its terms."""
         *before, p = given
@@ -86,13 +117,13 @@ class Law:
             return tuple(sum(column[1:], column[0]) for column in zip(*terms, strict=True))
         if self.function is not None:
             return self.function.call(*before, p)
-        return self.record.formula(*before, p)
+        return self.record.formula(*before, self.numbers(before[0], p))
 
     def with_tables_from(self, k: int) -> Law:
         """The same, its tables numbered from k on."""
         parts = tuple(part.with_tables_from(k) for part in self.parts)
-        table = None if self.table is None else self.table + k
-        return replace(self, parts=parts, table=table)
+        moved = tuple(x and x._replace(number=x.number + k) for x in self.look_ups)
+        return replace(self, parts=parts, look_ups=moved)
 
     def leaves(self) -> Iterable[Law]:
         """The laws of which a sum is one, or this one."""
@@ -107,8 +138,13 @@ class Packed(NamedTuple):
 
     law: Any
     params: NDArray[np.float64]
-    #: arrays of numbers that a formula looks up, by their numbers
-    tables: Mapping[int, NDArray[np.float64]]
+    #: arrays that a formula looks up, by their numbers; those of a user's function by the tables
+    tables: Mapping[Any, NDArray[np.float64]]
+
+    def with_tables_from(self, k: int) -> Packed:
+        """The same, its tables numbered from k on."""
+        moved = {x + k if isinstance(x, int) else x: array for x, array in self.tables.items()}
+        return self._replace(law=self.law.with_tables_from(k), tables=moved)
 
 
 def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: str) -> Packed:
@@ -118,8 +154,20 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
     """
     cls = type(model)
     sizes, columns = [], []
-    for name, value, (shape, above_zero) in zip(model._fields, model, record.fields, strict=True):
+    look_ups: list[LookUp | None] = []
+    tables: dict[int, NDArray[np.float64]] = {}
+    for name, value, field in zip(model._fields, model, record.fields, strict=True):
         label = f"{argument}: {cls.__name__}.{name}"
+        if isinstance(value, Table):
+            _check_table(label, value, field)
+            rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
+            sizes.append(rows.shape[-1])
+            columns.append(rows)
+            look_ups.append(LookUp(len(tables), value.form, field.table == "slopes"))
+            tables[len(tables)] = value.data
+            continue
+        shape, above_zero, _ = field
+        look_ups.append(None)
         array = numbers(label, value)
         one = array.ndim == len(shape)
         tail = array.shape[array.ndim - len(shape) :]
@@ -136,7 +184,16 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
         sizes.append(int(np.prod(tail, dtype=int)))
         columns.append(array.reshape((*array.shape[: array.ndim - len(shape)], -1)))
     params = join(columns, n_bodies, f"{argument}: {cls.__name__}")
-    return Packed(Law(record, tuple(sizes)), params, {})
+    law = Law(record, tuple(sizes), look_ups=tuple(look_ups) if tables else ())
+    return Packed(law, params, tables)
+
+
+def _check_table(label: str, table: Table, field: Field) -> None:
+    if not field.table or (table.form.size,) != field.shape:
+        accepted = f"values of {field.shape[0]} numbers" if field.table else "numbers, no table"
+        raise ValueError(f"{label}: found {table!r}; accepted: {accepted}")
+    if field.table == "slopes" and not table.form.cubic:
+        raise ValueError(f'{label}: found a linear table; accepted: one of kind "cubic"')
 
 
 def pack_sum(
@@ -151,10 +208,11 @@ def pack_sum(
     packed = [pack(term, n_bodies, f"{argument}: Sum") for term in model.terms]
     params = join([p.params for p in packed], n_bodies, f"{argument}: Sum")
     laws: list[Law] = []
-    tables: dict[int, NDArray[np.float64]] = {}
+    tables: dict[Any, NDArray[np.float64]] = {}
     for term in packed:
-        laws.append(term.law.with_tables_from(len(tables)))
-        tables |= {len(tables) + k: array for k, array in term.tables.items()}
+        moved = term.with_tables_from(len(tables))
+        laws.append(moved.law)
+        tables |= moved.tables
     return Packed(Law(SUM, (), tuple(laws)), params, tables)
 
 
@@ -172,7 +230,7 @@ def pack_user(
     joined = join([given], n_bodies, "params")
     n = joined.shape[-1]
     made = user_function(function, form, n, joined)
-    return Packed(Law(record, (n,), function=made), joined, {})
+    return Packed(Law(record, (n,), function=made), joined, made.tables)
 
 
 def no_model(model: Model, argument: str, module: str, known: Iterable[type]) -> TypeError:

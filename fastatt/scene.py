@@ -23,6 +23,7 @@ from fastatt.inertia import (
 from fastatt.kernels import rigid
 from fastatt.models import Law, join, numbers
 from fastatt.motion import GivenRate, Moving, RigidBody, Structure, turning_part
+from fastatt.tables import Table
 
 
 class Packed(NamedTuple):
@@ -236,7 +237,7 @@ class Scene:
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        pushing = forces.pack(model, n_bodies)
+        pushing = forces.pack(model, n_bodies).with_tables_from(len(packed.resources))
         params = join([packed.params, inverse[..., None], pushing.params], n_bodies, "mass, force")
         structure = packed.structure
         assert isinstance(structure, (GivenRate, RigidBody))
@@ -321,6 +322,8 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
     if type(value) in _RECORDS:
         each = zip(value, _RECORDS[type(value)].fields, strict=True)
         return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
+    if isinstance(value, Table):
+        return value[rows] if value.form.own else value
     if isinstance(value, torques.Sampled) or np.ndim(value) <= dims:  # shared
         return value
     return np.asarray(value)[rows]

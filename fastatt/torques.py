@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.arrays import normalised
 from fastatt.attitudes import QUATERNION, Attitude
-from fastatt.flat.formulas import Vector, as_like, dot, plus, quat, rigid, vec3
-from fastatt.flat.functions import gather
-from fastatt.flat.graph import Double, apply, choose
+from fastatt.flat.formulas import Vector, as_like, dot, minus, plus, quat, rigid, scale, vec3
+from fastatt.flat.graph import apply
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.user import UserFunction, user_function
 from fastatt.models import (
@@ -33,10 +32,12 @@ from fastatt.models import (
     Sum,
     join,
     no_model,
+    numbers,
     pack_fields,
     pack_sum,
     pack_user,
 )
+from fastatt.tables import Table
 
 
 class Dependence(IntEnum):
@@ -81,20 +82,18 @@ class TorqueRecord(Record):
     potential: Callable[..., Any] | None = None
     damping: Callable[[Any], Vector] | None = None
     decay: Callable[[Any], Any] | None = None
-    #: parameters to which a derivative is asked for: all, or none
-    differentiable: bool = True
 
 
 class Constant(NamedTuple):
-    """A torque fixed in the body, such as a thruster's. ``torque``: (3,) or (N, 3), N·m."""
+    """A torque along body axes, such as a thruster's: (3,), (N, 3) or a table, N·m."""
 
-    torque: ArrayLike
+    torque: ArrayLike | Table
 
 
 class ConstantInertial(NamedTuple):
-    """A torque fixed in space. ``torque``: (3,) or (N, 3), N·m, inertial axes."""
+    """A torque along inertial axes: (3,), (N, 3) or a table, N·m."""
 
-    torque: ArrayLike
+    torque: ArrayLike | Table
 
 
 class Damping(NamedTuple):
@@ -128,6 +127,32 @@ class GravityGradient(NamedTuple):
     along: ArrayLike = (0.0, 1.0, 0.0)
 
 
+class KeplerGravityGradient(NamedTuple):
+    """τ = 3 n² (a/r)³ o×(I o) in an elliptic orbit of mean motion n.
+
+    o, the direction out from the planet, lies at periapsis along ``periapsis``, and turns towards
+    ``along``: inertial unit vectors; ``mean_anomaly`` (rad) is that at t = 0. Numbers or a row per
+    body; rad/s; ``eccentricity`` from 0 to 0.9. Hughes (1986), eq. 8.1.13.
+    """
+
+    mean_motion: ArrayLike
+    eccentricity: ArrayLike
+    periapsis: ArrayLike = (1.0, 0.0, 0.0)
+    along: ArrayLike = (0.0, 1.0, 0.0)
+    mean_anomaly: ArrayLike = 0.0
+
+
+class GravityGradientAt(NamedTuple):
+    """τ = 3 (μ/r³) o×(I o) at ``position`` r o, m, from the planet's centre along inertial axes.
+
+    ``position``: (3,), (N, 3) or a table; μ, m³/s², a number or (N,), that of the Earth (IERS
+    Conventions 2010, table 1.1) unless said. Hughes (1986), eq. 8.1.13.
+    """
+
+    position: ArrayLike | Table
+    gravitational_parameter: ArrayLike = 3.986004418e14
+
+
 class HeavyTop(NamedTuple):
     """A weight off the fixed point: τ = r × Cᵀ(0, 0, −W).
 
@@ -140,32 +165,36 @@ class HeavyTop(NamedTuple):
 
 
 class MagneticDipole(NamedTuple):
-    """τ = μ × CᵀB. ``dipole`` μ: A·m², body axes; ``field`` B: T, inertial axes; (3,) or (N, 3)."""
+    """τ = μ × CᵀB. ``dipole`` μ: A·m², body axes; ``field`` B: T, inertial axes.
 
-    dipole: ArrayLike
-    field: ArrayLike
+    Each (3,), (N, 3) or a table.
+    """
+
+    dipole: ArrayLike | Table
+    field: ArrayLike | Table
 
 
 class QuaternionPD(NamedTuple):
     """Attitude controller τ = −k sgn(e0) (e1, e2, e3) − c w with e = target*∘q.
 
-    ``stiffness`` k, N·m, ``damping`` c, N·m·s: numbers or (N,); ``target``: (4,) or (N, 4), unit.
-    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
+    ``stiffness`` k, N·m, ``damping`` c, N·m·s: numbers or (N,); ``target``: (4,) or (N, 4), unit,
+    or a table, whose signs go on from sample to sample. The rate of a target that moves, seen from
+    the body, is then taken off w. Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
     """
 
     stiffness: ArrayLike
     damping: ArrayLike
-    target: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    target: ArrayLike | Table = (1.0, 0.0, 0.0, 0.0)
 
 
 class Rotor(NamedTuple):
-    """Wheels of constant momentum h in the body (gyrostat): τ = h×w.
+    """Wheels of momentum h in the body (gyrostat): τ = h×w − dh/dt.
 
-    ``momentum``: (3,) or (N, 3), N·m·s, body axes. ``inertia`` is the whole body's, wheels held.
-    Hughes (1986), §6.1.
+    ``momentum``: (3,) or (N, 3), constant, or a cubic table, N·m·s, body axes. ``inertia`` is the
+    whole body's, wheels held. Hughes (1986), §6.1.
     """
 
-    momentum: ArrayLike
+    momentum: ArrayLike | Table
 
 
 class Sampled(NamedTuple):
@@ -204,22 +233,36 @@ def _gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
     return rigid.gravity_gradient(o, pose.moments, p[0])
 
 
+def _kepler_gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
+    o, nearness = rigid.kepler_direction(p[0] * t + p[8], p[1], p[2:5], p[5:8])
+    # n² a³/r³ in place of n²
+    rate = p[0] * nearness * apply("sqrt", nearness)
+    return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
+
+
+def _gravity_gradient_at(t: Any, pose: Pose, p: Vector) -> Any:
+    inverse = 1.0 / apply("sqrt", dot(p[:3], p[:3]))
+    rate = apply("sqrt", p[3] * inverse) * inverse
+    return rigid.gravity_gradient(pose.to_body(scale(inverse, p[:3])), pose.moments, rate)
+
+
 def _quaternion_pd(t: Any, pose: Pose, p: Vector) -> Any:
-    error = rigid.target_error(p[2:], pose.quaternion)
-    return rigid.quaternion_feedback(error, pose.w, p[0], p[1])
+    target, turning = p[2:6], p[6:]
+    w = pose.w
+    if turning:
+        # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
+        target = quat.normalise(target)
+        rate = quat.mul(turning, quat.conj(p[2:6]))
+        size = dot(p[2:6], p[2:6])
+        own = pose.to_body(tuple(2.0 * x / size for x in rate[1:]))
+        w = minus(w, own)
+    error = rigid.target_error(target, pose.quaternion)
+    return rigid.quaternion_feedback(error, w, p[0], p[1])
 
 
-def _sampled(t: Any, pose: Pose, p: Vector, table: int = 0) -> Any:
-    s = (t - p[0]) / p[1]
-    s = choose(s > 0.0, s, 0.0)
-    s = choose(s < p[2], s, p[2])
-    below = apply("floor", s)
-    k = choose(below < p[2], below, p[2] - 1.0)
-    f = s - k
-    a, b = (
-        [gather(table, Double(3.0 * (k + i) + c), k.kind) for c in range(3)] for i in (0.0, 1.0)
-    )
-    return tuple(x + f * (y - x) for x, y in zip(a, b, strict=True))
+def _rotor(t: Any, pose: Pose, p: Vector) -> Any:
+    gyroscopic = vec3.cross(p[:3], pose.w)
+    return minus(gyroscopic, p[3:]) if p[3:] else gyroscopic
 
 
 def _turned_pose(pose: Pose, axes: Vector) -> Pose:
@@ -228,13 +271,14 @@ def _turned_pose(pose: Pose, axes: Vector) -> Pose:
 
 
 _VECTOR, _NUMBER = Field((3,)), Field()
+_TABLED = Field((3,), table="values")
 _POSITION, _DAMPED, _RATE = Dependence
 FREE = TorqueRecord(
     None, (), lambda t, pose, p: (0.0, 0.0, 0.0), _POSITION, True, potential=_no_potential
 )
 _ALL = (
-    TorqueRecord(Constant, (_VECTOR,), lambda t, pose, p: p, _POSITION, False),
-    TorqueRecord(ConstantInertial, (_VECTOR,), lambda t, pose, p: pose.to_body(p), _POSITION, True),
+    TorqueRecord(Constant, (_TABLED,), lambda t, pose, p: p, _POSITION, False),
+    TorqueRecord(ConstantInertial, (_TABLED,), lambda t, pose, p: pose.to_body(p), _POSITION, True),
     TorqueRecord(
         Damping, (_NUMBER,), lambda t, pose, p: rigid.damping(pose.w, (p[0],) * 3), _DAMPED, True,
         damping=lambda p: (p[0],) * 3,
@@ -251,6 +295,13 @@ _ALL = (
     ),
     TorqueRecord(GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True),
     TorqueRecord(
+        KeplerGravityGradient, (_NUMBER, _NUMBER, _VECTOR, _VECTOR, _NUMBER),
+        _kepler_gravity_gradient, _POSITION, True,
+    ),
+    TorqueRecord(
+        GravityGradientAt, (_TABLED, Field(above_zero=True)), _gravity_gradient_at, _POSITION, True
+    ),
+    TorqueRecord(
         HeavyTop, (_VECTOR, _NUMBER),
         # half of the vertical: the doubling is done to what stays
         lambda t, pose, p: vec3.cross(
@@ -260,21 +311,20 @@ _ALL = (
         potential=lambda t, pose, p: p[3] * dot(p[:3], pose.to_body((0.0, 0.0, 1.0))),
     ),
     TorqueRecord(
-        MagneticDipole, (_VECTOR, _VECTOR),
+        MagneticDipole, (_TABLED, _TABLED),
         lambda t, pose, p: vec3.cross(p[:3], pose.to_body(p[3:])), _POSITION, False,
         potential=lambda t, pose, p: -dot(p[:3], pose.to_body(p[3:])),
     ),
     TorqueRecord(
-        QuaternionPD, (_NUMBER, _NUMBER, Field((4,))), _quaternion_pd, _RATE, False,
+        QuaternionPD, (_NUMBER, _NUMBER, Field((4,), table="slopes")), _quaternion_pd, _RATE, False,
         decay=lambda model: np.abs(model.damping),
     ),
     TorqueRecord(
-        Rotor, (_VECTOR,), lambda t, pose, p: vec3.cross(p, pose.w), _RATE, False,
+        Rotor, (Field((3,), table="slopes"),), _rotor, _RATE, False,
         potential=_no_potential,
     ),
 )  # fmt: skip
 RECORDS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}
-SAMPLED = TorqueRecord(Sampled, (), _sampled, _POSITION, False, differentiable=False)
 #: beneath principal axes that lie elsewhere: four parameters say where
 TURNED = Record(None, (), _turned_pose)
 USER = {
@@ -293,9 +343,7 @@ def torque_of(law: Law, t: Any, pose: Pose, p: Vector) -> Vector:
     if law.function is not None:
         given = (t, pose.quaternion, pose.w, p)
         return as_like(law.function.call(*given), pose.moments[0])  # type: ignore[no-any-return]
-    if law.table is not None:
-        return law.record.formula(t, pose, p, law.table)  # type: ignore[no-any-return]
-    return law.record.formula(t, pose, p)  # type: ignore[no-any-return]
+    return law.record.formula(t, pose, law.numbers(t, p))  # type: ignore[no-any-return]
 
 
 def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
@@ -341,6 +389,9 @@ def has_potential(law: Law) -> bool:
     """Whether kinetic plus potential energy stays constant under a law."""
     if law.record in (SUM, TURNED):
         return all(has_potential(part) for part in law.parts)
+    # what a table says depends on time
+    if law.look_ups:
+        return False
     return law.potential is not None or law.record.potential is not None
 
 
@@ -375,8 +426,9 @@ def pack(
     if cls is Custom:
         packed = _pack_custom(model, n_bodies, argument)
     elif cls is Sampled:
-        packed = _pack_sampled(model, argument)
+        packed = _pack_sampled(model, n_bodies, argument)
     elif cls in RECORDS:
+        _check_range(model, argument)
         packed = pack_fields(model, RECORDS[cls], n_bodies, argument)
     else:
         raise no_model(model, argument, "torques", {*RECORDS, Custom, Sampled, Sum})
@@ -386,12 +438,33 @@ def pack(
     return packed._replace(law=Law(TURNED, (4,), (packed.law,)), params=params)
 
 
+def _check_range(model: Model, argument: str) -> None:
+    """What a formula can't take beside what its fields say."""
+    if isinstance(model, KeplerGravityGradient):
+        e = numbers(f"{argument}: KeplerGravityGradient.eccentricity", model.eccentricity)
+        bad = np.atleast_1d((e < 0.0) | (e > 0.9))
+        if bad.any():
+            found = np.atleast_1d(e)[bad][0]
+            raise ValueError(
+                f"{argument}: KeplerGravityGradient.eccentricity is {found}; accepted: 0 to 0.9"
+            )
+    if isinstance(model, QuaternionPD) and isinstance(model.target, Table):
+        q = model.target.samples
+        turned = np.argwhere((q[:, 1:] * q[:, :-1]).sum(axis=-1) <= 0.0)
+        if len(turned):
+            row, k = turned[0]
+            raise ValueError(
+                f"{argument}: QuaternionPD.target of row {row} turns its sign, or by half a turn, "
+                f"behind sample {k}; accepted: quaternions whose signs go on"
+            )
+
+
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
     """Whether a user's torque at a few points differs from that at a standstill."""
     rng = np.random.default_rng(4)
     rows = np.atleast_2d(params)
     for k in range(8):
-        at = rng.uniform(0.0, 10.0), tuple(normalised(rng.normal(size=4)).tolist())
+        at = rng.uniform(*function.span), tuple(normalised(rng.normal(size=4)).tolist())
         w, p = rng.normal(size=3).tolist(), tuple(rows[k * len(rows) // 8].tolist())
         values = []
         for v in (w, [0.0] * 3):
@@ -418,10 +491,11 @@ def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
     if model.potential is not None:
         energy = user_function(model.potential, "potential", law.count, params)
         law = replace(law, potential=energy)
+        tables = {**tables, **energy.tables}
     return Packed(law, params, tables)
 
 
-def _pack_sampled(model: Sampled, argument: str) -> Packed:
+def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed:
     samples = checks.array(f"{argument}: Sampled.torques", model.torques, "(n, 3)", [(-1, 3)])
     if len(samples) < 2:
         raise ValueError(f"{argument}: Sampled.torques has 1 sample; accepted: at least 2")
@@ -429,14 +503,15 @@ def _pack_sampled(model: Sampled, argument: str) -> Packed:
     if dt <= 0.0:
         raise ValueError(f"{argument}: Sampled.dt is {dt}; accepted: above 0")
     start = checks.real(f"{argument}: Sampled.start", model.start)
-    params = np.array([start, dt, len(samples) - 1.0])
-    tables = {0: np.ascontiguousarray(samples, dtype=np.float64)}
-    return Packed(Law(SAMPLED, (3,), table=0), params, tables)
+    times = start + dt * np.arange(len(samples))
+    table = Table(times, samples, kind="linear", outside="hold")
+    return pack_fields(Constant(table), RECORDS[Constant], n_bodies, argument)
 
 
 __all__ = [
     "AxisDamping", "Constant", "ConstantInertial", "Custom", "Damping", "GravityGradient",
-    "HeavyTop", "MagneticDipole", "QuadraticDamping", "QuaternionPD", "Rotor", "Sampled", "Sum",
+    "GravityGradientAt", "HeavyTop", "KeplerGravityGradient", "MagneticDipole", "QuadraticDamping",
+    "QuaternionPD", "Rotor", "Sampled", "Sum",
 ]  # fmt: skip
 
 

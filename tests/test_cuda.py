@@ -47,6 +47,16 @@ def largest(t, q, w, s):
 
 FAST = np.array([[0.3, 0.2, 0.1], [70.0, 40.0, 90.0]])  # one in the quick form, one beyond π a step
 SAMPLED = fa.torques.Sampled(RNG.normal(size=(9, 3)) * 0.2, 0.25)
+WHEELS = fa.Table(np.linspace(0.0, 1.0, 5), RNG.normal(size=(N, 5, 3)))
+
+
+def of_wheels(t, q, w, p):
+    return WHEELS(t, p[0])
+
+
+READ = fa.torques.Sum(
+    (fa.torques.Rotor(WHEELS), fa.torques.Custom(of_wheels, np.arange(float(N))[:, None]))
+)
 FREE = fa.Scene(inertia=INERTIA)
 # name: scene, method, other options
 RUNS = {
@@ -64,6 +74,7 @@ RUNS = {
     "reduced": (FREE, "rk4", {"reduce": fa.reducer(largest, start=0.0)}),
     "compensated": (FREE, "dmv2", {"compensated": True}),
     "kicked": (fa.Scene(inertia=INERTIA, torque=SAMPLED), "strang2", {"normalise": "never"}),
+    "tables": (fa.Scene(inertia=INERTIA, torque=READ), "rk4", {}),
     "falling": (
         fa.Scene(inertia=TENSOR, mass=2.0, force=fa.forces.ConstantInertial((0.0, 0.0, -9.8))),
         "rk4", {"r0": V0},

@@ -180,6 +180,8 @@ ARGUMENTS = {
     "rigid.quadratic_damping": (W, 0.7),
     "rigid.gravity_gradient": (E, J, 0.7),
     "rigid.orbit_direction": (1.7, 0.7, E, U),
+    "rigid.kepler_correction": (0.2, 0.3, 0.6, 0.8),
+    "rigid.kepler_direction": (1.7, 0.3, E, U),
     "rigid.quaternion_feedback": (Q, W, 0.7, 0.3),
     "rigid.target_error": (P, Q),
     "rigid.exp_decay": (0.7,),

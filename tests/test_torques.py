@@ -32,6 +32,7 @@ AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
 SPIN = np.array([0.9, -0.4, 1.2])
 TARGET = tuple(mul(START, exp(SPIN)).tolist())  # ahead: less than half a turn away throughout
 RADIAL, ALONG = (0.0, 0.6, 0.8), (1.0, 0.0, 0.0)
+FAR = (1e30, 0.0, 0.0)  # from a planet: its gravity gradient is none
 RAMP = np.array([[0.1, -0.2, 0.3], [-0.4, 0.5, 0.2]])
 SPAN = 2.0
 
@@ -48,6 +49,35 @@ def gravity_gradient(inertia, n, radial, along):
     r, a = np.array(radial), np.array(along)
     frame = fa.dcm_to_quat(np.stack([r, a, np.cross(r, a)], axis=1))
     return lambda t, q, w: o(t, ro.quat_mul(ro.conj(tuple(frame.tolist())), q), w)
+
+
+def attracted(inertia, position, mu):
+    """3 μ/r⁵ r×(I r), r along body axes."""
+    tensor = ro.tensor(inertia)
+
+    def acting(t, q, w):
+        r = ro.to_body(q, position)
+        k = 3 * mu / ro.dot(position, position) ** 2.5
+        return tuple(k * x for x in ro.cross(r, ro.times(tensor, r)))
+
+    return acting
+
+
+def kepler(inertia, n, e, anomaly):
+    """The same where bisection of Kepler's equation finds the body, of a = 1 and μ = n²."""
+
+    def acting(t, q, w):
+        number = mp.mpf if isinstance(t, mp.mpf) else float
+        mean = mp.mpf(n) * t + anomaly
+        low, high = mean - e, mean + e
+        for _ in range(mp.mp.prec):
+            middle = (low + high) / 2
+            low, high = (low, middle) if middle - e * mp.sin(middle) > mean else (middle, high)
+        u, v = mp.cos(low) - e, mp.sqrt(1 - mp.mpf(e) ** 2) * mp.sin(low)
+        r = tuple(number(u * a + v * b) for a, b in zip(RADIAL, ALONG, strict=True))
+        return attracted(inertia, r, n * n)(t, q, w)
+
+    return acting
 
 
 # name: the model, and what it is (of the inertia along body axes)
@@ -67,6 +97,14 @@ MODELS = {
         ft.GravityGradient(0.5, RADIAL, ALONG),
         lambda i: gravity_gradient(i, 0.5, RADIAL, ALONG),
     ),
+    "KeplerGravityGradient": (
+        ft.KeplerGravityGradient(0.5, 0.4, RADIAL, ALONG, 0.3),
+        lambda i: kepler(i, 0.5, 0.4, 0.3),
+    ),
+    "GravityGradientAt": (
+        ft.GravityGradientAt((1.5, -2.0, 0.5), 3.0),
+        lambda i: attracted(i, (1.5, -2.0, 0.5), 3.0),
+    ),
     "HeavyTop": (
         ft.HeavyTop((0.1, 0.2, 0.3), 2.0),
         lambda i: ro.heavy_top(2.0, (0.1, 0.2, 0.3)),
@@ -82,7 +120,8 @@ MODELS = {
     "Rotor": (ft.Rotor((0.3, 0.2, -0.4)), lambda i: ro.rotor((0.3, 0.2, -0.4))),
     "Sampled": (ft.Sampled(RAMP, SPAN), lambda i: ramp),
 }
-SUMMED = [name for name in MODELS if name != "Sampled"]  # a history is one for all bodies
+# a history is one for all bodies; an orbit takes long to compile (its motion: test_tables)
+SUMMED = [name for name in MODELS if name not in ("Sampled", "KeplerGravityGradient")]
 
 
 def turned_tensor():
@@ -186,6 +225,7 @@ def every(n, **terms):
         "AxisDamping": (np.zeros(3),),
         "QuadraticDamping": (0.0,),
         "GravityGradient": (0.0, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+        "GravityGradientAt": (FAR, 1.0),
         "HeavyTop": (np.zeros(3), 0.0),
         "MagneticDipole": (np.zeros(3), np.zeros(3)),
         "QuaternionPD": (0.0, 0.0, (1.0, 0.0, 0.0, 0.0)),
@@ -211,6 +251,8 @@ def one_each():
             terms[name].append(row)
     for unit in (terms["GravityGradient"][1], terms["GravityGradient"][2]):
         unit[~unit.any(axis=1)] = 1.0
+    position, mu = terms["GravityGradientAt"]
+    position[mu == 0.0], mu[mu == 0.0] = FAR, 1.0
     terms["QuaternionPD"][2][:, :] = TARGET
     return every(n, **terms)
 
@@ -497,6 +539,8 @@ DEPENDENCE = {
     "AxisDamping": Dependence.DAMPED,
     "QuadraticDamping": Dependence.RATE,
     "GravityGradient": Dependence.POSITION,
+    "KeplerGravityGradient": Dependence.POSITION,
+    "GravityGradientAt": Dependence.POSITION,
     "HeavyTop": Dependence.POSITION,
     "MagneticDipole": Dependence.POSITION,
     "QuaternionPD": Dependence.RATE,

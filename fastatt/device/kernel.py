@@ -78,7 +78,7 @@ class _Text(source.Text):
         if op == "larger":
             return _larger(*args)
         if op == "gather":
-            table = ast.Subscript(ast.Name(f"table{node.args[0]}"), _call("whole", *args))
+            table = ast.Subscript(ast.Name(source.table_name(node.args[0])), _call("whole", *args))
             return _call(node.kind, table)
         return super()._operation(node, args)
 
@@ -117,7 +117,7 @@ class _Writer:
     def text(self) -> str:
         """The whole kernel."""
         formulas = self.formulas
-        tables = [f"table{name[1]}" for name in formulas.resources]
+        tables = [source.table_name(name[1]) for name in formulas.resources]
         state = self._names("x", formulas.size)
         self._open(f"def kernel({', '.join([*ARGUMENTS, *tables])}):")
         self._add("body = cuda.grid(1)", "selp = cuda.selp")

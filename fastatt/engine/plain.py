@@ -30,7 +30,7 @@ class PlainProgram:
     def __init__(self, job: Job) -> None:
         self.formulas = job.formulas
         self.job = job
-        self._functions: dict[int, Any] = {}
+        self._functions: dict[int, tuple[Any, Any]] = {}
 
     def run(
         self, arrays: Mapping[str, Any], numbers: Mapping[str, float], span: Any,
@@ -55,13 +55,14 @@ class PlainProgram:
 
     def evaluate(self, flat: Flat, find: Any, tables: Mapping[Any, Any]) -> list[Array]:
         """A graph's results on arrays."""
-        key = id(flat)
-        if key not in self._functions:
+        made = self._functions.get(id(flat))
+        # a program serves every scene of a structure, each with tables of its own
+        if made is None or made[0] is not tables:
             named = {k[1]: v for k, v in tables.items() if k[0] == "table"}
-            self._functions[key] = source.function(flat, tables=named)
+            made = self._functions[id(flat)] = tables, source.function(flat, tables=named)
         kinds = {n.args: n.kind for n in flat.nodes if n.op == "in"}
         given = [find(name, kinds[name]) for name in flat.inputs()]
-        return list(self._functions[key](*given))
+        return list(made[1](*given))
 
 
 class _PlainRun:

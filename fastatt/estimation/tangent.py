@@ -111,14 +111,16 @@ def window_tangent(window: Window, *, increments: bool) -> Formula:
 def own_numbers(law: Law) -> Iterator[bool]:
     """Which of a law's flat parameters are its model's.
 
-    The others say where principal axes lie, and when samples were taken.
+    The others say where principal axes lie, and which row of a table is a body's.
     """
     if law.record is SUM or law.record is TURNED:
         yield from (False,) * sum(law.sizes)
         for part in law.parts:
             yield from own_numbers(part)
     else:
-        yield from (law.record.differentiable,) * law.count
+        look_ups = law.look_ups or (None,) * len(law.sizes)
+        for size, look_up in zip(law.sizes, look_ups, strict=True):
+            yield from (look_up is None,) * size
 
 
 def directions(structure: RigidBody, *, parameters: bool) -> int:

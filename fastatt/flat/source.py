@@ -114,7 +114,7 @@ class Text:
         if op == "item":
             return ast.Subscript(args[0], ast.Constant(node.args[1]))
         if op == "gather":
-            args = [ast.Name(f"table{node.args[0]}"), *args]
+            args = [ast.Name(table_name(node.args[0])), *args]
         elif op == "lane":
             args = [ast.Constant(node.args[0]), *args]
         name = self._function(node.args[0]) if op == "opaque" else op
@@ -130,6 +130,11 @@ class Text:
     def function_names(self) -> dict[str, Any]:
         """The opaque functions by their names in the text."""
         return {self._function(f): f for f in self.functions}
+
+
+def table_name(key: Any) -> str:
+    """Name of the array of a table: a number, or one that a user's function refers to."""
+    return f"table{getattr(key, 'digest', key)}"
 
 
 def text(flat: Flat) -> str:
@@ -152,7 +157,7 @@ def function(
     made = Text(flat)
     program = compile(made.as_function("flat"), "<flat>", "exec")
     scope: dict[str, Any] = dict(SCOPE)
-    scope |= {f"table{k}": np.asarray(x) for k, x in (tables or {}).items()}
+    scope |= {table_name(k): np.asarray(x) for k, x in (tables or {}).items()}
     for name, opaque in made.function_names().items():
         scope[name] = _each((functions or {}).get(opaque, opaque))
     by_precision: dict[Any, Callable[..., Any]] = {}

@@ -113,6 +113,9 @@ class UserFunction:
         self.n_params = n_params
         self.name = getattr(function, "__name__", argument)
         self.reason = ""
+        #: arrays of the tables that it looks up, and times at which there is something in them
+        self.tables: dict[Any, NDArray[np.float64]] = {}
+        self.span = 0.0, 10.0
         self._formula: Callable[..., Any] | None = None
         self._compiled: Any = None
         try:
@@ -191,11 +194,17 @@ class UserFunction:
         ):
             raise NotStraight(f"what it gives is not {self.form.results} numbers")
         flat = Flat(recorder, values, "double")
+        found_in = {node.args[0]: None for node in flat.nodes if node.op == "gather"}
+        if found_in:
+            self.tables = {table: table.data for table in found_in}
+            spans = np.array([table.span for table in found_in])
+            start, end = sorted((float(spans[:, 0].max()), float(spans[:, 1].min())))
+            self.span = start, end
         places = [k + (len(numbers) if group == "p" else 0) for group, k in flat.inputs()]
-        traced = source.function(flat)
+        traced = source.function(flat, tables=self.tables)
         in_python = interpreted(function)
         asked, found = [], []
-        for point in _points(self.sizes, params):
+        for point in _points(self.sizes, params, self.span):
             try:
                 with np.errstate(all="ignore"):
                     asked.append(_floats(in_python(*nested(point, self.sizes))))
@@ -234,12 +243,16 @@ def _floats(result: Any) -> list[float]:
     return [float(x) for x in (result if isinstance(result, tuple) else (result,))]
 
 
-def _points(sizes: tuple[int, ...], params: NDArray[np.float64] | None) -> list[list[float]]:
-    """Arguments to try a function with, in a row: the first at t = 0."""
+def _points(
+    sizes: tuple[int, ...],
+    params: NDArray[np.float64] | None,
+    span: tuple[float, float] = (0.0, 10.0),
+) -> list[list[float]]:
+    """Arguments to try a function with, in a row: the first at the begin of a span of time."""
     rng = np.random.default_rng(8)
     found = []
     for k in range(POINTS):
-        point = [0.0 if k == 0 else float(rng.uniform(0.0, 10.0))]
+        point = [span[0] if k == 0 else float(rng.uniform(*span))]
         for n in sizes[1:-1]:
             v = rng.normal(size=n)
             point += (v / np.linalg.norm(v) if n == 4 else v).tolist()
@@ -362,7 +375,8 @@ def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
         raise TypeError(
             f"{user.argument}: {user.described} does not compile for floats, with p a tuple of "
             f"{user.n_params} floats: {_words_of(error)} ({_place_of(error, plain)}); accepted is "
-            f"a function that numba.njit compiles"
+            "a function that numba.njit compiles, or that is traced: this is not, for "
+            f"{user.reason}"
         ) from error
     returned = inner.overloads[signature].signature.return_type
     n = user.form.results

@@ -107,6 +107,52 @@ def orbit_direction(t, mean_motion, radial, along):
 
 
 @kernel
+def kepler_correction(x, eccentricity, sine, cosine):
+    """A better x = E − M of Kepler's equation x = e sin(M + x), from sine and cosine of M.
+
+    Danby and Burkardt, Celest. Mech. 31 (1983) 95, of order 4.
+    """
+    F = type(x)
+    a, b = sincos(x)
+    f2 = eccentricity * (sine * b + cosine * a)
+    f3 = eccentricity * (cosine * b - sine * a)
+    f = x - f2
+    f1 = F(1.0) - f3
+    d = -f / f1
+    d = -f / (f1 + F(0.5) * d * f2)
+    return x - f / (f1 + F(0.5) * d * (f2 + d * f3 / F(3.0)))
+
+
+@kernel
+def kepler_direction(mean_anomaly, eccentricity, periapsis, along):
+    """(o, a/r) on an elliptic orbit: o the direction out from the planet, inertial axes.
+
+    ``periapsis`` and ``along`` are unit vectors, towards the periapsis and along the velocity
+    there. Four times ``kepler_correction``. Error at most 3e-15 (float64) for e ≤ 0.9.
+    """
+    F = type(eccentricity)
+    e = eccentricity
+    s, c = sincos(mean_anomaly)
+    s, c = F(s), F(c)
+    x = e * s / math.sqrt(F(1.0) - F(2.0) * e * c + e * e)
+    x = kepler_correction(x, e, s, c)
+    x = kepler_correction(x, e, s, c)
+    x = kepler_correction(x, e, s, c)
+    x = kepler_correction(x, e, s, c)
+    a, b = sincos(x)
+    sine, cosine = s * b + c * a, c * b - s * a
+    near = F(1.0) / (F(1.0) - e * cosine)
+    u = near * (cosine - e)
+    v = near * math.sqrt(F(1.0) - e * e) * sine
+    o = (
+        u * periapsis[0] + v * along[0],
+        u * periapsis[1] + v * along[1],
+        u * periapsis[2] + v * along[2],
+    )
+    return o, near
+
+
+@kernel
 def quaternion_feedback(e, w, stiffness, damping):
     """τ = −k sgn(e0) (e1, e2, e3) − c w, e the attitude relative to the target's.
 

@@ -13,6 +13,7 @@ from fastatt.arrays import angle_between, rotate
 from fastatt.running.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.running.trajectory import Trajectory
 from fastatt.scene import Scene
+from fastatt.tables import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +78,20 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
         return None
     inside = angular_momentum(trajectory.w, scene.inertia)
     if rotor:
-        inside = inside + np.asarray(scene.torque.momentum)
+        inside = inside + _of_wheels(scene.torque.momentum, trajectory)
     total = rotate(trajectory.q, inside)
     change = np.linalg.norm(total - total[0], axis=-1)
     return _relative(change, np.linalg.norm(total, axis=-1))
+
+
+def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:
+    """Momentum of wheels, that broadcasts against (S, N, 3), or (S, 3) of one body."""
+    if not isinstance(momentum, Table):
+        return np.asarray(momentum)
+    found = momentum.at(trajectory.t)
+    if trajectory.one_body:
+        return found.reshape(-1, 3)
+    return found if found.ndim == 3 else found[:, None]
 
 
 def _relative(change: NDArray[Any], scale: NDArray[Any]) -> NDArray[Any]:

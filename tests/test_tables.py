@@ -1,0 +1,467 @@
+"""Tables against the functions that they sample, models that read them against closed forms."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import re
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import fastatt as fa
+from fastatt import forces, tables, torques
+from fastatt.estimation.tangent import own_numbers
+from fastatt.flat.rows import rows
+from fastatt.flat.user import user_function
+from fastatt.torques import Pose, torque_of
+
+EPS = np.finfo(np.float64).eps
+RNG = np.random.default_rng(5)
+FREQUENCY = np.array([1.0, 2.0, 3.0])
+Q0, W0 = (0.5, 0.5, -0.5, 0.5), (0.3, -0.2, 0.4)
+INERTIA = (2.0, 1.0, 1.5)
+
+
+def wave(t):
+    return np.sin(np.multiply.outer(t, FREQUENCY))
+
+
+def wave_slope(t):
+    return FREQUENCY * np.cos(np.multiply.outer(t, FREQUENCY))
+
+
+def uniform(n):
+    return np.linspace(1.0, 3.0, n)
+
+
+def uneven(n):
+    """Intervals from half to three halves of the mean, of one pattern for every n."""
+    s = np.linspace(0.0, 1.0, n)
+    return 1.0 + 2.0 * (s + np.sin(2.0 * np.pi * s) / (4.0 * np.pi))
+
+
+# name: keywords, order, bound of the error for intervals h
+KINDS = {
+    "linear": ({"kind": "linear"}, 2, lambda h: h**2 * FREQUENCY**2 / 8.0),
+    "cubic": ({}, 4, lambda h: h**4 * FREQUENCY**4 / 384.0 + h**5 * FREQUENCY**5 / 20.0),
+    "slopes": ({}, 4, lambda h: h**4 * FREQUENCY**4 / 384.0),
+}
+
+
+def wave_table(times, kind, **more):
+    slopes = {"slopes": wave_slope(times)} if kind == "slopes" else {}
+    return fa.Table(times, wave(times), **KINDS[kind][0], **slopes, **more)
+
+
+@pytest.mark.parametrize("spacing", [uniform, uneven])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_table_is_within_its_bound_and_of_its_order(kind, spacing):
+    _, order, bound = KINDS[kind]
+    t = np.linspace(1.0, 3.0, 4001)
+    errors = []
+    for n in (41, 81):
+        times = spacing(n)
+        gap = np.abs(wave_table(times, kind).at(t) - wave(t)).max(axis=0)
+        assert (gap <= bound(np.diff(times).max()) + 4 * EPS).all()
+        errors.append(gap.max())
+    # the second term of the cubic's bound is of the next order: it can only raise the slope
+    assert order - 0.1 < math.log2(errors[0] / errors[1]) < order + 1.1
+
+
+def test_slopes_between_two_samples_each_way_are_of_order_four():
+    times = uniform(81)
+    h, middle = times[1] - times[0], times[2:-2]
+    table = fa.Table(times, wave(times))
+    found = np.array([table.slope(t) for t in middle])
+    # values off by EPS, over h
+    bound = h**4 * FREQUENCY**5 / 30.0 + 4 * EPS / h
+    assert (np.abs(found - wave_slope(middle)).max(axis=0) <= bound).all()
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 9])
+@pytest.mark.parametrize("spacing", [uniform, uneven])
+def test_polynomials_and_their_slopes_are_exact(n, spacing):
+    """Of as many samples as determine them, up to the third degree."""
+    p = np.polynomial.Polynomial([0.3, -1.0, 0.5, 0.25][: min(n, 4)])
+    table = fa.Table(spacing(n), p(spacing(n)))
+    for t in (1.0, 1.3, 2.0, 2.9, 3.0):
+        assert abs(table(t) - p(t)) < 32 * EPS
+        # differences of values, over the shortest interval
+        assert abs(table.slope(t) - p.deriv()(t)) < 32 * EPS * 2.0 * n
+    assert np.array_equal(table.at(np.array([1.5])), [[table(1.5)]])
+
+
+@pytest.mark.parametrize("outside", ["nan", "hold"])
+@pytest.mark.parametrize("spacing", [uniform, uneven])
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+def test_recorded_numbers_give_what_python_gives(kind, spacing, outside):
+    """Outside, at the samples and between, of rows that are there and rows that are not."""
+    times = spacing(7)
+    table = fa.Table(times, RNG.normal(size=(3, 7, 2)), kind=kind, outside=outside)
+    t = np.concatenate([times, RNG.uniform(0.5, 3.5, 40), [-1e300, 1e300, 0.0, 9.0]])
+    row = np.resize([0.0, 1.0, 2.0], t.size)
+
+    def formula(t, p):
+        return *table(t, p[0]), *table.slope(t, p[0])
+
+    compiled = rows(formula, {"t": None, "p": 1}, (4,))
+
+    def found(t, row):
+        return compiled(np.array(t), np.array(row)[:, None], tables={table: table.data})[0]
+
+    known = np.array([formula(*x) for x in zip(t, row[:, None], strict=True)])
+    # products fused or not: of some ten terms, of slopes over the shortest interval
+    size = np.abs(np.nan_to_num(known)).max()
+    assert np.allclose(found(t, row), known, rtol=0, atol=200 * EPS * size, equal_nan=True)
+    inside = (t >= 1.0) & (t <= 3.0)
+    assert np.isfinite(known[inside]).all()
+    if outside == "nan":
+        assert np.isnan(known[~inside]).all()
+    else:
+        ends = np.where(t < 1.0, 1.0, 3.0)[~inside]
+        held = [table(*x) for x in zip(ends, row[~inside], strict=True)]
+        assert np.array_equal(known[~inside], np.pad(held, ((0, 0), (0, 2))))
+    # what is no time and no row
+    assert np.isnan(found([2.0, 2.0, 2.0, 2.0], [-1.0, 3.0, 0.5, np.nan])).all()
+    assert np.isnan(found([np.nan], [1.0])[:, :2]).all()
+
+
+# in a scene
+
+
+def of_table(table):
+    def rate(t, p):
+        return table(t)
+
+    return rate
+
+
+def of_rows(table):
+    def rate(t, p):
+        return table(t, p[0])
+
+    return rate
+
+
+RUN = {"dt": 0.05, "n_steps": 40, "t0": 1.0, "save_every": 8, "method": "magnus4"}
+
+
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+def test_a_rate_from_a_table_turns_as_the_function_does(kind):
+    """The angle is at most the integral of the rate's error; both runs' steps err alike."""
+    model = fa.rates.Sinusoidal((0.0,) * 3, (1.0,) * 3, FREQUENCY)
+    exact = fa.propagate(fa.Scene(rate=model), Q0, **RUN)
+    times = uniform(41)
+    scene = fa.Scene(rate=of_table(wave_table(times, kind)))
+    assert scene.functions[0].straight
+    found = fa.propagate(scene, Q0, **RUN)
+    bound = np.linalg.norm(KINDS[kind][2](times[1] - times[0]))
+    apart = fa.angle_between(found.q, exact.q)
+    assert 0.0 < apart.max() <= 2.0 * bound
+    assert np.abs(found.w - wave(found.t)).max() < 4 * EPS  # saves lie at samples
+
+
+def test_rows_are_the_same_alone_together_and_on_threads():
+    times = uniform(21)
+    table = fa.Table(times, RNG.normal(size=(3, 21, 3)))
+    rate, row = of_rows(table), np.arange(150.0)[:, None] % 3
+    together = fa.propagate(fa.Scene(rate=rate, params=row), [Q0] * 150, n_threads=2, **RUN)
+    again = fa.propagate(fa.Scene(rate=rate, params=row), [Q0] * 150, n_threads=1, **RUN)
+    assert np.array_equal(together.q, again.q)
+    for k in range(3):
+        alone = fa.propagate(fa.Scene(rate=rate, params=row[k : k + 1]), [Q0], **RUN)
+        assert np.array_equal(together.q[:, k::3], np.repeat(alone.q, 50, axis=1))
+        shared = fa.Scene(rate=of_table(fa.Table(times, table.samples[k])))
+        gap = fa.angle_between(fa.propagate(shared, Q0, **RUN).q, alone.q[:, 0])
+        assert gap.max() < 100 * EPS
+
+
+def test_a_time_outside_ends_as_a_status_of_that_body():
+    times = uniform(21)
+    wheels = fa.Table(times, wave(times))
+    scene = fa.Scene(inertia=INERTIA, torque=torques.Rotor(wheels))
+    options = {"dt": 0.05, "method": "rk4"}
+    assert not fa.propagate(scene, Q0, W0, t0=1.0, n_steps=40, **options).status.any()
+    late = fa.propagate(scene, Q0, W0, t0=1.0, n_steps=41, **options)
+    early = fa.propagate(scene, Q0, W0, t0=0.9, n_steps=40, **options)
+    for run in (late, early):
+        assert run.status[0] == fa.Status.NON_FINITE
+        assert np.isnan(run.q[-1]).all()
+    # 3 times 0.1 is more than 0.3
+    brief = fa.Scene(rate=of_table(fa.Table([0.0, 0.3], np.ones((2, 3)))))
+    assert not fa.propagate(brief, Q0, dt=0.1, n_steps=3, method="rk4").status.any()
+    assert fa.propagate(brief, Q0, dt=0.1, n_steps=4, method="rk4").status.any()
+    rows_ = np.array([[0.0], [7.0], [1.0]])
+    table = fa.Table(times, RNG.normal(size=(2, 21, 3)))
+    none = fa.propagate(fa.Scene(rate=of_rows(table), params=rows_), [Q0] * 3, **RUN)
+    assert (none.status != 0).tolist() == [False, True, False]
+
+
+# models that take tables
+
+FIELDS = [
+    (record.model, name)
+    for records in (torques.RECORDS, forces.RECORDS)
+    for record in records.values()
+    for name, field in zip(record.model._fields, record.fields, strict=True)
+    if field.table
+]
+NUMBERS = {3: (0.4, -0.3, 0.2), 4: Q0, 0: 0.7}
+
+
+@pytest.mark.parametrize(("model", "name"), FIELDS, ids=lambda x: getattr(x, "__name__", x))
+@pytest.mark.parametrize("own", [False, True], ids=["shared", "own"])
+def test_a_table_that_does_not_change_is_its_number(model, name, own):
+    records = torques if model.__module__ == torques.__name__ else forces
+    shapes = {n: f.shape for n, f in zip(model._fields, records.RECORDS[model].fields, strict=True)}
+    given = {n: NUMBERS[shape[0] if shape else 0] for n, shape in shapes.items()}
+    value = np.array(given[name])
+    samples = np.tile(value, (2, 1))
+    if own:
+        samples = np.stack([2.0 * samples, samples])
+    with_table = records.pack(model(**{**given, name: fa.Table([0.0, 4.0], samples)}), None)
+    plain = records.pack(model(**given), None)
+
+    def acting(law):
+        def formula(t, q, w, p):
+            if records is forces:
+                return law.formula(t, q, w, (0.1, 0.2, 0.3), p)
+            return torque_of(law, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
+
+        inputs = {"t": None, "q": 4, "w": 3, "p": law.count}
+        return rows(formula, inputs, (3,))
+
+    at = 1.3, np.array([0.1, 0.7, 0.5, 0.5]), np.array(W0)
+    (expected,) = acting(plain.law)(*at, plain.params)
+    params = with_table.params[1] if own else with_table.params
+    (found,) = acting(with_table.law)(*at, params, tables=with_table.tables)
+    assert np.abs(found - expected).max() <= 8 * EPS * np.abs(expected).max()
+
+
+def test_tables_of_several_terms_and_of_a_force_are_apart():
+    """A ball turns by the sum of two torques; none of it comes from the force's table."""
+    terms = (torques.Constant(steady((0.1, 0.0, 0.0))), torques.Constant(steady((0.2, 0.0, 0.0))))
+    scene = fa.Scene(
+        inertia=(2.0, 2.0, 2.0), torque=torques.Sum(terms), mass=4.0,
+        force=forces.Constant(steady((0.8, 0.0, 0.0))),
+    )  # fmt: skip
+    run = fa.propagate(
+        scene, Q0, (0.0, 0.0, 0.0), v0=(0.0, 0.0, 0.0), dt=0.25, n_steps=8, method="rk4"
+    )
+    assert np.allclose(run.w[-1], (0.3, 0.0, 0.0), rtol=0, atol=8 * EPS)
+    assert np.allclose(run.v[-1], (0.4, 0.0, 0.0), rtol=0, atol=8 * EPS)
+
+
+def steady(vector):
+    return fa.Table([0.0, 4.0], [vector, vector])
+
+
+def test_which_row_is_a_bodys_is_no_parameter_of_its_model():
+    target = fa.Table([0.0, 4.0], [[Q0, Q0]] * 3)
+    law = torques.pack(torques.QuaternionPD(0.4, 0.3, target), None).law
+    assert list(own_numbers(law)) == [True, True, False]
+
+
+def test_a_function_is_looked_into_where_its_tables_are():
+    table = fa.Table([100.0, 101.0], [0.1, 0.2])
+
+    def brake(t, q, w, p):
+        return -table(t) * w[0], 0.0, 0.0
+
+    found = user_function(brake, "torque", 0)
+    assert found.straight
+    assert found.span == (100.0, 101.0)
+    with pytest.raises(ValueError, match=r"found Custom\.uses_rate False with brake"):
+        fa.Scene(inertia=INERTIA, torque=torques.Custom(brake, uses_rate=False))
+
+
+def by_series(t, p):
+    total = 0.0
+    while total < p[0]:
+        total += HELD(t)
+    return total, 0.0, 0.0
+
+
+HELD = fa.Table([0.0, 1.0], [0.5, 0.5])
+
+
+def test_a_function_that_is_called_reads_no_table():
+    with pytest.raises(TypeError, match=r"by_series.*HELD.*or that is traced: this is not, for a"):
+        fa.Scene(rate=by_series, params=[1.0])
+
+
+def test_wheels_and_body_keep_their_momentum():
+    """h(t) is a cubic, which its table has exactly; the momentum in space is I w + h's."""
+    p = [np.polynomial.Polynomial(RNG.normal(size=4) * 0.1) for _ in range(6)]
+
+    def h(t):
+        return np.array([f(t) for f in p]).reshape(2, 3, -1).swapaxes(1, 2)
+
+    wheels = fa.Table(uniform(9), h(uniform(9)))
+    scene = fa.Scene(inertia=INERTIA, torque=torques.Rotor(wheels))
+    assert not scene.has_potential
+    run = fa.propagate(
+        scene, [Q0] * 2, [W0] * 2, t0=1.0, dt=0.05, n_steps=40, save_every=8, method="rk8"
+    )
+    inside = run.w * INERTIA + h(run.t).swapaxes(0, 1)
+    total = fa.rotate(run.q, inside)
+    assert np.abs(total - total[0]).max() < 1e-12
+    assert np.abs(run.w - run.w[0]).max() > 0.1
+    assert np.allclose(fa.drift(run, scene).momentum, np.linalg.norm(total - total[0], axis=-1)
+                       / np.linalg.norm(total, axis=-1).max(axis=0), atol=8 * EPS)  # fmt: skip
+    second = fa.propagate(scene[1:], [Q0], [W0], t0=1.0, dt=0.05, n_steps=40, method="rk8")
+    assert np.array_equal(second.q[-1], run.q[-1, 1:])
+
+
+def test_a_controller_takes_the_rate_of_its_target_off():
+    """On the target, at the target's rate, it asks for nothing; beside it for what Wie has."""
+    axis, speed = np.array([0.6, 0.0, 0.8]), 0.7
+    times = np.linspace(0.0, 2.0, 81)
+    target = fa.rotation_vector_to_quat(np.multiply.outer(speed * times, axis))
+    h = times[1] * speed / 2.0  # of a sample's half turns, all derivatives of which are at most 1
+    model = torques.QuaternionPD(0.4, 0.3, fa.Table(times, 1.7 * target))
+    packed = torques.pack(model, None)
+
+    def formula(t, q, w, p):
+        return torque_of(packed.law, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
+
+    acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": packed.law.count}, (3,))
+    on = fa.rotation_vector_to_quat(1.23 * speed * axis)
+    off = fa.rotation_vector_to_quat([0.1, -0.2, 0.3])
+    q = np.stack([on, fa.quat_multiply(on, off)])
+    w = np.stack([speed * axis, W0])
+    (found,) = acting(1.23, q, w, packed.params, tables=packed.tables)
+    relative = w[1] - speed * fa.rotate_inverse(off, axis)
+    expected = [np.zeros(3), -0.4 * off[1:] - 0.3 * relative]
+    # derivatives of a cubic err by h³/24 and by the slopes' h⁴/5 of the derivatives' scale
+    assert np.abs(found - expected).max() < 4.0 * (h**3 / 24.0 + h**4 / 5.0)
+
+
+def test_gravity_gradient_on_an_eccentric_orbit():
+    """Elements, and a table of another integrator's orbit, beside that integrator's body."""
+    mu, a, e = 3.986004418e14, 1.2e7, 0.4
+    n = math.sqrt(mu / a**3)
+    start = [a * (1 - e), 0, 0, 0, n * a * math.sqrt((1 + e) / (1 - e)), 0]
+    inertia = np.array(INERTIA)
+
+    def moving(t, y):
+        r, v, q, w = y[:3], y[3:6], y[6:10], y[10:]
+        q = q / np.linalg.norm(q)
+        o = fa.quat_to_dcm(q).T @ (r / np.linalg.norm(r))
+        torque = 3.0 * mu / np.linalg.norm(r) ** 3 * np.cross(o, inertia * o)
+        turning = 0.5 * np.array([
+            -q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))
+        ])  # fmt: skip
+        acceleration = (torque - np.cross(w, inertia * w)) / inertia
+        return [*v, *(-mu * r / np.linalg.norm(r) ** 3), *turning, *acceleration]
+
+    w0 = np.array([0.2, -0.3, 1.1]) * n
+    end = math.pi / n
+    times = np.linspace(0.0, end, 801)
+    known = solve_ivp(
+        moving, (0.0, end), [*start, *Q0, *w0], method="DOP853", rtol=1e-11, atol=1e-14,
+        t_eval=times,
+    ).y  # fmt: skip
+
+    def apart(model, n_steps):
+        scene = fa.Scene(inertia=INERTIA, torque=model)
+        run = fa.propagate(scene, Q0, w0, dt=end / n_steps, n_steps=n_steps, method="rk4")
+        return run.q[-1], fa.angle_between(run.q[-1], known[6:10, -1])
+
+    elements = torques.KeplerGravityGradient(n, e)
+    coarse, _ = apart(elements, 400)
+    fine, gap = apart(elements, 800)
+    # of order 4: what halving the step changes is 15 times what is left; as much for curvature
+    steps = 2.0 * fa.angle_between(coarse, fine) / 15.0
+    assert gap < steps < 1e-6
+    table = fa.Table(times[::4], known[:3, ::4].T, slopes=known[3:6, ::4].T)
+    off = np.linalg.norm(table.at(times) - known[:3].T, axis=-1) / np.linalg.norm(known[:3], axis=0)
+    # μ r⁻⁵ r r: of a position that is off, as a torque that acts at periapsis all the time
+    torque = 3.0 * n**2 / (1 - e) ** 3 * 5.0 * off.max()
+    _, gap = apart(torques.GravityGradientAt(table), 800)
+    assert gap < steps + 0.5 * torque * end**2 < 1e-5
+
+
+def test_tables_are_values():
+    times, samples = uniform(9), RNG.normal(size=(3, 9, 2))
+    table, same = (fa.Table(times, samples.copy()) for _ in range(2))
+    assert table == same == pickle.loads(pickle.dumps(table))
+    assert hash(table) == hash(same)
+    assert table != fa.Table(times, samples, outside="hold") != fa.Table(times, samples + 1e-9)
+    assert table[[2, 0]](1.1, 1) == table(1.1, 0)
+    assert table[1:2](1.1, 0) == table(1.1, 1)
+    kept = table(1.1, 0)
+    samples[:] = 7.0
+    assert table(1.1, 0) == kept
+    shared = fa.Table(times, wave(times))
+    one, two = (fa.Scene(inertia=INERTIA, torque=torques.Rotor(x)) for x in (shared, shared))
+    assert one == two
+    assert one[:1] is one
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: fa.Table([0.0], [1.0]), "t: found 1 time; accepted: at least 2"),
+        (lambda: fa.Table([0, 2, 2], [1, 2, 3]), "t[2] is 2.0 after 2.0; accepted: ascending"),
+        (lambda: fa.Table([0.0, np.nan], [1, 2]), "t[1] is nan; accepted: finite"),
+        (lambda: fa.Table([0, 1], [1, 2, 3]), "values: has shape (3,); accepted: (2,), (2, k) or"),
+        (lambda: fa.Table([0, 1], [1, np.inf]), "values[1] is inf; accepted: finite"),
+        (lambda: fa.Table([0, 1], [1, 2], kind="spline"), "kind: found 'spline'; accepted: cubic,"),
+        (lambda: fa.Table([0, 1], [1, 2], outside="wrap"), "outside: found 'wrap'; accepted: nan,"),
+        (
+            lambda: fa.Table([0, 1], [1, 2], kind="linear", slopes=[0, 0]),
+            "slopes: found of shape (2,) for linear values (2,); accepted: of the same shape",
+        ),
+        (
+            lambda: fa.Table([0.0, 1e-9, 1.0], [1, 2, 3]),
+            "t: found intervals from 1e-09 to 1 s; accepted: the shortest at least",
+        ),
+        (lambda: fa.Table([0, 1], [1, 2])(0.5, 1), "row: found 1; accepted: table(t)"),
+        (lambda: fa.Table([0, 1], [[[1], [2]]])(0.5), "row: found None; accepted: table(t, row)"),
+        (
+            lambda: torques.pack(torques.Rotor(fa.Table([0, 1], np.ones((2, 4)))), None),
+            "torque: Rotor.momentum: found <Table: 4 numbers, 0 s to 1 s>; accepted: values of 3",
+        ),
+        (
+            lambda: torques.pack(
+                torques.Rotor(fa.Table([0, 1], np.ones((2, 3)), kind="linear")), None
+            ),
+            'torque: Rotor.momentum: found a linear table; accepted: one of kind "cubic"',
+        ),
+        (
+            lambda: torques.pack(torques.Damping(fa.Table([0, 1], [1, 2])), None),
+            "Damping.coefficient: found <Table: 1 numbers, 0 s to 1 s>; accepted: numbers, no",
+        ),
+        (
+            lambda: torques.pack(
+                torques.QuaternionPD(1.0, 1.0, fa.Table([0, 1], [Q0, np.negative(Q0)])), None
+            ),
+            "QuaternionPD.target of row 0 turns its sign, or by half a turn, behind sample 0",
+        ),
+        (
+            lambda: torques.pack(torques.KeplerGravityGradient(1.0, 0.95), None),
+            "KeplerGravityGradient.eccentricity is 0.95; accepted: 0 to 0.9",
+        ),
+    ],
+)
+def test_what_is_refused(make, message):
+    with pytest.raises((TypeError, ValueError), match=re.escape(message)):
+        make()
+
+
+def test_a_scene_that_compiles_nothing_reads_its_own_tables(monkeypatch):
+    """A program serves two scenes of one structure, one after the other."""
+    from fastatt.engine import plain
+
+    made = []
+    monkeypatch.setattr(plain.source, "function", lambda flat, tables: made.append(tables) or len)
+    program = object.__new__(plain.PlainProgram)
+    program._functions = {}
+    flat = tables  # whatever it is, it is the same
+    for given in ({("table", 0): 1}, {("table", 0): 2}):
+        with pytest.raises(AttributeError):
+            program.evaluate(flat, None, given)
+    assert made == [{0: 1}, {0: 2}]
