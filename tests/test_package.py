@@ -43,6 +43,7 @@ def metadata(wheel):
 
 
 def test_version_is_the_projects(metadata):
+    assert PROJECT["dynamic"] == ["version"]
     assert fastatt.__version__ == metadata["Version"]
 
 
