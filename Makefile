@@ -12,7 +12,7 @@ PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
 export FASTATT_CACHE ?= $(CURDIR)/.fastatt_cache
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 
-.PHONY: help venv test trade bench leaderboard extremes cases scale bench-smoke lint format types layers readme clean
+.PHONY: help venv test trade bench leaderboard extremes cases scale bench-smoke lint format types layers docs readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -78,6 +78,9 @@ types: $(VENV)/.test  ## mypy
 
 layers: $(VENV)/.test  ## which module may import which
 	$(BIN)/lint-imports
+
+docs: $(VENV)/.test  ## the reference of all public names, from their docstrings: results/reference
+	$(BIN)/python -W error::UserWarning -W "ignore:Error parsing type annotation" -m pdoc -d numpy -o $(RESULTS)/reference fastatt
 
 clean:  ## remove the environment, caches and results
 	rm -rf $(VENV) .fastatt_cache .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

@@ -1,7 +1,7 @@
 """The only place with Numba options.
 
 ``contract`` lets a multiply and an add fuse into one FMA, ``nsz`` ignores the sign of zero.
-``arcp`` and ``afn`` gained 3 % and cost ulps; ``nnan`` and ``ninf`` would delete every check
+``arcp`` and ``afn`` gain little and cost ulps; ``nnan`` and ``ninf`` would delete every check
 for a non-finite state. The callee needs the same options as the caller, or LLVM neither fuses
 nor vectorises across the call; without ``forceinline`` a step of 100 flops stays a call, and a
 loop that calls stays scalar.

@@ -43,7 +43,8 @@ def metadata(wheel):
 
 
 def test_version_is_the_projects(metadata):
-    assert fastatt.__version__ == PROJECT["version"] == metadata["Version"]
+    assert PROJECT["dynamic"] == ["version"]
+    assert fastatt.__version__ == metadata["Version"]
 
 
 def test_runtime_needs_numba_and_numpy_only(metadata):

@@ -37,7 +37,8 @@ BLOCK = re.compile(
 SHELL = re.compile(r"^```sh[ \t]*\n(?P<code>.*?)^```[ \t]*$", re.MULTILINE | re.DOTALL)
 FENCED = re.compile(r"^```.*?^```[ \t]*$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
-LINK = re.compile(r"\]\((?!https?:)([^)\s#]+)(?:#[^)]*)?\)")
+LINK = re.compile(r"\]\((?!https?:)([^)\s#]+)(?:#([^)]*))?\)")
+HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 PROGRAMS = ("make", "python", "pytest", "fastatt", "pip", ".ci/run")
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
@@ -187,6 +188,22 @@ def refused(page: str) -> list[str]:
     return [f"{command}: {reason}" for command, reason in found if reason]
 
 
+def astray(path: Path) -> list[str]:
+    """Links of a page to files or headings that are not there."""
+    found = []
+    for target, heading in LINK.findall(path.read_text(encoding="utf-8")):
+        page = path.parent / target
+        if not page.exists() or (heading and heading not in headings(page)):
+            found.append(f"{target}#{heading}")
+    return found
+
+
+def headings(page: Path) -> set[str]:
+    """A page's headings as links name them."""
+    text = FENCED.sub("", page.read_text(encoding="utf-8"))
+    return {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in HEADING.findall(text)}
+
+
 # the pages
 
 pages = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
@@ -210,8 +227,7 @@ def test_commands_exist(path):
 
 @pages
 def test_links_lead_somewhere(path):
-    targets = LINK.findall(path.read_text(encoding="utf-8"))
-    assert [t for t in targets if not (path.parent / t).exists()] == []
+    assert astray(path) == []
 
 
 @pages
@@ -222,7 +238,7 @@ def test_no_figure_is_missing(path):
 def test_readme_is_short_and_leads_to_every_page():
     text = README.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= LONGEST
-    linked = {(README.parent / t).resolve() for t in LINK.findall(text)}
+    linked = {(README.parent / t).resolve() for t, _ in LINK.findall(text)}
     assert [p.name for p in PAGES[1:] if p not in linked] == []
 
 
@@ -277,6 +293,12 @@ def test_names_carry_over_and_errors_name_the_line():
 def test_a_wrong_output_is_noticed():
     (first, _) = failures(PAGE.replace("```text\n1\n", "```text\n2\n"), "page.md")
     assert "page.md, line 4" in first
+
+
+def test_links_that_lead_nowhere_are_noticed(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# A title, b\n[x](page.md#a-title-b) [y](page.md#other) [z](gone.md)\n")
+    assert astray(page) == ["page.md#other", "gone.md#"]
 
 
 def test_commands_are_looked_at():

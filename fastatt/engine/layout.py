@@ -9,8 +9,8 @@ from fastatt.flat.code import I64, REALS, Code, Int
 
 #: bodies side by side; of few, one vector
 WIDTH = 64
-#: steps between two looks at how far a tile's bodies turned: what is done once a block took 3 % of
-#: the cheapest step with 64 steps, takes 1 % with 256
+#: steps between two looks at how far a tile's bodies turned: enough that what is done once a block
+#: costs the cheapest step next to nothing
 BLOCK = 256
 
 #: numbers of bodies and of rows, from save to save in bodies, the span

@@ -1,7 +1,7 @@
 """The tile loop in Python, on arrays: the same formulas, for debugging and where nothing compiles.
 
-It runs under ``NUMBA_DISABLE_JIT=1``, a hundred to a thousand times as slow; multiplications and
-additions are not fused. The loop over tiles is numpy's, over all bodies at once.
+It runs under ``NUMBA_DISABLE_JIT=1``, far slower; multiplications and additions are not fused. The
+loop over tiles is numpy's, over all bodies at once.
 """
 
 from __future__ import annotations

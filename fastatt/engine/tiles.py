@@ -5,14 +5,14 @@ code whatever the size of the ensemble. All that a step touches lies in one piec
 of lanes for each number.
 
 Exponentials by polynomial hold up to π; a root and a division more make them good at any angle and
-the step a third slower. So a block of steps runs in its quick form, and lanes in which that did not
+the step slower. So a block of steps runs in its quick form, and lanes in which that did not
 do take the careful form's result, from the start of the block. The careful form is another program,
 compiled only when a lane first needs it: ``tiles`` then returns the number of the tile where it
 stopped, to be called again from there. The others keep what the quick form gave them: a fast
 neighbour costs time, never a bit.
 
-Looking at every turn costs the cheapest steps 3 to 9 %. Bodies whose turns are known beforehand to
-be within the method's limit are stepped without it. Of other rates that are given, one step of six
+Looking at every turn makes the cheapest steps slower. Bodies whose turns are known beforehand to be
+within the method's limit are stepped without it. Of other rates that are given, one step of six
 or seven is looked at, and the length of a quaternion at the end of the block: beyond π the short
 exponential is not of unit length.
 """

@@ -1,7 +1,6 @@
 """RK9: an explicit Runge-Kutta method of order 9 on the numbers of the state.
 
-Fifteen stages take a quarter more time than the twelve of ``rk8``, and half of its steps at tight
-tolerances.
+Fifteen stages take more time than the twelve of ``rk8``, and fewer steps at tight tolerances.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
     """Whether turns are known beforehand: rates (rad/s) of each body that they never exceed, or 0.
 
     0 of free bodies, whose own initial momentum says it; None where nothing does. Coordinates have
-    poles; of rk8's twelve stages the look is 1 %, and not worth a second program. ``choice`` is
+    poles; beside many stages the look is not worth a second program. ``choice`` is
     that of a run.
     """
     method: Method = choice.method
