@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from fastatt import checks, rounding
 from fastatt.engine.ensemble import Run, prepare
 from fastatt.engine.job import Job
-from fastatt.engine.status import Status
 from fastatt.engine.tiles import width_for
 from fastatt.exact import check_above_zero
 from fastatt.motion import carried, turning_part
 from fastatt.running import limits
 from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock
+from fastatt.running.fixed import fixed, flags_of
 from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
 from fastatt.running.pieces import go, in_closed_form, piecewise
@@ -98,14 +98,13 @@ class Plan:
             mends=choice.restore > 0,
             looks=choice.looks,
             own_steps=isinstance(clock, OwnClock),
-            # a device runs all at once
             width=n_bodies if choice.device else width_for(n_bodies, KINDS[kind]),
         )
         if method.is_exact:
             check_above_zero(scene.principal)
         else:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
-        self._fixed = self._arrays(0.0 if known is None else known, rows_each)
+        self._fixed = fixed(self, known, self._h, rows_each)
         self.span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
         self._shapes = tuple(((k,), (n_bodies, k)) for k in (4, 3))
@@ -143,29 +142,6 @@ class Plan:
         return self  # nothing of it changes
 
     __copy__ = partialmethod(__deepcopy__, None)
-
-    def _arrays(self, known: Any, rows_each: int) -> dict[str, NDArray[Any]]:
-        """What is the same in all runs."""
-
-        def rows(x: Any) -> NDArray[Any]:
-            return np.repeat(x, rows_each, axis=0) if rows_each > 1 and len(x) > 1 else x
-
-        params = np.ascontiguousarray(np.atleast_2d(self.packed.params))
-        with np.errstate(over="ignore", invalid="ignore"):
-            turns = np.atleast_1d(np.asarray(known, dtype=np.float64) * np.abs(self._h))
-        stages = np.array(self.choice.method.stages, dtype=np.float64).reshape(-1, 3)
-        flags = self._flags(params)
-        return {"p": rows(params), "known": rows(turns), "flags": rows(flags), "stages": stages}
-
-    def _flags(self, params: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Flags that bodies have from the start: (1,) or (N,).
-
-        Of parameters beyond the precision's range, and of damping beyond what the method can do.
-        """
-        lost = (np.abs(params) > np.finfo(self.kind).max).any(axis=-1)
-        fast = self.damped > self.choice.method.damping_limit
-        found = lost * np.uint8(Status.NON_FINITE) | fast * np.uint8(Status.STEP_TOO_LARGE)
-        return np.ascontiguousarray(found, dtype=np.uint8)
 
     def _bench(self) -> _Bench:
         """A run with memory of its own."""
@@ -286,7 +262,7 @@ class Plan:
         other.__dict__.update(self.__dict__, _local=threading.local())
         other.packed = self.packed._replace(params=numbers)
         rows = np.ascontiguousarray(np.atleast_2d(numbers))
-        other._fixed = {**self._fixed, "p": rows, "flags": other._flags(rows)}
+        other._fixed = {**self._fixed, "p": rows, "flags": flags_of(other, rows)}
         other.handed = self.handed.with_packed(other.packed)
         return other
 
