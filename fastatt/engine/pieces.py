@@ -153,16 +153,16 @@ class Pieces:
             steps = b.fadd(b.sitofp(n.value, REALS["double"]), at)
             spans = [self._narrow(code, b.fmul(x, h)) for x in (share, other)]
             return {"t": self._time(code, given, steps), "h": spans[0], "k": spans[1]}, None
-        steps = b.sitofp(n.value, REALS["double"])
-        if parts is not None:
-            steps = b.fadd(steps, parts[2])
-        count = code.splat(steps, self.lanes)
-        shares = parts and [code.splat(x, self.lanes) for x in parts[:2]]
+        count = code.splat(b.sitofp(n.value, REALS["double"]), self.lanes)
+        shares = parts and [code.splat(x, self.lanes) for x in parts]
 
         def wide(rows: Any, lane: Int) -> dict[str, Any]:
             step, before, begin = self._own_times(code, rows, lane)
-            time = b.fadd(begin, b.fmul(b.fadd(before, count), step))
-            spans = [b.fmul(x, step) for x in shares] if shares else [step, step]
+            steps = b.fadd(before, count)
+            if shares:  # to a whole number, as of one step for all
+                steps = b.fadd(steps, shares[2])
+            time = b.fadd(begin, b.fmul(steps, step))
+            spans = [b.fmul(x, step) for x in shares[:2]] if shares else [step, step]
             narrow = [self._narrow(code, x) for x in spans]
             return {"t": time, "h": narrow[0], "k": narrow[1]}
 

@@ -1,0 +1,165 @@
+"""Steps of each body's own, and saves at any times."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt import angle_between as angle
+
+N = 70  # more than a tile
+CHANCE = np.random.default_rng(7)
+Q0, W0 = CHANCE.normal(size=(N, 4)), CHANCE.normal(size=(N, 3))
+COUNTS = CHANCE.integers(20, 90, size=N)
+END = 1.5
+STEPS = END / COUNTS
+SCENES = {
+    "free": fa.Scene(inertia=(2.0, 1.0, 1.5)),
+    "torqued": fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.GravityGradient(0.3)),
+    "rate": fa.Scene(rate=fa.rates.Coning(0.4, 1.3)),
+    "spin": fa.Scene(rate=fa.rates.Constant((0.3, 0.2, 9.0))),
+}
+STEPPED = [
+    (kind, name)
+    for kind, scene in SCENES.items()
+    for name in fa.methods_for(scene, "quat")
+    if fa.METHODS[name].is_stepped and (kind != "spin" or name in ("rk4", "magnus4"))
+]
+
+
+def run(kind, method, rows=slice(None), **options):
+    scene = SCENES[kind]
+    w0 = None if scene.kind == "rate" else W0[rows]
+    return fa.propagate(scene, Q0[rows], w0, method=method, **options)
+
+
+@pytest.mark.parametrize(("kind", "method"), STEPPED)
+def test_a_body_is_what_it_is_alone(kind, method):
+    """Bit for bit, whatever its neighbours' steps; at the saves on its grid too."""
+    together = run(kind, method, dt=STEPS, n_steps=COUNTS, save_at=[0.0, 0.4, END])
+    for b in (0, 33, N - 1):
+        alone = run(kind, method, b, dt=STEPS[b], n_steps=int(COUNTS[b]))
+        assert (together.q[-1, b] == alone.q[-1]).all()
+        assert (together.w[-1, b] == alone.w[-1]).all()
+        between = run(kind, method, b, dt=STEPS[b], n_steps=int(COUNTS[b]), save_at=[0.4])
+        assert (together.q[1, b] == between.q[0]).all()
+    begin = run(kind, method, dt=0.1, n_steps=0)
+    assert (
+        angle(together.q[0], begin.q[0]).max() < 2e-15
+    )  # to rounding
+
+
+@pytest.mark.parametrize(("kind", "method"), STEPPED)
+def test_a_save_between_is_one_shorter_step(kind, method):
+    """As far from the truth as whole steps are; on the grid the same bits."""
+    n, at = 30, [0.05, 0.513, 1.0, END]
+    between = run(kind, method, dt=END / n, n_steps=n, save_at=at)
+    grid = run(kind, method, dt=END / n, n_steps=n, save_every=5)
+    assert (between.t == at).all()
+    assert (between.state[2] == grid.state[4]).all()
+    assert (between.state[-1] == grid.state[-1]).all()
+    best = "magnus6" if SCENES[kind].kind == "rate" else "rk8"
+    truth = run(kind, best, dt=0.513 / 150, n_steps=150)
+    whole = run(kind, method, dt=0.513 / 10, n_steps=10)  # steps of about the same size
+    allowed = 4.0 * angle(whole.q[-1], truth.q[-1]).max() + 1e-13
+    assert angle(between.q[1], truth.q[-1]).max() < allowed
+
+
+@pytest.mark.parametrize("h", [0.2, 0.1])
+def test_saves_between_fall_with_the_order(h):
+    """rk4 under gravity gradient: halving the step divides the error by 2^4, within a quarter."""
+    at = [0.37, 0.93]
+    truth = run("torqued", "rk8", dt=END / 600, n_steps=600, save_at=at)
+    errors = [
+        angle(run("torqued", "rk4", dt=k, n_steps=round(END / k), save_at=at).q, truth.q).max()
+        for k in (h / 2, h / 4)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=1.0)
+
+
+def test_representations_precisions_and_threads_agree():
+    options = {"dt": STEPS, "n_steps": COUNTS, "save_at": [0.4, END]}
+    quat = run("free", "rk4", **options)
+    assert (run("free", "rk4", n_threads=2, **options).q == quat.q).all()
+    matrix = run("free", "rk4", representation="dcm", **options)
+    single = run("free", "rk4", dtype=np.float32, **options)
+    error = angle(quat.q[-1], run("free", "rk8", dt=END / 90, n_steps=90).q[-1]).max()
+    assert angle(matrix.q, quat.q).max() < 50 * error
+    assert angle(single.q.astype(float), quat.q).max() < 90 * 6e-8 * 4
+    assert single.q.dtype == np.float32
+
+
+def test_backwards_and_from_another_epoch():
+    there = run("rate", "magnus6", dt=STEPS, n_steps=COUNTS)
+    back = fa.propagate(
+        SCENES["rate"], there.q[-1], dt=-STEPS, n_steps=COUNTS, t0=END, method="magnus6",
+        save_at=[0.7, 0.0],
+    )  # fmt: skip
+    start = Q0 / np.linalg.norm(Q0, axis=1)[:, None]
+    assert angle(back.q[-1], start).max() < 1e-12  # magnus6 undoes its own steps
+    later = run("rate", "rk4", dt=STEPS, n_steps=COUNTS, t0=3.0, save_at=[3.4, 3.0 + END])
+    one = run("rate", "rk4", 5, dt=STEPS[5], n_steps=int(COUNTS[5]), t0=3.0, save_at=[3.4])
+    assert (later.q[0, 5] == one.q[0]).all()
+
+
+def test_each_body_has_its_own_numbers_and_status():
+    moments = np.array([2.0, 1.0, 1.5]) * np.linspace(1.0, 2.0, N)[:, None]
+    scene = fa.Scene(inertia=moments)
+    w0 = W0.copy()
+    w0[3] = np.nan
+    run_all = fa.propagate(
+        scene, Q0, w0, dt=STEPS, n_steps=COUNTS, method="rk4", invalid="flag", save_at=[0.4, END]
+    )
+    assert run_all.status_counts() == {"NON_FINITE": 1}
+    one = fa.propagate(
+        scene[8:9], Q0[8], W0[8:9], dt=STEPS[8], n_steps=int(COUNTS[8]), method="rk4",
+        save_at=[0.4, END],
+    )  # fmt: skip
+    assert (run_all.q[:, 8] == one.q[:, 0]).all()
+
+
+def test_steps_past_the_limit_are_the_bodys_own():
+    counts = np.where(np.arange(N) == 4, 2, 400)
+    w0 = np.tile([0.0, 0.0, 4.0], (N, 1))
+    with pytest.warns(fa.StepWarning, match=r"a step of body 4 is .*1 of 70 bodies"):
+        found = fa.propagate(SCENES["free"], Q0, w0, dt=2.0 / counts, n_steps=counts, method="rk4")
+    assert np.flatnonzero(found.status).tolist() == [4]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dt": STEPS[:5], "n_steps": 3}, "dt: found 5 steps; accepted: one, or 70"),
+        ({"dt": STEPS, "n_steps": 30}, "n_steps: body .* ends after"),
+        ({"dt": -STEPS * np.sign(W0[:, 0]), "n_steps": COUNTS}, "dt: found steps of both signs"),
+        ({"dt": STEPS, "n_steps": COUNTS[:4]}, "n_steps: found array"),
+        ({"dt": STEPS, "n_steps": COUNTS, "save_every": 2}, "save_every: found with steps"),
+        ({"dt": 0.1, "n_steps": 3, "save_every": 2, "save_at": [0.1]}, "save_every: found with"),
+        (
+            {"dt": 0.1, "n_steps": 3, "save_at": [0.1, 0.4]},
+            r"save_at\[1\] is 0.4.*; accepted",
+        ),
+        ({"dt": 0.1, "n_steps": 3, "save_at": [0.2, 0.1]}, "save_at: found times out of order"),
+        ({"dt": 0.1, "n_steps": 3, "save_at": [0.2], "compensated": True}, "compensated: found wi"),
+        ({"dt": STEPS, "n_steps": COUNTS, "check": 2}, "check: found with"),
+    ],
+)
+def test_refusals(options, message):
+    with pytest.raises(ValueError, match=message):
+        run("free", "rk4", **options)
+
+
+@pytest.mark.parametrize(("method", "tol"), [("rk4", 1e-4), ("rk8", 1e-8)])
+def test_own_steps_meet_the_tolerance_with_fewer_steps(method, tol):
+    """Spins over two decades; the closed form says the error."""
+    spins = np.geomspace(0.05, 5.0, 300)[CHANCE.permutation(300)]
+    w0 = CHANCE.normal(size=(300, 3))
+    w0 *= (spins / np.linalg.norm(w0, axis=1))[:, None]
+    q0 = CHANCE.normal(size=(300, 4))
+    own = fa.own_steps(SCENES["free"], q0, w0, t_end=10.0, tol=tol, method=method)
+    found = fa.propagate(SCENES["free"], q0, w0, **own.arguments)
+    exact = fa.propagate(SCENES["free"], q0, w0, dt=10.0, n_steps=1, method="exact")
+    assert angle(found.q[-1], exact.q[-1]).max() < tol
+    assert own.share < 0.35
+    assert not found.status.any()
