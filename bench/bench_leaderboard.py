@@ -82,6 +82,6 @@ def test_wrong_order_is_found():
     found = leaderboard.climb(problem, contestant, ONE, [])
     leaderboard.check_claims(problem, found)
     for timed in found:
-        timed.error = np.sqrt(timed.error)
+        timed.angles = np.sqrt(timed.angles)
     with pytest.raises(AssertionError, match="order"):
         leaderboard.check_claims(problem, found)

@@ -73,7 +73,7 @@ def our_loop(problem: Problem, name: str, quick: bool) -> Contestant:
                 return [run(q, w, problem.t_end, n, p) for q, w, p in bodies]
 
             if mode == ONE:
-                yield Run(f"{n} steps", call, np.asarray, work=_work(problem, name, n))
+                yield Run(_setting(name, n), call, np.asarray, work=_work(problem, name, n))
 
     return Contestant(OURS, f"{name} in a loop", ladder)
 
@@ -104,6 +104,10 @@ def _closed_loop() -> Callable[..., Any]:
     return run
 
 
+def _setting(name: str, n: int) -> str:
+    return "closed form" if name == "exact" else f"{n} steps"
+
+
 def _work(problem: Problem, name: str, n: int) -> Callable[[], float]:
     """Operations of a body in n steps; none are counted where the number has no meaning."""
     if name == "exact":
@@ -132,8 +136,7 @@ def our_plans(problem: Problem, name: str, dtype: str, numbers: Iterable[int]):
                 def call(plans=plans) -> list[np.ndarray]:
                     return [plan(*start).q[-1] for plan, start in plans]
 
-            setting = "closed form" if closed else f"{n} steps"
-            yield Run(setting, call, np.asarray, work=_work(problem, name, n))
+            yield Run(_setting(name, n), call, np.asarray, work=_work(problem, name, n))
 
     return ladder
 

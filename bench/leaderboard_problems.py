@@ -208,7 +208,7 @@ def _bodies(
 
     better, *truth = _known(ends, parameters, q0[:exact], w0[:exact], t_end)
     truth = np.array(truth)
-    check = fa.angle_between(truth[0], better)
+    check = max(1e-16, fa.angle_between(truth[0], better))
     starts = w0[:exact], w0[:exact] * (1.0 + 1e-7 * np.random.default_rng(5).normal(size=3))
     moved = fa.angle_between(*(
         fa.propagate(scene, q0[:exact], w, dt=t_end / 800, n_steps=800, method="rk8").q[-1]
@@ -330,9 +330,8 @@ def gyro_log(quick: bool) -> Log:
 
     clean = np.array([rate(x) for x in t])
     noisy = clean + np.sqrt(n * floor) * generator.normal(size=clean.shape)
-    apart = fa.angle_between(
-        *(fa.integrate_rates(x, h, method="trapezoid") for x in (clean, noisy))
-    )
+    ends = (fa.integrate_rates(x, h, method="trapezoid") for x in (clean, noisy))
+    apart = fa.angle_between(*ends)
     return Log(
         name="log",
         title=f"simulated gyro, spectrum of a walking leg, {1.0 / h:.0f} Hz, {t[-1]:.0f} s",

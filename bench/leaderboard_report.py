@@ -21,12 +21,11 @@ _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">")
 _TIE, _MOST = 1.1, 1000.0
 _FIGURES = ("error", "p50", "p95", "seconds", "work")
 _SETTINGS = {
-    OURS: "`fa.plan` beforehand; one body in a loop: `fa.single_step`, or the closed form's kernels, "
-    "in `@njit`",
+    OURS: "`fa.plan` beforehand; in a loop: `fa.single_step`, or closed-form kernels, in `@njit`",
     "heyoka": "unrolled; ensembles in batches of the machine's vector, 1 to 8 bodies a system; "
     "one body by `taylor_adaptive`",
     "CyRK": "`nbsolve2_ivp` in `@njit`, compiled equations, rtol = atol",
-    "scipy": "`solve_ivp`, `odeint`, `ode`, compiled equations, rtol = atol; an ensemble in one array",
+    "scipy": "`solve_ivp`, `odeint`, `ode`, compiled equations, rtol = atol; ensembles in an array",
     "diffrax": "`jit`, `vmap`, 64 bits, `PIDController`, rtol = atol, `ForwardMode`",
     "MuJoCo": "a free joint, no contacts, `rollout` in C",
     "Basilisk": "a hub, `svIntegratorRK4`; the simulation is built and reset beforehand",
@@ -135,16 +134,18 @@ def ratio(x: float) -> str:
     return f"{x:.2f}" if x < 1.995 else f"{x:.1f}" if x < 9.95 else f"{x:.0f}"
 
 
+def two(ranked: Sequence[Best]) -> tuple[Best | None, Best | None]:
+    """Ours and the best peer."""
+    ours = next((best for best in ranked if best.package == OURS), None)
+    return ours, next((best for best in ranked if best.package != OURS), None)
+
+
 def verdict(ranked: Sequence[Best]) -> str:
     """Ours against the best peer: who wins by which ratio, in bold where we lose; ties are told."""
-    ours = next((best for best in ranked if best.package == OURS), None)
-    peer = next((best for best in ranked if best.package != OURS), None)
-    if ours is None and peer is None:
-        return "none"
-    if ours is None:
-        return f"**{peer.package} alone**"
-    if peer is None:
-        return f"`{ours.method}` alone"
+    ours, peer = two(ranked)
+    if ours is None or peer is None:
+        alone = f"`{ours.method}` alone" if ours else f"**{peer.package} alone**" if peer else ""
+        return alone or "none"
     lead = peer.seconds / ours.seconds
     if 1.0 / _TIE <= lead <= _TIE:
         return f"tie: `{ours.method}`, {peer.package}"
@@ -221,9 +222,7 @@ def _first_two(rows: Sequence[Row], name: str) -> list[str]:
     for target in TARGETS:
         for mode, label in MODES.items():
             ranked = ranking(of_mode(rows, name, mode), target)
-            ours = [best for best in ranked if best.package == OURS][:1]
-            for best in ours + [best for best in ranked if best.package != OURS][:1]:
-                r = best.row
+            for r in (best.row for best in two(ranked) if best):
                 work = [f"{r.work:.3g}", f"{r.work / r.seconds * 1e-9:.1f}"] if r.work else "––"
                 errors = [f"{x:.1e}" for x in (r.error, r.p50, r.p95)]
                 what = f"{r.package} `{r.method}`, {r.setting}"
@@ -235,19 +234,20 @@ def why(rows: Sequence[Row], name: str) -> str:
     """A sentence: where the difference comes from, at the tightest error of an ensemble."""
     for target in reversed(TARGETS):
         ranked = ranking(of_mode(rows, name, MANY), target)
-        if len(ranked) < 2 or (ranked[0].package != OURS and ranked[1].package != OURS):
+        if None in two(ranked):
             continue
-        ours, peer = sorted(ranked[:2], key=lambda best: best.package != OURS)
-        begin = f"At {target:.0e} rad an ensemble's `{ours.method}` "
-        if ours.row.setting == "closed form":
-            return f"{begin}takes no steps: {peer.package} follows the motion with its own."
+        ours, peer = two(ranked)
         a, b = ours.row, peer.row
-        if not (a.work and b.work):
+        begin = f"At {target:.0e} rad an ensemble's `{a.method}` "
+        rival = f"{b.package} some {b.work:.2g} at {b.work / b.seconds * 1e-9:.1f} a ns"
+        if not b.work:
             reason = f" ({b.bound})" if b.bound else ""
-            return f"{begin}has {a.setting}, {peer.package} {b.setting}{reason}."
+            return f"{begin}takes {a.setting}, {b.package} {b.setting}{reason}."
+        if not a.work:
+            return f"{begin}takes no steps; operations a body of {rival}."
         return (
-            f"{begin}does {a.work:.3g} operations a body at {a.work / a.seconds * 1e-9:.1f} a ns, "
-            f"{peer.package} some {b.work:.3g} at {b.work / b.seconds * 1e-9:.1f}."
+            f"{begin}does {a.work:.2g} operations a body at {a.work / a.seconds * 1e-9:.1f} a ns, "
+            f"{rival}."
         )
     return "No error is reached by ours and by another."
 
@@ -268,12 +268,12 @@ Every library runs a ladder of tolerances or steps; times are the shortest of in
 A cell names the fastest at that error, and how many times as long the next library takes.
 The error is the root mean square over bodies whose end is known; times between settings are
 interpolated in logarithms.
-Times within {100 * (_TIE - 1):.0f} % of each other are ties; ratios above {_MOST:.0f} are not resolved further.
+Times within {100 * (_TIE - 1):.0f} % of each other are ties; above {_MOST:.0f} no ratio is told.
 Bold cells are those that fastatt loses.
 One body is a call for each body, an ensemble has 1024 in one call.
 Compilation, layouts, plans and whatever a library can prepare beforehand are left out.
 `float32` in a method's name is single precision.
-Operations of heyoka are counted from its order and steps: p² a product of two series, 2p a variable.
+Operations of heyoka follow from its order p and steps: p² a product of series, 2p a variable.
 MuJoCo and Basilisk run free bodies that can exist: no moment above the sum of the others."""
 
 

@@ -14,10 +14,8 @@ _STEPS, _FLOOR, _REPEATS = 96, (32, 64, 128, 256, 512), 15
 
 def single_table(*, quick: bool) -> str:
     """Markdown: a line for each problem and method, of ensembles."""
-    lines = [
-        "| problem | method | ns a body-step, float64 | float32 | gain | float32's least error, rad |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
+    heads = "problem", "method", "ns a body-step", "float32", "gain", "float32's least error, rad"
+    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
     for name in _PROBLEMS[:1] if quick else _PROBLEMS:
         problem = PROBLEMS[name](quick)
         for method in fa.methods_for(problem.scene, "quat")[: 2 if quick else None]:

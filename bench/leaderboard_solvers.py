@@ -324,20 +324,19 @@ def scipy(problem: Problem, quick: bool) -> Iterator[Contestant]:
         return ladder
 
     first = solve_ivp("DOP853")
-    yield Contestant("scipy", "solve_ivp DOP853", ladder_of(first), claim=100.0, bound=PYTHON)
-    if not quick:
-        yield Contestant(
-            "scipy", "solve_ivp LSODA", ladder_of(solve_ivp("LSODA")), claim=1e4, bound=PYTHON
-        )
-        yield Contestant("scipy", "odeint", ladder_of(odeint), claim=1e4, bound=PYTHON)
-        yield Contestant("scipy", "ode dop853", ladder_of(dop853), claim=100.0, bound=PYTHON)
+    found = {
+        "solve_ivp DOP853": (first, 100.0), "solve_ivp LSODA": (solve_ivp("LSODA"), 1e4),
+        "odeint": (odeint, 1e4), "ode dop853": (dop853, 100.0),
+    }  # fmt: skip
+    for name, (body, claim) in list(found.items())[: 1 if quick else None]:
+        yield Contestant("scipy", name, ladder_of(body), claim, bound=PYTHON)
 
 
 # programs of rigid bodies
 
 
 def _fourth_order(package: str, method: str, build: Callable[..., Any], modes: tuple[str, ...]):
-    """Of a class of ``peers_bodies``, for free bodies that exist: no moment above the others' sum."""
+    """A class of ``peers_bodies``, for free bodies of matter: no moment above the sum of others."""
 
     def contestants(problem: Problem, quick: bool) -> Iterator[Contestant]:
         def ladder(mode: str) -> Iterator[Run]:
