@@ -36,7 +36,7 @@ _LONGEST = 0.25  # seconds of a call, beyond which a ladder ends
 _LONG = 0.05  # seconds of a call that is timed in the least number of rounds
 _ROUND_OFF = 1e-13  # rad
 _SHORT = 0.01  # seconds of a call that is measured again at once
-_WORTH = 2.0  # a setting this many times slower than its library's best at its error is not timed
+_WORTH = 1.5  # a setting this many times slower than its library's best at its error is not timed
 _LEAST = 1e-3  # seconds of one timing, reached by repeating a call
 _ROUNDS = (2, 25)
 
