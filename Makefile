@@ -48,8 +48,8 @@ trade: $(VENV)/.trade  ## every method on the default scene: table, picture and 
 bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 	$(BIN)/pytest bench
 
-leaderboard: $(VENV)/.leaderboard  ## time at equal error beside other libraries, 10 minutes: results/
-	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS)
+leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 10 minutes: bench/LEADERBOARD.md
+	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench
 
 extremes: $(VENV)/.test  ## every method at the extremes, half an hour: bench/EXTREMES.md
 	PYTHONPATH=tests $(BIN)/python -m extremes --long

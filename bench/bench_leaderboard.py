@@ -26,7 +26,7 @@ def test_time_at_equal_error():
 
 def test_winners():
     def row(package: str, error: float, seconds: float) -> Row:
-        return Row("p", "P", ONE, package, "m", "s", error, seconds)
+        return Row("p", "P", "R", ONE, package, "m", "s", "why", error, error, error, seconds, 0.0)
 
     rows = [row("fastatt", 1e-7, 3.0), row("scipy", 1e-4, 6.0), row("scipy", 1e-10, 600.0)]
     assert verdict(ranking(rows, 1e-3)) == "`m` 2.0× scipy"
@@ -34,6 +34,10 @@ def test_winners():
     assert verdict(ranking(rows, 1e-12)) == "none"
     rows.append(row("heyoka", 1e-10, 2.0))
     assert verdict(ranking(rows, 1e-6)) == "**heyoka 1.50×** `m`"
+    rows.append(row("CyRK", 1e-7, 1.85))
+    rows.append(row("fastatt", 1e-8, 1.7))
+    assert verdict(ranking(rows, 1e-7)) == "tie: `m`, CyRK"
+    assert verdict(ranking([rows[0], row("scipy", 1e-7, 3001.0)], 1e-7)) == "`m` >1000× scipy (why)"
 
 
 def test_quick_run(tmp_path):
@@ -48,7 +52,8 @@ def test_quick_run(tmp_path):
         for package in ("fastatt", "scipy", "numpy-quaternion"):
             own = [r.error for r in rows if (r.problem, r.package) == (problem, package)]
             assert min(own) < 1e-9, (problem, package)
-    assert (tmp_path / "leaderboard.md").read_text(encoding="utf-8").startswith(table(rows))
+    assert all(row.p50 <= row.p95 for row in rows)
+    assert table(rows) in (tmp_path / "LEADERBOARD.md").read_text(encoding="utf-8")
     assert (tmp_path / "leaderboard.png").stat().st_size > 10_000
 
 
@@ -77,6 +82,6 @@ def test_wrong_order_is_found():
     found = leaderboard.climb(problem, contestant, ONE, [])
     leaderboard.check_claims(problem, found)
     for timed in found:
-        timed.error = np.sqrt(timed.error)
+        timed.angles = np.sqrt(timed.angles)
     with pytest.raises(AssertionError, match="order"):
         leaderboard.check_claims(problem, found)

@@ -2,7 +2,7 @@
 
 The state is (q, w/2), which has the fewest products, or q alone where the rate is given. Parameters
 of a body are the factors of Euler's equations and, in the potential of a heavy top, those of its
-torque; of coning, the sizes and the frequency of half the rate.
+torque, or half the size of a push; of coning, the sizes and the frequency of half the rate.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-FREE, TOP, CONING = "free", "top", "coning"
-N_STATE = {FREE: 7, TOP: 7, CONING: 4}
+FREE, TOP, PUSHED, CONING = "free", "top", "pushed", "coning"
+N_STATE = {FREE: 7, TOP: 7, PUSHED: 7, CONING: 4}
+# products of two functions of time, sines among them: what a Taylor series pays for
+N_PRODUCTS = {FREE: 15, TOP: 19, PUSHED: 18, CONING: 10}
 
 
 def turn(q: Any, x: Any, y: Any, z: Any) -> Any:
@@ -47,10 +49,15 @@ def slope(
         )
         return turned(y, y[4], y[5], y[6]) + spin
 
+    def pushed(t, y, p):
+        s = sin(t)
+        spin = (p[0] * (y[5] * y[6]), p[1] * (y[6] * y[4]), p[2] * (y[4] * y[5]) + p[3] * (s * s))
+        return turned(y, y[4], y[5], y[6]) + spin
+
     def coning(t, y, p):
         return turned(y, -p[0] * sin(p[1] * t), p[0] * cos(p[1] * t), -p[2])
 
-    return compiled({FREE: free, TOP: top, CONING: coning}[kind])
+    return compiled({FREE: free, TOP: top, PUSHED: pushed, CONING: coning}[kind])
 
 
 def of_body(inertia: np.ndarray, *, potential: bool = False) -> np.ndarray:
@@ -58,6 +65,11 @@ def of_body(inertia: np.ndarray, *, potential: bool = False) -> np.ndarray:
     i1, i2, i3 = np.moveaxis(np.asarray(inertia, float), -1, 0)
     factors = [2.0 * (i2 - i3) / i1, 2.0 * (i3 - i1) / i2, 2.0 * (i1 - i2) / i3]
     return np.stack([*factors, 1.0 / i1, 1.0 / i2] if potential else factors, axis=-1)
+
+
+def of_push(inertia: np.ndarray) -> np.ndarray:
+    """Parameters (4,) of a body whose third rate is pushed by 0.25 sin² t, rad/s²."""
+    return np.append(of_body(inertia), 0.125)
 
 
 def of_coning(angle: np.ndarray, frequency: np.ndarray) -> np.ndarray:

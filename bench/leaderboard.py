@@ -4,7 +4,8 @@ Every contestant runs its whole ladder of tolerances or steps once, to find erro
 timing: settings within twice the best time of their library at their error. Those are timed in
 rounds, all contestants of a problem in turn in every round, on one core; the shortest time counts.
 Compilation, layouts and what a library can prepare beforehand are left out; a call of ours is the
-whole call. Peers that miss what they claim (an adapter's mistake) stop the run.
+whole call. Peers that miss what they claim (an adapter's mistake) stop the run. What took part can
+be timed again without the ladders: problem by problem, on a quiet machine.
 """
 
 from __future__ import annotations
@@ -15,26 +16,27 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from leaderboard_contestants import PACKAGES, Contestant, Run, contestants, missing
+from leaderboard_contestants import OURS, PACKAGES, contestants, missing, our_loop
 from leaderboard_problems import MANY, ONE, PROBLEMS, Log, Problem
-from leaderboard_report import Row, picture, read_rows, table, times, write_rows
+from leaderboard_report import TARGETS, Row, page, picture, ranking, read_rows, write_rows
+from leaderboard_single import single_table
+from leaderboard_solvers import Contestant, Run
 
-from fastatt.trade.measure import machine
+from fastatt.trade.measure import machine, machine_line
 
-_LONGEST = 0.7  # seconds of a call, beyond which a ladder ends
-_LONG = 0.1  # seconds of a call that is timed in the least number of rounds
+_LONGEST = 0.25  # seconds of a call, beyond which a ladder ends
+_LONG = 0.05  # seconds of a call that is timed in the least number of rounds
 _ROUND_OFF = 1e-13  # rad
 _SHORT = 0.01  # seconds of a call that is measured again at once
-_WORTH = 2.0  # a setting this many times slower than its library's best at its error is not timed
+_WORTH = 1.5  # a setting this many times slower than its library's best at its error is not timed
 _LEAST = 1e-3  # seconds of one timing, reached by repeating a call
 _ROUNDS = (2, 25)
 
@@ -46,9 +48,14 @@ class Timed:
     contestant: Contestant
     mode: str
     run: Run
-    error: float
+    angles: np.ndarray
     seconds: float
     repeats: int = 1
+
+    @property
+    def error(self) -> float:
+        """Root mean square, rad."""
+        return float(np.sqrt(np.mean(self.angles**2)))
 
 
 def _once(call: Callable[[], Any]) -> tuple[float, Any]:
@@ -58,11 +65,16 @@ def _once(call: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def climb(
-    problem: Problem | Log, contestant: Contestant, mode: str, rivals: Sequence[Timed]
+    problem: Problem | Log,
+    contestant: Contestant,
+    mode: str,
+    rivals: Sequence[Timed],
+    chosen: Container[tuple[str, ...]] | None = None,
 ) -> list[Timed]:
     """A contestant's ladder, up to round-off or to where it takes too long.
 
-    That is seconds, or more than another run of its library takes down to round-off.
+    That is seconds, or more than another run of its library takes down to round-off. Of those
+    ``chosen``, by package, method, mode and setting, all are run.
     """
     found: list[Timed] = []
     exact = [
@@ -74,16 +86,20 @@ def climb(
     ]
     longest = min([_LONGEST, *(_WORTH * seconds for seconds in exact)])
     for run in contestant.ladder(mode):
+        if chosen is not None:
+            if (contestant.package, contestant.method, mode, run.setting) not in chosen:
+                continue
+            longest = math.inf
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # of coarse settings, which say that they are coarse
             run.call()  # compiles
             seconds, result = _once(run.call)
             for _ in range(4 if seconds < _SHORT else 0):  # an interrupted call looks slow
                 seconds = min(seconds, _once(run.call)[0])
-            error = problem.error(run.attitudes(result))
-        if math.isfinite(error):
-            found.append(Timed(contestant, mode, run, error, seconds))
-        if seconds > longest or error < _ROUND_OFF:
+            timed = Timed(contestant, mode, run, problem.angles(run.attitudes(result)), seconds)
+        if math.isfinite(timed.error):
+            found.append(timed)
+        if seconds > longest or (chosen is None and timed.error < _ROUND_OFF):
             break
     return found
 
@@ -165,21 +181,71 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
+def leaders(problem: Problem, found: Sequence[Timed]) -> list[str]:
+    """Our methods that are first at an error, in double precision, of ensembles or one body."""
+    rows = [
+        row
+        for row in rows_of(problem, found)
+        if row.package == OURS and not row.method.endswith("float32")
+    ]
+    best = [
+        ranking([row for row in rows if row.mode == mode], target)
+        for mode in (ONE, MANY)
+        for target in TARGETS
+    ]
+    return sorted({ranked[0].method for ranked in best if ranked})
+
+
+def rows_of(problem: Problem | Log, found: Iterable[Timed]) -> list[Row]:
+    return [
+        Row(
+            problem=problem.name,
+            title=problem.title,
+            reference=problem.reference,
+            mode=timed.mode,
+            package=timed.contestant.package,
+            method=timed.contestant.method,
+            setting=timed.run.setting,
+            bound=timed.contestant.bound,
+            error=timed.error,
+            p50=float(np.quantile(timed.angles, 0.5)),
+            p95=float(np.quantile(timed.angles, 0.95)),
+            seconds=timed.seconds / problem.units(timed.mode),
+            work=timed.run.work(),
+        )
+        for timed in found
+    ]
+
+
 def measure(
-    problem: Problem | Log, packages: Iterable[str], *, quick: bool, budget: float
+    problem: Problem | Log,
+    packages: Iterable[str],
+    *,
+    quick: bool,
+    budget: float,
+    before: Sequence[Row] = (),
 ) -> list[Row]:
-    """All rows of a problem."""
+    """All rows of a problem, or those of ``before`` again."""
     begin = perf_counter()
+    chosen = {(r.package, r.method, r.mode, r.setting) for r in before} or None
+    methods = chosen and {key[:2] for key in chosen}
     found: list[Timed] = []
+
+    def run(contestant: Contestant) -> None:
+        if methods is None or (contestant.package, contestant.method) in methods:
+            for mode in (ONE, MANY):
+                found.extend(climb(problem, contestant, mode, found, chosen))
+
     for package in packages:
         for contestant in contestants(problem, package, quick):
-            for mode in (ONE, MANY):
-                found += climb(problem, contestant, mode, found)
-    if isinstance(problem, Problem):
+            run(contestant)
+        if package == OURS and isinstance(problem, Problem) and not problem.sampled:
+            for name in leaders(problem, found):
+                run(our_loop(problem, name, quick))
+    kept = found
+    if isinstance(problem, Problem) and chosen is None:
         check_claims(problem, found)
         kept = worth_timing(found)
-    else:
-        kept = found
     ready = perf_counter()
     done = time_in_turn(kept, budget, (1, 1) if quick else _ROUNDS)
     print(
@@ -188,43 +254,21 @@ def measure(
         f"rounds in {perf_counter() - ready:.0f} s",
         flush=True,
     )
-    return [
-        Row(
-            problem=problem.name,
-            title=problem.title,
-            mode=timed.mode,
-            package=timed.contestant.package,
-            method=timed.contestant.method,
-            setting=timed.run.setting,
-            error=timed.error,
-            seconds=timed.seconds / problem.units(timed.mode),
-        )
-        for timed in kept
-    ]
-
-
-def versions(packages: Iterable[str]) -> str:
-    """The libraries and their versions in a line."""
-    told = []
-    for name in packages:
-        try:
-            told.append(f"{name} {metadata.version(name)}")
-        except metadata.PackageNotFoundError:
-            told.append(name)
-    return ", ".join(told)
+    return rows_of(problem, kept)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, and leave leaderboard.csv, .md and .png in a folder."""
+    """Measure into leaderboard.csv; LEADERBOARD.md and leaderboard.png are made from it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--problem", action="append", choices=PROBLEMS, help="default: all")
     parser.add_argument("--package", action="append", choices=PACKAGES, help="default: all")
-    parser.add_argument("--out", type=Path, default=Path("results"), help="folder")
+    parser.add_argument("--out", type=Path, default=Path("results"), help="folder of the figures")
+    parser.add_argument("--page", type=Path, help="folder of the page; default: that of --out")
     parser.add_argument("--budget", type=float, default=10.0, help="timing of each problem, s")
     parser.add_argument("--quick", action="store_true", help="few bodies and settings, one round")
-    parser.add_argument(
-        "--keep", action="store_true", help="keep the rows of other problems in the CSV"
-    )
+    parser.add_argument("--keep", action="store_true", help="keep the CSV's other problems")
+    parser.add_argument("--again", action="store_true", help="time what the CSV has: no ladders")
+    parser.add_argument("--single", action="store_true", help="only measure single precision")
     parser.add_argument("--draw", action="store_true", help="only draw the CSV that is there")
     options = parser.parse_args(arguments)
 
@@ -233,21 +277,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     packages = [name for name in packages if name not in absent]
     if absent:
         print("not installed, left out: " + ", ".join(absent))
-    path = options.out / "leaderboard.csv"
+    path, single = options.out / "leaderboard.csv", options.out / "single.md"
     options.out.mkdir(parents=True, exist_ok=True)
-    rows = read_rows(path) if (options.keep or options.draw) and path.exists() else []
+    before = options.keep or options.draw or options.again or options.single
+    rows = read_rows(path) if before and path.exists() else []
     with one_core():
-        for name in [] if options.draw else options.problem or PROBLEMS:
+        for name in [] if options.draw or options.single else options.problem or PROBLEMS:
             problem = PROBLEMS[name](options.quick)
-            new = measure(problem, packages, quick=options.quick, budget=options.budget)
-            rows = [row for row in rows if row.problem != problem.name] + new
+            old = [row for row in rows if row.problem == name]
+            new = measure(
+                problem, packages, quick=options.quick, budget=options.budget,
+                before=old if options.again else (),
+            )  # fmt: skip
+            rows = [row for row in rows if row.problem != name] + new
             rows.sort(key=lambda row: list(PROBLEMS).index(row.problem))
             write_rows(path, rows)
-    where = f"one core of {machine()['processor']}"
-    lines = [table(rows), "", f"{where}; {versions(packages)}"]
-    (options.out / "leaderboard.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    picture(rows, f"Time at equal error, {where}", options.out / "leaderboard.png")
-    print(times(rows), *lines, sep="\n")
+        if options.single or not (options.draw or options.problem):
+            single.write_text(single_table(quick=options.quick), encoding="utf-8")
+    where = f"One core of {machine_line()}."
+    text = page(rows, where, single.read_text(encoding="utf-8") if single.exists() else "")
+    folder = options.page or options.out
+    (folder / "LEADERBOARD.md").write_text(text, encoding="utf-8")
+    picture(
+        rows,
+        "Time at equal error, one core of " + machine()["processor"],
+        folder / "leaderboard.png",
+    )
 
 
 if __name__ == "__main__":

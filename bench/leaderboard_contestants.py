@@ -1,8 +1,7 @@
 """The leaderboard's contestants: fastatt and the libraries that a user would pick instead.
 
 Each has a ladder of settings from coarse to fine, for bodies one at a time (a call each) and, where
-the library takes ensembles, for all at once. Every peer gets the same equations, compiled where it
-takes compiled functions, and what it can prepare beforehand is prepared: integrators, layouts.
+the library takes ensembles, for all at once. What can be prepared beforehand is prepared for all.
 """
 
 from __future__ import annotations
@@ -10,65 +9,26 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import equations
+import leaderboard_solvers as solvers
 import numba
 import numpy as np
-import peers_bodies as peers
 from leaderboard_problems import MANY, ONE, Log, Problem
+from leaderboard_solvers import PYTHON, QUICK, Contestant, Run, at_tolerance, tolerances
 
 import fastatt as fa
 from fastatt.integrate import methods_for_samples
+from fastatt.kernels import free_body
+from fastatt.running.loop import job_of
 
 OURS = "fastatt"
 _STEPS = [round(8 * 2 ** (k / 2)) for k in range(18)]
 _INTERVALS = [round(12 * 2 ** (k / 2)) for k in range(15)]
-_EXPONENTS = range(3, 14)
 # what is worth its compilation in single precision: short calls for errors of 1e-3 to 1e-6
 _SINGLE = ("magnus4", "magnus6", "rk8", "exact", "trapezoid", "previous", "coning2")
-# worth a loop of the user's own, where a call to propagate would outweigh its steps
-_LOOPS = {
-    equations.CONING: ("magnus4", "magnus6"),
-    equations.FREE: ("rk8", "dmv8", "dmv10"),
-    equations.TOP: ("rk8",),
-}
-_QUICK = {
-    "steps": [32, 128], "intervals": [96, 192], "exponents": [6, 12],
-    "methods": {
-        equations.CONING: ("magnus6", "trapezoid"),
-        equations.FREE: ("exact",),
-        equations.TOP: ("rk8",),
-    },
-}  # fmt: skip
-
-
-class Run(NamedTuple):
-    """One setting: ``call`` is what is timed, ``attitudes`` gives those at the end from its result.
-
-    Of a log the attitudes at all instants. ``tol``: the tolerance, where there is one.
-    """
-
-    setting: str
-    call: Callable[[], Any]
-    attitudes: Callable[[Any], np.ndarray]
-    tol: float | None = None
-
-
-class Contestant(NamedTuple):
-    """A method of a library; ``ladder(mode)`` gives its runs, none where it has no such mode.
-
-    ``claim``: the error at the end is below so many tolerances times the problem's growth;
-    ``order``: that with which it falls with the number of samples.
-    """
-
-    package: str
-    method: str
-    ladder: Callable[[str], Iterable[Run]]
-    claim: float | None = None
-    order: float | None = None
 
 
 # fastatt
@@ -78,24 +38,47 @@ def _ours(problem: Problem, quick: bool) -> Iterator[Contestant]:
     names = methods_for_samples() if problem.sampled else fa.methods_for(problem.scene, "quat")
     # the closed form and high orders first: lower ones need not be refined beyond their times
     for name in sorted(names, key=lambda name: -(fa.METHODS[name].order or math.inf)):
-        if quick and name not in _QUICK["methods"][problem.kind]:
+        if quick and name not in QUICK["methods"][problem.kind]:
             continue
         for dtype in ("float64", "float32") if name in _SINGLE and not quick else ("float64",):
             label = name if dtype == "float64" else f"{name} float32"
             if problem.sampled:
                 ladder = _our_samples(problem, name, dtype, quick)
-            elif name == "exact":
-                ladder = _our_closed_form(problem, dtype)
             else:
-                ladder = _our_steps(problem, name, dtype, quick)
+                ladder = our_plans(problem, name, dtype, QUICK["steps"] if quick else _STEPS)
             yield Contestant(OURS, label, ladder)
 
-    for name in () if problem.sampled else _LOOPS[problem.kind][: 1 if quick else None]:
-        yield Contestant(OURS, f"{name} in a loop", _our_loop(problem, name, quick))
+
+def our_loop(problem: Problem, name: str, quick: bool) -> Contestant:
+    """``fa.single_step``, or the closed form's kernels, in a user's ``@njit`` loop, a call a body.
+
+    It is worth its compilation for methods that lead elsewhere.
+    """
+    closed = name == "exact"
+    run = _closed_loop() if closed else _stepped_loop(problem, name)
+    rows = range(problem.n_exact)
+    starts = [tuple(problem.q0[k].tolist()) for k in rows]
+    rates = [() if problem.w0 is None else tuple(problem.w0[k].tolist()) for k in rows]
+    if closed:
+        own = [tuple(np.asarray(problem.scene.inertia).tolist())] * len(rows)
+    else:
+        params = fa.single_step(problem.scene, method=name).params
+        own = [params if isinstance(params, tuple) else params[k] for k in rows]
+
+    def ladder(mode: str) -> Iterator[Run]:
+        for n in (1,) if closed else QUICK["steps"] if quick else _STEPS:
+
+            def call(n=n) -> list[np.ndarray]:
+                bodies = zip(starts, rates, own, strict=True)
+                return [run(q, w, problem.t_end, n, p) for q, w, p in bodies]
+
+            if mode == ONE:
+                yield Run(_setting(name, n), call, np.asarray, work=_work(problem, name, n))
+
+    return Contestant(OURS, f"{name} in a loop", ladder)
 
 
-def _our_loop(problem: Problem, name: str, quick: bool):
-    """``fa.single_step`` in a user's ``@njit`` loop, a call a body."""
+def _stepped_loop(problem: Problem, name: str) -> Callable[..., Any]:
     stepper = fa.single_step(problem.scene, method=name)
     start, enter, advance = stepper.start, stepper.enter, stepper.advance
     leave, read = stepper.leave, stepper.read
@@ -108,64 +91,60 @@ def _our_loop(problem: Problem, name: str, quick: bool):
             y = advance(i * h, h, y, p, e)
         return read(leave(t_end, t_end, h, y, p, e), p)[0]
 
-    def ladder(mode: str) -> Iterator[Run]:
-        rows = range(problem.n_exact)
-        starts = [tuple(problem.q0[k].tolist()) for k in rows]
-        rates = [() if problem.w0 is None else tuple(problem.w0[k].tolist()) for k in rows]
-        shared = isinstance(stepper.params, tuple)
-        own = [stepper.params if shared else stepper.params[k] for k in rows]
-        for n in (_QUICK["steps"] if quick else _STEPS) if mode == ONE else ():
-
-            def call(n=n) -> list[np.ndarray]:
-                bodies = zip(starts, rates, own, strict=True)
-                return [run(q, w, problem.t_end, n, p) for q, w, p in bodies]
-
-            yield Run(f"{n} steps", call, np.asarray)
-
-    return ladder
+    return run
 
 
-def _our_steps(problem: Problem, name: str, dtype: str, quick: bool):
+def _closed_loop() -> Callable[..., Any]:
+    setup, evaluate = free_body.setup_rate, free_body.evaluate
+
+    @numba.njit
+    def run(q, w, t_end, n, p):
+        return evaluate(setup(q, w, p), n * t_end)[0]
+
+    return run
+
+
+def _setting(name: str, n: int) -> str:
+    return "closed form" if name == "exact" else f"{n} steps"
+
+
+def _work(problem: Problem, name: str, n: int) -> Callable[[], float]:
+    """Operations of a body in n steps; none are counted where the number has no meaning."""
+    if name == "exact":
+        return lambda: 0.0
+    return lambda: float(n * job_of(problem.scene, name, "quat", "float64").formulas.operations)
+
+
+def our_plans(problem: Problem, name: str, dtype: str, numbers: Iterable[int]):
+    """``fa.plan`` beforehand, and a call of it."""
     options = {"method": name, "dtype": dtype, "n_threads": 1}
-    bodies = [problem.of_body(k) for k in range(problem.n_exact)]
-    ensemble = {"scene": problem.scene, "q0": problem.q0}
-    if problem.w0 is not None:
-        ensemble["w0"] = problem.w0
+    closed = name == "exact"
 
     def ladder(mode: str) -> Iterator[Run]:
-        for n in _QUICK["steps"] if quick else _STEPS:
-            step = {"dt": problem.t_end / n, "n_steps": n, **options}
+        for n in (1,) if closed else numbers:
+            options.update(dt=problem.t_end / n, n_steps=n)
+            if mode == MANY:
+                plan = fa.plan(problem.scene, len(problem.q0), **options)
+                start = [problem.q0] if problem.w0 is None else [problem.q0, problem.w0]
 
-            def one(step=step) -> list[np.ndarray]:
-                return [fa.propagate(**body, **step).q[-1] for body in bodies]
+                def call(plan=plan, start=start) -> np.ndarray:
+                    return plan(*start).q[-1]
+            else:
+                bodies = [problem.of_body(k) for k in range(problem.n_exact)]
+                plans = [(fa.plan(scene, 1, **options), start) for scene, *start in bodies]
 
-            def many(step=step) -> np.ndarray:
-                return fa.propagate(**ensemble, **step).q[-1]
+                def call(plans=plans) -> list[np.ndarray]:
+                    return [plan(*start).q[-1] for plan, start in plans]
 
-            yield Run(f"{n} steps", one if mode == ONE else many, np.asarray)
+            yield Run(_setting(name, n), call, np.asarray, work=_work(problem, name, n))
 
     return ladder
-
-
-def _our_closed_form(problem: Problem, dtype: str):
-    inertia = problem.scene.inertia
-
-    def solve(q0: np.ndarray, w0: np.ndarray) -> np.ndarray:
-        return fa.exact.free_body(q0, w0, inertia, problem.t_end, dtype=dtype, n_threads=1)[0]
-
-    def one() -> list[np.ndarray]:
-        return [solve(problem.q0[k], problem.w0[k]) for k in range(problem.n_exact)]
-
-    def many() -> np.ndarray:
-        return solve(problem.q0, problem.w0)
-
-    return lambda mode: [Run("closed form", one if mode == ONE else many, np.asarray)]
 
 
 def _our_samples(problem: Problem, name: str, dtype: str, quick: bool):
     def ladder(mode: str) -> Iterator[Run]:
         bodies = problem.units(mode)
-        for n in _QUICK["intervals"] if quick else _INTERVALS:
+        for n in QUICK["intervals"] if quick else _INTERVALS:
             data = problem.samples(n)[:bodies].astype(dtype)
             q0, h = problem.q0[:bodies], problem.t_end / n
             out = np.empty((bodies, n + 1, 4), dtype=dtype)
@@ -187,270 +166,6 @@ def _last(q: np.ndarray) -> np.ndarray:
     return q[:, -1]
 
 
-# libraries that integrate any equations to a tolerance
-
-
-def _tolerances(quick: bool) -> list[float]:
-    return [10.0**-k for k in (_QUICK["exponents"] if quick else _EXPONENTS)]
-
-
-def _at(tol: float, call: Callable[[], Any]) -> Run:
-    return Run(f"tolerance {tol:.0e}", call, _attitudes, tol)
-
-
-def _attitudes(states: Any) -> np.ndarray:
-    return np.array(states)[:, :4]
-
-
-def _heyoka(problem: Problem, quick: bool) -> Iterator[Contestant]:
-    import heyoka as hy
-
-    cheap = problem.kind == equations.CONING
-
-    def scalar(tol: float) -> Run:
-        slope = equations.slope(problem.kind, hy.sin, hy.cos)
-        n = problem.parameters.shape[-1]
-        shared = problem.parameters.ndim == 1
-        y = hy.make_vars(*(f"y{i}" for i in range(problem.y0.shape[1])))
-        own = problem.parameters if shared else [hy.par[i] for i in range(n)]
-        system = list(zip(y, slope(hy.time, y, own), strict=True))
-        integrator = hy.taylor_adaptive(system, problem.y0[0], tol=tol)
-        state = integrator.state
-
-        def call() -> list[np.ndarray]:
-            ends = []
-            for k in range(problem.n_exact):
-                integrator.time = 0.0
-                state[:] = problem.y0[k]
-                if not shared:
-                    integrator.pars[:] = problem.parameters[k]
-                integrator.propagate_until(problem.t_end)
-                ends.append(state[:4].copy())
-            return ends
-
-        return _at(tol, call)
-
-    def batch(tol: float, group: int) -> Run:
-        system = peers.TaylorBatch(problem.kind, problem.parameters, tol, group=group)
-        starts = system.lanes(problem.y0)
-        own = None if system.parameters is None else system.lanes(system.parameters)
-        return Run(
-            f"tolerance {tol:.0e}, {group} bodies a system",
-            lambda: system.run(starts, own, problem.t_end),
-            lambda ends: system.bodies(ends, len(problem.y0))[:, :4],
-            tol,
-        )
-
-    def ladder(mode: str) -> Iterator[Run]:
-        for tol in [*_tolerances(quick), *([] if quick else [1e-14, 1e-15])]:
-            if mode == ONE:
-                yield scalar(tol)
-                continue
-            groups = (1, 2, 4, 8) if tol > 1e-6 else (1, 2, 4) if cheap else (1, 2)
-            for group in (1,) if quick else groups:
-                yield batch(tol, group)
-
-    yield Contestant("heyoka", "Taylor", ladder, claim=100.0)
-
-
-def _compiled(kind: str) -> Callable[..., Any]:
-    return equations.slope(kind, math.sin, math.cos, numba.njit)
-
-
-@cache
-def _cyrk_driver() -> Callable[..., Any]:
-    from CyRK import nbsolve2_ivp
-
-    @numba.njit
-    def run(address, starts, parameters, t_end, tol, method, ends):
-        for k in range(len(starts)):
-            own = parameters[min(k, len(parameters) - 1)]
-            found = nbsolve2_ivp(
-                address, (0.0, t_end), starts[k], method=method, args=own, rtol=tol, atol=tol,
-                force_retain_solver=False,
-            )  # fmt: skip
-            ends[k] = np.nan
-            if found.success:
-                ends[k] = found.y[:, found.size - 1]
-            found.free()
-        return ends
-
-    return run
-
-
-@cache
-def _cyrk_function(kind: str) -> Any:
-    from CyRK.nb.numba_solver import cyjit_sig
-
-    slope, n = _compiled(kind), equations.N_STATE[kind]
-
-    @numba.cfunc(cyjit_sig)
-    def function(dy, t, y, p):
-        found = slope(t, y, p)
-        for i in range(n):
-            dy[i] = found[i]
-
-    return function
-
-
-def _cyrk(problem: Problem, quick: bool) -> Iterator[Contestant]:
-    run, address = _cyrk_driver(), _cyrk_function(problem.kind).address
-    parameters = np.atleast_2d(problem.parameters)
-
-    def ladder_of(method: str):
-        def ladder(mode: str) -> Iterator[Run]:
-            ends = np.empty_like(problem.y0)
-            rows = [slice(k, k + 1) for k in range(problem.n_exact)]
-            bodies = [
-                (problem.y0[r], parameters[r] if len(parameters) > 1 else parameters, ends[r])
-                for r in rows
-            ]
-
-            def one(tol: float) -> np.ndarray:
-                for y0, own, end in bodies:
-                    run(address, y0, own, problem.t_end, tol, method, end)
-                return ends
-
-            def many(tol: float) -> np.ndarray:
-                return run(address, problem.y0, parameters, problem.t_end, tol, method, ends)
-
-            for tol in _tolerances(quick):
-                call = one if mode == ONE else many
-                yield _at(tol, lambda tol=tol, call=call: call(tol))
-
-        return ladder
-
-    for method in ("DOP853",) if quick else ("DOP853", "VERN8", "VERN7", "TSIT5"):
-        yield Contestant("CyRK", method, ladder_of(method), claim=100.0)
-
-
-def _diffrax(problem: Problem, quick: bool) -> Iterator[Contestant]:
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    for name in ("Dopri8",) if quick else ("Dopri8", "Tsit5"):
-        one, many = _diffrax_solvers(problem.kind, name)
-        yield Contestant("diffrax", name, _diffrax_ladder(problem, quick, one, many), claim=100.0)
-
-
-@cache
-def _diffrax_solvers(kind: str, name: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    import diffrax
-    import jax
-    import jax.numpy as jnp
-
-    slope, solver = equations.slope(kind, jnp.sin, jnp.cos), getattr(diffrax, name)()
-    term = diffrax.ODETerm(lambda t, y, p: jnp.stack(slope(t, y, p)))
-
-    def solve(y0, p, t_end, tol):
-        control = diffrax.PIDController(rtol=tol, atol=tol)
-        return diffrax.diffeqsolve(
-            term, solver, 0.0, t_end, None, y0, p, stepsize_controller=control, max_steps=100_000,
-            saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
-        ).ys[0]  # fmt: skip
-
-    return jax.jit(solve), jax.jit(jax.vmap(solve, in_axes=(0, 0, None, None)))
-
-
-def _diffrax_ladder(problem: Problem, quick: bool, one: Callable, many: Callable):
-    import jax.numpy as jnp
-
-    n = len(problem.y0)
-    starts = jnp.asarray(problem.y0)
-    parameters = jnp.asarray(np.broadcast_to(problem.parameters, (n, problem.parameters.shape[-1])))
-    rows = [(starts[k], parameters[k]) for k in range(problem.n_exact)]
-
-    def each(tol: float) -> list[Any]:
-        return [one(y0, p, problem.t_end, tol).block_until_ready() for y0, p in rows]
-
-    def together(tol: float) -> Any:
-        return many(starts, parameters, problem.t_end, tol).block_until_ready()
-
-    def ladder(mode: str) -> Iterator[Run]:
-        for tol in _tolerances(quick):
-            call = each if mode == ONE else together
-            yield _at(tol, lambda tol=tol, call=call: call(tol))
-
-    return ladder
-
-
-@cache
-def _array_slopes(kind: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """For one state, and for all states of an ensemble one after another in one array."""
-    slope, n = _compiled(kind), equations.N_STATE[kind]
-
-    @numba.njit
-    def one(t, y, p):
-        return np.array(slope(t, y, p))
-
-    @numba.njit
-    def many(t, y, p):
-        dy = np.empty_like(y)
-        for k in range(y.size // n):
-            found = slope(t, y[k * n : (k + 1) * n], p[k])
-            for i in range(n):
-                dy[k * n + i] = found[i]
-        return dy
-
-    return one, many
-
-
-def _scipy(problem: Problem, quick: bool) -> Iterator[Contestant]:
-    from scipy import integrate
-
-    one, many = _array_slopes(problem.kind)
-    t_end, n, size = problem.t_end, len(problem.y0), problem.y0.shape[1]
-    rows = [(problem.y0[k], problem.parameters_of(k)) for k in range(problem.n_exact)]
-    all_parameters = np.ascontiguousarray(
-        np.broadcast_to(problem.parameters, (n, problem.parameters.shape[-1]))
-    )
-
-    def solve_ivp(method: str):
-        def body(y0: np.ndarray, p: np.ndarray, tol: float) -> np.ndarray:
-            return integrate.solve_ivp(
-                one, (0.0, t_end), y0, method, args=(p,), rtol=tol, atol=tol
-            ).y[:, -1]
-
-        return body
-
-    def odeint(y0: np.ndarray, p: np.ndarray, tol: float) -> np.ndarray:
-        span = [0.0, t_end]
-        return integrate.odeint(
-            one, y0, span, args=(p,), rtol=tol, atol=tol, mxstep=100_000, tfirst=True
-        )[-1]
-
-    def dop853(y0: np.ndarray, p: np.ndarray, tol: float) -> np.ndarray:
-        solver = integrate.ode(one).set_integrator("dop853", rtol=tol, atol=tol, nsteps=100_000)
-        return solver.set_initial_value(y0, 0.0).set_f_params(p).integrate(t_end)
-
-    def ensemble(tol: float) -> np.ndarray:
-        return integrate.solve_ivp(
-            many, (0.0, t_end), problem.y0.ravel(), "DOP853", args=(all_parameters,), rtol=tol,
-            atol=tol,
-        ).y[:, -1].reshape(n, size)  # fmt: skip
-
-    def ladder_of(body: Callable[..., np.ndarray]):
-        def ladder(mode: str) -> Iterator[Run]:
-            if mode == MANY and body is not first:
-                return
-            for tol in _tolerances(quick):
-                call = (
-                    (lambda tol=tol: [body(*row, tol) for row in rows])
-                    if mode == ONE
-                    else (lambda tol=tol: ensemble(tol))
-                )
-                yield _at(tol, call)
-
-        return ladder
-
-    first = solve_ivp("DOP853")
-    yield Contestant("scipy", "solve_ivp DOP853", ladder_of(first), claim=100.0)
-    if not quick:
-        yield Contestant("scipy", "solve_ivp LSODA", ladder_of(solve_ivp("LSODA")), claim=1e4)
-        yield Contestant("scipy", "odeint", ladder_of(odeint), claim=1e4)
-        yield Contestant("scipy", "ode dop853", ladder_of(dop853), claim=100.0)
-
-
 # libraries of attitudes
 
 
@@ -462,7 +177,7 @@ def _numpy_quaternion(problem: Problem, quick: bool) -> Iterator[Contestant]:
     """
     import quaternion
 
-    if problem.kind == equations.TOP:
+    if problem.kind not in (equations.CONING, equations.FREE):
         return
     turns = [_rate_in_space(problem, k) for k in range(problem.n_exact)]
 
@@ -479,10 +194,10 @@ def _numpy_quaternion(problem: Problem, quick: bool) -> Iterator[Contestant]:
     def ladder(mode: str) -> Iterator[Run]:
         if mode == MANY:
             return
-        for tol in _tolerances(quick):
-            yield _at(tol, lambda tol=tol: [body(k, tol) for k in range(problem.n_exact)])
+        for tol in tolerances(quick):
+            yield at_tolerance(tol, lambda tol=tol: [body(k, tol) for k in range(problem.n_exact)])
 
-    yield Contestant("numpy-quaternion", "integrate_angular_velocity", ladder, claim=100.0)
+    yield Contestant("numpy-quaternion", "integrate_angular_velocity", ladder, 100.0, bound=PYTHON)
 
 
 def _rate_in_space(problem: Problem, k: int) -> tuple[Callable[..., Any], bool]:
@@ -570,13 +285,14 @@ class Sampler(NamedTuple):
     method: str
     solve: _Solver
     order: float | None = None
+    bound: str = PYTHON
 
 
 def _samplers(package: str, tol: float) -> list[Sampler]:
     """``tol`` is for what integrates to a tolerance."""
     if package == "numpy-quaternion":
         return [
-            Sampler("exp, accumulate", _accumulate, order=2.0),
+            Sampler("exp, accumulate", _accumulate, 2.0, "order 2"),
             Sampler("integrate_angular_velocity", _spline(tol)),
         ]
     if package == "ahrs":
@@ -589,7 +305,7 @@ def _sampled_peer(package: str, problem: Problem, quick: bool) -> Iterator[Conte
         def ladder(mode: str) -> Iterator[Run]:
             if mode == MANY and solve is not _accumulate:
                 return
-            for n in _QUICK["intervals"] if quick else _INTERVALS[::2]:
+            for n in QUICK["intervals"] if quick else _INTERVALS[::2]:
                 data, h = problem.samples(n)[: problem.units(mode)], problem.t_end / n
 
                 def one(data=data, h=h) -> list[np.ndarray]:
@@ -603,25 +319,28 @@ def _sampled_peer(package: str, problem: Problem, quick: bool) -> Iterator[Conte
 
         return ladder
 
-    for method, solve, order in _samplers(package, tol=1e-9):
+    for method, solve, order, bound in _samplers(package, tol=1e-9):
         if not quick or order is not None:
-            yield Contestant(package, method, ladder_of(solve), order=order)
+            yield Contestant(package, method, ladder_of(solve), None, order, bound)
 
 
 # by problem
 
 # module to look for, and the contestants of function and body problems
 _PEERS: dict[str, tuple[str, Callable[..., Iterator[Contestant]] | None]] = {
-    "heyoka": ("heyoka", _heyoka),
-    "CyRK": ("CyRK", _cyrk),
-    "scipy": ("scipy", _scipy),
-    "diffrax": ("diffrax", _diffrax),
+    "heyoka": ("heyoka", solvers.heyoka),
+    "CyRK": ("CyRK", solvers.cyrk),
+    "scipy": ("scipy", solvers.scipy),
+    "diffrax": ("diffrax", solvers.diffrax),
+    "MuJoCo": ("mujoco", solvers.mujoco),
+    "Basilisk": ("Basilisk", solvers.basilisk),
     "numpy-quaternion": ("quaternion", _numpy_quaternion),
     "ahrs": ("ahrs", None),
     "scikit-kinematics": ("skinematics", None),
 }
 SAMPLED = ("numpy-quaternion", "ahrs", "scikit-kinematics")
 PACKAGES = (OURS, *_PEERS)
+DISTRIBUTIONS = {"Basilisk": "bsk"}
 
 
 def missing() -> list[str]:
@@ -659,7 +378,7 @@ def _on_log(log: Log, package: str, quick: bool) -> Iterator[Contestant]:
                 ),
             )
     elif package in SAMPLED:
-        for method, solve, _ in _samplers(package, tol=1e-6):
+        for method, solve, *_ in _samplers(package, tol=1e-6):
             yield Contestant(
                 package, method, once(lambda solve=solve: solve(log.rates, log.dt, start))
             )

@@ -6,39 +6,69 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from importlib import metadata
 from pathlib import Path
 
-from leaderboard_contestants import OURS, PACKAGES
+from leaderboard_contestants import DISTRIBUTIONS, OURS, PACKAGES
 from leaderboard_problems import MANY, ONE
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 MODES = {ONE: "one", MANY: "ensemble"}
 # Okabe and Ito's colours, told apart by colour-blind readers
 _COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#999999")
-_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
+_COLOURS += ("#7F3C00", "#4B0092")
+_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">")
+_TIE, _MOST = 1.1, 1000.0
+_FIGURES = ("error", "p50", "p95", "seconds", "work")
+_SETTINGS = {
+    OURS: "`fa.plan` beforehand; in a loop: `fa.single_step`, or closed-form kernels, in `@njit`",
+    "heyoka": "unrolled; ensembles in batches of the machine's vector, 1 to 8 bodies a system; "
+    "one body by `taylor_adaptive`",
+    "CyRK": "`nbsolve2_ivp` in `@njit`, compiled equations, rtol = atol",
+    "scipy": "`solve_ivp`, `odeint`, `ode`, compiled equations, rtol = atol; ensembles in an array",
+    "diffrax": "`jit`, `vmap`, 64 bits, `PIDController`, rtol = atol, `ForwardMode`",
+    "MuJoCo": "a free joint, no contacts, `rollout` in C",
+    "Basilisk": "a hub, `svIntegratorRK4`; the simulation is built and reset beforehand",
+    "numpy-quaternion": "`integrate_angular_velocity`; samples: mean rates, `exp`, "
+    "`multiply.accumulate`",
+    "ahrs": "`AngularRate`, mean rates",
+    "scikit-kinematics": "`calc_quat`, mean rates",
+}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One setting of one method: error, rad, and seconds per body, of a log per sample."""
+    """One setting of one method: errors, rad, and seconds per body, of a log per sample.
+
+    ``error`` is the root mean square; ``work`` counts the operations of a body, 0 if unknown.
+    """
 
     problem: str
     title: str
+    reference: str
     mode: str
     package: str
     method: str
     setting: str
+    bound: str
     error: float
+    p50: float
+    p95: float
     seconds: float
+    work: float
 
 
 @dataclass(frozen=True)
 class Best:
-    """The shortest time of a library at an error, and the method."""
+    """The shortest time of a library at an error, and the method; what bounds it.
+
+    ``row``: the coarsest setting that reaches the error.
+    """
 
     package: str
     method: str
     seconds: float
+    row: Row
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -51,7 +81,7 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 def read_rows(path: Path) -> list[Row]:
     with path.open(encoding="utf-8", newline="") as file:
         return [
-            Row(**{**row, "error": float(row["error"]), "seconds": float(row["seconds"])})
+            Row(**{**row, **{name: float(row[name]) for name in _FIGURES}})
             for row in csv.DictReader(file)
         ]
 
@@ -83,14 +113,15 @@ def time_at(points: Iterable[tuple[float, float]], target: float) -> float | Non
 
 def ranking(rows: Sequence[Row], target: float) -> list[Best]:
     """Each library's best method at an error, the fastest first."""
-    curves: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    curves: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        curves.setdefault((row.package, row.method), []).append((row.error, row.seconds))
+        curves.setdefault((row.package, row.method), []).append(row)
     found: dict[str, Best] = {}
-    for (package, method), points in curves.items():
-        seconds = time_at(points, target)
+    for (package, method), own in curves.items():
+        seconds = time_at([(row.error, row.seconds) for row in own], target)
         if seconds is not None and (package not in found or seconds < found[package].seconds):
-            found[package] = Best(package, method, seconds)
+            row = min((r for r in own if r.error <= target), key=lambda r: r.seconds)
+            found[package] = Best(package, method, seconds, row)
     return sorted(found.values(), key=lambda best: best.seconds)
 
 
@@ -103,19 +134,26 @@ def ratio(x: float) -> str:
     return f"{x:.2f}" if x < 1.995 else f"{x:.1f}" if x < 9.95 else f"{x:.0f}"
 
 
-def verdict(ranked: Sequence[Best]) -> str:
-    """Ours against the best peer: who wins by which ratio, in bold where we lose."""
+def two(ranked: Sequence[Best]) -> tuple[Best | None, Best | None]:
+    """Ours and the best peer."""
     ours = next((best for best in ranked if best.package == OURS), None)
-    peer = next((best for best in ranked if best.package != OURS), None)
-    if ours is None and peer is None:
-        return "none"
-    if ours is None:
-        return f"**{peer.package} alone**"
-    if peer is None:
-        return f"`{ours.method}` alone"
-    if ours.seconds <= peer.seconds:
-        return f"`{ours.method}` {ratio(peer.seconds / ours.seconds)}× {peer.package}"
-    return f"**{peer.package} {ratio(ours.seconds / peer.seconds)}×** `{ours.method}`"
+    return ours, next((best for best in ranked if best.package != OURS), None)
+
+
+def verdict(ranked: Sequence[Best]) -> str:
+    """Ours against the best peer: who wins by which ratio, in bold where we lose; ties are told."""
+    ours, peer = two(ranked)
+    if ours is None or peer is None:
+        alone = f"`{ours.method}` alone" if ours else f"**{peer.package} alone**" if peer else ""
+        return alone or "none"
+    lead = peer.seconds / ours.seconds
+    if 1.0 / _TIE <= lead <= _TIE:
+        return f"tie: `{ours.method}`, {peer.package}"
+    if lead > _MOST:
+        return f"`{ours.method}` >1000× {peer.package} ({peer.row.bound})"
+    if lead > 1.0:
+        return f"`{ours.method}` {ratio(lead)}× {peer.package}"
+    return f"**{peer.package} {ratio(1.0 / lead)}×** `{ours.method}`"
 
 
 def _problems(rows: Sequence[Row]) -> dict[str, str]:
@@ -128,41 +166,137 @@ def _is_log(rows: Sequence[Row]) -> bool:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown: a line for each problem and mode, then one for each method on a recording."""
-    lines = ["| problem | bodies | " + " | ".join(f"{x:.0e} rad" for x in TARGETS) + " |"]
-    lines.append("| --- " * (2 + len(TARGETS)) + "|")
-    logs = []
+    """Markdown: a line for each problem and mode."""
+    lines = _head("problem", "bodies", *(f"{x:.0e} rad" for x in TARGETS))
     for name, title in _problems(rows).items():
         if _is_log([row for row in rows if row.problem == name]):
-            logs.append(name)
             continue
         for mode, label in MODES.items():
             own = of_mode(rows, name, mode)
-            cells = [verdict(ranking(own, target)) for target in TARGETS]
-            lines.append(f"| {title} | {label} | {' | '.join(cells)} |")
-    for name in logs:
-        own = sorted((row for row in rows if row.problem == name), key=lambda row: row.error)
-        lines += ["", f"| {own[0].title} | error, rad | ns/sample |", "| --- | --- | --- |"]
-        lines += [
-            f"| {r.package} `{r.method}` | {r.error:.2e} | {r.seconds * 1e9:.0f} |" for r in own
-        ]
+            lines.append(_line(title, label, *(verdict(ranking(own, x)) for x in TARGETS)))
     return "\n".join(lines)
 
 
-def times(rows: Sequence[Row]) -> str:
-    """Text: every library's time at every target."""
-    lines = []
-    for name, title in _problems(rows).items():
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _head(*cells: str) -> list[str]:
+    return [_line(*cells), _line(*["---"] * len(cells))]
+
+
+def _of_log(rows: Sequence[Row]) -> list[str]:
+    lines = _head("method", "rms, rad", "p50 over time", "p95", "ns a sample")
+    return lines + [
+        _line(
+            f"{r.package} `{r.method}`", *(f"{x:.2e}" for x in (r.error, r.p50, r.p95)),
+            f"{r.seconds * 1e9:.0f}",
+        )
+        for r in sorted(rows, key=lambda row: row.error)
+    ]  # fmt: skip
+
+
+def _times(rows: Sequence[Row], name: str) -> list[str]:
+    """Every library's time at every error."""
+    lines = _head("library", "bodies", *(f"µs a body at {x:.0e} rad" for x in TARGETS))
+    for mode, label in MODES.items():
+        # an ensemble that is run body by body is told of once
+        own = [row for row in rows if (row.problem, row.mode) == (name, mode)]
+        best = [{b.package: b for b in ranking(own, x)} for x in TARGETS]
+        for package in PACKAGES:
+            cells = [
+                f"{b[package].seconds * 1e6:.3g} `{b[package].method}`" if package in b else "–"
+                for b in best
+            ]
+            if any(package in b for b in best):
+                lines.append(_line(package, label, *cells))
+    return lines
+
+
+def _first_two(rows: Sequence[Row], name: str) -> list[str]:
+    """The settings of ours and of the best peer, with errors over bodies and operations."""
+    lines = _head(
+        "error", "bodies", "library, method, setting", "rms", "p50", "p95", "operations a body",
+        "operations a ns",
+    )  # fmt: skip
+    for target in TARGETS:
         for mode, label in MODES.items():
-            own = of_mode(rows, name, mode)
-            if not own or _is_log(own):
-                continue
-            lines.append(f"{title}, {label}: µs a body")
-            for target in TARGETS:
-                ranked = ranking(own, target)
-                told = [f"{b.package} {b.method} {b.seconds * 1e6:.3g}" for b in ranked]
-                lines.append(f"  {target:.0e}  " + ("; ".join(told) or "none"))
-    return "\n".join(lines)
+            ranked = ranking(of_mode(rows, name, mode), target)
+            for r in (best.row for best in two(ranked) if best):
+                work = [f"{r.work:.3g}", f"{r.work / r.seconds * 1e-9:.1f}"] if r.work else "––"
+                errors = [f"{x:.1e}" for x in (r.error, r.p50, r.p95)]
+                what = f"{r.package} `{r.method}`, {r.setting}"
+                lines.append(_line(f"{target:.0e}", label, what, *errors, *work))
+    return lines
+
+
+def why(rows: Sequence[Row], name: str) -> str:
+    """A sentence: where the difference comes from, at the tightest error of an ensemble."""
+    for target in reversed(TARGETS):
+        ranked = ranking(of_mode(rows, name, MANY), target)
+        if None in two(ranked):
+            continue
+        ours, peer = two(ranked)
+        a, b = ours.row, peer.row
+        begin = f"At {target:.0e} rad an ensemble's `{a.method}` "
+        rival = f"{b.package} some {b.work:.2g} at {b.work / b.seconds * 1e-9:.1f} a ns"
+        if not b.work:
+            reason = f" ({b.bound})" if b.bound else ""
+            return f"{begin}takes {a.setting}, {b.package} {b.setting}{reason}."
+        if not a.work:
+            return f"{begin}takes no steps; operations a body of {rival}."
+        return (
+            f"{begin}does {a.work:.2g} operations a body at {a.work / a.seconds * 1e-9:.1f} a ns, "
+            f"{rival}."
+        )
+    return "No error is reached by ours and by another."
+
+
+def _libraries() -> list[str]:
+    lines = _head("library", "version", "settings")
+    for package in PACKAGES:
+        try:
+            version = metadata.version(DISTRIBUTIONS.get(package, package))
+        except metadata.PackageNotFoundError:
+            version = "not installed, left out"
+        lines.append(_line(package, version, _SETTINGS[package]))
+    return lines
+
+
+_RULES = f"""\
+Every library runs a ladder of tolerances or steps; times are the shortest of interleaved rounds.
+A cell names the fastest at that error, and how many times as long the next library takes.
+The error is the root mean square over bodies whose end is known; times between settings are
+interpolated in logarithms.
+Times within {100 * (_TIE - 1):.0f} % of each other are ties; above {_MOST:.0f} no ratio is told.
+Bold cells are those that fastatt loses.
+One body is a call for each body, an ensemble has 1024 in one call.
+Compilation, layouts, plans and whatever a library can prepare beforehand are left out.
+`float32` in a method's name is single precision.
+Operations of heyoka follow from its order p and steps: p² a product of series, 2p a variable.
+Ours count as each body's what all share, a sine of time: the rate can then pass the core's peak.
+MuJoCo and Basilisk run free bodies that can exist: no moment above the sum of the others."""
+
+
+def page(rows: Sequence[Row], where: str, single: str) -> str:
+    """Markdown: rules, libraries, the table, each problem, single precision."""
+    parts = ["# Time at equal error", f"`make leaderboard` writes this page. {where}", _RULES]
+    parts += ["## Libraries", "\n".join(_libraries()), "## Who is first", table(rows)]
+    parts.append("![time at equal error](leaderboard.png)")
+    for name, title in _problems(rows).items():
+        own = [row for row in rows if row.problem == name]
+        parts += [f"## {title}", f"Reference: {own[0].reference}."]
+        if _is_log(own):
+            parts.append("\n".join(_of_log(own)))
+            continue
+        parts += [why(rows, name), "\n".join(_times(rows, name)), "\n".join(_first_two(rows, name))]
+    if single:
+        parts += [
+            "## Single precision",
+            "Ensembles of 1024 in 96 steps; least error in 32 to 512 steps.",
+            single,
+        ]
+    return "\n\n".join(parts).rstrip() + "\n"
 
 
 def picture(rows: Sequence[Row], heading: str, path: Path) -> None:

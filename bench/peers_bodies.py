@@ -1,4 +1,4 @@
-"""Rigid bodies in other programs: RK4 in C, Taylor series by heyoka.
+"""Rigid bodies in other programs: RK4 in C, Taylor series by heyoka, MuJoCo and Basilisk.
 
 Each peer runs an ensemble from attitudes q0 (N, 4) and momenta m0 (N, 3), body axes, and gives a
 ``Run``: the same at the end, and the seconds of the propagation on one core, compilation and the
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equations
 import numpy as np
@@ -239,6 +239,7 @@ class TaylorBatch:
         import heyoka as hy
 
         slope = equations.slope(kind, hy.sin, hy.cos)
+        self.kind = kind
         self.size = equations.N_STATE[kind]
         self.batch = hy.recommended_simd_size() if batch is None else batch
         self.group = group = _fastest_group(tol) if group is None else group
@@ -279,6 +280,17 @@ class TaylorBatch:
             ends[k] = state
         return ends
 
+    def work(self) -> float:
+        """Operations of a body of the last batch: its lanes take as many steps as the slowest."""
+        steps = max(outcome[3] for outcome in self.integrator.propagate_res)
+        return taylor_work(self.integrator, steps, self.kind)
+
+
+def taylor_work(integrator: Any, steps: int, kind: str) -> float:
+    """Operations of a body: a product of two series to the order p takes p², and p its place."""
+    p, products = integrator.order, equations.N_PRODUCTS[kind]
+    return float(steps * p * (products * p + 2 * equations.N_STATE[kind]))
+
 
 class Heyoka(TaylorBatch):
     """``TaylorBatch`` for free bodies, or bodies in the potential of a heavy top."""
@@ -300,3 +312,76 @@ class Heyoka(TaylorBatch):
         seconds = time.perf_counter() - start
         y = self.bodies(ends, len(m0))
         return Run(y[:, :4].copy(), 2.0 * inertia * y[:, 4:], seconds)
+
+
+# programs with steps of their own
+
+
+class MuJoCoBody:
+    """A body on a free joint: RK4 with n steps, by the rollout of states in C."""
+
+    def __init__(self, inertia: Any, t_end: float, n: int) -> None:
+        import mujoco
+        from mujoco import rollout
+
+        moments = " ".join(str(float(x)) for x in inertia)
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><option timestep="{t_end / n!r}" gravity="0 0 0" integrator="RK4">
+            <flag contact="disable" constraint="disable"/></option><worldbody><body><freejoint/>
+            <inertial pos="0 0 0" mass="1" diaginertia="{moments}"/></body></worldbody></mujoco>"""
+        )
+        self.model, self.data, self.n = model, mujoco.MjData(model), n
+        self.rollout = rollout.Rollout(nthread=0)
+
+    def state(self, q: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Time, position and attitude, velocity and rate, (N, 14)."""
+        zero = np.zeros((len(q), 4))
+        return np.concatenate([zero, q, zero[:, :3], w], axis=1)
+
+    def run(self, start: np.ndarray) -> np.ndarray:
+        return self.rollout.rollout(self.model, self.data, start, nstep=self.n)[0][:, -1, 4:8]
+
+    def attitudes(self, ends: list[np.ndarray]) -> np.ndarray:
+        return np.concatenate(ends)
+
+
+class BasiliskBody:
+    """A spacecraft of nothing but a hub: RK4 with n steps on Rodrigues parameters."""
+
+    def __init__(self, inertia: Any, t_end: float, n: int) -> None:
+        from Basilisk.architecture import bskLogging
+        from Basilisk.simulation import spacecraft, svIntegrators
+        from Basilisk.utilities import SimulationBaseClass
+
+        bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)
+        self.span = round(t_end * 1e9)  # ns, as all its times
+        self.simulation = simulation = SimulationBaseClass.SimBaseClass()
+        simulation.CreateNewProcess("process").addTask(
+            simulation.CreateNewTask("task", self.span // n)
+        )
+        self.craft = craft = spacecraft.Spacecraft()
+        craft.hub.mHub, craft.hub.IHubPntBc_B = 1.0, np.diag(inertia).tolist()
+        self.integrator = svIntegrators.svIntegratorRK4(craft)
+        craft.setIntegrator(self.integrator)
+        simulation.AddModelToTask("task", craft)
+        simulation.InitializeSimulation()
+        names = ("hubSigma", "hubOmega")
+        self.objects = [craft.dynManager.getStateObject(name) for name in names]
+        self.ended = 0
+
+    def state(self, q: np.ndarray, w: np.ndarray) -> list[list[list[float]]]:
+        """Rodrigues parameters and rates, as columns."""
+        return [(x.T).tolist() for x in (q[:, 1:] / (1.0 + q[:, :1]), w)]
+
+    def run(self, start: list[list[list[float]]]) -> Any:
+        for known, value in zip(self.objects, start, strict=True):
+            known.setState(value)
+        self.ended += self.span
+        self.simulation.ConfigureStopTime(self.ended)
+        self.simulation.ExecuteSimulation()
+        return self.objects[0].getState()
+
+    def attitudes(self, ends: list[Any]) -> np.ndarray:
+        sigma = np.array(ends).reshape(-1, 3)
+        square = np.sum(sigma**2, axis=1, keepdims=True)
+        return np.concatenate([1.0 - square, 2.0 * sigma], axis=1) / (1.0 + square)
