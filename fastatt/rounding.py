@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
+from contextvars import ContextVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -13,6 +14,8 @@ from numpy.typing import DTypeLike, NDArray
 LOST = 0.1
 #: of a step, what the time may be rounded by
 SHARE = 1e-3
+#: where warnings go instead, of a thread whose caller hands them on
+heard: ContextVar[list[str] | None] = ContextVar("heard", default=None)
 
 
 class StepWarning(UserWarning):
@@ -21,6 +24,9 @@ class StepWarning(UserWarning):
 
 def warn(text: str) -> None:
     """Warn of something, in the first line outside this package."""
+    if (told := heard.get()) is not None:
+        told.append(text)
+        return
     frame, level = sys._getframe(1), 2  # noqa: SLF001
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("fastatt."):
         frame, level = frame.f_back, level + 1

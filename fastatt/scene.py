@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, forces, models, rates, torques
 from fastatt._jit import plain
+from fastatt.flat.sources import keep, sources
 from fastatt.flat.user import UserFunction
 from fastatt.inertia import (
     Principal,
@@ -112,8 +113,8 @@ class Scene:
         return tuple(map(_key, self._given))
 
     def __reduce__(self) -> Any:
-        """What was given; what was found from it is found again."""
-        return type(self), self._given
+        """What was given, and what one's own functions are traced from; the rest is found again."""
+        return _received, (type(self), self._given, sources(_own_functions(self._given)))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self._key == other._key
@@ -285,6 +286,19 @@ def _resources(packed: models.Packed) -> dict[Any, Any]:
             if function is not None and not function.straight:
                 found["function", function] = function.address
     return found
+
+
+def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str]) -> Scene:
+    """A scene as it comes from another process."""
+    keep(texts)
+    return scene(*given)
+
+
+def _own_functions(value: Any) -> list[Any]:
+    """The functions in what a scene was given."""
+    if isinstance(value, tuple):
+        return [function for each in value for function in _own_functions(each)]
+    return [value] if callable(value) else []
 
 
 def _kept(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,11 +27,21 @@ class Measure:
 
     def __init__(self, n_bodies: int) -> None:
         self.maximum = np.zeros(n_bodies)
-        self._counts = np.zeros((n_bodies, _BINS), dtype=np.uint32)
+        self._counts: NDArray[Any] = np.zeros((n_bodies, _BINS), dtype=np.uint32)
 
     def __repr__(self) -> str:
         worst = self.maximum.max(initial=0.0)
         return f"Measure({self.maximum.size} bodies, at most {worst:.3g})"
+
+    @classmethod
+    def joined(cls, parts: Sequence[Measure]) -> Measure:
+        """The saves of many bodies as those of one; a body that is lost is infinitely far."""
+        found = cls(1)
+        worst = [np.nan_to_num(part.maximum, nan=np.inf).max(initial=0.0) for part in parts]
+        found.maximum = np.array([max(worst, default=0.0)])
+        counts = [part._counts.sum(axis=0, dtype=np.uint64) for part in parts]  # noqa: SLF001
+        found._counts = np.sum(counts, axis=0, keepdims=True)
+        return found
 
     def add(self, values: NDArray[Any]) -> None:
         """Values (S, N) of some saves."""
