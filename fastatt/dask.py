@@ -510,7 +510,7 @@ def _table(
         cases, zip(*(found for found, *_ in chunks), strict=True), strict=True
     ):
         seconds, errors, defects, rates, flags = zip(*parts, strict=True)
-        counts = sum(flags, Counter())
+        counts: Counter[str] = sum(flags, Counter())
         rung = Rung(
             n_steps=n,
             seconds=sum(seconds),

@@ -37,7 +37,10 @@ class Measure:
     def joined(cls, parts: Sequence[Measure]) -> Measure:
         """The saves of many bodies as those of one; a body that is lost is infinitely far."""
         found = cls(1)
-        worst = [np.nan_to_num(part.maximum, nan=np.inf).max(initial=0.0) for part in parts]
+        worst = [
+            np.where(np.isnan(part.maximum), np.inf, part.maximum).max(initial=0.0)
+            for part in parts
+        ]
         found.maximum = np.array([max(worst, default=0.0)])
         counts = [part._counts.sum(axis=0, dtype=np.uint64) for part in parts]  # noqa: SLF001
         found._counts = np.sum(counts, axis=0, keepdims=True)

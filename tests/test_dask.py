@@ -1,0 +1,256 @@
+"""Ensembles in chunks: the bits of one run, whatever the chunks, on processes that die too."""
+
+from __future__ import annotations
+
+import linecache
+import os
+import signal
+import time
+import warnings
+
+import dask
+import dask.array as da
+import numpy as np
+import pytest
+from distributed import Client, LocalCluster
+
+import fastatt as fa
+from fastatt import dask as fd
+from fastatt.running.watch import Measure
+
+N = 70
+RNG = np.random.default_rng(4)
+Q0, W0 = RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))
+OWN = fa.Scene(inertia=np.array([2.0, 1.5, 1.0]) * RNG.uniform(0.9, 1.1, (N, 1)))
+SHARED = fa.Scene(inertia=(2.0, 1.5, 1.0))
+CONING = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
+FALLING = fa.Scene(inertia=(2.0, 1.5, 1.0), mass=2.0, force=fa.forces.Drag(0.2))
+STEPS = {"dt": 0.02, "n_steps": 30}
+RK4 = {**STEPS, "method": "rk4"}
+RUNS = {
+    "numbers of their own": (OWN, (Q0, W0), RK4),
+    "all saves": (SHARED, (Q0, W0), {**RK4, "save_every": 8, "t0": 1.0}),
+    "matrices of a rate": (CONING, (Q0,), {**STEPS, "representation": "dcm"}),
+    "one attitude for all": (OWN, (Q0[0], W0), RK4),
+    "single precision, with mass": (FALLING, (Q0, W0, W0, W0[:1]), {**RK4, "dtype": "float32"}),
+    "closed form": (OWN, (Q0, W0), {**STEPS, "save_every": 30}),
+}
+NAMES = ("q0", "w0", "v0", "r0")
+
+
+def lazily(values):
+    return [da.from_array(x, chunks=(30, -1)[2 - x.ndim :]) for x in values]
+
+
+@pytest.fixture(autouse=True)
+def _here():
+    """Where nothing else is said, one chunk after the other in this process."""
+    with dask.config.set(scheduler="synchronous"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def client():
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def same(found, expected):
+    return found.dtype == expected.dtype and np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_bits_do_not_depend_on_chunks(name):
+    scene, values, options = RUNS[name]
+    whole = fa.propagate(scene, **dict(zip(NAMES, values, strict=False)), **options)
+    for chunks, given in ((33, values), ((1, 68, 1), values), (None, lazily(values))):
+        lazy = fd.propagate(
+            scene, **dict(zip(NAMES, given, strict=False)), chunks=chunks, **options
+        )
+        (found,) = dask.compute(lazy)
+        assert found.method == whole.method
+        assert same(found.t, whole.t)
+        for part in ("q", "w", "status", "C", *(("v", "r") if scene.moves else ())):
+            assert same(getattr(found, part), getattr(whole, part)), part
+            assert getattr(lazy, part).shape == getattr(whole, part).shape, part
+        assert same(lazy.C.compute(), whole.C)
+
+
+def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
+    threads = []
+
+    def counted(*args, **options):
+        threads.append(options["n_threads"])
+        return fa.propagate(*args, **options)
+
+    monkeypatch.setattr(fd, "run_chunk", counted)
+    lazy = fd.propagate(SHARED, Q0, W0, chunks=30, **RK4)
+    assert threads == []
+    dask.compute(lazy.q, lazy.w, lazy.status, lazy.C)
+    assert threads == [1, 1, 1]
+
+
+def kill_first(block, marker):
+    """The numbers; the first process that is asked for them dies."""
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return block
+
+
+def test_a_killed_worker_changes_nothing(client, tmp_path):
+    marker = tmp_path / "died"
+    q0 = da.from_array(Q0, chunks=(10, -1)).map_blocks(kill_first, marker, meta=Q0[:0])
+    before = set(client.scheduler_info(n_workers=-1)["workers"])
+    lazy = fd.propagate(SHARED, q0, W0, **RK4)
+    with dask.config.set(scheduler=client):
+        found = dask.compute(lazy)[0]
+    assert marker.exists()
+    assert before != set(client.scheduler_info(n_workers=-1)["workers"])
+    whole = fa.propagate(SHARED, Q0, W0, **RK4)
+    assert same(found.q, whole.q)
+    assert same(found.w, whole.w)
+    assert same(found.status, whole.status)
+
+
+CELL = """
+from numba import njit
+
+def half(x):
+    return 0.5 * x if x > 0.0 else x
+
+@njit
+def torque(t, q, w, p):
+    return -half(w[0]) * p[0], -p[0] * w[1], 0.0
+"""
+
+
+def test_functions_of_a_notebook_are_traced_on_workers(client):
+    """Of which the worker has no file."""
+    linecache.cache["<cell 1>"] = (len(CELL), None, CELL.splitlines(keepends=True), "<cell 1>")
+    names = {}
+    exec(compile(CELL, "<cell 1>", "exec"), names)
+    scene = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=names["torque"], params=RNG.random((N, 1)))
+    assert client.submit(lambda scene: scene.functions[0].reason, scene).result() == ""
+    with dask.config.set(scheduler=client):
+        found = fd.propagate(scene, Q0, W0, chunks=40, **RK4).q.compute()
+    assert same(found, fa.propagate(scene, Q0, W0, **RK4).q)
+
+
+def test_warnings_of_workers_arrive(client):
+    """They come beside the results, not with them."""
+    with warnings.catch_warnings(record=True) as told, dask.config.set(scheduler=client):
+        warnings.simplefilter("always")
+        fd.propagate(SHARED, Q0, 100.0 * W0, chunks=40, **RK4).status.compute()
+        for _ in range(100):
+            if len(told) >= 2:
+                break
+            time.sleep(0.05)
+    assert {w.category for w in told} == {fa.StepWarning}
+    assert sorted(str(w.message)[:17] for w in told) == ["bodies 0 to 39: d", "bodies 40 to 69: "]
+
+
+def test_drifts_of_all_bodies():
+    steps = {"every": 10, **RK4}
+    whole = fa.watch_drift(OWN, Q0, W0, **steps)
+    for chunks in (33, 70):
+        found = fd.watch_drift(OWN, Q0, W0, chunks=chunks, **steps).compute()
+        assert (found.saves, found.bodies, found.flags) == (3, N, {})
+        for name in ("norm", "orthogonality", "energy", "momentum"):
+            one, each = getattr(found, name), getattr(whole, name)
+            assert one.maximum == each.maximum.max()
+            # counted by hand: how many of the 3 N saves are in a factor of 2
+            bins = each._counts.sum(axis=0)
+            assert bins.sum() == 3 * N
+            median = 2.0 ** (-56 + 1 + np.searchsorted(bins.cumsum(), 1.5 * N))
+            assert one.percentile(50.0) == min(median, each.maximum.max())
+
+
+def test_drift_of_a_lost_body_is_infinite():
+    a, b = Measure(2), Measure(1)
+    a.add(np.array([[1e-9, np.nan], [1e-9, np.nan]]))
+    b.add(np.array([[1e-9], [1e-9]]))
+    joined = Measure.joined([Measure.joined([a]), Measure.joined([b])])
+    assert joined.maximum == np.inf
+    assert 1e-9 <= joined.percentile(60.0) <= 2e-9
+    assert joined.percentile(70.0) == np.inf
+
+
+def test_work_precision_of_all_bodies():
+    runs = [("rk4", 100), ("rk4", 50), ("strang2", 50)]
+    tables = [
+        fd.work_precision(OWN, Q0, W0, t_end=1.0, runs=runs, reference=known, chunks=chunks)
+        for chunks, known in ((33, None), (70, None), (70, ("rk8", 400)))
+    ]
+    found, other, against_rk8 = dask.compute(*tables)
+    exact = fa.exact.free_body(Q0, W0, OWN.inertia, 1.0)[0]
+    assert [(r.method, r.dt) for r in found.rows] == [
+        ("rk4", 0.02),
+        ("rk4", 0.01),
+        ("strang2", 0.02),
+    ]
+    for one, same_row, near in zip(found.rows, other.rows, against_rk8.rows, strict=True):
+        last = fa.propagate(
+            OWN, Q0, W0, dt=one.dt, n_steps=round(1.0 / one.dt), method=one.method
+        ).q[-1]
+        error = fa.angle_between(last, exact)
+        assert one.error_max == error.max() == same_row.error_max
+        assert one.error_median == np.median(error) == same_row.error_median
+        assert one.error_p95 == np.quantile(error, 0.95)
+        assert one.order == same_row.order
+        assert abs(near.error_max - one.error_max) <= (
+            found.reference_error + against_rk8.reference_error
+        )
+    assert found.reference == "the closed form"
+    assert against_rk8.reference == "rk8 at 0.0025 s"
+    assert found.n_bodies == found.sampled == N
+
+
+def test_one_bad_body():
+    bad = Q0.copy()
+    bad[45] = np.nan
+    lazy = da.from_array(bad, chunks=(30, -1))
+    with pytest.raises(ValueError, match=r"q0\[15") as caught:
+        fd.propagate(SHARED, lazy, W0, **RK4).q.compute()
+    assert caught.value.__notes__ == ["in the chunk of bodies 30 to 59"]
+    with pytest.raises(ValueError, match=r"q0\[45"):
+        fd.propagate(SHARED, bad, W0, **RK4)
+    found = dask.compute(fd.propagate(SHARED, lazy, W0, invalid="flag", **RK4))[0]
+    fine = np.arange(N) != 45
+    assert np.flatnonzero(found.status).tolist() == [45]
+    assert same(found.q[:, fine], fa.propagate(SHARED, Q0, W0, **RK4).q[:, fine])
+
+
+UNKNOWN = da.from_array(Q0, chunks=(30, -1))[da.from_array(W0[:, 0], chunks=30) > 0]
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: fd.propagate(SHARED, Q0[0], W0[0], **STEPS), "q0: found one body"),
+        (lambda: fd.propagate(OWN, Q0[:9], W0[:9], **STEPS), f"inertia: found {N} bodies"),
+        (lambda: fd.propagate(SHARED, lazily([Q0])[0], W0[:9], **STEPS), "rows"),
+        (lambda: fd.propagate(SHARED, lazily([W0])[0], W0, **STEPS), "q0"),
+        (lambda: fd.propagate(SHARED, UNKNOWN, W0, **STEPS), "q0: found chunks of unknown size"),
+        (lambda: fd.propagate(SHARED, Q0, W0, chunks=0, **STEPS), "chunks: found 0"),
+        (lambda: fd.propagate(SHARED, Q0, W0, chunks=(9, 9), **STEPS), "chunks: found 18 bodies"),
+        (lambda: fd.propagate(SHARED, Q0, W0, **{**STEPS, "dt": 0.0}), "dt"),
+        (lambda: fd.propagate(SHARED, Q0, W0, method="magnus4", **STEPS), "method: found"),
+        (lambda: fd.propagate("free", Q0, W0, **STEPS), "scene: found"),
+        (lambda: fd.watch_drift(SHARED, Q0, W0, every=2, n_threads=2, **STEPS), "n_threads: found"),
+        (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=[]), "runs: found none"),
+        (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=["rk4"]), "runs: found 'rk4'"),
+        (
+            lambda: fd.work_precision(
+                SHARED, Q0, W0, t_end=1.0, runs=[("rk4", 9)], reference=("rk8", 1)
+            ),
+            "reference: found 1 step",
+        ),
+    ],
+)
+def test_wrong_arguments_are_named_before_anything_runs(call, message):
+    with pytest.raises((TypeError, ValueError), match=message.replace("(", r"\(")):
+        call()
