@@ -134,8 +134,9 @@ def propagate(
     q0, w0, v0, r0 : as of :func:`fastatt.propagate`, numpy or Dask arrays, one of them with a row
         for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
-    dt, n_steps, method, representation, save_every, dtype, t0, compensated, normalise, invalid,
-        looks : as of :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
+    dt, n_steps : numbers, the same for all bodies.
+    method, representation, save_every, dtype, t0, compensated, normalise, invalid, looks : as of
+        :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
         fails its chunk, and the error has a note of which bodies those are.
 
     Returns
