@@ -86,7 +86,7 @@ def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
         threads.append(options["n_threads"])
         return fa.propagate(*args, **options)
 
-    monkeypatch.setattr(fd, "run_chunk", counted)
+    monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
     lazy = fd.propagate(SHARED, Q0, W0, chunks=30, **RK4)
     assert threads == []
     dask.compute(lazy.q, lazy.w, lazy.status, lazy.C)

@@ -1,0 +1,176 @@
+"""Bodies in chunks: what is sent to workers, and Dask arrays of what comes of it."""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+from uuid import uuid4
+
+import dask.array as da
+import numpy as np
+from dask import delayed
+from dask.highlevelgraph import HighLevelGraph
+from numpy.typing import NDArray
+
+from fastatt import checks, rounding
+from fastatt.running.initial import initial
+from fastatt.scene import Scene, as_scene
+
+# bodies of a chunk: 0.5 s of a thousand steps, 6 MB of states
+_CHUNK = 100_000
+#: stands for states that Dask computes
+_LATER = "later"
+
+
+class Part:
+    """Which bodies a chunk has, their scene if it is their own, their states."""
+
+    def __init__(self, first: int, last: int, scene: Scene | None, states: list[Any]) -> None:
+        self.first, self.last, self.scene, self.states = first, last, scene, states
+
+
+class Work:
+    """What is done with each chunk: sent to a worker once, with a scene that all bodies share."""
+
+    def __init__(self, function: Callable[..., Any], scene: Scene | None) -> None:
+        self.function, self.scene = function, scene
+
+    def __call__(self, part: Part, *lazy: Any) -> Any:
+        """What the function gives of a chunk."""
+        scene = self.scene if part.scene is None else part.scene
+        computed = iter(lazy)
+        states = [next(computed) if isinstance(x, str) else x for x in part.states]
+        told: list[str] = []
+        before = rounding.heard.set(told)
+        try:
+            return self.function(scene, states)
+        except Exception as error:
+            error.add_note(f"in the chunk of bodies {part.first} to {part.last - 1}")
+            raise
+        finally:
+            rounding.heard.reset(before)
+            for text in told:
+                _warn(f"bodies {part.first} to {part.last - 1}: {text}")
+
+
+def _warn(text: str) -> None:
+    """Warn here and, of a worker, where its work was asked for."""
+    tell: Callable[..., Any] = warnings.warn
+    if "distributed" in sys.modules:
+        from distributed import warn as tell
+    tell(text, rounding.StepWarning)
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Initial states in chunks: Dask arrays, or what all bodies share."""
+
+    scene: Scene
+    given: tuple[Any, ...]
+    sizes: tuple[int, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, values: Sequence[Any], chunks: Any, *, flag: bool) -> Bodies:
+        """The same from whatever a user gives: what is not lazy is checked, of the rest the shape.
+
+        Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+        """
+        as_scene(scene)
+        names = ("q0", "w0", "v0", "r0")
+        lazy = {k: x for k, x in zip(names, values, strict=True) if isinstance(x, da.Array)}
+        for name, x in lazy.items():
+            if any(math.isnan(size) for size in x.shape):
+                raise ValueError(
+                    f"{name}: found chunks of unknown size; accepted: compute_chunk_sizes()"
+                )
+        like = [
+            np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
+            for x in values
+        ]
+        start, beside = initial(scene, like, flag=flag)
+        known: dict[str, Any] = {**beside, "q0": start, **lazy}
+        rows = [len(x) for x in known.values() if x.ndim == 2]
+        if not rows:
+            raise ValueError("q0: found one body; accepted: (N, 4), or another with N rows")
+        n = max(rows)
+        scene.packed(n)  # which refuses other numbers of bodies
+        sizes = _sizes(chunks, n, [x for x in lazy.values() if x.ndim == 2 and len(x) == n])
+        given = tuple(_chunked(known[k], n, sizes) if k in known else None for k in names)
+        return cls(scene, given, sizes)
+
+    def mapped(self, function: Callable[..., Any]) -> Any:
+        """``function(scene, states)`` of each chunk, as a Dask array of a block each."""
+        ends = np.cumsum(self.sizes).tolist()
+        own = self.scene.packed(None).params.ndim == 2
+        lazy = [x for x in self.given if isinstance(x, da.Array)]
+        work = delayed(Work(function, None if own else self.scene), traverse=False)
+        name = f"bodies-{uuid4().hex}"
+        graph: dict[Any, Any] = {}
+        # what comes with the graph is part of each task: a task of its own takes milliseconds
+        for i, (a, b) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+            part = Part(
+                a, b, self.scene[a:b] if own else None, [_rows(x, a, b) for x in self.given]
+            )
+            keys = [(x.name, i, 0) if x.ndim == 2 else (x.name, 0) for x in lazy]
+            graph[name, i] = (_worked, work.key, part, *keys)
+        needed = HighLevelGraph.from_collections(name, graph, dependencies=[*lazy, work])
+        return da.Array(needed, name, ((1,) * len(self.sizes),), meta=nothing(1, object))
+
+    def array(
+        self, runs: Any, name: str, saves: tuple[int, ...], kind: Any, tail: tuple[int, ...]
+    ) -> Any:
+        """One of the arrays that chunks give."""
+        chunks = (*((s,) for s in saves), self.sizes, *((k,) for k in tail))
+        new = [k for k in range(len(chunks)) if k != len(saves)]
+        return runs.map_blocks(
+            _named, name, chunks=chunks, new_axis=new, meta=nothing(len(chunks), kind)
+        )
+
+    def merged(self, merge: Callable[..., Any], function: Callable[..., Any]) -> Any:
+        """``merge(results)`` of what all chunks give, to be computed."""
+        blocks = self.mapped(function).to_delayed().tolist()
+        return delayed(merge, pure=False)(blocks)
+
+
+def _sizes(chunks: Any, n: int, lazy: list[Any]) -> tuple[int, ...]:
+    """Bodies of each chunk."""
+    if chunks is None and lazy:
+        return tuple(map(int, lazy[0].chunks[0]))
+    if chunks is None or isinstance(chunks, (int, np.integer)):
+        size = _CHUNK if chunks is None else checks.whole("chunks", chunks, 1)
+        return tuple(min(size, n - a) for a in range(0, n, size))
+    found = tuple(checks.whole("chunks", size, 1) for size in chunks)
+    if sum(found) != n:
+        raise ValueError(f"chunks: found {sum(found)} bodies in all; accepted: {n}")
+    return found
+
+
+def _chunked(x: Any, n: int, sizes: tuple[int, ...]) -> Any:
+    """An array whose chunks, if it has any, are those of bodies; or one row, which all share."""
+    if x.ndim == 2 and len(x) < n:
+        x = x[0]
+    return x.rechunk((sizes, -1)[2 - x.ndim :]) if isinstance(x, da.Array) else x
+
+
+def _rows(x: Any, first: int, last: int) -> Any:
+    """The bodies of a chunk."""
+    if isinstance(x, da.Array):
+        return _LATER
+    return x if x is None or x.ndim == 1 else x[first:last]
+
+
+def nothing(ndim: int, kind: Any) -> NDArray[Any]:
+    """An empty array that shows Dask what blocks are."""
+    return np.empty((0,) * ndim, dtype=kind)
+
+
+def _worked(work: Work, part: Part, *lazy: Any) -> Any:
+    return work(part, *lazy)
+
+
+def _named(found: dict[str, Any], name: str) -> Any:
+    return found[name]

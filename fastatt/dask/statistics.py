@@ -1,0 +1,233 @@
+"""Drift and precision of all bodies, merged from chunks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from fastatt import checks, rounding
+from fastatt.arrays import angle_between
+from fastatt.attitudes import Attitude
+from fastatt.dask.chunks import Bodies
+from fastatt.dask.runs import sent
+from fastatt.methods import Method
+from fastatt.running.ensemble import Ensemble
+from fastatt.running.watch import Measure
+from fastatt.running.watch import watch_drift as watch_chunk
+from fastatt.scene import Scene, as_scene
+from fastatt.trade.measure import Case, Problem, Rung, ladder_rows, last_state
+from fastatt.trade.reference import reference as found_reference
+from fastatt.trade.work_precision import WorkPrecision, duration
+
+_OPTIONS = (
+    *("dt", "n_steps", "method", "representation", "dtype"),
+    *("t0", "compensated", "normalise", "invalid", "looks"),
+)
+_MEASURES = ("norm", "orthogonality", "energy", "momentum")
+
+
+@dataclass(frozen=True)
+class Drifts:
+    """Drifts over all saves of all bodies, as ``fastatt.drift`` defines them.
+
+    Each is a ``Measure`` of one row, with ``maximum`` (1,) and ``percentile(p)`` (1,), or None
+    where the scene does not keep it. ``saves`` are those of a body, ``flags`` counts flagged ones.
+    """
+
+    norm: Measure
+    orthogonality: Measure
+    energy: Measure | None
+    momentum: Measure | None
+    saves: int
+    bodies: int
+    flags: dict[str, int]
+
+
+def watch_drift(
+    scene: Scene,
+    q0: Any,
+    w0: Any = None,
+    *,
+    every: int,
+    v0: Any = None,
+    r0: Any = None,
+    chunks: int | Sequence[int] | None = None,
+    **options: Any,
+) -> Any:
+    """Drift statistics over all bodies: a ``dask.delayed`` :class:`Drifts`; no history is kept.
+
+    ``every``, and ``options`` such as ``dt``, ``n_steps`` and ``method``, are those of
+    :func:`fastatt.watch_drift`; the rest is as of :func:`propagate`. A chunk hands on 2 kB.
+
+    Raises ``ValueError`` or ``TypeError`` for a scene or initial states that do not fit; for the
+    rest when it is computed.
+    """
+    if wrong := sorted(options.keys() - _OPTIONS):
+        raise TypeError(f"{wrong[0]}: found; accepted: {', '.join(_OPTIONS)}")
+    flag = options.get("invalid") == "flag"
+    bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=flag)
+    options["method"] = sent(scene, options.get("method"), options.get("representation", "quat"))[1]
+    return bodies.merged(_joined, partial(_watched, options={**options, "every": every}))
+
+
+def work_precision(
+    scene: Scene,
+    q0: Any,
+    w0: Any = None,
+    *,
+    t_end: float,
+    runs: Sequence[tuple[str | Method, int]],
+    reference: tuple[str | Method, int] | None = None,
+    v0: Any = None,
+    r0: Any = None,
+    t0: float = 0.0,
+    chunks: int | Sequence[int] | None = None,
+    representation: str | Attitude = "quat",
+    dtype: str = "float64",
+) -> Any:
+    """Errors of methods and steps on all bodies: a ``dask.delayed`` ``WorkPrecision``.
+
+    Parameters
+    ----------
+    scene, q0, w0, v0, r0, t0, chunks : as of :func:`propagate`.
+    t_end : duration, s, above 0.
+    runs : (method, number of steps) of each row.
+    reference : the same of what errors are taken against; its own error is taken to be what it
+        differs by from half as many steps. None: the closed form or, where there is none, what
+        :func:`fastatt.work_precision` takes, found for each chunk anew and so only the same within
+        its own error whatever the chunks.
+    representation, dtype : in which the runs are made.
+
+    Returns
+    -------
+    ``dask.delayed`` : when computed, ``rows``, ``frontier``, ``table()`` and so on of
+        :func:`fastatt.work_precision`; seconds are those of one thread of a worker, of one run,
+        with whatever else ran there. One task holds the errors of all, 16 bytes a run and body.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    """
+    as_scene(scene)
+    if not runs:
+        raise ValueError("runs: found none; accepted: (method, number of steps), one or more")
+    cases = [_case(scene, "runs", run, representation, dtype) for run in runs]
+    known = None if reference is None else _case(scene, "reference", reference, "quat", "float64")
+    if known is not None and known[1] < 2:
+        raise ValueError("reference: found 1 step; accepted: 2 or more, or None")
+    bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=False)
+    seconds, begin = duration(t_end), checks.real("t0", t0)
+    work = partial(_measured, cases=cases, known=known, t_end=seconds, t0=begin)
+    return bodies.merged(partial(_table, kind=scene.kind, cases=cases, t_end=seconds), work)
+
+
+def _case(
+    scene: Scene, name: str, run: Any, representation: str | Attitude, dtype: str
+) -> tuple[Case, int]:
+    if not (isinstance(run, (tuple, list)) and len(run) == 2):
+        raise TypeError(f"{name}: found {checks.brief(run)}; accepted: (method, number of steps)")
+    method = sent(scene, run[0], representation)[1]
+    kind = checks.precision(dtype).name
+    return Case(method, representation, kind), checks.whole(name, run[1], 1)
+
+
+def _watched(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> dict[str, Any]:
+    q0, w0, v0, r0 = states
+    seen = watch_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, resumable=False, **options)
+    measures = {name: getattr(seen, name) for name in _MEASURES}
+    return {
+        **{name: None if x is None else Measure.joined([x]) for name, x in measures.items()},
+        "saves": seen.saves,
+        "bodies": seen.trajectory.status.size,
+        "flags": Counter(seen.trajectory.status_counts()),
+    }
+
+
+def _joined(chunks: list[dict[str, Any]]) -> Drifts:
+    def joined(name: str) -> Any:
+        each = [chunk[name] for chunk in chunks]
+        return None if each[0] is None else Measure.joined(each)
+
+    return Drifts(
+        **{name: joined(name) for name in _MEASURES},
+        saves=chunks[0]["saves"],
+        bodies=sum(chunk["bodies"] for chunk in chunks),
+        flags=dict(sum((chunk["flags"] for chunk in chunks), Counter())),
+    )
+
+
+def _measured(
+    scene: Scene,
+    states: Sequence[Any],
+    cases: list[tuple[Case, int]],
+    known: tuple[Case, int] | None,
+    t_end: float,
+    t0: float,
+) -> Any:
+    """Errors of each case and what they are against."""
+    rounding.heard.set([])  # steps are too large on purpose
+    ensemble = Ensemble.of(scene, *states)
+    problem = Problem(ensemble.take(np.arange(ensemble.size)), t_end, t0, n_threads=1)
+    if known is None:
+        against = found_reference(problem)
+        end, source, own = against.end, against.source, float(np.max(against.own_error))
+    else:
+        case, n = known
+        end, coarse = problem.end(case, n), problem.end(case, n // 2)
+        source = f"{case.name} at {t_end / n:.4g} s"
+        own = float(angle_between(end.q, coarse.q).max())
+    found = []
+    for case, n in cases:
+        replace(problem, t_end=t_end / n).run(case, 1)  # which compiles
+        begin = perf_counter()
+        run = problem.run(case, n)
+        seconds = perf_counter() - begin
+        last = last_state(run)
+        rate = None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1)
+        defect = float(np.abs(run.defect).max())
+        error = angle_between(last.q, end.q)
+        found.append((seconds, error, defect, rate, Counter(run.status_counts())))
+    return found, source, own
+
+
+def _table(
+    chunks: list[Any], kind: str, cases: list[tuple[Case, int]], t_end: float
+) -> WorkPrecision:
+    """All chunks' errors in one table."""
+    ladders: dict[Case, list[Rung]] = {}
+    for (case, n), parts in zip(
+        cases, zip(*(found for found, *_ in chunks), strict=True), strict=True
+    ):
+        seconds, errors, defects, rates, flags = zip(*parts, strict=True)
+        counts: Counter[str] = sum(flags, Counter())
+        rung = Rung(
+            n_steps=n,
+            seconds=sum(seconds),
+            error=np.concatenate(errors),
+            defect=max(defects),
+            rate_error=None if rates[0] is None else np.concatenate(rates),
+            status=", ".join(f"{name} {count}" for name, count in counts.items()),
+        )
+        ladders.setdefault(case, []).append(rung)
+    rows = []
+    for case, rungs in ladders.items():
+        rungs.sort(key=lambda rung: rung.n_steps)
+        rows += ladder_rows(kind, case, t_end, rungs, case.record.order_of(kind))
+    n_bodies = rungs[0].error.size
+    _, source, _ = chunks[0]
+    own = max(own for *_, own in chunks)
+    return WorkPrecision(
+        rows=rows,
+        t_end=t_end,
+        n_bodies=n_bodies,
+        sampled=n_bodies,
+        reference=source,
+        reference_error=own,
+        confirmation="not confirmed by another method",
+    )
