@@ -174,6 +174,8 @@ def methods_for_samples(increments: bool = False) -> list[str]:
 
 def method_of(name: str, increments: bool) -> Method:
     """A method for samples by its name; ``ValueError`` for any other."""
+    if not isinstance(increments, (bool, np.bool_)):
+        raise TypeError(f"increments: found {checks.brief(increments)}; accepted: True or False")
     named = _named(increments)
     return named[checks.choice("method", name, named)]
 

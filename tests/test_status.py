@@ -25,7 +25,7 @@ def test_codes_are_those_that_are_documented():
     """They are stored beside results: numbers that stay."""
     assert {flag.name: int(flag) for flag in fa.Status if flag} == {
         "NON_FINITE": 1, "STEP_TOO_LARGE": 2, "INVARIANT": 4, "SINGULAR": 8, "NOT_CONVERGED": 16,
-        "NORM_LOST": 32,
+        "NORM_LOST": 32, "UNFINISHED": 64,
     }  # fmt: skip
 
 
