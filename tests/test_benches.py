@@ -19,6 +19,7 @@ import advice
 import check_cost
 import long_runs
 import method_table
+import own_steps
 import scale
 
 
@@ -123,3 +124,17 @@ def test_advice_is_compared_with_a_sweep(kind):
     assert found.kind == kind
     assert found.refused or found.met
     assert found.advice_seconds > 0.0
+
+
+def test_own_steps_are_compared_at_an_equal_error(monkeypatch, capsys):
+    """The same largest error within some percent, and fewer steps."""
+    monkeypatch.setattr(own_steps, "BODIES", 150)
+    monkeypatch.setattr(own_steps, "REFERENCE", 150)
+    monkeypatch.setattr(own_steps, "shortest", lambda run: (1.0, run()))
+    first = dict([next(iter(own_steps.problems().items()))])
+    monkeypatch.setattr(own_steps, "problems", lambda: first)
+    own_steps.main()
+    cells = capsys.readouterr().out.splitlines()[-1].split("|")[1:-1]
+    assert cells[0].strip() == "free bodies"
+    assert float(cells[3]) < 1e-5
+    assert float(cells[3]) == pytest.approx(float(cells[5]), rel=0.15)

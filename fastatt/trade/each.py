@@ -104,8 +104,14 @@ def own_steps(
     rates = np.maximum(rates, rates.max(initial=0.0) * 1e-6 + 1e-300)
     classes = _Classes(rates)
     rows = classes.sample(np.random.default_rng(seed))
-    counts = _counts(ensemble.take(rows), record, run, (rates[rows], classes.of[rows]))
-    steps = np.maximum(1, np.ceil(classes.between(counts) - 1e-9)).astype(np.int64)
+    sampled = rates[rows], classes.of[rows]
+    power = 1.0 + 1.0 / record.order_of(scene.kind)
+    flat, rising = _counts(ensemble.take(rows), record, run, sampled, power)
+    # each is enough for all bodies of a class that were looked at, so the lesser one is
+    share = (rates / classes.tops[classes.of]) ** power
+    enough = np.minimum(flat[classes.of], rising[classes.of] * share)
+    limit = rates * duration / record.limit("quat", body=True)
+    steps = np.ceil(np.maximum(np.maximum(enough, limit), 1.0) - 1e-9).astype(np.int64)
     return OwnSteps(
         method if method is not None else record.name,
         duration / steps,
@@ -147,21 +153,16 @@ class _Classes:
         width = max(high - low, 1e-12) / _CLASSES
         found = np.minimum((self._logs - low) / width, _CLASSES - 1).astype(np.int64)
         names, self.of = np.unique(found, return_inverse=True)
-        self._tops = np.array([self._logs[self.of == k].max() for k in range(names.size)])
+        self.tops = np.array([rates[self.of == k].max() for k in range(names.size)])
 
     def sample(self, chance: np.random.Generator) -> NDArray[np.intp]:
         """As many of each, the fastest of all among them."""
-        each = max(1, _SAMPLE // self._tops.size)
+        each = max(1, _SAMPLE // self.tops.size)
         chosen = [int(self._logs.argmax())]
-        for k in range(self._tops.size):
+        for k in range(self.tops.size):
             members = np.flatnonzero(self.of == k)
             chosen += chance.choice(members, min(each, members.size), replace=False).tolist()
         return np.unique(np.array(chosen, dtype=np.intp))
-
-    def between(self, counts: NDArray[np.float64]) -> Any:
-        """Steps of every body from those of the fastest of each class: a power of the rate."""
-        rising = np.log(np.maximum.accumulate(counts))
-        return np.exp(np.interp(self._logs, self._tops, rising))
 
 
 def _counts(
@@ -169,8 +170,12 @@ def _counts(
     method: Method,
     run: tuple[float, float, float],
     rates_and_classes: tuple[NDArray[np.float64], NDArray[np.intp]],
-) -> NDArray[np.float64]:
-    """Steps of each class for a tolerance, by halving."""
+    power: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Steps for a tolerance, by halving: enough for all of a class, and for its fastest body.
+
+    The latter fall with the rate by its ``power``.
+    """
     t0, duration, tol = run
     rates, of = rates_and_classes
     order = method.order_of(bodies.scene.kind)
@@ -190,15 +195,18 @@ def _counts(
 
     for _ in range(_TRIALS):
         angles = angle_between(attitudes(counts), attitudes(2.0 * counts)).max(axis=0)
-        gaps = np.zeros(counts.size)
-        np.maximum.at(gaps, of, np.nan_to_num(angles, nan=np.pi))
-        errors = np.maximum(gaps / (1.0 - 2.0**-order), 1e-16)
-        wanted = np.ceil(counts * (errors / aim) ** (1.0 / order))
-        wanted = np.maximum(wanted, least)
+        angles = np.nan_to_num(angles, nan=np.pi)
+        errors = np.maximum(angles / (1.0 - 2.0**-order), 1e-16)
+        each = counts[of] * (errors / aim) ** (1.0 / order)
+        gaps, wanted = np.zeros(counts.size), least.copy()
+        np.maximum.at(gaps, of, angles)
+        np.maximum.at(wanted, of, each)
         # near enough for the order to say the rest
         near = (wanted <= 2.0 * counts) & (wanted >= np.minimum(0.8 * counts, counts - 2.0))
         if ((gaps < _LARGE) & near).all():
-            return np.asarray(wanted)
+            fastest = np.zeros(counts.size)
+            np.maximum.at(fastest, of, each * (tops[of] / rates) ** power)
+            return wanted, fastest
         counts = np.where(gaps < _LARGE, np.clip(wanted, 0.5 * counts, 8.0 * counts), 2.0 * counts)
         counts = np.maximum(np.ceil(counts), least)
     raise ValueError(
