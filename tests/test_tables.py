@@ -214,7 +214,7 @@ NUMBERS = {3: (0.4, -0.3, 0.2), 4: Q0, 0: 0.7}
 @pytest.mark.parametrize(("model", "name"), FIELDS, ids=lambda x: getattr(x, "__name__", x))
 @pytest.mark.parametrize("own", [False, True], ids=["shared", "own"])
 def test_a_table_that_does_not_change_is_its_number(model, name, own):
-    records = torques if model.__module__ == torques.__name__ else forces
+    records = torques if model in torques.RECORDS else forces
     shapes = {n: f.shape for n, f in zip(model._fields, records.RECORDS[model].fields, strict=True)}
     given = {n: NUMBERS[shape[0] if shape else 0] for n, shape in shapes.items()}
     value = np.array(given[name])

@@ -92,6 +92,10 @@ def unit_of(layout: Layout, clock: int, stamps: NDArray[Any], said: str | None) 
     return guessed[0]
 
 
+# of the first row: above 0, and no denormal, which another library may have switched off
+_BEFORE_ALL = float(np.finfo(np.float64).tiny)
+
+
 class Mending:
     """Rows with the time in order; others are refused, dropped, cut out or held over.
 
@@ -120,8 +124,9 @@ class Mending:
         """
         start = -math.inf if self.last is None else self.last[0]
         with np.errstate(invalid="ignore", over="ignore"):
-            before = np.nextafter(t[:1], start) if self.last is None else start
-            gaps = np.diff(t, prepend=before)
+            gaps = np.diff(t, prepend=t[:1] if self.last is None else start)
+            if self.last is None:
+                gaps[:1] += _BEFORE_ALL  # 0, or no number
             # a sum is quick to look at, and may overflow
             numbers = math.isfinite(block.values.sum()) or bool(np.isfinite(block.values).all())
             longest = gaps.max(initial=0.0)

@@ -89,7 +89,7 @@ def integrated(d: Draw, methods: tuple[str, ...] = METHODS) -> Call:
     ):
         if d.chance(p):
             options[name] = value()
-    names = ("rates", "dt", "q0", "method", "dtype", "n_threads", "max_gap", "out")
+    names = ("rates", "dt", "q0", "method", "dtype", "n_threads", "max_gap", "out", "increments")
     return Call(fa.integrate_rates, (rates, dt), options, unit, names)
 
 
