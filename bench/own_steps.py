@@ -14,7 +14,7 @@ import fastatt as fa
 
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 BODIES, REFERENCE = (200, 200) if SMALL else (20_000, 3000)
-END = 20.0
+END = 20.0 if SMALL else 100.0
 
 
 def problems():
