@@ -20,11 +20,13 @@ SCENES = {
     "rate": fa.Scene(rate=fa.rates.Coning(0.4, 1.3)),
     "spin": fa.Scene(rate=fa.rates.Constant((0.3, 0.2, 9.0))),
 }
+# what they add to the others: torque and time, turns beyond pi a step
+FEW = {"torqued": ("rk4", "rk8", "strang2", "suzuki4"), "spin": ("rk4", "magnus4")}
 STEPPED = [
     (kind, name)
     for kind, scene in SCENES.items()
     for name in fa.methods_for(scene, "quat")
-    if fa.METHODS[name].is_stepped and (kind != "spin" or name in ("rk4", "magnus4"))
+    if fa.METHODS[name].is_stepped and name in FEW.get(kind, fa.METHODS)
 ]
 
 

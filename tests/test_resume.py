@@ -163,6 +163,10 @@ def test_what_can_not_go_on(tmp_path):
             fa.propagate(free, resume=run, dt=0.05, n_steps=1)
         with pytest.raises(ValueError, match="end: this trajectory does not hold it"):
             run.save_end(path)
+    begun = fa.propagate(free, Q0, W0, n_steps=2, **RK4)
+    for options in ({"save_at": [0.12]}, {"checkpoint": path}, {"t0": 1.0}, {"w0": W0}):
+        with pytest.raises(ValueError, match=f"{next(iter(options))}: found .*with resume"):
+            fa.propagate(free, resume=begun, dt=0.05, n_steps=1, **options)
     with pytest.raises(TypeError, match="resume: found 3"):
         fa.propagate(free, resume=3, dt=0.05, n_steps=1)
     assert not path.exists()

@@ -159,7 +159,7 @@ def propagate(
             same_number({**beside, "q0": start})
         given = Given.of(start, beside, checks.precision(dtype, *values))
     else:
-        _check_none(values, begin)
+        _check_none(values, begin, save_at=save_at, checkpoint=checkpoint)
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
         if dtype is not None and checks.precision(dtype) != given.q.dtype:
             raise ValueError(
@@ -323,9 +323,10 @@ def _check_own(**asked: Any) -> None:
             )
 
 
-def _check_none(values: tuple[Any, ...], t0: float) -> None:
-    """Initial values come from the run that is resumed."""
-    for name, value in zip(("q0", "w0", "v0", "r0"), values, strict=True):
+def _check_none(values: tuple[Any, ...], t0: float, **others: Any) -> None:
+    """Initial values come from the run that is resumed, and saves are counted from its end."""
+    given = {**dict(zip(("q0", "w0", "v0", "r0"), values, strict=True)), **others}
+    for name, value in given.items():
         if value is not None:
             raise ValueError(f"{name}: found with resume; accepted: one of them")
     if t0:
