@@ -77,13 +77,9 @@ class OwnWriter(Writer):
         b, args = code.b, given.arguments
         call = self.module.globals
         base = tile * self.width
-        bodies, first = given.whole("bodies"), given.whole("first")
+        first = given.whole("first")
         b.call(call["begin"], [rows, memory["done"], tile.value, *args])
-        watch = given.array("watch", self.real.as_pointer())
-        with code.when(first.equals(0)), code.loop(0, (bodies - base).at_most(self.width)) as j:
-            for row in range(3):
-                code.store(watch, bodies * row + (base + j), code.real(self.kind, 0.0))
-        loud = self._loud(code, given, rows, far, base) if self.job.known else None
+        loud = self._begin_watch(code, given, rows, far, base)
         before, row = self._number(code, rows, "before", 0, "double")
         step, at = self._number(code, rows, "dt", 0, "double")
         with code.when(first > 0), code.lanes(self.width, 1) as j:
@@ -94,12 +90,7 @@ class OwnWriter(Writer):
             slot = Int(code, code.load(given.array("slots", _WHOLE), save))
             with code.when(slot >= 0):
                 self._look_between(code, given, memory, (tile, save, slot))
-        x = given.array("x", self.real.as_pointer())
-        with code.loop(0, (bodies - base).at_most(self.width)) as j:
-            target = (base + j) * self.formulas.size
-            with code.loop(0, self.formulas.size) as i:
-                code.store(x, target + i, code.load(rows, i * self.width + j))
-            self._judge(code, given, rows, (j, base + j))
+        self._end_tile(code, given, rows, base)
 
     def _on_grid(self, code: Code, given: Given, step: Any, save: Any) -> tuple[Int, Any]:
         """Steps of a body from the begin to the last before a save, and what is left of one, s.

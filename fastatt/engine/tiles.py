@@ -226,10 +226,7 @@ class Writer(Pieces):
         n_steps, bodies = given.whole("n_steps"), given.whole("bodies")
         b.call(globals_["begin"], [rows, done, tile.value, *args])
         watch = given.array("watch", self.real.as_pointer())
-        with code.when(first.equals(0)), code.loop(0, (bodies - base).at_most(self.width)) as j:
-            for row in range(3):
-                code.store(watch, bodies * row + (base + j), code.real(self.kind, 0.0))
-        loud = self._loud(code, given, rows, far, base) if self.job.known else None
+        loud = self._begin_watch(code, given, rows, far, base)
 
         def save(n: Int) -> None:
             b.call(globals_["save"], [rows, done, tile.value, n.value, *args])
@@ -260,11 +257,23 @@ class Writer(Pieces):
                     b.call(globals_["mend"], [rows, tile.value, *args])
             with code.when(b.or_(((stop - origin) % every).equals(0), stop.equals(n_steps))):
                 save(stop)
-        x = given.array("x", self.real.as_pointer())
-        with code.loop(0, (bodies - base).at_most(self.width)) as j:
-            target = (base + j) * self.formulas.size
-            with code.loop(0, self.formulas.size) as i:
-                code.store(x, target + i, code.load(rows, i * self.width + j))
+        self._end_tile(code, given, rows, base)
+
+    def _begin_watch(self, code: Code, given: Given, rows: Any, far: Any, base: Int) -> Any:
+        """Nothing was seen yet; whether a lane's turns are not known to be quiet."""
+        watch = given.array("watch", self.real.as_pointer())
+        begins, bodies = given.whole("first").equals(0), given.whole("bodies")
+        with code.when(begins), code.loop(0, (bodies - base).at_most(self.width)) as j:
+            for row in range(3):
+                code.store(watch, bodies * row + (base + j), code.real(self.kind, 0.0))
+        return self._loud(code, given, rows, far, base) if self.job.known else None
+
+    def _end_tile(self, code: Code, given: Given, rows: Any, base: Int) -> None:
+        """The states, from which a run may go on, and the flags."""
+        x, size = given.array("x", self.real.as_pointer()), self.formulas.size
+        with code.loop(0, (given.whole("bodies") - base).at_most(self.width)) as j:
+            with code.loop(0, size) as i:
+                code.store(x, (base + j) * size + i, code.load(rows, i * self.width + j))
             self._judge(code, given, rows, (j, base + j))
 
     def _run_block(
