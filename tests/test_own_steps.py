@@ -12,6 +12,7 @@ N = 70  # more than a tile
 CHANCE = np.random.default_rng(7)
 Q0, W0 = CHANCE.normal(size=(N, 4)), CHANCE.normal(size=(N, 3))
 COUNTS = CHANCE.integers(20, 90, size=N)
+COUNTS[33] = 45  # 0.4 s is on its grid, on no neighbour's
 END = 1.5
 STEPS = END / COUNTS
 SCENES = {
@@ -125,6 +126,14 @@ def test_steps_past_the_limit_are_the_bodys_own():
     with pytest.warns(fa.StepWarning, match=r"a step of body 4 is .*1 of 70 bodies"):
         found = fa.propagate(SCENES["free"], Q0, w0, dt=2.0 / counts, n_steps=counts, method="rk4")
     assert np.flatnonzero(found.status).tolist() == [4]
+
+
+def test_a_body_that_waits_is_not_judged():
+    """While it waits its lane goes on, to times when this rate is beyond any method."""
+    scene = fa.Scene(rate=fa.rates.Polynomial([[0.1, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    counts = np.where(np.arange(N) == 4, 15, 400)
+    found = fa.propagate(scene, Q0, dt=END / counts, n_steps=counts, method="rk4")
+    assert not found.status.any()
 
 
 @pytest.mark.parametrize(

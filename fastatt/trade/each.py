@@ -29,8 +29,8 @@ _SAFETY = 1.5  # for the bodies that were not measured
 class OwnSteps:
     """A step and a number of steps for each body, (N,), and what to expect of them.
 
-    ``share`` is the time of the run beside that of one step for all, the smallest; errors, rad, are
-    the largest over the run.
+    ``share`` is the number of steps beside that of one step for all, the smallest; the error, rad,
+    is the largest over the run.
     """
 
     method: str | Method
@@ -66,8 +66,9 @@ def own_steps(
     """Steps of each body's own with which the largest error over a run meets a tolerance.
 
     Bodies are put into classes of like rates. On a sample of each the method's error is measured by
-    halving the steps; the number of steps of a body lies between those of the classes about it, in
-    proportion to a power of the rate. Takes as long as a few runs of 1536 bodies.
+    halving the steps. A body takes the lesser of two numbers that were enough for all of its class
+    that were looked at: one for the class, and one that falls with the rate to the power
+    1 + 1/order. Takes as long as a few runs of 1536 bodies.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def own_steps(
     rates = np.maximum(rates, rates.max(initial=0.0) * 1e-6 + 1e-300)
     classes = _Classes(rates)
     rows = classes.sample(np.random.default_rng(seed))
-    sampled = rates[rows], classes.of[rows]
+    sampled = rates[rows], classes.of[rows], classes.tops
     power = 1.0 + 1.0 / record.order_of(scene.kind)
     flat, rising = _counts(ensemble.take(rows), record, run, sampled, power)
     # each is enough for all bodies of a class that were looked at, so the lesser one is
@@ -169,20 +170,19 @@ def _counts(
     bodies: Ensemble,
     method: Method,
     run: tuple[float, float, float],
-    rates_and_classes: tuple[NDArray[np.float64], NDArray[np.intp]],
+    classes: tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]],
     power: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Steps for a tolerance, by halving: enough for all of a class, and for its fastest body.
 
-    The latter fall with the rate by its ``power``.
+    The latter fall with the rate by its ``power``; ``classes`` are rates and classes of the bodies,
+    and the largest rate of each class.
     """
     t0, duration, tol = run
-    rates, of = rates_and_classes
+    rates, of, tops = classes
     order = method.order_of(bodies.scene.kind)
     at = t0 + duration * np.arange(1, _LOOKS + 1) / _LOOKS
     aim = tol / _SAFETY
-    tops = np.zeros(of.max() + 1)
-    np.maximum.at(tops, of, rates)
     least = np.maximum(4.0, np.ceil(tops * duration / method.limit("quat", body=True)))
     counts = np.maximum(least, np.ceil(tops * duration / _FIRST))
 
