@@ -13,6 +13,9 @@ from fastatt.threads import in_threads
 
 _PIECE = 2_000_000  # body-steps to begin with between two looks at Ctrl-C
 _SECONDS = 0.1  # between two looks
+_TILES = (
+    64  # of a piece: a block of their steps takes 0.3 s where a function is called for each body
+)
 
 
 class InterruptedRun(KeyboardInterrupt):
@@ -40,7 +43,7 @@ def run_ensemble(
     """
     n_bodies, width = bodies_and_width
     n_tiles = -(-n_bodies // width)
-    pieces = min(n_tiles, max(8 * n_threads if n_threads > 1 else 1, n_tiles // 1024))
+    pieces = min(n_tiles, max(8 * n_threads if n_threads > 1 else 1, n_tiles // _TILES))
     bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
     reached = dict.fromkeys(pairwise(bounds), span.first)
 
