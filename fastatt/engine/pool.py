@@ -13,9 +13,8 @@ from fastatt.threads import in_threads
 
 _PIECE = 2_000_000  # body-steps to begin with between two looks at Ctrl-C
 _SECONDS = 0.1  # between two looks
-_TILES = (
-    64  # of a piece: a block of their steps takes 0.3 s where a function is called for each body
-)
+# tiles of a piece: a block of their steps takes 0.3 s where a function is called for each body
+_TILES = 64
 
 
 class InterruptedRun(KeyboardInterrupt):
