@@ -413,7 +413,6 @@ def stop():
 
 def test_ctrl_c_keeps_what_is_done(monkeypatch):
     """In a thread that waits for others: they finish their pieces, and begin no more."""
-
     pressed = itertools.count()
 
     def press():
