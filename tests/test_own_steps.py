@@ -172,3 +172,20 @@ def test_own_steps_meet_the_tolerance_with_fewer_steps(method, tol):
     assert angle(found.q[-1], exact.q[-1]).max() < tol
     assert own.share < 0.35
     assert not found.status.any()
+    side_by_side = -np.sort(-own.n_steps)[: 300 - 300 % 64].reshape(-1, 64)
+    assert (side_by_side == side_by_side[:, :1]).all()
+
+
+def test_a_sample_of_one_misses_harder_bodies():
+    """Of equal spins some axes are harder."""
+    w0 = np.vstack([(0.0, 0.0, 5.0 + 1e-9), CHANCE.normal(size=(99, 3))])
+    w0[1:] *= 5.0 / np.linalg.norm(w0[1:], axis=1)[:, None]
+    exact = fa.propagate(SCENES["free"], Q0[:1], w0, dt=10.0, n_steps=1, method="exact")
+    errors = []
+    for sample in (1, 100):
+        options = {"t_end": 10.0, "tol": 1e-5, "method": "rk4", "sample": sample}
+        own = fa.own_steps(SCENES["free"], Q0[:1], w0, **options)
+        run = fa.propagate(SCENES["free"], Q0[:1], w0, **own.arguments)
+        errors.append(angle(run.q[-1], exact.q[-1]).max())
+    assert errors[1] < 1e-5
+    assert errors[0] > 1.02 * errors[1]

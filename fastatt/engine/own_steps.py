@@ -24,12 +24,37 @@ class OwnWriter(Writer):
 
     def quick(self) -> str:
         """The loop over tiles with the quick form of a block."""
-        self._block("block", self.formulas.quick, self.job.look)
+        step = self.formulas.quick, self.job.look
+        if self.formulas.is_timed:
+            self._block("even", *step, even=True)
+            self._block("uneven", *step)
+            self._either()
+        else:
+            self._block("block", *step)
         self._begin()
         self._save()
         self._regrid()
         self._tiles()
         return text_of(self.module)
+
+    def _either(self) -> None:
+        """A block of steps: what depends on time alone is found once where lanes share it."""
+        code, given, (rows, *steps) = self._function("block", self.real.as_pointer(), I64, I64)
+        b = code.b
+        differ = code.variable(0)
+        for name in ("dt", "before", "begin"):
+            pointer, row = self._number(code, rows, name, 0, "double")
+            first = code.load(pointer, row)
+            with code.lanes(self.width, 1) as j:
+                other = b.fcmp_unordered("!=", code.load(pointer, j + row), first)
+                found = b.or_(code.get(differ).value, b.zext(other, I64))
+                code.set(differ, Int(code, found))
+        call, arguments = self.module.globals, [rows, *steps, *given.arguments]
+        with code.when(code.get(differ).equals(0)):
+            b.call(call["even"], arguments)
+            code.give(0)
+        b.call(call["uneven"], arguments)
+        code.give(0)
 
     def _regrid(self) -> None:
         """From states on the grid of one step to states as they are stepped with another.

@@ -122,12 +122,6 @@ class Pieces:
         vector = isinstance(value.type, ir.VectorType)
         return code.b.fptrunc(value, ir.VectorType(self.real, self.lanes) if vector else self.real)
 
-    def _time(self, code: Code, given: Given, n: Any) -> Any:
-        """t0 + n h, of a number of steps."""
-        b = code.b
-        steps = b.sitofp(n.value, REALS["double"]) if isinstance(n, Int) else n
-        return b.fadd(given.number("t0"), b.fmul(steps, given.number("h")))
-
     def _own_times(self, code: Code, rows: Any, lane: Int) -> list[Any]:
         """Each body's step, how many it has taken, and when it began."""
         return [self._lane_double(code, rows, x, lane) for x in ("dt", "before", "begin")]
@@ -138,38 +132,41 @@ class Pieces:
         return code.vector(pointer, lane + at, self.lanes)
 
     def _stepping(
-        self, code: Code, given: Given, n: Any, parts: tuple[Any, Any, Any] | None
+        self, code: Code, given: Given, n: Any, parts: tuple[Any, Any, Any] | None, even: Any = None
     ) -> tuple[dict[str, Any], Any]:
         """(t, h, k) of step n, as numbers or, by a function of rows and lane, as vectors.
 
-        ``parts`` are a stage's shares of the step and where in it the other flow acts.
+        ``parts`` are a stage's shares of the step and where in it the other flow acts; ``even`` the
+        rows of a tile whose bodies' own steps are equal.
         """
-        b, h = code.b, given.number("h")
+        b = code.b
+        steps = b.sitofp(n.value, REALS["double"])
+
+        def times(step: Any, begin: Any, steps: Any, parts: Any) -> dict[str, Any]:
+            spans = [step, step]
+            if parts:  # to a whole number first: the same bits of own steps and of one for all
+                steps = b.fadd(steps, parts[2])
+                spans = [b.fmul(x, step) for x in parts[:2]]
+            h, k = (self._narrow(code, x) for x in spans)
+            return {"t": b.fadd(begin, b.fmul(steps, step)), "h": h, "k": k}
+
         if not self.job.own_steps:
-            if parts is None:
-                span = self._narrow(code, h)
-                return {"t": self._time(code, given, n), "h": span, "k": span}, None
-            share, other, at = parts
-            steps = b.fadd(b.sitofp(n.value, REALS["double"]), at)
-            spans = [self._narrow(code, b.fmul(x, h)) for x in (share, other)]
-            return {"t": self._time(code, given, steps), "h": spans[0], "k": spans[1]}, None
-        count = code.splat(b.sitofp(n.value, REALS["double"]), self.lanes)
+            return times(given.number("h"), given.number("t0"), steps, parts), None
+        if even is not None:
+            first = (self._number(code, even, x, 0, "double") for x in ("dt", "before", "begin"))
+            step, before, begin = (code.load(*x) for x in first)
+            return times(step, begin, b.fadd(before, steps), parts), None
+        count = code.splat(steps, self.lanes)
         shares = parts and [code.splat(x, self.lanes) for x in parts]
 
         def wide(rows: Any, lane: Int) -> dict[str, Any]:
             step, before, begin = self._own_times(code, rows, lane)
-            steps = b.fadd(before, count)
-            if shares:  # to a whole number, as of one step for all
-                steps = b.fadd(steps, shares[2])
-            time = b.fadd(begin, b.fmul(steps, step))
-            spans = [b.fmul(x, step) for x in shares[:2]] if shares else [step, step]
-            narrow = [self._narrow(code, x) for x in spans]
-            return {"t": time, "h": narrow[0], "k": narrow[1]}
+            return times(step, begin, b.fadd(before, count), shares)
 
         return {}, wide
 
-    def _block(self, name: str, forms: Any, look: str) -> None:
-        """Steps [first, last) of every lane."""
+    def _block(self, name: str, forms: Any, look: str, *, even: bool = False) -> None:
+        """Steps [first, last) of every lane; ``even`` of lanes whose own steps are equal."""
         code, given, (rows, first, last) = self._function(name, self.real.as_pointer(), I64, I64)
         begin, end = Int(code, first), Int(code, last)
         with code.lanes(self.width, self.lanes) as j:
@@ -179,7 +176,7 @@ class Pieces:
         emit = self._emitter(code, given)
 
         def lanes(noted: bool, n: Int, parts: Any = None) -> None:
-            scalars, wide = self._stepping(code, given, n, parts)
+            scalars, wide = self._stepping(code, given, n, parts, rows if even else None)
             scalars.update(shared)
             flat = forms.noted if noted else forms.plain
             before = emit.shared(flat, scalars)
@@ -334,7 +331,7 @@ class Pieces:
             if n is None:
                 return {"t": given.number("t0"), "h": h, "edge": edge, **shared}, None
             since = b.fmul(b.sitofp(n.value, REALS["double"]), given.number("h"))
-            found = {"t": self._time(code, given, n), "since": self._narrow(code, since)}
+            found = {"t": b.fadd(given.number("t0"), since), "since": self._narrow(code, since)}
             return {**found, "edge": edge, **shared}, None
         share = code.splat(given.number("edge"), self.lanes)
 
