@@ -65,8 +65,13 @@ def any_real(name: str, value: Any, accepted: str) -> float:
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
     """float64 or float32: as asked, or float32 when all the arrays are."""
     if dtype is None:
-        given = {a.dtype for a in arrays if isinstance(a, np.ndarray)}
-        return _SINGLE if given == {_SINGLE} else _DOUBLE
+        found: np.dtype[Any] = _DOUBLE
+        for a in arrays:
+            if isinstance(a, np.ndarray):
+                if a.dtype != _SINGLE:
+                    return _DOUBLE
+                found = _SINGLE
+        return found
     try:
         kind: np.dtype[Any] | None = np.dtype(dtype)
     except (TypeError, ValueError):
@@ -86,9 +91,10 @@ def array(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, .
 def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, ...]]) -> Floats:
     """The same, finite or not."""
     found = numbers(name, value, f"real numbers of shape {shapes}")
-    if not any(_fits(found.shape, tail) for tail in tails):
-        raise ValueError(f"{name}: {shape(found)}; accepted: {shapes}")
-    return found
+    for tail in tails:
+        if _fits(found.shape, tail):
+            return found
+    raise ValueError(f"{name}: {shape(found)}; accepted: {shapes}")
 
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
@@ -120,8 +126,9 @@ def finite(name: str, value: Floats) -> None:
 
 def all_finite(value: Floats) -> bool:
     """Whether all numbers are finite."""
-    if value.size <= 16:  # one by one they take less time than NumPy does to begin
-        return all(map(math.isfinite, value.ravel().tolist()))
+    # a sum of few numbers takes less time than NumPy does to begin
+    if value.size <= 16 and math.isfinite(sum(value.ravel().tolist())):
+        return True
     return bool(np.isfinite(value).all())
 
 

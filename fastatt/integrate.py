@@ -12,18 +12,19 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.gyro.engine import Run, beginning, finish
+from fastatt.gyro.engine import NO_TURN, Run, beginning, finish
 from fastatt.methods import METHODS, Method
 from fastatt.running.limits import StepWarning
 from fastatt.threads import number_of, progress_bar
 
 _GAP = 10.0  # an interval this many times the median is a hole in the log
+_UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
 def integrate_rates(
     rates: ArrayLike,
     dt: ArrayLike,
-    q0: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    q0: ArrayLike = _UNTURNED,
     *,
     method: str = "previous",
     increments: bool = False,
@@ -71,7 +72,7 @@ def integrate_rates(
     spans = intervals(dt, count, max_gap, precision)
     check_intervals(method, uneven=isinstance(spans, np.ndarray))
     threads = None if n_threads is None else number_of(n_threads)
-    start = unit_quaternions("q0", q0)
+    start = NO_TURN if q0 is _UNTURNED else unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
         raise ValueError(f"q0: has shape {start.shape}; accepted: (4,) or ({n_logs}, 4), one a log")
 
@@ -177,7 +178,9 @@ def method_of(name: str, increments: bool) -> Method:
     if not isinstance(increments, (bool, np.bool_)):
         raise TypeError(f"increments: found {checks.brief(increments)}; accepted: True or False")
     named = _named(increments)
-    return named[checks.choice("method", name, named)]
+    if type(name) is not str or name not in named:
+        name = checks.choice("method", name, named)
+    return named[name]
 
 
 def check_intervals(method: str, *, uneven: bool) -> None:

@@ -23,7 +23,8 @@ SAMPLED = [
 
 
 def forget():
-    for made in (engine.windows, engine._program, engine._loops):
+    engine._PROGRAMS.clear()
+    for made in (engine.windows, engine._loops):
         made.cache_clear()
 
 

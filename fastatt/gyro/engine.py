@@ -32,9 +32,12 @@ _KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
 _SCRATCH = threading.local()
 # programs are made once: threads that meet the need of one together wait for the first
 _MAKING = threading.Lock()
-_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
-# tiles below which a thread more is no gain
-_TILES = 64
+_PROGRAMS: dict[Any, _Program] = {}
+NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
+_AT_REST = np.tile(NO_TURN, 2)
+# intervals of a tile of one log, and tiles below which a thread more is no gain
+_TILE, _TILES = LANES * CHUNK, 64
+_SHORT = (2 * _TILES - 1) * _TILE
 # tiles that take some 0.05 s
 _PIECE = 4096
 
@@ -61,14 +64,14 @@ class Run:
     ) -> None:
         uneven = isinstance(spans, np.ndarray)
         self._held = data, spans, out
-        with _MAKING:
-            program = self._program = _program(window, increments, _KINDS[data.dtype], uneven)
+        program = self._program = _program(window, increments, data.dtype, uneven)
         samples, self._count = data.shape[1], out.shape[1] - 1
         missing = 0 if window.iteration else -self._count % window.span
         self._ends = program.ends(spans, samples, missing)
         job = self._job = Job.from_buffer_copy(self._ends)
         job.data, job.out = _address(data), _address(out)
         job.n_samples, job.lead, job.n_out = samples - lead, lead, self._count + 1
+        job.count = self._count
         if uneven:
             job.spans, job.n_spans = _address(spans), len(spans) - lead
         else:
@@ -84,6 +87,8 @@ class Run:
         It ends at the end. Gives the largest component of an angle over an interval, rad.
         """
         n_logs, count = len(q), self._count
+        if n_logs == 1 and count <= _SHORT and not (phase or done):
+            return self._through(self._job, "along", (0, -(-count // _TILE)), _address(q), 1)
         head = min(-phase % CHUNK, count)
         chunks = -(-(count - head) // CHUNK)
         if n_logs >= LANES or n_logs * -(-chunks // LANES) > chunks:
@@ -116,7 +121,8 @@ class Run:
         def task(first: int, stop: Event) -> None:
             if not stop.is_set():
                 last = min(first + size, n_logs)
-                peaks.append(self._through(job, "sweep", (first, last), _address(q)))
+                own = Job.from_buffer_copy(job)
+                peaks.append(self._through(own, "sweep", (first, last), _address(q)))
                 if done:
                     done((last - first) * count)
 
@@ -129,16 +135,15 @@ class Run:
         """Runs of tiles, each of whose lanes takes a chunk, on each thread."""
         job = Job.from_buffer_copy(self._job)
         job.log, (job.first, job.count) = log, at
-        tiles = -(-at[1] // (LANES * CHUNK))
-        if tiles < 2 * _TILES and not done:
-            return self._through(job, "along", (0, tiles), _address(q), 1)
+        tiles = -(-at[1] // _TILE)
         threads = max(1, min(number_of(n_threads), tiles // _TILES))
         bounds = [tiles * i // threads for i in range(threads + 1)]
         starts = [q, *(q.copy() for _ in bounds[2:])]
         peaks = []
 
         def through(piece: tuple[int, int], p: NDArray[Any], write: int) -> None:
-            peaks.append(self._through(job, "along", piece, _address(p), write))
+            own = Job.from_buffer_copy(job)
+            peaks.append(self._through(own, "along", piece, _address(p), write))
 
         if threads > 1:
             known = bounds[-2]
@@ -161,16 +166,15 @@ class Run:
             for piece in _pieces(first, last, stop):
                 through(piece, p, 1)
                 if done:
-                    done(min(LANES * CHUNK * piece[1], at[1]) - LANES * CHUNK * piece[0])
+                    done(min(_TILE * piece[1], at[1]) - _TILE * piece[0])
 
         runs = zip(starts, pairwise(bounds), strict=True)
         in_threads([partial(along, p, a, z) for p, (a, z) in runs], threads)
         q[:] = starts[-1]
         return max(peaks)
 
-    def _through(self, given: Job, name: str, bounds: tuple[int, int], q: int, *how: int) -> float:
+    def _through(self, job: Job, name: str, bounds: tuple[int, int], q: int, *how: int) -> float:
         """Call a loop until all tiles are done; the largest component of an angle, rad."""
-        job = Job.from_buffer_copy(given)
         at, last = bounds
         call, work = self._program.loops[name], _scratch(self._program.kind)
         where = ctypes.addressof(job)
@@ -190,15 +194,16 @@ def finish(
     count = out.shape[1] - 1
     samples, apart, places = ends.rest(data, spans, count, window, increments)
     turns = np.empty((len(out), window.span + 1, 4), dtype=out.dtype)
-    Run(window, increments, samples, apart, turns).carry(beginning(_NO_TURN, len(out), out.dtype))
+    Run(window, increments, samples, apart, turns).carry(beginning(NO_TURN, len(out), out.dtype))
     out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
 
 
 def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:
     """What logs are carried from: p, unit quaternions (4,) or (N, 4), and no turn, r."""
     q = np.empty((n_logs, 8), dtype=precision)
-    q[:, :4] = unit
-    q[:, 4:] = _NO_TURN
+    q[:] = _AT_REST
+    if unit is not NO_TURN:
+        q[:, :4] = unit
     return q
 
 
@@ -234,6 +239,7 @@ class _Program:
             near=near,
             factor=float(increments),
         )
+        self._whole = window.samples(increments)
         self._ends: dict[tuple[int, int], Job] = {}
         self._made = partial(windows, window, increments, kind, uneven)
         self._forms = [self._made(wide=False) if near else None, None]
@@ -252,10 +258,10 @@ class _Program:
 
     def ends(self, spans: Any, n: int, missing: int) -> Job:
         """A job with the tables of samples beyond the ends of logs of n, ``missing`` after them."""
-        window, increments = self._given
-        key = min(n, window.samples(increments)), missing
+        key = n if n < self._whole else self._whole, missing
         found = self._ends.get(key)
         if found is None:
+            window, increments = self._given
             head = np.ascontiguousarray(ends.before(spans, n, window, increments))
             # where none is missing, what is past a window's end may be anything: the last once more
             tail = np.ones((1, 1))
@@ -293,9 +299,16 @@ def _loops(kind: str) -> dict[str, Any]:
     }
 
 
-@functools.cache
-def _program(window: Window, increments: bool, kind: str, uneven: bool) -> _Program:
-    return _Program(window, increments, kind, uneven)
+def _program(window: Window, increments: bool, precision: np.dtype[Any], uneven: bool) -> _Program:
+    key = window, increments, precision, uneven
+    found = _PROGRAMS.get(key)
+    if found is None:
+        with _MAKING:
+            found = _PROGRAMS.get(key)
+            if found is None:
+                made = _Program(window, increments, _KINDS[precision], uneven)
+                found = _PROGRAMS[key] = made
+    return found
 
 
 @functools.cache
