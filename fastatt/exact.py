@@ -278,14 +278,16 @@ def states(
 ) -> _States:
     """q (T, n, 4) and w (T, n, 3) at times (T,), in whose precision all is, looked at before."""
     rows = {"q": start[0], "w": start[1], "moments": body.moments, "axes": body.axes}
-    bodies = {
-        name: np.atleast_2d(np.require(x, t.dtype, ["C", "A"]))
-        for name, x in rows.items()
-        if x is not None
-    }
+    bodies = {name: _rows(x, t.dtype) for name, x in rows.items() if x is not None}
     q, w = np.empty((t.size, n, 4), t.dtype), np.empty((t.size, n, 3), t.dtype)
     (_in_python if without_compiler() else _run)(solution, bodies, t, (q, w), threads)
     return q, w
+
+
+def _rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
+    if x.dtype is not kind or not x.flags.carray:
+        x = np.require(x, kind, ["C", "A"])
+    return x if x.ndim == 2 else np.atleast_2d(x)
 
 
 def turned(w: NDArray[Any], t: NDArray[Any]) -> NDArray[np.float64]:
@@ -319,6 +321,11 @@ def _run(
     entries += map(address_of, (t, q, w))
     table = (ctypes.c_int64 * len(entries))(*entries)
 
+    n_blocks = -(-total // lanes)
+    if size * n <= _SMALL:
+        closed_form(table, 0, n_blocks, 0, span)
+        return
+
     def task(blocks: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:
         def work(stop: Event) -> None:
             if not stop.is_set():
@@ -326,14 +333,13 @@ def _run(
 
         return work
 
-    n_blocks = -(-total // lanes)
     together = max(1, _PIECE // (lanes * min(span, _STEPS)))
     together = max(1, min(together, n_blocks // threads))
     tasks = [
         task((i, min(i + together, n_blocks)), (k, min(k + _STEPS, span)))
         for i, k in product(range(0, n_blocks, together), range(0, span, _STEPS))
     ]
-    in_threads(tasks, threads if size * n > _SMALL else 1)
+    in_threads(tasks, threads)
 
 
 def _in_python(
