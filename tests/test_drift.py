@@ -85,3 +85,18 @@ def test_refuses_what_is_neither(trajectory, scene):
     name = "scene" if scene is None else "trajectory"
     with pytest.raises(TypeError, match=rf"{name}: found None; accepted"):
         fa.drift(trajectory, scene)
+
+
+def test_a_body_that_is_lost_leaves_the_others_theirs():
+    top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.2), 1.0))
+    w0 = np.ones((3, 3))
+    options = {"dt": 0.05, "n_steps": 4, "method": "rk4", "invalid": "flag"}
+    for scene in (top, fa.Scene(inertia=(2.0, 1.0, 0.7))):
+        well = fa.drift(fa.propagate(scene, START3, w0, **options), scene)
+        lost = fa.propagate(scene, START3, [w0[0], [np.nan] * 3, w0[2]], **options)
+        found = fa.drift(lost, scene)
+        for name in ("norm", "energy", "momentum"):
+            before, now = getattr(well, name), getattr(found, name)
+            if before is not None:
+                np.testing.assert_array_equal(now[:, [0, 2]], before[:, [0, 2]])
+                assert np.isnan(now[-1, 1])

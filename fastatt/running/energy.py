@@ -24,11 +24,12 @@ def angular_momentum(
     """Angular momentum I w, N·m·s, along body axes or, with attitudes ``q``, along inertial axes.
 
     ``w`` (3,), (N, 3) or (S, N, 3) is in rad/s along body axes, ``q`` has 4 in place of 3;
-    ``inertia`` is that of a scene: moments or a tensor, for all bodies or each.
+    ``inertia`` is that of a scene: moments or a tensor, for all bodies or each. A body whose rates
+    are not finite has no number, here and in what follows.
 
     Raises ``ValueError`` for shapes that do not fit.
     """
-    rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", [(3,), (-1, 3), (-1, -1, 3)])
+    rates = checks.array_any("w", w, "(3,), (N, 3) or (S, N, 3)", [(3,), (-1, 3), (-1, -1, 3)])
     shapes = [(3,), (3, 3), (-1, 3), (-1, 3, 3)]
     given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)", shapes)
     tensor = is_tensor(given)
@@ -84,7 +85,7 @@ def potential_energy(scene: Scene, q: ArrayLike, t: ArrayLike = 0.0) -> NDArray[
     ``TypeError`` for other shapes and things.
     """
     as_scene(scene)
-    attitudes = checks.array("q", q, "(4,), (N, 4) or (S, N, 4)", [(4,), (-1, 4), (-1, -1, 4)])
+    attitudes = checks.array_any("q", q, "(4,), (N, 4) or (S, N, 4)", [(4,), (-1, 4), (-1, -1, 4)])
     found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
     packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
     turning = turning_part(packed.structure)
