@@ -181,3 +181,17 @@ def test_refusals():
         fa.propagate(BODY, Q0, W0, reduce=fa.reducer(count, start=[[0.0], [1.0]]), **STEP)
     with pytest.raises(ValueError, match="reduced: the run had no reduce; accepted: one with"):
         _ = fa.propagate(BODY, Q0, W0, **STEP).reduced
+
+
+def test_with_steps_of_each_bodys_own():
+    """Every step of a body is seen, and what is stepped beside it by others is not."""
+    counts = RNG.integers(5, 40, size=N)
+    counted = fa.reducer(count, start=0.0)
+    for reduce in (WATCH, counted):
+        options = {"method": "rk4", "reduce": reduce}
+        together = fa.propagate(BODY, Q0, W0, dt=2.0 / counts, n_steps=counts, **options)
+        for b in (0, 40, N - 1):
+            step = {"dt": 2.0 / counts[b], "n_steps": int(counts[b])}
+            alone = fa.propagate(BODY, Q0[b], W0[b], **step, **options)
+            assert together.reduced[b].tobytes() == alone.reduced.tobytes()
+    assert (together.reduced.ravel() == counts).all()
