@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
+from functools import partial
 from itertools import product
-from threading import Event
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ from fastatt.flat.rows import (
     without_compiler,
 )
 from fastatt.inertia import EQUAL, Principal, is_symmetric, principal
-from fastatt.threads import in_threads, number_of
+from fastatt.threads import each_in_threads, number_of
 
 #: what is done with numbers of a body that are not finite
 INVALID = ("raise", "flag")
@@ -326,20 +326,16 @@ def _run(
         closed_form(table, 0, n_blocks, 0, span)
         return
 
-    def task(blocks: tuple[int, int], steps: tuple[int, int]) -> Callable[[Event], None]:
-        def work(stop: Event) -> None:
-            if not stop.is_set():
-                closed_form(table, *blocks, *steps)
-
-        return work
-
     together = max(1, _PIECE // (lanes * min(span, _STEPS)))
     together = max(1, min(together, n_blocks // threads))
-    tasks = [
-        task((i, min(i + together, n_blocks)), (k, min(k + _STEPS, span)))
-        for i, k in product(range(0, n_blocks, together), range(0, span, _STEPS))
-    ]
-    in_threads(tasks, threads)
+    pieces = product(range(0, n_blocks, together), range(0, span, _STEPS))
+    each_in_threads(
+        (
+            partial(closed_form, table, i, min(i + together, n_blocks), k, min(k + _STEPS, span))
+            for i, k in pieces
+        ),
+        threads,
+    )
 
 
 def _in_python(

@@ -7,7 +7,7 @@ needs no compiler's own threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Event
@@ -45,6 +45,19 @@ def progress_bar(wanted: bool, total: int, unit: str) -> Iterator[Callable[[int]
         ) from None
     with tqdm(total=total, unit=unit, unit_scale=True) as bar:
         yield bar.update
+
+
+def each_in_threads(calls: Iterable[Callable[[], object]], n_threads: int) -> None:
+    """Make calls, in their order; where one raises, those that were not begun are dropped."""
+
+    def task(call: Callable[[], object]) -> Callable[[Event], None]:
+        def work(stop: Event) -> None:
+            if not stop.is_set():
+                call()
+
+        return work
+
+    in_threads([task(call) for call in calls], n_threads)
 
 
 def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:

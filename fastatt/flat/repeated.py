@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -16,7 +15,7 @@ from fastatt.flat.code import I64, REALS, Code, Int
 from fastatt.flat.rows import Rows, Table
 from fastatt.flat.traced import Traced, Tuple, flattened_forms, plain, trace
 from fastatt.flat.writing import write
-from fastatt.threads import in_threads
+from fastatt.threads import each_in_threads
 
 Array = NDArray[Any]
 _PIECE = 64  # rows at least that a thread is given
@@ -107,11 +106,4 @@ def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: in
     pieces = max(1, min(_PIECES * n_threads if n_threads > 1 else 1, n // least))
     bounds = [n * i // pieces for i in range(pieces + 1)]
 
-    def task(first: int, last: int) -> Callable[[threading.Event], None]:
-        def work(stop: threading.Event) -> None:
-            if not stop.is_set():
-                call(first, last)
-
-        return work
-
-    in_threads([task(*ends) for ends in pairwise(bounds)], n_threads)
+    each_in_threads([partial(call, *ends) for ends in pairwise(bounds)], n_threads)

@@ -11,7 +11,7 @@ import ctypes
 import math
 import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, cast
 
@@ -152,18 +152,13 @@ class Rows:
             run(table, 0, total)
             return
 
-        def task(first: int, last: int) -> Callable[[threading.Event], None]:
-            def work(stop: threading.Event) -> None:
-                if not stop.is_set():
-                    run(table, first, last)
-
-            return work
-
-        from fastatt.threads import in_threads
+        from fastatt.threads import each_in_threads
 
         piece = min(_PIECE, -(-total // n_threads))
-        tasks = [task(k, min(k + piece, total)) for k in range(0, total, piece)]
-        in_threads(tasks, n_threads if total > _SMALL else 1)
+        pieces = [(k, min(k + piece, total)) for k in range(0, total, piece)]
+        each_in_threads(
+            [partial(run, table, *x) for x in pieces], n_threads if total > _SMALL else 1
+        )
 
     @cached_property
     def _compiled(self) -> Any:
@@ -300,10 +295,8 @@ def resources_of(flat: Flat) -> list[tuple[str, Any]]:
 
 def address_of(x: Array) -> int:
     """Where an array's first number lies."""
-    try:
-        return ctypes.addressof(
-            _BYTE.from_buffer(cast(Any, x))
-        )  # a quarter of the time of the other
+    try:  # a quarter of the time of the other
+        return ctypes.addressof(_BYTE.from_buffer(cast(Any, x)))
     except (TypeError, ValueError, BufferError):  # read-only, empty, or with gaps
         return int(x.__array_interface__["data"][0])
 

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from fastatt.arrays import quat_multiply
 from fastatt.flat import machine
 from fastatt.flat.code import text_of
+from fastatt.flat.rows import address_of
 from fastatt.gyro import ends
 from fastatt.gyro.chunk import Job, scratch_size
 from fastatt.gyro.loops import Loops
 from fastatt.gyro.turns import WindowsLoop
 from fastatt.gyro.windows import CHUNK, LANES, Window
-from fastatt.threads import in_threads, number_of
+from fastatt.threads import each_in_threads, in_threads, number_of
 
 _KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
 _SCRATCH = threading.local()
@@ -69,11 +70,11 @@ class Run:
         missing = 0 if window.iteration else -self._count % window.span
         self._ends = program.ends(spans, samples, missing)
         job = self._job = Job.from_buffer_copy(self._ends)
-        job.data, job.out = _address(data), _address(out)
+        job.data, job.out = address_of(data), address_of(out)
         job.n_samples, job.lead, job.n_out = samples - lead, lead, self._count + 1
         job.count = self._count
         if uneven:
-            job.spans, job.n_spans = _address(spans), len(spans) - lead
+            job.spans, job.n_spans = address_of(spans), len(spans) - lead
         else:
             job.interval = spans
             if not increments:
@@ -88,7 +89,7 @@ class Run:
         """
         n_logs, count = len(q), self._count
         if n_logs == 1 and count <= _SHORT and not (phase or done):
-            return self._through(self._job, "along", (0, -(-count // _TILE)), _address(q), 1)
+            return self._through(self._job, "along", (0, -(-count // _TILE)), address_of(q), 1)
         head = min(-phase % CHUNK, count)
         chunks = -(-(count - head) // CHUNK)
         if n_logs >= LANES or n_logs * -(-chunks // LANES) > chunks:
@@ -112,21 +113,20 @@ class Run:
         job = Job.from_buffer_copy(self._job)
         job.first, job.count, job.phase = bounds[0], count, phase
         if n_logs <= LANES and not done:
-            return self._through(job, "sweep", (0, n_logs), _address(q))
+            return self._through(job, "sweep", (0, n_logs), address_of(q))
         n_threads = number_of(n_threads)
         tiles = -(-n_logs // LANES)
         size = LANES * max(1, min(-(-tiles // n_threads), 2_000_000 // (LANES * count)))
         peaks = []
 
-        def task(first: int, stop: Event) -> None:
-            if not stop.is_set():
-                last = min(first + size, n_logs)
-                own = Job.from_buffer_copy(job)
-                peaks.append(self._through(own, "sweep", (first, last), _address(q)))
-                if done:
-                    done((last - first) * count)
+        def task(first: int) -> None:
+            last = min(first + size, n_logs)
+            own = Job.from_buffer_copy(job)
+            peaks.append(self._through(own, "sweep", (first, last), address_of(q)))
+            if done:
+                done((last - first) * count)
 
-        in_threads([partial(task, first) for first in range(0, n_logs, size)], n_threads)
+        each_in_threads([partial(task, first) for first in range(0, n_logs, size)], n_threads)
         return max(peaks)
 
     def _one_log(
@@ -143,12 +143,12 @@ class Run:
 
         def through(piece: tuple[int, int], p: NDArray[Any], write: int) -> None:
             own = Job.from_buffer_copy(job)
-            peaks.append(self._through(own, "along", piece, _address(p), write))
+            peaks.append(self._through(own, "along", piece, address_of(p), write))
 
         if threads > 1:
             known = bounds[-2]
             totals = np.empty((known * LANES, 4), dtype=q.dtype)
-            job.totals = _address(totals)
+            job.totals = address_of(totals)
             parts = [known * i // threads for i in range(threads + 1)]
 
             def find(first: int, last: int, stop: Event) -> None:
@@ -160,7 +160,7 @@ class Run:
             for i in range(1, threads):
                 starts[i][:] = starts[i - 1]
                 first, last = (LANES * k for k in bounds[i - 1 : i + 1])
-                chain(_address(starts[i]), _address(totals[first:]), last - first)
+                chain(address_of(starts[i]), address_of(totals[first:]), last - first)
 
         def along(p: NDArray[Any], first: int, last: int, stop: Event) -> None:
             for piece in _pieces(first, last, stop):
@@ -205,14 +205,6 @@ def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDAr
     if unit is not NO_TURN:
         q[:, :4] = unit
     return q
-
-
-def _address(x: NDArray[Any]) -> int:
-    memory: Any = x
-    try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(memory))
-    except (TypeError, ValueError):  # what may not be written to, or is empty
-        return int(x.ctypes.data)
 
 
 def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
@@ -269,8 +261,8 @@ class _Program:
                 tail = np.ascontiguousarray(ends.after(spans, n, missing, window, increments))
             found = Job.from_buffer_copy(self._job)
             found.tables = head, tail  # which the job has the addresses of
-            found.head, found.n_head = _address(head), head.shape[1]
-            found.tail, (found.n_after, found.n_tail) = _address(tail), tail.shape
+            found.head, found.n_head = address_of(head), head.shape[1]
+            found.tail, (found.n_after, found.n_tail) = address_of(tail), tail.shape
             if not self._uneven:
                 self._ends[key] = found
         return found
@@ -281,7 +273,7 @@ def _scratch(kind: str) -> int:
     found: tuple[int, NDArray[Any]] | None = getattr(_SCRATCH, kind, None)
     if found is None:
         memory = np.zeros(scratch_size(kind) + 64, dtype=np.uint8)
-        at = _address(memory)
+        at = address_of(memory)
         found = at + -at % 64, memory
         setattr(_SCRATCH, kind, found)
     return found[0]
