@@ -22,7 +22,7 @@ from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 
 # bodies of an ensemble that are run at a time: what a run needs besides is small beside the whole
-PART = 1 << 18
+PART = 1 << 19
 # plans that are kept with a scene, and of how many bodies
 _KEPT, _FEW = 16, 1024
 
