@@ -28,7 +28,7 @@ OURS = "fastatt"
 _STEPS = [round(8 * 2 ** (k / 2)) for k in range(18)]
 _INTERVALS = [round(12 * 2 ** (k / 2)) for k in range(15)]
 # what is worth its compilation in single precision: short calls for errors of 1e-3 to 1e-6
-_SINGLE = ("magnus4", "magnus6", "rk8", "exact", "trapezoid", "previous", "coning2")
+_SINGLE = ("magnus4", "magnus6", "cf4", "rk8", "exact", "trapezoid", "previous", "coning2")
 
 
 # fastatt
