@@ -9,15 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from fastatt.flat.formulas import quat, scale
+from fastatt.flat.formulas import Vector, dot, quat, scale
+from fastatt.flat.graph import apply
 from fastatt.models import (
+    SUM,
     Field,
+    Law,
     Model,
     Packed,
     Record,
     Sum,
+    join,
     no_model,
     pack_fields,
     pack_sum,
@@ -44,43 +49,83 @@ class Drag(NamedTuple):
     coefficient: ArrayLike
 
 
+class CentralGravity(NamedTuple):
+    """Gravity of a planet at the origin: F = −(μ m/r³) r, r the position that the scene carries.
+
+    ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
+    2010, table 1.1) unless said; m is the scene's mass. Methods whose record says ``couples``.
+    """
+
+    gravitational_parameter: ArrayLike = 3.986004418e14
+
+
 class Custom(NamedTuple):
     """A user's ``@njit`` function ``force(t, q, w, v, p) -> (f1, f2, f3)``, N along body axes.
 
-    t in s; q, w and v (m/s, body axes) as tuples, p the tuple of ``params``, (P,) or (N, P).
+    t in s; q, w and v (m/s, body axes) as tuples, p the tuple of ``params``, (P,) or (N, P). With
+    ``uses_position`` it is ``force(t, q, w, v, r, p)``, r the position, m, along inertial axes. All
+    is then stepped as one system, by methods whose record says ``couples``.
     """
 
     function: Callable[..., Any]
     params: ArrayLike | None = None
+    uses_position: bool = False
 
 
-# formulas of (t, q, w, v, p): force (N) along body axes at an attitude, a rate and a velocity
+def _central_gravity(t: Any, q: Vector, w: Vector, v: Vector, r: Vector, p: Vector) -> Any:
+    return quat.rotate_inverse(q, scale(-p[1] * falling(r, p[0]), r))
+
+
+def falling(r: Vector, gravitational_parameter: Any) -> Any:
+    """μ/r³, 1/s²: square of the rate of a circular orbit."""
+    inverse = 1.0 / apply("sqrt", dot(r, r))
+    return gravitational_parameter * inverse * (inverse * inverse)
+
+
+# formulas of (t, q, w, v, r, p): force (N) along body axes at an attitude, a rate, a velocity and a
+# position, () where none is carried or where it is not stepped with the attitude
 _VECTOR = Field((3,), table="values")
 _ALL = (
-    Record(Constant, (_VECTOR,), lambda t, q, w, v, p: p),
-    Record(ConstantInertial, (_VECTOR,), lambda t, q, w, v, p: quat.rotate_inverse(q, p)),
-    Record(Drag, (Field(),), lambda t, q, w, v, p: scale(-p[0], v)),
+    Record(Constant, (_VECTOR,), lambda t, q, w, v, r, p: p),
+    Record(ConstantInertial, (_VECTOR,), lambda t, q, w, v, r, p: quat.rotate_inverse(q, p)),
+    Record(Drag, (Field(),), lambda t, q, w, v, r, p: scale(-p[0], v)),
+    Record(CentralGravity, (Field(above_zero=True),), _central_gravity, reads_position=True),
 )
 RECORDS: dict[type, Record] = {r.model: r for r in _ALL if r.model is not None}
-USER = Record(None, (), lambda *given: given[-1])
+USER = {at: Record(None, (), lambda *given: given[-1], reads_position=at) for at in (False, True)}
 
 
-def pack(model: Model, n_bodies: int | None, argument: str = "force") -> Packed:
-    """Check a model's numbers and lay them out flat.
+def pack(
+    model: Model, n_bodies: int | None, mass: NDArray[np.float64], argument: str = "force"
+) -> Packed:
+    """Check a model's numbers and lay them out flat; ``mass`` is () or (N,), kg.
 
     Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
     finite or of the wrong shape.
     """
-    if type(model) is Sum:
-        return pack_sum(model, pack, n_bodies, argument)
-    if type(model) is Custom:
-        return pack_user(model.function, "force", USER, model.params, n_bodies)
-    if type(model) not in RECORDS:
+    cls = type(model)
+    if cls is Sum:
+        return pack_sum(model, lambda term, n, name: pack(term, n, mass, name), n_bodies, argument)
+    if cls is Custom:
+        record = USER[bool(model.uses_position)]
+        return pack_user(model.function, "force", record, model.params, n_bodies)
+    if cls not in RECORDS:
         raise no_model(model, argument, "forces", (*RECORDS, Custom, Sum))
-    return pack_fields(model, RECORDS[type(model)], n_bodies, argument)
+    packed = pack_fields(model, RECORDS[cls], n_bodies, argument)
+    if cls is not CentralGravity:
+        return packed
+    params = join([packed.params, mass[..., None]], n_bodies, argument)
+    return packed._replace(law=Law(packed.law.record, (1, 1)), params=params)
 
 
-__all__ = ["Constant", "ConstantInertial", "Custom", "Drag", "Sum"]
+def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:
+    """Squares of the rates (rad/s) at which a body falls round the centres that are known."""
+    if law.record is SUM:
+        return [x for part, own in law.split(p) for x in squares_of_rates(part, r, own)]
+    return [falling(r, p[0])] if law.record.model is CentralGravity else []
+
+
+__all__ = ["CentralGravity", "Constant", "ConstantInertial", "Custom", "Drag", "Sum"]
 
 
 def __dir__() -> list[str]:

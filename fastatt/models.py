@@ -8,7 +8,7 @@ an array of parameters, (P,) shared by all bodies or (N, P).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -48,6 +48,9 @@ class Record:
     model: type | None
     fields: tuple[Field, ...]
     formula: Callable[..., Any]
+    _: KW_ONLY
+    #: of a torque or a force: whether it takes the position that the scene carries
+    reads_position: bool = False
 
     @cached_property
     def traced(self) -> Callable[..., Any]:
@@ -116,8 +119,13 @@ class Law:
             terms = [law.formula(*before, own) for law, own in self.split(p)]
             return tuple(sum(column[1:], column[0]) for column in zip(*terms, strict=True))
         if self.function is not None:
-            return self.function.call(*before, p)
+            return self.function.given(*given)
         return self.record.formula(*before, self.numbers(before[0], p))
+
+    @cached_property
+    def reads_position(self) -> bool:
+        """Whether it takes the position that the scene carries."""
+        return any(leaf.record.reads_position for leaf in self.leaves())
 
     def with_tables_from(self, k: int) -> Law:
         """The same, its tables numbered from k on."""
@@ -224,6 +232,7 @@ def pack_user(
     n_bodies: int | None,
 ) -> Packed:
     """The same for a user's function, of a form of ``FORMS``, with (P,) or (N, P) parameters."""
+    form = f"{form} at position" if record.reads_position else form
     given = np.atleast_1d(np.zeros(0) if params is None else numbers("params", params))
     if given.ndim > 2 or (given.ndim == 2 and not len(given)):
         raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")

@@ -90,6 +90,11 @@ class Moving(NamedTuple):
         return self.inner.n_params + 1 + self.law.count
 
     @property
+    def couples(self) -> bool:
+        """Whether something reads the position, so that all is stepped as one system."""
+        return self.law.reads_position or self.inner.law.reads_position
+
+    @property
     def tail(self) -> int:
         """Numbers carried beside the attitude."""
         return self.inner.tail + (6 if self.position else 3)
@@ -127,6 +132,12 @@ def turning_part(structure: Structure) -> GivenRate | RigidBody:
     return moving.inner if isinstance(moving, Moving) else moving
 
 
+def stepped_part(structure: Structure) -> GivenRate | RigidBody | Moving:
+    """What a method's step is given: what turns, and what moves where something reads it."""
+    moving = moving_part(structure)
+    return moving if isinstance(moving, Moving) and moving.couples else turning_part(structure)
+
+
 class Motion:
     """What a method's step needs of a scene in a representation.
 
@@ -155,8 +166,8 @@ class Motion:
         """What ``field`` needs of the time t."""
         raise NotImplementedError
 
-    def field(self, g: Any, x: Vector) -> Vector:
-        """Time derivative of a state."""
+    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
+        """Time derivative of a state; ``place`` is what moves beside it and is read."""
         raise NotImplementedError
 
     def base(self, x: Vector) -> Vector:
@@ -204,7 +215,7 @@ class Turning(Motion):
     def at(self, t: Any) -> Vector:
         return self.rate(t)
 
-    def field(self, g: Vector, x: Vector) -> Any:
+    def field(self, g: Vector, x: Vector, place: Vector = ()) -> Any:
         assert self.plain.derivative is not None
         return self.plain.derivative(x, g)
 
@@ -257,27 +268,30 @@ class Body(Motion):
         v = [k * u for k, u in zip(self.half_inverse, m, strict=False)]
         return tuple(a + a for a in v)
 
-    def torque(self, t: Any, a: Vector, w: Vector) -> Vector:
-        """Torque (N·m, principal axes) at attitude a, of the plain form, and rate w."""
-        pose = Pose(self.plain, a, w, self.moments)
+    def torque(self, t: Any, a: Vector, w: Vector, place: Vector = ()) -> Vector:
+        """Torque (N·m, principal axes) at attitude a, of the plain form, and rate w.
+
+        ``place`` is (velocity, position) where something reads them.
+        """
+        pose = Pose(self.plain, a, w, self.moments, place)
         torque = torque_of(self.structure.law, t, pose, self.torque_numbers)
         return tuple(as_like(x, a[0]) for x in torque)
 
-    def momentum_rate(self, t: Any, a: Vector, m: Vector) -> Vector:
+    def momentum_rate(self, t: Any, a: Vector, m: Vector, place: Vector = ()) -> Vector:
         """ṁ = m×w + τ at attitude a and momentum m."""
         own: Vector = rigid.gyroscopic(m, self.gyroscopic)
         if self.is_free:
             return own
-        return plus(own, self.torque(t, a, self.angular_velocity(m)))
+        return plus(own, self.torque(t, a, self.angular_velocity(m), place))
 
     def at(self, t: Any) -> Any:
         return t
 
-    def field(self, g: Any, x: Vector) -> Vector:
+    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
         n = self.plain.size
         a, m = x[:n], x[n:]
         v = tuple(k * u for k, u in zip(self.half_inverse, m, strict=True))
-        return (*self.plain.half_rate_derivative(a, v), *self.momentum_rate(g, a, m))
+        return (*self.plain.half_rate_derivative(a, v), *self.momentum_rate(g, a, m, place))
 
     def base(self, x: Vector) -> Vector:
         a, m = self.attitude_of(x), self.momentum_of(x)

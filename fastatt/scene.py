@@ -59,7 +59,8 @@ class Scene:
 
     A scene with ``mass`` (kg, a number or (N,)) and ``force`` also carries the velocity V in body
     axes, by μ(V̇ + Ω×V) = F. ``force`` is a model of ``fastatt.forces``, (3,) or (N, 3) in N along
-    body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters.
+    body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters. Where a torque
+    or a force reads the position, all is stepped as one system, to the method's order.
 
     A scene keeps read-only copies of its numbers: a change to the arrays that it was given does not
     reach it, ``dataclasses.replace`` makes another. Scenes of equal numbers are equal.
@@ -80,6 +81,8 @@ class Scene:
     force: Any = None
     #: how many bodies have numbers of their own; None where all share theirs
     rows: ClassVar[int | None] = None
+    #: whether a torque or a force reads the position, so that all is stepped as one system
+    couples: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
@@ -98,9 +101,16 @@ class Scene:
             raise ValueError("torque: found beside a rate; accepted: with inertia only")
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
-        params = self.packed(None).params
-        # that of all bodies takes long to find again
+        structure, params, _ = self.packed(None)
+        couples = isinstance(structure, Moving) and structure.couples
+        if self.mass is None and turning_part(structure).law.reads_position:
+            raise ValueError(
+                "torque: found one that reads the position, but the scene carries none; accepted: "
+                "with mass and force"
+            )
+        # those of all bodies take long to find again
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
+        object.__setattr__(self, "couples", couples)
         for field in fields(self):
             object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
 
@@ -177,6 +187,11 @@ class Scene:
         turned = sorted_axes and not is_sorted(self.principal.moments)
         return torques.dependence(self._law, turned=turned)
 
+    @property
+    def reads_position(self) -> bool:
+        """Whether the torque reads the position that the scene carries."""
+        return self.rate is None and self._law.reads_position
+
     @cached_property
     def has_potential(self) -> bool:
         """Whether kinetic plus potential energy is constant."""
@@ -232,21 +247,20 @@ class Scene:
         )
         if self.mass is None:
             return packed
-        inverse = 1.0 / _masses(self.mass)
+        mass = _masses(self.mass)
         model = self.force
         if isinstance(model, (list, tuple, np.ndarray)) and not hasattr(model, "_fields"):
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        pushing = forces.pack(model, n_bodies).with_tables_from(len(packed.resources))
-        params = join([packed.params, inverse[..., None], pushing.params], n_bodies, "mass, force")
-        structure = packed.structure
-        assert isinstance(structure, (GivenRate, RigidBody))
-        return Packed(
-            Moving(structure, pushing.law, position),
-            params,
-            {**packed.resources, **_resources(pushing)},
-        )
+        pushing = forces.pack(model, n_bodies, mass).with_tables_from(len(packed.resources))
+        columns = [packed.params, 1.0 / mass[..., None], pushing.params]
+        params = join(columns, n_bodies, "mass, force")
+        inner = packed.structure
+        assert isinstance(inner, (GivenRate, RigidBody))
+        structure = Moving(inner, pushing.law, position)
+        structure = structure._replace(position=position or structure.couples)
+        return Packed(structure, params, {**packed.resources, **_resources(pushing)})
 
     def _rate(self, n_bodies: int | None) -> Packed:
         if callable(self.rate):

@@ -170,6 +170,7 @@ def single_step(
     if position and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     kind = checks.precision(dtype)
+    position = position or scene.couples
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
     shared = packed.params.ndim == 1
     job = Job(record, attitude, packed.structure, KINDS[kind], shared=shared)

@@ -79,6 +79,15 @@ class GravityGradientAt(NamedTuple):
     gravitational_parameter: ArrayLike = 3.986004418e14
 
 
+class CentralGravityGradient(NamedTuple):
+    """The same at the position that the scene carries, from the planet's centre.
+
+    It goes with ``fastatt.forces.CentralGravity``; methods whose record says ``couples``.
+    """
+
+    gravitational_parameter: ArrayLike = 3.986004418e14
+
+
 class HeavyTop(NamedTuple):
     """A weight off the fixed point: τ = r × Cᵀ(0, 0, −W).
 
@@ -142,9 +151,14 @@ class Custom(NamedTuple):
     promises that w is not used, which opens the splitting methods (and is looked into at a few
     points); ``potential(t, q, p)``, J, an
     ``@njit`` function too, is what ``drift`` takes the energy from.
+
+    With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, of a scene with mass: v the velocity,
+    m/s, body axes, r the position, m, inertial axes. All is then stepped as one system, by methods
+    whose record says ``couples``; ``potential(t, q, r, p)`` is that of torque and force together.
     """
 
     function: Callable[..., Any]
     params: ArrayLike | None = None
     uses_rate: bool = True
     potential: Callable[..., Any] | None = None
+    uses_position: bool = False

@@ -40,6 +40,7 @@ from fastatt.models import (
 from fastatt.tables import Table
 from fastatt.torque_models import (
     AxisDamping,
+    CentralGravityGradient,
     Constant,
     ConstantInertial,
     Custom,
@@ -65,11 +66,17 @@ class Dependence(IntEnum):
 
 
 class Pose:
-    """Where a torque is asked for: an attitude, the angular velocity and the principal moments."""
+    """Where a torque is asked for: an attitude, the angular velocity and the principal moments.
 
-    def __init__(self, attitude: Attitude, x: Vector, w: Vector, moments: Vector) -> None:
+    ``place`` is (velocity along body axes whatever those of the pose, position), where they are
+    stepped with the attitude.
+    """
+
+    def __init__(
+        self, attitude: Attitude, x: Vector, w: Vector, moments: Vector, place: Vector = ()
+    ) -> None:
         self._attitude, self._x = attitude, x
-        self.w, self.moments = w, moments
+        self.w, self.moments, self.place = w, moments, place
 
     @cached_property
     def quaternion(self) -> Any:
@@ -122,6 +129,10 @@ def _gravity_gradient_at(t: Any, pose: Pose, p: Vector) -> Any:
     return rigid.gravity_gradient(pose.to_body(scale(inverse, p[:3])), pose.moments, rate)
 
 
+def _central_gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
+    return _gravity_gradient_at(t, pose, (*pose.place[1], p[0]))
+
+
 def _quaternion_pd(t: Any, pose: Pose, p: Vector) -> Any:
     target, turning = p[2:6], p[6:]
     w = pose.w
@@ -143,7 +154,7 @@ def _rotor(t: Any, pose: Pose, p: Vector) -> Any:
 
 def _turned_pose(pose: Pose, axes: Vector) -> Pose:
     q = quat.mul(pose.quaternion, quat.conj(axes))
-    return Pose(QUATERNION, q, quat.rotate(axes, pose.w), pose.moments)
+    return Pose(QUATERNION, q, quat.rotate(axes, pose.w), pose.moments, pose.place)
 
 
 _VECTOR, _NUMBER = Field((3,)), Field()
@@ -178,6 +189,10 @@ _ALL = (
         GravityGradientAt, (_TABLED, Field(above_zero=True)), _gravity_gradient_at, _POSITION, True
     ),
     TorqueRecord(
+        CentralGravityGradient, (Field(above_zero=True),), _central_gravity_gradient,
+        _POSITION, True, reads_position=True,
+    ),
+    TorqueRecord(
         HeavyTop, (_VECTOR, _NUMBER),
         # half of the vertical: the doubling is done to what stays
         lambda t, pose, p: vec3.cross(
@@ -204,8 +219,11 @@ RECORDS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not 
 #: beneath principal axes that lie elsewhere: four parameters say where
 TURNED = Record(None, (), _turned_pose)
 USER = {
-    dependence: TorqueRecord(None, (), lambda *given: given[-1], dependence, False)
+    (dependence, at): TorqueRecord(
+        None, (), lambda *given: given[-1], dependence, False, reads_position=at
+    )
     for dependence in Dependence
+    for at in (False, True)
 }
 
 
@@ -217,8 +235,8 @@ def torque_of(law: Law, t: Any, pose: Pose, p: Vector) -> Vector:
         ((part, own),) = law.split(p)
         return quat.rotate_inverse(p[:4], torque_of(part, t, _turned_pose(pose, p[:4]), own))  # type: ignore[no-any-return]
     if law.function is not None:
-        given = (t, pose.quaternion, pose.w, p)
-        return as_like(law.function.call(*given), pose.moments[0])  # type: ignore[no-any-return]
+        found = law.function.given(t, pose.quaternion, pose.w, *pose.place, p)
+        return as_like(found, pose.moments[0])  # type: ignore[no-any-return]
     return law.record.formula(t, pose, law.numbers(t, p))  # type: ignore[no-any-return]
 
 
@@ -230,7 +248,7 @@ def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
         ((part, own),) = law.split(p)
         return potential_of(part, t, _turned_pose(pose, p[:4]), own)
     if law.potential is not None:
-        return law.potential.call(t, pose.quaternion, p)
+        return law.potential.given(t, pose.quaternion, *pose.place[1:], p)
     return law.record.potential(t, pose, p)
 
 
@@ -342,10 +360,11 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
     for k in range(8):
         at = rng.uniform(*function.span), tuple(normalised(rng.normal(size=4)).tolist())
         w, p = rng.normal(size=3).tolist(), tuple(rows[k * len(rows) // 8].tolist())
+        place = [rng.normal(size=n).tolist() for n in function.form.before[3:]]
         values = []
         for v in (w, [0.0] * 3):
             try:
-                values.append(function.call(*at, v, p))
+                values.append(function.call(*at, v, *place, p))
             except NotStraight:  # an error in Python at these numbers
                 values.append((np.nan,) * 3)
         there, rest = np.array(values)
@@ -356,7 +375,8 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
 
 
 def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
-    record = USER[Dependence.RATE if model.uses_rate else Dependence.POSITION]
+    dependence = Dependence.RATE if model.uses_rate else Dependence.POSITION
+    record = USER[dependence, bool(model.uses_position)]
     law, params, tables = pack_user(model.function, "torque", record, model.params, n_bodies)
     # where the scene is made, not at each run of it
     if not model.uses_rate and n_bodies is None and _uses_rate(law.function, params):
@@ -365,7 +385,8 @@ def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
             "torques at some w than at w = 0; accepted: True, or a function that does not use w"
         )
     if model.potential is not None:
-        energy = user_function(model.potential, "potential", law.count, params)
+        form = "potential at position" if model.uses_position else "potential"
+        energy = user_function(model.potential, form, law.count, params)
         law = replace(law, potential=energy)
         tables = {**tables, **energy.tables}
     return Packed(law, params, tables)
@@ -385,9 +406,9 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
 
 
 __all__ = [
-    "AxisDamping", "Constant", "ConstantInertial", "Custom", "Damping", "GravityGradient",
-    "GravityGradientAt", "HeavyTop", "KeplerGravityGradient", "MagneticDipole", "QuadraticDamping",
-    "QuaternionPD", "Rotor", "Sampled", "Sum",
+    "AxisDamping", "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",
+    "GravityGradient", "GravityGradientAt", "HeavyTop", "KeplerGravityGradient", "MagneticDipole",
+    "QuadraticDamping", "QuaternionPD", "Rotor", "Sampled", "Sum",
 ]  # fmt: skip
 
 

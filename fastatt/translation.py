@@ -1,11 +1,25 @@
-"""Velocity and position over one step, beside an attitude that a method has stepped."""
+"""Velocity and position: over one step beside an attitude, or as one system with it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from fastatt.flat.formulas import Vector, as_like, axpy, newton, plus, quat, scale
-from fastatt.motion import Body, Moving, Turning
+from fastatt.attitudes import Attitude
+from fastatt.flat.formulas import (
+    Vector,
+    as_like,
+    axpy,
+    minus,
+    newton,
+    plus,
+    quat,
+    scale,
+    vec3,
+)
+from fastatt.flat.functions import larger
+from fastatt.forces import squares_of_rates
+from fastatt.motion import Body, Motion, Moving, Turning, motion_of
 
 
 class Translation:
@@ -20,9 +34,9 @@ class Translation:
         n = len(x) - (6 if self.structure.position else 3)
         return x[:n], x[n : n + 3], x[n + 3 :]
 
-    def acceleration(self, t: Any, q: Vector, w: Vector, v: Vector) -> Vector:
-        """F/μ along body axes."""
-        force = self.structure.law.formula(t, q, w, v, self._numbers)
+    def acceleration(self, t: Any, q: Vector, w: Vector, v: Vector, r: Vector = ()) -> Vector:
+        """F/μ along body axes; r is the position where something reads it."""
+        force = self.structure.law.formula(t, q, w, v, r, self._numbers)
         return scale(self._inverse_mass, as_like(tuple(force), v[0]))
 
     def moved(self, t: Any, h: Any, x: Vector, turned: Vector) -> Vector:
@@ -52,3 +66,67 @@ class Translation:
         k4 = quat.rotate(e1, self.acceleration(t + h, q1, w1, v4))
         velocity = quat.rotate_inverse(e1, newton.velocity(h, u, v, k1, k2, k3, k4, f))
         return velocity, quat.rotate(q0, newton.displacement(h, u, v, k1, k2, k3, f))
+
+    def squares_of_rates(self, r: Vector) -> list[Any]:
+        """Squares of the rates (rad/s) at which the body falls round centres."""
+        return squares_of_rates(self.structure.law, r, self._numbers)
+
+
+class Coupled(Motion):
+    """What turns with what moves: its state is that of the motion, the velocity, the position.
+
+    v̇ = F/μ − w×v and ṙ = C v, beside the motion's own equations, in which r and v may stand.
+    """
+
+    def __init__(self, attitude: Attitude, structure: Moving, p: Vector, like: Any) -> None:
+        super().__init__(attitude)
+        n = structure.inner.n_params
+        self.inner = motion_of(structure.inner, attitude, p[:n], like)
+        # stages have no low parts
+        self._stage = motion_of(structure.inner, attitude.plain, p[:n], like)
+        self._moved = Translation(self._stage, structure, p[n:])
+        #: of the rates of falling at the stages of the step that is being recorded
+        self._squares: list[Any] = []
+
+    def at(self, t: Any) -> Any:
+        return t, self.inner.at(t)
+
+    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
+        t, given = g
+        a, v, r = self._moved.split(x)
+        q, w = self._stage.pose(t, a)
+        q = quat.renormalise(q)
+        push = self._moved.acceleration(t, q, w, v, r)
+        self._squares += self._moved.squares_of_rates(r)
+        turned = self.inner.field(given, a, (v, r))
+        return (*turned, *minus(push, vec3.cross(w, v)), *quat.rotate(q, v))
+
+    def base(self, x: Vector) -> Vector:
+        a, v, r = self._moved.split(x)
+        return (*self.inner.base(a), *v, *r)
+
+    def advanced(self, x: Vector, d: Vector) -> Vector:
+        a, v, r = self._moved.split(x)
+        turned = self.inner.advanced(a, d[:-6])
+        return (*turned, *plus((*v, *r), d[-6:]))
+
+    def turning(self, g: Any, xdot: Vector, x: Vector) -> Any:
+        square = self.inner.turning(g[1], xdot[:-6], x[:-6])
+        for of_stage in self._squares:
+            # four times: a quaternion, for which limits hold, turns at half the body's rate
+            square = larger(square, as_like(4.0 * of_stage, x[0]))
+        self._squares.clear()
+        return square
+
+    def begin(self, q: Vector, beside: Vector) -> Vector:
+        return (*self.inner.begin(q, beside[:-6]), *beside[-6:])
+
+    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+        y, d = self.inner.hand_out(x[:-6], finish)
+        return (*y, *x[-6:]), d
+
+    def invariants(self, x: Vector) -> Vector:
+        return self.inner.invariants(x[:-6])
+
+    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+        return self.inner.pose(t, x[:-6])

@@ -94,9 +94,12 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     q = np.tile(_TILTED, (n, 1))
     w = None if scene.kind == "rate" else np.tile([0.1, 0.2, 0.3], (n, 1))
     still = np.zeros((n, 3))
+    placed = {"r0": still + 1.0}
     carried = {"v0": still} if scene.moves else {}
-    if carried and task.representation in _USUAL:
-        _run(task, scene, q, w, 0.01, {**carried, "r0": still})
+    if scene.couples:
+        carried |= placed
+    elif carried and task.representation in _USUAL:
+        _run(task, scene, q, w, 0.01, {**carried, **placed})
     run = _run(task, scene, q, w, 0.01, carried)
     # what a trajectory makes of its states
     _ = run.q, run.w, run.C

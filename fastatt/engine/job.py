@@ -15,17 +15,19 @@ from fastatt.methods.method import Method
 from fastatt.motion import (
     Body,
     GivenRate,
+    Motion,
     Moving,
+    RigidBody,
     Structure,
-    Turning,
     Watched,
     carried,
     motion_of,
     moving_part,
+    stepped_part,
     turning_part,
 )
 from fastatt.rates import is_constant
-from fastatt.translation import Translation
+from fastatt.translation import Coupled, Translation
 
 # a relative change is taken from invariants above this
 _TINY = 1e-37
@@ -128,8 +130,8 @@ class Formulas:
         self.coordinates = job.attitude.coordinates
         self.given = self.coordinates + job.structure.tail
         self.handed_out = job.attitude.stored + job.structure.tail
-        #: numbers that a scene with mass carries beside what turns
-        self.beside = job.structure.tail - turning_part(job.structure).tail
+        #: numbers that are carried beside what a method steps
+        self.beside = job.structure.tail - stepped_part(job.structure).tail
 
     def scope(self, *, quick: bool = False, graph: Graph | None = None) -> Scope:
         """Numbers and the motion that a formula works on."""
@@ -281,12 +283,14 @@ class Scope:
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
-        turning = turning_part(structure)
-        self.motion: Turning | Body = motion_of(turning, self.attitude, p[: turning.n_params], like)
+        turning, moving = turning_part(structure), moving_part(structure)
         self.translation = None
-        moving = moving_part(structure)
+        if isinstance(moving, Moving) and moving.couples:
+            self.motion: Motion = Coupled(self.attitude, moving, p, like)
+            return
+        self.motion = motion = motion_of(turning, self.attitude, p[: turning.n_params], like)
         if isinstance(moving, Moving):
-            self.translation = Translation(self.motion, moving, p[turning.n_params :])
+            self.translation = Translation(motion, moving, p[turning.n_params :])
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Numbers of the state's precision."""
@@ -317,7 +321,7 @@ class Scope:
         return Flat(self.graph, results, self.kind)
 
     def parts(self, x: Vector) -> tuple[Vector, Vector]:
-        """What turns, and what is carried beside it by a scene with mass."""
+        """What a method steps, and what is carried beside it."""
         n = len(x) - self.formulas.beside
         return x[:n], x[n:]
 
@@ -328,11 +332,11 @@ class Scope:
         own, beside = self.parts(x)
         if steps.stage is not None:
             y, z = steps.stage(self.motion, t, h, k, own, e)
-        elif isinstance(self.motion, Body):
+        elif isinstance(turning := turning_part(self.job.structure), RigidBody):
             assert steps.body is not None
             y, z = steps.body(self.motion, t, h, own)
         else:
-            constant = is_constant(self.motion.structure.law)
+            constant = is_constant(turning.law)
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             y, z = chosen(self.motion, t, h, own)
@@ -354,7 +358,7 @@ class Scope:
 
     def begin(self, q: Vector, beside: Vector) -> Vector:
         """The state from an attitude as given and what is carried beside it."""
-        n = turning_part(self.job.structure).tail
+        n = stepped_part(self.job.structure).tail
         return (*self.motion.begin(q, beside[:n]), *beside[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:

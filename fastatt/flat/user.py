@@ -43,12 +43,20 @@ class Form(NamedTuple):
     results: int
     unit: str
 
+    @property
+    def argument(self) -> str:
+        """What messages call it: "rate", "torque", …."""
+        return self.call.partition("(")[0]
+
 
 FORMS = {
     "rate": Form("rate(t, p)", (0,), 3, "rad/s"),
     "torque": Form("torque(t, q, w, p)", (0, 4, 3), 3, "N·m"),
+    "torque at position": Form("torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m"),
     "force": Form("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
+    "force at position": Form("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Form("potential(t, q, p)", (0, 4), 1, "J"),
+    "potential at position": Form("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
     "reducer": Form("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
 }
 
@@ -57,7 +65,7 @@ _KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int], UserFunction]] = WeakKeyDic
 
 def user_function(
     function: Callable[..., Any],
-    argument: str,
+    form: str,
     n_params: int,
     params: NDArray[np.float64] | None = None,
 ) -> UserFunction:
@@ -66,10 +74,9 @@ def user_function(
     Parameters
     ----------
     function
-        ``rate(t, p)``, ``torque(t, q, w, p)``, ``force(t, q, w, v, p)`` or ``potential(t, q, p)``,
-        plain or jitted.
-    argument
-        Which of these it is: "rate", "torque", "force" or "potential".
+        ``rate(t, p)`` or another of ``FORMS``, plain or jitted.
+    form
+        Which of ``FORMS`` it is: "rate", "torque", ….
     n_params
         Length of ``p``.
     params
@@ -82,13 +89,13 @@ def user_function(
     """
     if not isinstance(getattr(function, "py_func", function), FunctionType):
         raise TypeError(
-            f"{argument}: found {checks.brief(function)}; accepted: a function "
-            f"{FORMS[argument].call}"
+            f"{FORMS[form].argument}: found {checks.brief(function)}; accepted: a function "
+            f"{FORMS[form].call}"
         )
     made = _KNOWN.setdefault(function, {})
-    key = (argument, n_params)
+    key = (form, n_params)
     if key not in made:
-        made[key] = UserFunction(function, argument, n_params, params)
+        made[key] = UserFunction(function, form, n_params, params)
     return made[key]
 
 
@@ -103,15 +110,15 @@ class UserFunction:
     def __init__(
         self,
         function: Callable[..., Any],
-        argument: str,
+        form: str,
         n_params: int,
         params: NDArray[np.float64] | None = None,
     ) -> None:
-        self.argument = argument
-        form = FORMS[argument]
-        self.form = form if form.results else form._replace(results=n_params)
+        own = FORMS[form]
+        self.form = own if own.results else own._replace(results=n_params)
+        self.argument = own.argument
         self.n_params = n_params
-        self.name = getattr(function, "__name__", argument)
+        self.name = getattr(function, "__name__", self.argument)
         self.reason = ""
         #: arrays of the tables that it looks up, and times at which there is something in them
         self.tables: dict[Any, NDArray[np.float64]] = {}
@@ -171,6 +178,11 @@ class UserFunction:
         else:
             found = functions.opaque(self, self.form.results, numbers, like)  # type: ignore[arg-type]
         return found if self.form.results > 1 else found[0]
+
+    def given(self, *args: Any) -> Any:
+        """The same of as much of what is there as it takes, parameters last."""
+        *before, p = args
+        return self.call(*before[: len(self.form.before)], p)
 
     def __call__(self, *numbers: float) -> tuple[float, ...]:
         """What a function that is not traced gives of floats, all its arguments' in a row."""

@@ -181,6 +181,7 @@ def explicit_method(
         rate_calls=len(set(tableau.c)) if "rate" in scenes else tableau.stages,
         exponentials=0,
         compensates=True,
+        couples=True,
         limits=limits,
         steps=Steps(rate=step if "rate" in scenes else None, body=step, at_times=True),
         **fields,

@@ -32,7 +32,7 @@ def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
             before, now = now, axpy(h * (2.0 / n), slopes[-1], before)
         d = axpy(weight, now, d)
     most = largest(slopes) if motion.attitude.has_poles else slopes[-1]
-    return motion.advanced(x, d), h * h * motion.turning(t, most, plus(start, now))
+    return motion.advanced(x, d), h * h * motion.turning(motion.at(t), most, plus(start, now))
 
 
 METHOD = Method(
@@ -44,6 +44,7 @@ METHOD = Method(
     conserves=(),
     rate_calls=1 + sum(n - 1 for n in COLUMNS),
     exponentials=0,
+    couples=True,
     limits={"quat": 5.9},
     steps=Steps(body=step),
     damping_limit=7.5,

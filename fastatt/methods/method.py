@@ -94,6 +94,8 @@ class Method:
     damping_limit: float = math.inf
     #: whether it can carry what rounding loses
     compensates: bool = False
+    #: whether velocity and position can be part of what it steps, as what reads them needs
+    couples: bool = False
 
     @property
     def is_stepped(self) -> bool:

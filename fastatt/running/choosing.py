@@ -59,6 +59,7 @@ def fits(method: Method, scene: Scene, representation: str | Attitude | None = N
         and (representation is None or method.stores(representation))
         and (scene.kind != "torqued" or _takes(method, scene))
         and (method.translates or not scene.moves)
+        and (method.couples or not scene.couples)
     )
 
 

@@ -22,8 +22,9 @@ class Drift:
 
     ``norm``: | |q| − 1 |; ``orthogonality``: ‖C Cᵀ − 1‖ (Frobenius); both of the propagated state,
     before it was brought back to the group for output. ``energy``: kinetic and potential energy
-    less the first save's, over the largest kinetic energy saved; None where the torque has no
-    potential or the rate is given. ``momentum``: length of what the angular momentum in space,
+    less the first save's, over the largest kinetic energy saved, of what turns, and of what moves
+    too where the torque reads the position; None where the torque has no potential or the rate is
+    given. ``momentum``: length of what the angular momentum in space,
     wheels included, has changed since the first save, over the largest saved; None under a torque.
     """
 
@@ -68,7 +69,12 @@ def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
         return None
     kinetic = kinetic_energy(trajectory.w, scene.inertia)
     q = trajectory.q[:, None] if trajectory.one_body else trajectory.q
-    total = kinetic + potential_energy(scene, q, trajectory.t).reshape(kinetic.shape)
+    r = None
+    if scene.reads_position:
+        r = np.reshape(trajectory.r, (*q.shape[:-1], 3))
+        v = trajectory.v.astype(np.float64)
+        kinetic = kinetic + 0.5 * np.asarray(scene.mass) * (v * v).sum(axis=-1)
+    total = kinetic + potential_energy(scene, q, trajectory.t, r).reshape(kinetic.shape)
     return _relative(np.abs(total - total[0]), kinetic)
 
 

@@ -76,16 +76,25 @@ def _symmetric(angles: Any, rates: Any, inertia: Any) -> Any:
     return (rigid.kinetic_energy_symmetric(angles, rates, inertia),)
 
 
-def potential_energy(scene: Scene, q: ArrayLike, t: ArrayLike = 0.0) -> NDArray[np.float64]:
+def potential_energy(
+    scene: Scene, q: ArrayLike, t: ArrayLike = 0.0, r: ArrayLike | None = None
+) -> NDArray[np.float64]:
     """Potential energy of a scene's torque, J: (), (N,) or (S, N) as of attitudes q.
 
-    ``q`` is (4,), (N, 4) or (S, N, 4), ``t`` a number or (S,), s. Zero where nothing acts.
+    ``q`` is (4,), (N, 4) or (S, N, 4), ``t`` a number or (S,), s. Zero where nothing acts. ``r``,
+    m, is the position, with 3 in place of 4, where the torque reads it: the energy is then that of
+    torque and force together.
 
     Raises ``ValueError`` for a torque that has none: ``fastatt.torques`` says which do; it and
     ``TypeError`` for other shapes and things.
     """
     as_scene(scene)
     attitudes = checks.array_any("q", q, "(4,), (N, 4) or (S, N, 4)", [(4,), (-1, 4), (-1, -1, 4)])
+    if (r is None) == scene.reads_position:
+        told, wanted = ("none", "positions") if r is None else ("positions", "none")
+        raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
+    shape = (*attitudes.shape[:-1], 3)
+    places = np.zeros(shape) if r is None else checks.array_any("r", r, str(shape), [shape])
     found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
     packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
     turning = turning_part(packed.structure)
@@ -94,16 +103,18 @@ def potential_energy(scene: Scene, q: ArrayLike, t: ArrayLike = 0.0) -> NDArray[
     times = checks.array("t", t, f"a number or ({len(found)},)", [(), (len(found),)])
     times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
     p = packed.params[..., : turning.n_params]
-    inputs = {"t": None, "q": 4, "p": turning.n_params}
+    inputs = {"t": None, "q": 4, "r": 3, "p": turning.n_params}
     potential = rows(partial(_potential, turning), inputs, (None,), key=(_potential, turning))
-    (energies,) = potential(times[:, None], found, p, tables=packed.tables)
+    at = places.reshape(*found.shape[:-1], 3)
+    (energies,) = potential(times[:, None], found, at, p, tables=packed.tables)
     return np.asarray(energies).reshape(attitudes.shape[:-1])
 
 
-def _potential(structure: RigidBody, t: Any, q: Any, p: Any) -> Any:
-    """Potential energy at an attitude of the body axes."""
+def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
+    """Potential energy at an attitude of the body axes and a position."""
     motion = Body(QUATERNION, structure, p, q[0])
     if motion.axes is not None:
         q = quat.mul(q, motion.axes)
-    pose = torques.Pose(QUATERNION, q, (0.0, 0.0, 0.0), motion.moments)
+    none = (0.0, 0.0, 0.0)
+    pose = torques.Pose(QUATERNION, q, none, motion.moments, (none, r))
     return (torques.potential_of(structure.law, t, pose, motion.torque_numbers),)

@@ -59,11 +59,12 @@ def initial(
     q0, w0, v0, r0 = values
     start = checks.attitudes("q0", q0, flag=flag)
     has_inertia = scene.kind != "rate"
+    placed = "whose torque or force reads it needs" if scene.couples else "with mass takes"
     found = {}
     for name, value, wanted, needed, unit in (
         ("w0", w0, has_inertia, True, "with inertia needs (3,) or (N, 3), rad/s"),
         ("v0", v0, scene.moves, True, "with mass needs (3,) or (N, 3), m/s"),
-        ("r0", r0, scene.moves, False, "with mass takes (3,) or (N, 3), m"),
+        ("r0", r0, scene.moves, scene.couples, f"{placed} (3,) or (N, 3), m"),
     ):
         if value is not None and not wanted:
             raise ValueError(f"{name}: found, but this scene has none; a scene {unit}")

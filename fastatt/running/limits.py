@@ -67,11 +67,11 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
     """Whether turns are known beforehand: rates (rad/s) of each body that they never exceed, or 0.
 
     0 of free bodies, whose own initial momentum says it; None where nothing does. Coordinates have
-    poles; beside many stages the look is not worth a second program. ``choice`` is
-    that of a run.
+    poles, a planet's gravity has a centre; beside many stages the look is not worth a second
+    program. ``choice`` is that of a run.
     """
     method: Method = choice.method
-    if not choice.looks or choice.attitude.has_poles:
+    if not choice.looks or choice.attitude.has_poles or scene.couples:
         return None
     if method.rate_calls > _STAGES and not method.stages:
         return None

@@ -70,7 +70,7 @@ class Plan:
         self.choice, self.clock, self.handling = choice, clock, handling or Handling()
         self._asked = asked
         method, attitude = choice.method, choice.attitude
-        bodies = n_bodies // rows_each
+        bodies, position = n_bodies // rows_each, position or scene.couples
         self.packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed)

@@ -1,0 +1,297 @@
+"""Torques and forces that read the position: all is one system, against mpmath."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+import rigid_oracle as ro
+from exact import EPS, START, angle
+from oracle import floats
+
+import fastatt as fa
+from fastatt.attitudes import QUATERNION
+from fastatt.kernels import quat, vec3
+from fastatt.translation import Coupled
+
+INERTIA = (2.0, 1.0, 2.0 / 3.0)
+TENSOR = np.array([[2.0, 0.2, 0.1], [0.2, 2.5, -0.3], [0.1, -0.3, 3.0]])
+SPIN = np.array([0.3, 0.9, -0.5])
+V0, R0 = np.array([0.4, -0.2, 0.5]), np.array([0.6, 0.2, -0.3])
+MASS = 2.0
+at_position = {"uses_position": True}
+
+
+def oracle(torque, force, span, inertia=INERTIA, v0=V0, r0=R0):
+    """(q, w, v, r) at the end; the velocity is integrated along inertial axes."""
+    with mp.workdps(30):
+        tensor = ro.exactly(ro.tensor(inertia))
+        solve = ro.inverse(tensor)
+        q0 = [mp.mpf(x) for x in START.tolist()]
+        u0 = ro.to_inertial(q0, [mp.mpf(x) for x in v0])
+
+        def slope(t, y):
+            q, w, u, r = y[:4], y[4:7], y[7:10], y[10:]
+            given = t, q, w, ro.to_body(q, u), r
+            moment = ro.cross(ro.times(tensor, w), w)
+            moment = [a + b for a, b in zip(moment, torque(*given), strict=True)]
+            push = ro.to_inertial(q, force(*given))
+            turn = [x / 2 for x in ro.quat_mul(q, (0, *w))]
+            return (*turn, *ro.times(solve, moment), *(x / MASS for x in push), *u)
+
+        y0 = [*q0, *SPIN.tolist(), *u0, *map(float, r0)]
+        (y,) = ro.solve(slope, y0, [span], digits=18)
+        return [np.array(floats(x)) for x in (y[:4], y[4:7], ro.to_body(y[:4], y[7:10]), y[10:])]
+
+
+def run(scene, n, span, method="rk8", **options):
+    given = {"w0": SPIN, "v0": V0, "r0": R0, **options}
+    return fa.propagate(scene, START, dt=span / n, n_steps=n, method=method, **given)
+
+
+def gaps(found, end):
+    """Errors of q (rad), w, v and r."""
+    others = [np.abs(x - y).max() for x, y in zip(found[1:], end[1:], strict=True)]
+    return np.array([angle(found[0], end[0]), *others])
+
+
+def last(traj):
+    return [getattr(traj, name)[-1] for name in "qwvr"]
+
+
+# the order
+
+
+def drawn(t, q, w, v, r, p):
+    return p[0] * r[1] + 0.2 * t, -p[0] * r[0], -0.3 * v[2]
+
+
+def pulled(t, q, w, v, r, p):
+    return -p[0] * r[0], 0.1 * t, -r[2] - 0.2 * v[1]
+
+
+COUPLED = fa.Scene(
+    inertia=INERTIA,
+    mass=MASS,
+    torque=fa.torques.Custom(drawn, (0.7,), **at_position),
+    force=fa.forces.Custom(pulled, (1.1,), **at_position),
+)
+# two numbers of steps that are small enough to show the order and leave more than rounding
+STEPS = {"rk4": (60, 120), "rk8": (40, 60), "rk9": (20, 40), "gbs16": (9, 14)}
+
+
+def test_which_methods_fit():
+    assert fa.methods_for(COUPLED) == list(STEPS)
+    assert {m.name for m in fa.METHODS.values() if m.couples} == set(STEPS)
+
+
+@pytest.fixture(scope="module")
+def coupled_end():
+    return oracle(lambda *given: drawn(*given, (0.7,)), lambda *given: pulled(*given, (1.1,)), 6.0)
+
+
+def by_formulas(method, n, span):
+    """(q, w, v, r) by the formulas of a step on floats: to compile some takes a second."""
+    packed = COUPLED.packed(None)
+    motion = Coupled(QUATERNION, packed.structure, tuple(packed.params.tolist()), 1.0)
+    x = motion.begin(tuple(START.tolist()), tuple(np.concatenate([SPIN, V0, R0]).tolist()))
+    for k in range(n):
+        x, _ = fa.METHODS[method].steps.body(motion, k * span / n, span / n, x)
+    q, m, v, r = np.split(np.array(x), (4, 7, 10))
+    return q / np.linalg.norm(q), m / INERTIA, v, r
+
+
+@pytest.mark.parametrize("method", STEPS)
+def test_order_of_every_part(method, coupled_end):
+    n = STEPS[method]
+    errors = [gaps(by_formulas(method, k, 6.0), coupled_end) for k in n]
+    assert (errors[1] > 1000 * EPS).all()
+    orders = np.log(errors[0] / errors[1]) / math.log(n[1] / n[0])
+    assert (orders > fa.METHODS[method].order - 0.5).all(), orders
+
+
+# a planet
+
+
+def planet(t, q, w, v, r):
+    """Gravity of one at the origin, of μ = 1, along body axes."""
+    size = mp.sqrt(ro.dot(r, r))
+    return ro.to_body(q, [-MASS * x / size**3 for x in r])
+
+
+def gradient(t, q, w, v, r):
+    """Its gradient: 3 μ/r³ o×(I o)."""
+    size = mp.sqrt(ro.dot(r, r))
+    o = ro.to_body(q, [x / size for x in r])
+    return [3 * x / size**3 for x in ro.cross(o, ro.times(ro.tensor(INERTIA), o))]
+
+
+ECCENTRIC = 0.4
+PERIAPSIS = np.array([1.0 - ECCENTRIC, 0.0, 0.0])
+THERE = np.array([0.0, math.sqrt((1.0 + ECCENTRIC) / (1.0 - ECCENTRIC)), 0.0])
+ORBIT = fa.Scene(
+    inertia=INERTIA,
+    mass=MASS,
+    torque=fa.torques.CentralGravityGradient(1.0),
+    force=fa.forces.CentralGravity(1.0),
+)
+
+
+def test_kepler_orbit():
+    """Against mpmath, and the torque of an orbit that is solved by Kepler's equation."""
+    start = {"v0": fa.rotate_inverse(START, THERE), "r0": PERIAPSIS}
+    end = oracle(gradient, planet, 2.0, **start)
+    traj = run(ORBIT, 100, 2.0, **start)
+    assert (gaps(last(traj), end) < 1e-12).all()
+    known = fa.torques.KeplerGravityGradient(1.0, ECCENTRIC)
+    slow = {"dt": 2e-4, "n_steps": 10_000, "method": "rk4"}  # which others compile too
+    other = fa.propagate(fa.Scene(inertia=INERTIA, torque=known), START, SPIN, **slow)
+    assert angle(traj.q[-1], other.q[-1]) < 1e-12
+    assert np.abs(traj.w[-1] - other.w[-1]).max() < 1e-12
+
+
+def test_a_step_too_large_at_periapsis_is_flagged():
+    """By the turn in orbit, however slowly the body turns; its neighbour is as if alone."""
+    e = 0.9
+    near = {
+        "r0": [[1 - e, 0, 0], [1, 0, 0]],
+        "v0": [[0, math.sqrt((1 + e) / (1 - e)), 0], [0, 1, 0]],
+    }
+    body = fa.Scene(inertia=INERTIA, mass=MASS, force=fa.forces.CentralGravity(1.0))
+    given = {"dt": 2 * math.pi / 64, "n_steps": 64, "method": "rk4"}
+    traj = fa.propagate(body, [[1, 0, 0, 0]] * 2, [1e-3, 0, 0], **near, **given)
+    assert traj.status.tolist() == [fa.Status.STEP_TOO_LARGE, 0]
+    assert np.abs(traj.r[-1] - near["r0"])[0].max() > 0.1
+    assert np.abs(traj.r[-1] - near["r0"])[1].max() < 1e-4
+    alone = {name: x[1] for name, x in near.items()}
+    one = fa.propagate(body, [1, 0, 0, 0], [1e-3, 0, 0], **alone, **given)
+    assert np.array_equal(one.r[-1], traj.r[-1, 1])
+
+
+def test_given_rate():
+    """A circular orbit of a body that turns as it is told, along inertial axes."""
+    scene = fa.Scene(
+        rate=fa.rates.Constant((0.0, 0.0, 0.3)), frame="inertial", mass=[1.0, MASS],
+        force=fa.forces.CentralGravity(1.0),
+    )  # fmt: skip
+    given = {"v0": [0, 1, 0], "r0": [1, 0, 0]}
+    c, s = math.cos(3.0), math.sin(3.0)
+    errors = []
+    for n in (50, 100):
+        traj = fa.propagate(scene, [[1.0, 0, 0, 0]] * 2, **given, dt=3.0 / n, n_steps=n)
+        v = fa.rotate(traj.q[-1], traj.v[-1])
+        errors.append(max(np.abs(traj.r[-1] - (c, s, 0)).max(), np.abs(v - (-s, c, 0)).max()))
+    assert errors[1] < 1e-6
+    assert 14.0 < errors[0] / errors[1] < 18.0
+
+
+# a spring from the origin to a point of the body
+
+
+def stretched(q, r, p):
+    a = quat.rotate(q, p[1:4])
+    return r[0] + a[0], r[1] + a[1], r[2] + a[2]
+
+
+def sprung(t, q, w, v, r, p):
+    x = stretched(q, r, p)
+    return quat.rotate_inverse(q, (-p[0] * x[0], -p[0] * x[1], -p[0] * x[2]))
+
+
+def twisted(t, q, w, v, r, p):
+    return vec3.cross(p[1:4], sprung(t, q, w, v, r, p))
+
+
+def stored(t, q, r, p):
+    x = stretched(q, r, p)
+    return 0.5 * p[0] * (x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+
+
+STIFF, ARM = 3.0, (0.3, -0.2, 0.5)
+P = (STIFF, *ARM)
+
+
+def spring(inertia=TENSOR, mass=MASS, p=P):
+    return fa.Scene(
+        inertia=inertia,
+        mass=mass,
+        torque=fa.torques.Custom(twisted, p, potential=stored, **at_position),
+        force=fa.forces.Custom(sprung, p, **at_position),
+    )
+
+
+def of_spring(t, q, w, v, r):
+    x = [a + b for a, b in zip(r, ro.to_inertial(q, ARM), strict=True)]
+    return ro.to_body(q, [-STIFF * a for a in x])
+
+
+def test_spring_at_an_offset_point():
+    """Along axes that are not principal; energy is kept, and is that of all."""
+    end = oracle(lambda *x: ro.cross(ARM, of_spring(*x)), of_spring, 4.0, TENSOR)
+    scene = spring()
+    assert (gaps(last(run(scene, 200, 4.0)), end) < 1e-12).all()
+    traj = run(scene, 4000, 200.0, save_every=400)
+    turning = 0.5 * np.einsum("si,ij,sj->s", traj.w, TENSOR, traj.w)
+    moving = 0.5 * MASS * (traj.v**2).sum(axis=1)
+    potential = 0.5 * STIFF * ((traj.r + fa.rotate(traj.q, ARM)) ** 2).sum(axis=1)
+    total = turning + moving + potential
+    assert np.ptp(turning) > 0.1 * total[0]
+    assert np.abs(total / total[0] - 1.0).max() < 1e-12
+    found = fa.drift(traj, scene).energy
+    assert found == pytest.approx(np.abs(total - total[0]) / (turning + moving).max(), abs=16 * EPS)
+
+
+def test_each_body_has_its_own():
+    """Rows of all that acts, resumed, planned, saved between steps, and by single steps."""
+    rng = np.random.default_rng(3)
+    p, mass = np.array(P) * rng.uniform(0.5, 1.5, (3, 4)), rng.uniform(1, 2, 3)
+    scene = spring(INERTIA, mass, p)
+    q0, w0, v0 = np.tile(START, (3, 1)), rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
+    given = {"v0": v0, "r0": R0}
+    usual = {"dt": 0.05, "n_steps": 12, "method": "rk4"}
+    traj = fa.propagate(scene, q0, w0, **given, **usual, save_every=6)
+
+    def same(other, k=-1):
+        return all(np.array_equal(getattr(other, x)[-1], getattr(traj, x)[k]) for x in "qwvr")
+
+    half = fa.propagate(scene, q0, w0, **given, **usual | {"n_steps": 6})
+    assert same(half, 1)
+    assert same(fa.propagate(scene, resume=half, **usual | {"n_steps": 6}))
+    assert same(fa.plan(scene, 3, **usual)(q0, w0, **given))
+    own = {"dt": [0.05, 0.025, 0.05], "n_steps": [12, 24, 12], "save_at": [0.33, 0.6]}
+    mixed = fa.propagate(scene, q0, w0, **given, **usual | own)
+    assert np.abs(mixed.r[-1] - traj.r[-1])[[0, 2]].max() < 8 * EPS
+    assert 1e-9 < np.abs(mixed.r[-1] - traj.r[-1])[1].max() < 1e-4
+    step = fa.single_step(spring(INERTIA, mass[1], p[1]), method="rk4")
+    x = step.state(START, w0[1], v0[1], R0)
+    for k in range(12):
+        x = step(0.05 * k, 0.05, x)
+    assert np.abs(np.array(step.read(x, step.params)[1][6:]) - traj.r[-1, 1]).max() < 8 * EPS
+
+
+# refusals
+
+
+def still(t, q, w, p):
+    return 0.0, 0.0, 0.0
+
+
+def test_refusals():
+    for torque in (fa.torques.CentralGravityGradient(), COUPLED.torque):
+        for acting in (torque, fa.torques.Sum((fa.torques.Damping(0.1), torque))):
+            with pytest.raises(ValueError, match="torque: found one that reads the position, but"):
+                fa.Scene(inertia=TENSOR, torque=acting)
+    with pytest.raises(ValueError, match="r0: is missing; a scene whose torque or force reads it"):
+        run(COUPLED, 1, 0.1, r0=None)
+    with pytest.raises(ValueError, match=r"found 'cf4'; accepted: rk4, rk8, rk9, gbs16$"):
+        run(COUPLED, 1, 0.1, "cf4")
+    with pytest.raises(TypeError, match=r"torque: still\(t, q, w, v, r, p\) does not compile"):
+        fa.Scene(inertia=INERTIA, torque=fa.torques.Custom(still, **at_position))
+    with pytest.raises(ValueError, match=r"CentralGravity\.gravitational_parameter is -1.0; acc"):
+        fa.Scene(inertia=INERTIA, mass=1.0, force=fa.forces.CentralGravity(-1.0))
+    with pytest.raises(ValueError, match="r: found none; accepted of this scene's torque: pos"):
+        fa.potential_energy(spring(), START)
+    with pytest.raises(ValueError, match="r: found positions; accepted of this scene's torque: n"):
+        fa.potential_energy(fa.Scene(inertia=INERTIA), START, r=R0)
