@@ -79,9 +79,17 @@ RUNS = {
         fa.Scene(inertia=TENSOR, mass=2.0, force=fa.forces.ConstantInertial((0.0, 0.0, -9.8))),
         "rk4", {"r0": V0},
     ),
+    "orbiting": (
+        fa.Scene(
+            inertia=TENSOR, mass=2.0, torque=fa.torques.CentralGravityGradient(0.1),
+            force=fa.forces.CentralGravity(0.1),
+        ),
+        "rk4", {"r0": V0},
+    ),
 }  # fmt: skip
+DOUBLE = ("inertial rows", "falling", "orbiting")
 CASES = [(name, "float64") for name in RUNS]
-CASES += [(name, "float32") for name in RUNS if name not in ("inertial rows", "falling")]
+CASES += [(name, "float32") for name in RUNS if name not in DOUBLE]
 
 
 def run(name, dtype="float64", **options):

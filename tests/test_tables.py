@@ -221,13 +221,15 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
     samples = np.tile(value, (2, 1))
     if own:
         samples = np.stack([2.0 * samples, samples])
-    with_table = records.pack(model(**{**given, name: fa.Table([0.0, 4.0], samples)}), None)
-    plain = records.pack(model(**given), None)
+    of_forces = (np.array(2.0),) if records is forces else ()
+    table = fa.Table([0.0, 4.0], samples)
+    with_table = records.pack(model(**{**given, name: table}), None, *of_forces)
+    plain = records.pack(model(**given), None, *of_forces)
 
     def acting(law):
         def formula(t, q, w, p):
             if records is forces:
-                return law.formula(t, q, w, (0.1, 0.2, 0.3), p)
+                return law.formula(t, q, w, (0.1, 0.2, 0.3), (), p)
             return torque_of(law, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
 
         inputs = {"t": None, "q": 4, "w": 3, "p": law.count}
