@@ -50,10 +50,11 @@ class Drag(NamedTuple):
 
 
 class CentralGravity(NamedTuple):
-    """Gravity of a planet at the origin: F = −(μ m/r³) r, r the position that the scene carries.
+    """Gravity of a point mass at the origin: F = −(μ m/r³) r, r the position that is carried, m.
 
     ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
-    2010, table 1.1) unless said; m is the scene's mass. Methods whose record says ``couples``.
+    2010, table 1.1) unless said; m is the scene's mass. Methods whose record says ``couples`` take
+    it; a step may be no longer than their limit at the rate 2 √(μ/r³).
     """
 
     gravitational_parameter: ArrayLike = 3.986004418e14

@@ -80,9 +80,11 @@ class GravityGradientAt(NamedTuple):
 
 
 class CentralGravityGradient(NamedTuple):
-    """The same at the position that the scene carries, from the planet's centre.
+    """τ = 3 (μ/r³) o×(I o) at the position r o that the scene carries, m, from the planet's centre.
 
-    It goes with ``fastatt.forces.CentralGravity``; methods whose record says ``couples``.
+    ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
+    2010, table 1.1) unless said. Hughes (1986), eq. 8.1.13. The scene has mass and a force, such as
+    ``fastatt.forces.CentralGravity``; methods whose record says ``couples`` take it.
     """
 
     gravitational_parameter: ArrayLike = 3.986004418e14
