@@ -70,12 +70,13 @@ def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     kinetic = kinetic_energy(trajectory.w, scene.inertia)
     q = trajectory.q[:, None] if trajectory.one_body else trajectory.q
     r = None
-    if scene.reads_position:
-        r = np.reshape(trajectory.r, (*q.shape[:-1], 3))
-        v = trajectory.v.astype(np.float64)
-        kinetic = kinetic + 0.5 * np.asarray(scene.mass) * (v * v).sum(axis=-1)
-    total = kinetic + potential_energy(scene, q, trajectory.t, r).reshape(kinetic.shape)
-    return _relative(np.abs(total - total[0]), kinetic)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if scene.reads_position:
+            r = np.reshape(trajectory.r, (*q.shape[:-1], 3))
+            v = trajectory.v.astype(np.float64)
+            kinetic = kinetic + 0.5 * np.asarray(scene.mass) * (v * v).sum(axis=-1)
+        total = kinetic + potential_energy(scene, q, trajectory.t, r).reshape(kinetic.shape)
+        return _relative(np.abs(total - total[0]), kinetic)
 
 
 def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:

@@ -90,16 +90,16 @@ def potential_energy(
     """
     as_scene(scene)
     attitudes = checks.array_any("q", q, "(4,), (N, 4) or (S, N, 4)", [(4,), (-1, 4), (-1, -1, 4)])
-    if (r is None) == scene.reads_position:
-        told, wanted = ("none", "positions") if r is None else ("positions", "none")
-        raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
-    shape = (*attitudes.shape[:-1], 3)
-    places = np.zeros(shape) if r is None else checks.array_any("r", r, str(shape), [shape])
     found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
     packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
     turning = turning_part(packed.structure)
     if not isinstance(turning, RigidBody) or not torques.has_potential(turning.law):
         raise ValueError("scene: its torque has no potential; accepted: one that has, or none")
+    if (r is None) == scene.reads_position:
+        told, wanted = ("none", "positions") if r is None else ("positions", "none")
+        raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
+    shape = (*attitudes.shape[:-1], 3)
+    places = np.zeros(shape) if r is None else checks.array_any("r", r, str(shape), [shape])
     times = checks.array("t", t, f"a number or ({len(found)},)", [(), (len(found),)])
     times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
     p = packed.params[..., : turning.n_params]
