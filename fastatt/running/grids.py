@@ -21,7 +21,7 @@ def clock_of(
     Raises ``ValueError`` and ``TypeError`` for what does not fit.
     """
     save_every, save_at = saves
-    if save_at is None and np.ndim(dt) == 0:
+    if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
         return Clock.of(dt, n_steps, save_every)
     if save_every is not None:
         other = "save_at" if save_at is not None else "steps of each body's own"
