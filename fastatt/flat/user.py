@@ -43,11 +43,6 @@ class Form(NamedTuple):
     results: int
     unit: str
 
-    @property
-    def argument(self) -> str:
-        """What messages call it: "rate", "torque", …."""
-        return self.call.partition("(")[0]
-
 
 FORMS = {
     "rate": Form("rate(t, p)", (0,), 3, "rad/s"),
@@ -73,14 +68,10 @@ def user_function(
 
     Parameters
     ----------
-    function
-        ``rate(t, p)`` or another of ``FORMS``, plain or jitted.
-    form
-        Which of ``FORMS`` it is: "rate", "torque", ….
-    n_params
-        Length of ``p``.
-    params
-        Some of the parameters it will be called with, (P,) or (N, P): it is tried with them.
+    function : plain or jitted.
+    form : which of ``FORMS`` it is, "rate" of ``rate(t, p)``.
+    n_params : length of ``p``.
+    params : some that it will be called with, (P,) or (N, P): it is tried with them.
 
     Raises
     ------
@@ -89,7 +80,7 @@ def user_function(
     """
     if not isinstance(getattr(function, "py_func", function), FunctionType):
         raise TypeError(
-            f"{FORMS[form].argument}: found {checks.brief(function)}; accepted: a function "
+            f"{form.partition(' ')[0]}: found {checks.brief(function)}; accepted: a function "
             f"{FORMS[form].call}"
         )
     made = _KNOWN.setdefault(function, {})
@@ -116,7 +107,7 @@ class UserFunction:
     ) -> None:
         own = FORMS[form]
         self.form = own if own.results else own._replace(results=n_params)
-        self.argument = own.argument
+        self.argument = form.partition(" ")[0]
         self.n_params = n_params
         self.name = getattr(function, "__name__", self.argument)
         self.reason = ""
