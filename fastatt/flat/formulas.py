@@ -54,6 +54,11 @@ def scale(k: Any, x: Vector) -> Vector:
     return tuple(k * a for a in x)
 
 
+def product(x: Vector, y: Vector) -> Vector:
+    """x_i y_i."""
+    return tuple(a * b for a, b in zip(x, y, strict=True))
+
+
 def axpy(k: Any, x: Vector, y: Vector) -> Vector:
     """k x + y."""
     return tuple(k * a + b for a, b in zip(x, y, strict=True))
