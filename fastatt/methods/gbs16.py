@@ -94,6 +94,6 @@ METHOD = Method(
     limits={"quat": 5.9},
     steps=Steps(body=step),
     damping_limit=7.3,
-    summary="extrapolated midpoint rule: torques that are quick to evaluate, errors below 1e-7",
+    summary="extrapolated midpoint rule: torques that are quick to evaluate, errors below 1e-6",
     source="Hairer, Nørsett, Wanner, Solving ODEs I (1993), §II.9, eqs. 9.10 and 9.13",
 )
