@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import operator
+import re
 from collections.abc import Iterable
 from datetime import timedelta
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.floating[Any]]
+_Shapes = Iterable[tuple[int, ...]]
 
 _ROWS = 1 << 14
 _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
@@ -81,17 +84,20 @@ def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
     return kind
 
 
-def array(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, ...]]) -> Floats:
-    """A finite float array whose shape is one of ``tails`` (−1: any length but 0)."""
+def array(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None) -> Floats:
+    """A finite float array of one of the shapes, such as "a number, (3,) or (N, 3)".
+
+    ``tails`` are these (−1: any length but 0) where the words do not say them.
+    """
     found = array_any(name, value, shapes, tails)
     finite(name, found)
     return found
 
 
-def array_any(name: str, value: ArrayLike, shapes: str, tails: Iterable[tuple[int, ...]]) -> Floats:
+def array_any(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None) -> Floats:
     """The same, finite or not."""
     found = numbers(name, value, f"real numbers of shape {shapes}")
-    for tail in tails:
+    for tail in tails or _tails(shapes):
         if _fits(found.shape, tail):
             return found
     raise ValueError(f"{name}: {shape(found)}; accepted: {shapes}")
@@ -136,7 +142,7 @@ def attitudes(
     name: str,
     value: ArrayLike,
     shapes: str = "(4,) or (N, 4)",
-    tails: Iterable[tuple[int, ...]] = ((4,), (-1, 4)),
+    tails: _Shapes | None = None,
     *,
     flag: bool = False,
 ) -> Floats:
@@ -164,6 +170,16 @@ def _zero_rows(x: Floats) -> NDArray[np.bool_]:
         for a in range(0, len(x), _ROWS):
             rows = slice(a, a + _ROWS)
             found[rows] = np.abs(x[rows]) @ ones == 0.0
+    return found
+
+
+@lru_cache(maxsize=256)
+def _tails(shapes: str) -> list[tuple[int, ...]]:
+    """Shapes as they are written in a message; a letter is any length but 0."""
+    found: list[tuple[int, ...]] = [()] if shapes.startswith("a number") else []
+    for written in re.findall(r"\(([^)]*)\)", shapes):
+        lengths = [part.strip() for part in written.split(",") if part.strip()]
+        found.append(tuple(int(n) if n.isdigit() else -1 for n in lengths))
     return found
 
 

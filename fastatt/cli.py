@@ -6,7 +6,8 @@ import argparse
 import math
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -77,108 +78,97 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"fastatt {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    methods = commands.add_parser(
-        "methods",
-        help="list the methods and where each fits",
-        description="List the methods: name, order, scenes, floating-point operations a step of "
-        "quaternions, representations, source.",
+    def command(run: Callable[..., int], brief: str, description: str) -> argparse.ArgumentParser:
+        name = run.__name__.removeprefix("_")
+        added = commands.add_parser(name, help=brief, description=description)
+        added.set_defaults(run=run)
+        return added
+
+    methods = command(
+        _methods,
+        "list the methods and where each fits",
+        "List the methods: name, order, scenes, floating-point operations a step of quaternions, "
+        "representations, source.",
     )
     methods.add_argument(
         "--scene", choices=listing.SCENES, help="only those for this kind of scene"
     )
-    methods.set_defaults(run=_methods)
 
-    integrate = commands.add_parser(
-        "integrate",
-        help="gyro log to attitudes",
-        description="Read a gyro log, integrate it, write the attitudes (body to inertial, scalar "
-        "first), a chunk at a time; with --compare, say how far the methods differ on it.",
+    integrate = command(
+        _integrate,
+        "gyro log to attitudes",
+        "Read a gyro log, integrate it, write the attitudes (body to inertial, scalar first), a "
+        "chunk at a time; with --compare, say how far the methods differ on it.",
     )
     add_options(integrate, _names, _floats)
-    integrate.set_defaults(run=_integrate)
 
-    trade = commands.add_parser(
-        "trade",
-        help="every method's speed against its error",
-        description="Run every method that fits on recorded gyro logs and on ensembles with a "
-        "known answer, or on a scene of your own; leave tables, CSV files and pictures.",
+    trade = command(
+        _trade,
+        "every method's speed against its error",
+        "Run every method that fits on recorded gyro logs and on ensembles with a known answer, or "
+        "on a scene of your own; leave tables, CSV files and pictures.",
     )
-    trade.add_argument(
+    add = trade.add_argument
+    add(
         "--scene",
         action="append",
         choices=(*SCENES, _ALL),
         help=f"what to run, may be repeated (default: {' and '.join(DEFAULT_SCENES)}): recordings "
         "of gyros, coning bodies, free bodies, heavy tops, bodies under several torques",
     )
-    trade.add_argument(
-        "--methods", type=_names, help="only these methods, where they fit: rk4,magnus4"
-    )
-    trade.add_argument("-o", "--out", type=Path, default=Path("results"), help="folder for results")
-    trade.add_argument(
+    add("--methods", type=_names, help="only these methods, where they fit: rk4,magnus4")
+    add("-o", "--out", type=Path, default=Path("results"), help="folder for results")
+    add(
         "--log",
         type=Path,
         action="append",
         help="a gyro log instead of the recordings of scikit-kinematics (may be repeated)",
     )
     _add_scene(trade)
-    trade.add_argument("--t-end", type=float, help="duration of your own scene, s")
-    trade.add_argument(
-        "--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only"
-    )
-    trade.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
-    trade.set_defaults(run=_trade)
+    add("--t-end", type=float, help="duration of your own scene, s")
+    add("--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only")
+    add("-q", "--quiet", action="store_true", help="no progress bar")
 
-    advice = commands.add_parser(
-        "recommend",
-        help="the cheapest method and step for a scene of your own",
-        description="Measure on a sample of an ensemble which method, step and precision meet a "
-        "tolerance in the shortest time, or come nearest within a time.",
+    advice = command(
+        _recommend,
+        "the cheapest method and step for a scene of your own",
+        "Measure on a sample of an ensemble which method, step and precision meet a tolerance in "
+        "the shortest time, or come nearest within a time.",
     )
     _add_scene(advice)
-    advice.add_argument("--t-end", type=float, required=True, help="duration, s")
+    add = advice.add_argument
+    add("--t-end", type=float, required=True, help="duration, s")
     goal = advice.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tol", type=float, help="largest error of any body, rad")
     goal.add_argument("--budget", type=float, help="longest time that the run may take, s")
-    advice.add_argument(
-        "--at",
-        choices=("run", "end"),
-        default="run",
-        help="where errors are looked at: over the run (default), or at its end alone",
-    )
-    advice.add_argument("--save-interval", type=float, help="s between saves (default: the end)")
-    advice.add_argument("--methods", type=_names, help="only these methods: rk4,magnus4")
-    advice.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
-    advice.set_defaults(run=_recommend)
-    _add_cache(commands)
-    return parser
+    where = "where errors are looked at: over the run (default), or at its end alone"
+    add("--at", choices=("run", "end"), default="run", help=where)
+    add("--save-interval", type=float, help="s between saves (default: the end)")
+    add("--methods", type=_names, help="only these methods: rk4,magnus4")
+    add("-q", "--quiet", action="store_true", help="no progress bar")
 
-
-def _add_cache(commands: Any) -> None:
-    """Commands for what is compiled."""
-    warm = commands.add_parser(
-        "warm",
-        help="compile what is usual beforehand",
-        description="Compile every method on usual scenes (constant rate, coning, free body, heavy "
-        "top, gravity gradient and damping) and for logs, on quaternions and matrices in double "
+    warm = command(
+        _warm,
+        "compile what is usual beforehand",
+        "Compile every method on usual scenes (constant rate, coning, free body, heavy top, "
+        "gravity gradient and damping) and for logs, on quaternions and matrices in double "
         "precision, in parallel processes. Programs are kept: FASTATT_CACHE names the folder.",
     )
-    warm.add_argument(
-        "--all", action="store_true", help="single precision and all representations besides"
-    )
-    warm.add_argument("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
-    warm.add_argument("-j", "--jobs", type=int, help="processes (default: one a processor)")
-    warm.add_argument("--where", action="store_true", help="only say what is kept, and where")
-    warm.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
-    warm.set_defaults(run=_warm)
+    add = warm.add_argument
+    add("--all", action="store_true", help="single precision and all representations besides")
+    add("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
+    add("-j", "--jobs", type=int, help="processes (default: one a processor)")
+    add("--where", action="store_true", help="only say what is kept, and where")
+    add("-q", "--quiet", action="store_true", help="no progress bar")
 
-    cache = commands.add_parser(
-        "cache",
-        help="where compiled programs are kept, how large they are",
-        description="Say where compiled programs are kept and how large they are. FASTATT_CACHE "
-        "names another folder; FASTATT_CACHE=0 switches it off.",
+    cache = command(
+        _cache,
+        "where compiled programs are kept, how large they are",
+        "Say where compiled programs are kept and how large they are. FASTATT_CACHE names another "
+        "folder; FASTATT_CACHE=0 switches it off.",
     )
     cache.add_argument("--clear", action="store_true", help="remove them")
-    cache.set_defaults(run=_cache)
+    return parser
 
 
 def _warm(arguments: argparse.Namespace) -> int:
@@ -192,8 +182,7 @@ def _warm(arguments: argparse.Namespace) -> int:
         if arguments.scene_file is None
         else warming.of_scene(read_scene(arguments.scene_file), everything=arguments.all)
     )
-    bar = _bar_wanted(arguments.quiet)
-    print(warming.warm(tasks, processes=arguments.jobs, progress=bar))
+    print(warming.warm(tasks, processes=arguments.jobs, progress=_bar_wanted(arguments.quiet)))
     return 0
 
 
@@ -206,33 +195,24 @@ def _cache(arguments: argparse.Namespace) -> int:
 
 def _add_scene(command: argparse.ArgumentParser) -> None:
     """Options that make a scene and an ensemble."""
-    scene = command.add_argument_group("a scene of your own")
-    scene.add_argument("--scene-file", type=Path, help="a .json or .toml file with the scene")
-    scene.add_argument(
-        "--inertia", type=_floats, help="principal moments, kg·m²: 2,1,0.7; nine numbers: a tensor"
-    )
-    scene.add_argument(
-        "--torque",
-        nargs="+",
-        action="append",
-        metavar=("NAME", "KEY=NUMBERS"),
-        help="a model of fastatt.torques, may be repeated: HeavyTop arm=0,0,0.1 weight=10",
-    )
-    scene.add_argument(
-        "--rate",
-        nargs="+",
-        action="append",
-        metavar=("NAME", "KEY=NUMBERS"),
-        help="a model of fastatt.rates, may be repeated: Coning angle=0.5 frequency=2",
-    )
-    scene.add_argument("--frame", choices=("body", "inertial"), help="axes of the rate")
-    scene.add_argument("--q0", type=Path, help="initial attitudes, .csv or .npy (default: random)")
-    scene.add_argument(
-        "--w0", type=Path, help="initial rates, rad/s, .csv or .npy (default: random)"
-    )
-    scene.add_argument(
-        "--spin", type=float, default=1.0, help="of random rates, rad/s an axis (default: 1)"
-    )
+    add = command.add_argument_group("a scene of your own").add_argument
+    add("--scene-file", type=Path, help="a .json or .toml file with the scene")
+    add("--inertia", type=_floats, help="principal moments, kg·m²: 2,1,0.7; nine numbers: a tensor")
+    for kind, example in (
+        ("torque", "HeavyTop arm=0,0,0.1 weight=10"),
+        ("rate", "Coning angle=0.5 frequency=2"),
+    ):
+        add(
+            f"--{kind}",
+            nargs="+",
+            action="append",
+            metavar=("NAME", "KEY=NUMBERS"),
+            help=f"a model of fastatt.{kind}s, may be repeated: {example}",
+        )
+    add("--frame", choices=("body", "inertial"), help="axes of the rate")
+    add("--q0", type=Path, help="initial attitudes, .csv or .npy (default: random)")
+    add("--w0", type=Path, help="initial rates, rad/s, .csv or .npy (default: random)")
+    add("--spin", type=float, default=1.0, help="of random rates, rad/s an axis (default: 1)")
     command.add_argument(
         "--bodies", type=int, default=4096, help="size of the ensemble (default: 4096)"
     )
@@ -276,22 +256,13 @@ def _integrate(arguments: argparse.Namespace) -> int:
     name = "log" if piped else arguments.log.removesuffix(".gz")
     out = arguments.out or Path(name).with_suffix(".attitudes.csv")
     size = 0 if piped else Path(arguments.log).stat().st_size
-    options = Options(
-        columns=arguments.columns,
-        unit=arguments.unit,
-        rate=arguments.rate,
-        time_column=arguments.time_column,
-        time_unit=arguments.time_unit,
-        bad=arguments.bad,
-        max_gap=arguments.max_gap,
-        bias_seconds=arguments.bias_seconds,
-        beside=("quat",) if arguments.compare else (),
-    )
+    said: dict[str, Any] = {f.name: vars(arguments).get(f.name) for f in fields(Options)}
+    said["beside"] = ("quat",) if arguments.compare else ()
     reference = arguments.reference and read_attitudes(arguments.reference)
     kept: list[Chunk] | None = [] if arguments.compare or reference else None
     with (
         progress_bar(_bar_wanted(arguments.quiet), size, "B") as done,
-        reading(arguments.log, options, done) as reader,
+        reading(arguments.log, Options(**said), done) as reader,
         writing(out, pieces=arguments.bad == "split") as write,
     ):
         integrate_chunks(reader, q0, arguments.method, write, kept)
@@ -316,11 +287,8 @@ def _integrate(arguments: argparse.Namespace) -> int:
 
 def _own_scene(arguments: argparse.Namespace) -> Scene | None:
     """The scene that the options describe; None where there are none."""
-    words = {
-        name: getattr(arguments, name)
-        for name in ("inertia", "torque", "rate", "frame")
-        if getattr(arguments, name) is not None
-    }
+    given = {name: getattr(arguments, name) for name in ("inertia", "torque", "rate", "frame")}
+    words = {name: value for name, value in given.items() if value is not None}
     if arguments.scene_file is not None:
         if words:
             raise ValueError(
@@ -357,27 +325,16 @@ def _recommend(arguments: argparse.Namespace) -> int:
     if scene is None:
         raise ValueError("no scene: accepted: --inertia, --rate or --scene-file")
     q0, w0 = _ensemble(arguments, scene)
-    advice = recommend(
-        scene,
-        q0,
-        w0,
-        t_end=arguments.t_end,
-        tol=arguments.tol,
-        budget=arguments.budget,
-        save_interval=arguments.save_interval,
-        at=arguments.at,
-        methods=arguments.methods,
-        progress=_bar_wanted(arguments.quiet),
-    )
-    print(advice)
+    names = ("t_end", "tol", "budget", "save_interval", "at", "methods")
+    asked = {name: getattr(arguments, name) for name in names}
+    print(recommend(scene, q0, w0, progress=_bar_wanted(arguments.quiet), **asked))
     return 0
 
 
 def _trade_own(arguments: argparse.Namespace, scene: Scene) -> int:
     """Work and precision on a scene of the user's own."""
-    named = {"scene": arguments.scene, "log": arguments.log}
-    for name, value in named.items():
-        if value is not None:
+    for name in ("scene", "log"):
+        if getattr(arguments, name) is not None:
             raise ValueError(f"--{name}: found with a scene of your own; accepted: one of them")
     if arguments.t_end is None:
         raise ValueError("--t-end: is missing; a scene of your own needs its duration, s")

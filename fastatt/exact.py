@@ -235,10 +235,8 @@ def _at_times(
     precision = checks.precision(dtype, q0, w0)
     flag = checks.choice("invalid", invalid, INVALID) == "flag"
     start = checks.attitudes("q0", q0, flag=flag)
-    rates = (checks.array_any if flag else checks.array)(
-        "w0", w0, "(3,) or (N, 3)", [(3,), (-1, 3)]
-    )
-    times = checks.array("t", t, "a number or (T,)", [(), (-1,)])
+    rates = (checks.array_any if flag else checks.array)("w0", w0, "(3,) or (N, 3)")
+    times = checks.array("t", t, "a number or (T,)")
     threads = number_of(n_threads)
     if start.ndim == rates.ndim == 2 and len(start) != len(rates):
         raise ValueError(f"w0: has {len(rates)} rows; accepted: one, or {len(start)} as of q0")

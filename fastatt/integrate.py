@@ -63,7 +63,7 @@ def integrate_rates(
     """
     record = method_of(method, increments)
     name = "rates (increments)" if increments else "rates"
-    data = checks.array_any(name, rates, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
+    data = checks.array_any(name, rates, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     precision = checks.precision(dtype, rates)
     data = np.ascontiguousarray(data if not one else data[None], dtype=precision)
@@ -220,7 +220,7 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
     if isinstance(given, float) and 0.0 < given < math.inf:
         return precision.type(given)
     accepted = f"a number or ({count},)"
-    spans = checks.array("dt", dt, accepted, [(), (count,)])
+    spans = checks.array("dt", dt, accepted)
     if spans.ndim == 0:
         interval = checks.real("dt", spans)
         if interval <= 0.0:

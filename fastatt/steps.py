@@ -106,10 +106,10 @@ class Stepper:
             accepted = ", ".join(("q", *self._names))
             raise TypeError(f"state: found {1 + len(beside)} arguments; accepted: {accepted}")
         y = [
-            self._flat(checks.array(name, value, "(3,)", [(3,)]))
+            self._flat(checks.array(name, value, "(3,)"))
             for name, value in zip(self._names, beside, strict=True)
         ]
-        attitude_0 = self._flat(checks.attitudes("q", q, "(4,)", [(4,)]))
+        attitude_0 = self._flat(checks.attitudes("q", q, "(4,)"))
         x = self.start(attitude_0, sum(y, ()), self._of(body))
         return _floats(np.array(x, dtype=self._kind))
 

@@ -65,11 +65,11 @@ def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
 
 
 def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
-    return checks.array(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    return checks.array(name, value, "(3,) or (N, 3)")
 
 
 def _covariances(P: ArrayLike) -> NDArray[Any]:
-    found = checks.array("P", P, _COVARIANCE, [(6, 6), (-1, 6, 6)])
+    found = checks.array("P", P, _COVARIANCE)
     gap = np.abs(found - np.swapaxes(found, -1, -2)).max(axis=(-2, -1))
     scale = np.abs(found).max(axis=(-2, -1))
     bad = np.atleast_1d(gap > 1e3 * np.finfo(found.dtype).eps * scale)

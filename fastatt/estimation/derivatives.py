@@ -141,17 +141,12 @@ def rate_transition(
     """
     record, packed = _of_rate(scene, method)
     h, begin = checks.real("dt", dt), checks.real("t", t)
-    b = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64)
+    b = checks.array("bias", bias, "(3,) or (N, 3)").astype(np.float64)
     one = packed.params.size == packed.params.shape[-1] and b.ndim == 1
     params = np.atleast_2d(packed.params)
     n = common_number("bodies", params=params, bias=np.atleast_2d(b))
     turn, attitude, coupling = _rate_rows(record, packed.structure)(
-        begin,
-        h,
-        np.atleast_2d(b),
-        params,
-        tables=_tables(packed),
-        n_threads=number_of(n_threads),
+        begin, h, np.atleast_2d(b), params, tables=_tables(packed), n_threads=number_of(n_threads)
     )
     found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
     return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
@@ -185,7 +180,7 @@ def sample_transitions(
     name = "samples"
     checks.choice("method", method, methods_for_samples(increments))
     record = METHODS[method]
-    data = checks.array(name, samples, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
+    data = checks.array(name, samples, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     data = np.array(data[None] if one else data, dtype=np.float64)
     n_logs, n = data.shape[:2]
@@ -193,7 +188,7 @@ def sample_transitions(
     if m == 0:
         raise ValueError("samples: found one rate; accepted: at least two, or increments")
     spans = np.broadcast_to(intervals(dt, m, None, np.dtype(np.float64)), (m,))
-    b = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    b = checks.array("bias", bias, "(3,) or (N, 3)")
     if b.ndim == 2 and len(b) != n_logs:
         raise ValueError(f"bias: has shape {b.shape}; accepted: (3,) or ({n_logs}, 3), one a log")
     data -= np.atleast_2d(b)[:, None] * (spans[:, None] if increments else 1.0)
@@ -225,11 +220,7 @@ def _window_rows(record: Method, increments: bool) -> Repeated:
 
 
 def _by_windows(
-    record: Method,
-    increments: bool,
-    data: NDArray[Any],
-    spans: NDArray[Any],
-    n_threads: int | None,
+    record: Method, increments: bool, data: NDArray[Any], spans: NDArray[Any], n_threads: int | None
 ) -> Transition:
     """Of whole windows: data (N, n, 3) and spans hold what lies beyond the log's ends too."""
     window = record.window
@@ -346,7 +337,7 @@ def body_tangent(
     record, packed = of_body(scene, method)
     h, begin = checks.real("dt", dt), checks.real("t", t)
     attitudes = checks.attitudes("q", q)
-    w = checks.array("w", w, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    w = checks.array("w", w, "(3,) or (N, 3)")
     params = np.atleast_2d(packed.params)
     one = attitudes.ndim == 1 and w.ndim == 1 and packed.params.ndim == 1
     q_rows, w_rows = (np.atleast_2d(x).astype(np.float64) for x in (attitudes, w))
@@ -387,9 +378,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
         )
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
     return StepTangent(
-        method=record.name,
-        params=tuple(params.tolist()) if params.ndim == 1 else params,
-        step=made,
+        method=record.name, params=tuple(params.tolist()) if params.ndim == 1 else params, step=made
     )
 
 

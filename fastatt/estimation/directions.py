@@ -45,7 +45,7 @@ def attitude_from_vectors(
             f"measured: has shape {b.shape}, reference {r.shape}; accepted: as many of each, at "
             "least two"
         )
-    deviations = checks.array("sigma", sigma, f"a number or ({m},)", [(), (m,)])
+    deviations = checks.array("sigma", sigma, f"a number or ({m},)")
     if not (deviations > 0.0).all():
         raise ValueError(f"sigma: found {deviations.min()}; accepted: above 0")
     s = np.broadcast_to(deviations.astype(np.float64), (m,))[:, None]
@@ -79,7 +79,7 @@ def attitude_from_vectors(
 
 def _directions(name: str, value: ArrayLike) -> Floats:
     """Vectors at unit length."""
-    rows = checks.array(name, value, "(m, 3) or (N, m, 3)", [(-1, 3), (-1, -1, 3)])
+    rows = checks.array(name, value, "(m, 3) or (N, m, 3)")
     size = np.abs(rows).max(axis=-1, keepdims=True)
     if (size == 0.0).any():
         k = [int(i) for i in np.argwhere(size[..., 0] == 0.0)[0]]

@@ -30,7 +30,7 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
     ``gyro`` (3,), rad/s, is held for dt s; (N, 3) are the rates of N filters, whose points follow
     each other in equal numbers.
     """
-    sample = checks.array("gyro", gyro, "(3,) or (N, 3)", [(3,), (-1, 3)])
+    sample = checks.array("gyro", gyro, "(3,) or (N, 3)")
 
     def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
         each = np.repeat(sample, len(q) // len(sample), axis=0) if sample.ndim == 2 else sample
@@ -86,7 +86,7 @@ def normalised_square(d: Floats, P: Floats) -> Floats:
 
 def attitude_covariance(sigma: ArrayLike) -> Floats:
     """(3, 3), rad², of a standard deviation, of three about body axes, or itself."""
-    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)", [(), (3,), (3, 3)])
+    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
     if found.ndim == 2:
         return np.ascontiguousarray(found, dtype=np.float64)
     return np.diag(np.broadcast_to(np.square(found, dtype=np.float64), (3,)))

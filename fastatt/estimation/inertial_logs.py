@@ -152,7 +152,7 @@ class Preintegration:
         Raises ``ValueError`` or ``TypeError`` for other shapes.
         """
         change = self._corrected(gyro_bias, accel_bias)
-        g = checks.array("gravity", gravity, "(3,)", [(3,)]).astype(np.float64)
+        g = checks.array("gravity", gravity, "(3,)").astype(np.float64)
         start = np.atleast_2d(checks.attitudes("q", q)).astype(np.float64)
         state = (start, *_triples(v=v, p=p).values())
         n = common_number("logs", preintegrated=change[0], q=state[0], v=state[1], p=state[2])
@@ -194,7 +194,7 @@ def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
 def _triples(**values: ArrayLike) -> dict[str, NDArray[np.float64]]:
     return {
         name: np.atleast_2d(
-            checks.array(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64)
+            checks.array(name, value, "(3,) or (N, 3)").astype(np.float64)
         )
         for name, value in values.items()
     }
@@ -231,8 +231,7 @@ def preintegrate(
         above 0, a negative density.
     """
     checks.choice("model", model, _ADD)
-    accepted = [(-1, 3), (-1, -1, 3)]
-    w = checks.array("gyro", gyro, "(n, 3) or (N, n, 3)", accepted)
+    w = checks.array("gyro", gyro, "(n, 3) or (N, n, 3)")
     one = w.ndim == 2
     w = np.ascontiguousarray(w[None] if one else w, dtype=np.float64)
     n_logs, n = w.shape[:2]
@@ -249,7 +248,7 @@ def preintegrate(
         fold = _rotations(model == "white")
         start[:, _ROTATION] = fold(start[:, _ROTATION], (w, h), (bg, variances), threads)
         return _unpacked(start, one)
-    a = checks.array("accel", accel, "the shape of gyro", accepted)
+    a = checks.array("accel", accel, "the shape of gyro", [(-1, 3), (-1, -1, 3)])
     if a.shape != np.shape(gyro):
         raise ValueError(f"accel: has shape {a.shape}; accepted: {np.shape(gyro)}, as gyro")
     a = np.asarray(a.reshape(w.shape), dtype=np.float64)
@@ -307,7 +306,7 @@ class Preintegrator:
         w, a = np.asarray(gyro), np.asarray(accel)
         if not (w.shape == a.shape == (3,) and w.dtype == a.dtype == np.float64):
             w, a = (
-                checks.array(name, value, "(3,)", [(3,)])
+                checks.array(name, value, "(3,)")
                 for name, value in (("gyro", gyro), ("accel", accel))
             )
         numbers = *w.tolist(), *a.tolist(), h

@@ -239,8 +239,8 @@ class MEKF:
         invalid: str = "raise",
     ) -> None:
         start = checks.attitudes("q", q)
-        P = checks.array("covariance", covariance, "(6, 6) or (N, 6, 6)", [(6, 6), (-1, 6, 6)])
-        b = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (-1, 3)])
+        P = checks.array("covariance", covariance, "(6, 6) or (N, 6, 6)")
+        b = checks.array("bias", bias, "(3,) or (N, 3)")
         found = number_of_filters(q=(start, 1), covariance=(P, 2), bias=(b, 1))
         n = found or 1
         self._one = found is None
@@ -311,12 +311,7 @@ class MEKF:
         call.run()
 
     def update_vector(
-        self,
-        measured: ArrayLike,
-        reference: ArrayLike,
-        sigma: float,
-        *,
-        gate: float | None = None,
+        self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None
     ) -> Any:
         """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
 

@@ -210,14 +210,14 @@ def allan_deviation(
     >>> print(f"{es.allan_deviation(white, 0.01).fit().angle_noise:.1e} rad/√s")
     1.0e-04 rad/√s
     """
-    given = checks.array("samples", samples, "(n,) or (n, K)", [(-1,), (-1, -1)])
+    given = checks.array("samples", samples, "(n,) or (n, K)")
     rates = given.astype(np.float64)
     n, h = len(rates), interval(dt)
     if n < 9:
         raise ValueError(f"samples: found {n}; accepted: at least 9")
     most = n // 2
     asked: Any = 2 ** np.arange(int(math.log2(n // 4)) + 1) if counts is None else counts
-    m = checks.array("counts", asked, "(T,)", [(-1,)])
+    m = checks.array("counts", asked, "(T,)")
     if (m != np.rint(m)).any() or m.min() < 1 or m.max() > most:
         raise ValueError(
             f"counts: found {m.min():g} to {m.max():g}; accepted: whole numbers from 1 to {most}, "

@@ -45,7 +45,7 @@ class ParticleFilter:
     def __init__(
         self, q: ArrayLike, y: ArrayLike, *, rng: Any = None, threshold: float = 0.5
     ) -> None:
-        start = checks.attitudes("q", q, "(M, 4)", [(-1, 4)])
+        start = checks.attitudes("q", q, "(M, 4)")
         beside = checks.array("y", y, "(M, K)", [(len(start), -1)])
         self.q = unit_rows(start, len(start))
         self.y = rows_of(beside, beside.shape)
@@ -60,10 +60,10 @@ class ParticleFilter:
         """n particles about q (4,) and y (K,), their errors (δθ, δy) of a covariance (D, D)."""
         generator = np.random.default_rng(rng)
         particles = checks.whole("n", n, 1)
-        centre = checks.attitudes("q", q, "(4,)", [(4,)])
-        beside = checks.array("y", y, "(K,)", [(-1,)])
+        centre = checks.attitudes("q", q, "(4,)")
+        beside = checks.array("y", y, "(K,)")
         size = 3 + len(beside)
-        P = checks.array("covariance", covariance, f"({size}, {size})", [(size, size)])
+        P = checks.array("covariance", covariance, f"({size}, {size})")
         made = cls(
             np.broadcast_to(centre, (particles, 4)),
             np.broadcast_to(beside, (particles, size - 3)),
@@ -75,7 +75,7 @@ class ParticleFilter:
     def scatter(self, covariance: ArrayLike) -> None:
         """Move each particle by a random error (δθ, δy) of a covariance (D, D)."""
         size = 3 + self.y.shape[1]
-        P = checks.array("covariance", covariance, f"({size}, {size})", [(size, size)])
+        P = checks.array("covariance", covariance, f"({size}, {size})")
         # a covariance may have no spread in some direction, which a Cholesky factor refuses
         values, vectors = np.linalg.eigh(P)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -111,14 +111,14 @@ class ParticleFilter:
 
     def update_vector(self, measured: ArrayLike, reference: ArrayLike, sigma: float) -> None:
         """Use a vector (3,), measured in body axes, its reference along inertial ones."""
-        seen = checks.array("measured", measured, "(3,)", [(3,)])
-        fixed = checks.array("reference", reference, "(3,)", [(3,)])
+        seen = checks.array("measured", measured, "(3,)")
+        fixed = checks.array("reference", reference, "(3,)")
         away = rotate_inverse(self.q, fixed) - seen
         self.update(np.einsum("ij,ij->i", away, away) * (-0.5 / float(sigma) ** 2))
 
     def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> None:
         """Use an attitude (4,); ``sigma`` as for :meth:`MEKF.update_attitude`."""
-        error = attitude_error(self.q, checks.attitudes("measured", measured, "(4,)", [(4,)]))
+        error = attitude_error(self.q, checks.attitudes("measured", measured, "(4,)"))
         inverse = np.linalg.inv(attitude_covariance(sigma))
         self.update(-0.5 * np.einsum("ij,ij->i", error @ inverse, error))
 

@@ -57,7 +57,7 @@ def simulate_gyro(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    motion = checks.array("true", true, "(n, 3) or (N, n, 3)", [(-1, 3), (-1, -1, 3)])
+    motion = checks.array("true", true, "(n, 3) or (N, n, 3)")
     h = interval(dt)
     angle = at_least_zero("angle_noise", angle_noise)
     walk = at_least_zero("bias_noise", bias_noise)

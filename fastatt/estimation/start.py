@@ -83,7 +83,7 @@ def static_start(
         raise ValueError("field: found without mag, or mag without it; accepted: both or none")
     if mag is not None and field is not None:
         seen["mag"], known["field"] = _samples("mag", mag), field
-    extra = checks.array("sigma", sigma, "a number or (2,)", [(), (2,)])
+    extra = checks.array("sigma", sigma, "a number or (2,)")
     if not (extra > 0.0).all():
         raise ValueError(f"sigma: found {extra.min()}; accepted: above 0")
     means, deviations = [], []
@@ -99,7 +99,7 @@ def static_start(
         means.append(mean)
         deviations.append(math.hypot(float(further), noise / long))
     references = [
-        checks.array(name, value, "(3,)", [(3,)]).astype(np.float64)
+        checks.array(name, value, "(3,)").astype(np.float64)
         for name, value in known.items()
     ]
     P = np.diag(np.tile(rates.var(axis=0, ddof=1) / len(rates), 2))
@@ -117,7 +117,7 @@ def static_start(
 
 
 def _samples(name: str, value: ArrayLike) -> Floats:
-    found = checks.array(name, value, "(n, 3)", [(-1, 3)]).astype(np.float64)
+    found = checks.array(name, value, "(n, 3)").astype(np.float64)
     if len(found) < 2 * _PIECES:
         raise ValueError(f"{name}: found {len(found)} samples; accepted: at least {2 * _PIECES}")
     return found

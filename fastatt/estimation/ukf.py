@@ -64,14 +64,10 @@ class UKF:
         invalid: str = "raise",
     ) -> None:
         start = checks.attitudes("q", q)
-        beside = checks.array("y", y, "(K,) or (N, K)", [(-1,), (-1, -1)])
+        beside = checks.array("y", y, "(K,) or (N, K)")
         size = 3 + beside.shape[-1]
-        P = checks.array(
-            "covariance",
-            covariance,
-            f"({size}, {size}) or (N, {size}, {size})",
-            [(size, size), (-1, size, size)],
-        )
+        shapes = f"({size}, {size}) or (N, {size}, {size})"
+        P = checks.array("covariance", covariance, shapes)
         found = number_of_filters(q=(start, 1), y=(beside, 1), covariance=(P, 2))
         n = found or 1
         self._one = found is None
@@ -159,18 +155,13 @@ class UKF:
         )
 
     def update_vector(
-        self,
-        measured: ArrayLike,
-        reference: ArrayLike,
-        sigma: float,
-        *,
-        gate: float | None = None,
+        self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None
     ) -> Any:
         """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
 
         ``sigma`` is the standard deviation of each component, in the vectors' unit.
         """
-        fixed = checks.array("reference", reference, "(3,) or (N, 3)", [(3,), (-1, 3)])
+        fixed = checks.array("reference", reference, "(3,) or (N, 3)")
         points = len(self._weights)
         each = np.repeat(fixed, points, axis=0) if fixed.ndim == 2 else fixed
 

@@ -226,8 +226,8 @@ def _segment(lines: _Lines, version: str) -> AemSegment:
 def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     """Lines of a segment."""
     metadata = {"START_TIME": "", "STOP_TIME": "", **segment.metadata}
-    t = checks.array(f"{name}.t", segment.t, "(S,)", [(-1,)]).astype(np.float64)
-    q = checks.attitudes(f"{name}.q", segment.q, f"({t.size}, 4)", [(t.size, 4)])
+    t = checks.array(f"{name}.t", segment.t, "(S,)").astype(np.float64)
+    q = checks.attitudes(f"{name}.q", segment.q, f"({t.size}, 4)")
     if (np.diff(t) <= 0.0).any():
         raise ValueError(f"{name}.t: does not rise; accepted: rising times")
 
@@ -242,7 +242,7 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
         raise ValueError(f"{name}.w: is missing; {code.kind} needs (S, 3), rad/s")
     w = None
     if code.count > 4:
-        w = checks.array(f"{name}.w", segment.w, f"({t.size}, 3)", [(t.size, 3)])  # type: ignore[arg-type]
+        w = checks.array(f"{name}.w", segment.w, f"({t.size}, 3)")  # type: ignore[arg-type]
     tags = epochs.tags(segment.epoch, t, leaps=metadata["TIME_SYSTEM"].upper() == "UTC")
     metadata["START_TIME"] = metadata["START_TIME"] or tags[0]
     metadata["STOP_TIME"] = metadata["STOP_TIME"] or tags[-1]

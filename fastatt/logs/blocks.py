@@ -195,11 +195,7 @@ class _Reading:
             columns = [*self.wanted, *([self.clock or 0] if self._float_clock else [])]
             try:
                 values = np.loadtxt(
-                    text,
-                    delimiter=known.delimiter,
-                    usecols=columns,
-                    comments=None,
-                    ndmin=2,
+                    text, delimiter=known.delimiter, usecols=columns, comments=None, ndmin=2
                 )
             except (ValueError, IndexError):
                 values = None

@@ -174,10 +174,7 @@ class Mending:
         )
 
     def _sorted_out(
-        self,
-        t: NDArray[np.float64],
-        values: NDArray[np.float64],
-        start: float,
+        self, t: NDArray[np.float64], values: NDArray[np.float64], start: float
     ) -> Chunk:
         numbers = np.asarray(np.isfinite(values).all(axis=1))
         usable = np.isfinite(t) & (numbers | (self.bad == "hold"))

@@ -144,7 +144,7 @@ def error_budget(
     checks.choice("method", method, fitting)
     for name in rivals or ():
         checks.choice("rivals", name, fitting)
-    data = checks.array("rates", rates, "(n, 3)", [(-1, 3)])
+    data = checks.array("rates", rates, "(n, 3)")
     kind = checks.precision(dtype, rates)
     if len(data) < LEAST:
         raise ValueError(f"rates: found {len(data)} samples; accepted: at least {LEAST}")

@@ -89,10 +89,7 @@ def _without_warnings() -> Iterator[list[warnings.WarningMessage]]:
 
 
 def log_rows(
-    log: Log,
-    repeats: int,
-    max_gap: float | None = None,
-    methods: Sequence[str] | None = None,
+    log: Log, repeats: int, max_gap: float | None = None, methods: Sequence[str] | None = None
 ) -> list[LogRow]:
     """The methods, or every one, on one log.
 
@@ -138,10 +135,7 @@ def log_rows(
 
 
 def compare_on_log(
-    log: Log,
-    method: str,
-    max_gap: float | None = None,
-    methods: Sequence[str] | None = None,
+    log: Log, method: str, max_gap: float | None = None, methods: Sequence[str] | None = None
 ) -> str:
     """Table: how far the methods differ on a log, and where the error of one comes from.
 

@@ -13,15 +13,7 @@ from fastatt.trade.bodies import BODY_SCENES, body_cases, body_scene, body_trade
 from fastatt.trade.bodies import T_END as BODY_T_END
 from fastatt.trade.coning import RATE, SAMPLES, coning_cases, coning_trade
 from fastatt.trade.coning import T_END as CONING_T_END
-from fastatt.trade.measure import (
-    Case,
-    Row,
-    frontier,
-    machine_line,
-    panel,
-    trade_table,
-    write_csv,
-)
+from fastatt.trade.measure import Case, Row, frontier, machine_line, panel, trade_table, write_csv
 from fastatt.trade.motions import herpolhodes, nutations, polhodes
 
 RECORDED, CONING = "recordings", "coning"

@@ -111,4 +111,4 @@ def read_rows(option: str, path: Path, columns: int) -> NDArray[np.float64]:
     else:
         raise ValueError(f"{option}: found the ending {path.suffix!r}; accepted: .csv and .npy")
     shapes = f"({columns},) or (N, {columns})"
-    return checks.array(option, found, shapes, [(columns,), (-1, columns)]).astype(np.float64)
+    return checks.array(option, found, shapes).astype(np.float64)

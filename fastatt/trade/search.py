@@ -193,10 +193,7 @@ class Search(Sample):
                 return None
             further = min(most, 2 * n)
             if is_flat(
-                look.case,
-                look.order,
-                (n, look.errors[n]),
-                (further, self.error(look, further)),
+                look.case, look.order, (n, look.errors[n]), (further, self.error(look, further))
             ):
                 break
             n = further

@@ -33,14 +33,7 @@ from fastatt.trade.measure import (
     trade_table,
     write_csv,
 )
-from fastatt.trade.reference import (
-    Confirmation,
-    Reference,
-    confirm,
-    reference,
-    speeds,
-    turns,
-)
+from fastatt.trade.reference import Confirmation, Reference, confirm, reference, speeds, turns
 
 DTYPES = ("float64", "float32")
 # |w|h of the coarsest step, rad, where the method itself allows it, and how many halvings follow
