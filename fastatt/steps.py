@@ -404,18 +404,7 @@ def _ends(job: Job) -> tuple[Any, Any]:
 
 
 __all__ = [
-    "SampleStepper",
-    "Stepper",
-    "coning2",
-    "coning2_increments",
-    "coning3",
-    "coning3_increments",
-    "coning3_optimal_increments",
-    "hold",
-    "hold_increments",
-    "previous",
-    "previous_increments",
-    "sample_step",
-    "single_step",
-    "trapezoid",
-]
+    "SampleStepper", "Stepper", "coning2", "coning2_increments", "coning3", "coning3_increments",
+    "coning3_optimal_increments", "hold", "hold_increments", "previous", "previous_increments",
+    "sample_step", "single_step", "trapezoid",
+]  # fmt: skip

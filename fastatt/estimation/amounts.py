@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sized
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from fastatt import checks
 
 
@@ -32,3 +35,18 @@ def common_number(of: str, **arrays: Sized) -> int:
         found = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of {of}")
     return max(rows.values(), default=1)
+
+
+def triples(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Vectors (3,) or (N, 3) in rows."""
+    return np.atleast_2d(checks.array(name, value, "(3,) or (N, 3)").astype(np.float64))
+
+
+def of_logs(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
+    """Vectors in rows, one for all logs or one a log."""
+    found = triples(name, value)
+    if len(found) not in (1, n_logs):
+        raise ValueError(
+            f"{name}: has shape {found.shape}; accepted: (3,) or ({n_logs}, 3), one a log"
+        )
+    return found

@@ -79,12 +79,19 @@ def _covariances(P: ArrayLike) -> NDArray[Any]:
     return found.reshape(*found.shape[:-2], 36)
 
 
-def _step(dt: float, kind: np.dtype[Any]) -> NDArray[Any]:
-    return np.array(interval(dt), dtype=kind)
-
-
-def _variances(kind: np.dtype[Any], **densities: float) -> NDArray[Any]:
-    return np.array([at_least_zero(*found) ** 2 for found in densities.items()], dtype=kind)
+def _over(
+    formula: Formula, w: ArrayLike, dt: float, P: ArrayLike | None = None, **densities: float
+) -> NDArray[Any]:
+    """A formula of rates over ``dt`` s, of noise densities and covariances where there are any."""
+    rates = _vectors("w", w)
+    given = {"w": rates, "h": np.array(interval(dt), dtype=rates.dtype)}
+    if densities:
+        variances = [at_least_zero(*found) ** 2 for found in densities.items()]
+        given["v"] = np.array(variances, dtype=rates.dtype)
+    if P is not None:
+        given["p"] = _covariances(P)
+        _same_rows(P=given["p"], w=rates)
+    return _apply(formula, 6, **given)
 
 
 def _same_rows(**arrays: NDArray[Any]) -> None:
@@ -123,8 +130,7 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
     :func:`fastatt.estimation.rate_transition` gives them. Raises ``ValueError`` or ``TypeError``
     for other shapes.
     """
-    rates = _vectors("w", w)
-    return _apply(_transition, 6, w=rates, h=_step(dt, rates.dtype))
+    return _over(_transition, w, dt)
 
 
 def process_noise(
@@ -136,10 +142,8 @@ def process_noise(
     walk). Exact for a turning body; ``at_rest`` gives Farrenkopf's, that for w = 0. Raises
     ``ValueError`` or ``TypeError`` for other shapes, an interval not above 0, a negative density.
     """
-    rates = _vectors("w", w)
-    v = _variances(rates.dtype, angle_noise=angle_noise, bias_noise=bias_noise)
     formula = _noise_at_rest if at_rest else _noise
-    return _apply(formula, 6, w=rates, h=_step(dt, rates.dtype), v=v)
+    return _over(formula, w, dt, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
 def predict_covariance(
@@ -149,10 +153,7 @@ def predict_covariance(
 
     Raises ``ValueError`` for a P that is not symmetric, and as they do.
     """
-    rates, p = _vectors("w", w), _covariances(P)
-    _same_rows(P=p, w=rates)
-    v = _variances(rates.dtype, angle_noise=angle_noise, bias_noise=bias_noise)
-    return _apply(_predict, 6, w=rates, h=_step(dt, rates.dtype), v=v, p=p)
+    return _over(_predict, w, dt, P, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
 def covariance_to_inertial(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:

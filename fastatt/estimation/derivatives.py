@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.arrays import quat_multiply, quat_to_dcm, quat_to_rotation_vector
 from fastatt.estimation import tangent
-from fastatt.estimation.amounts import common_number
+from fastatt.estimation.amounts import common_number, of_logs
 from fastatt.flat.repeated import Repeated
 from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.gyro.ends import beyond
@@ -84,10 +85,6 @@ class StepTangent:
     step: Any
 
 
-def _tables(packed: Packed) -> dict[int, Any]:
-    return {at: array for (kind, at), array in packed.resources.items() if kind == "table"}
-
-
 # given rates
 
 
@@ -106,12 +103,6 @@ def _stepped(record: Method, scene: Scene) -> Method:
         fitting = [name for name in methods_for(scene, "quat") if METHODS[name].is_stepped]
         checks.choice("method", record.name, fitting)
     return record
-
-
-@lru_cache(maxsize=64)
-def _rate_function(record: Method, structure: Any) -> ScalarFunction:
-    formula = tangent.rate_tangent(record, structure)
-    return scalar_function(formula, arrays={"p": structure.n_params})
 
 
 @lru_cache(maxsize=64)
@@ -146,7 +137,7 @@ def rate_transition(
     params = np.atleast_2d(packed.params)
     n = common_number("bodies", params=params, bias=np.atleast_2d(b))
     turn, attitude, coupling = _rate_rows(record, packed.structure)(
-        begin, h, np.atleast_2d(b), params, tables=_tables(packed), n_threads=number_of(n_threads)
+        begin, h, np.atleast_2d(b), params, tables=packed.tables, n_threads=number_of(n_threads)
     )
     found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
     return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
@@ -177,10 +168,9 @@ def sample_transitions(
 
     Raises ``ValueError`` or ``TypeError`` as ``integrate_rates`` does.
     """
-    name = "samples"
     checks.choice("method", method, methods_for_samples(increments))
     record = METHODS[method]
-    data = checks.array(name, samples, "(n, 3) or (N, n, 3)")
+    data = checks.array("samples", samples, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     data = np.array(data[None] if one else data, dtype=np.float64)
     n_logs, n = data.shape[:2]
@@ -188,10 +178,8 @@ def sample_transitions(
     if m == 0:
         raise ValueError("samples: found one rate; accepted: at least two, or increments")
     spans = np.broadcast_to(intervals(dt, m, None, np.dtype(np.float64)), (m,))
-    b = checks.array("bias", bias, "(3,) or (N, 3)")
-    if b.ndim == 2 and len(b) != n_logs:
-        raise ValueError(f"bias: has shape {b.shape}; accepted: (3,) or ({n_logs}, 3), one a log")
-    data -= np.atleast_2d(b)[:, None] * (spans[:, None] if increments else 1.0)
+    b = of_logs("bias", bias, n_logs)
+    data -= b[:, None] * (spans[:, None] if increments else 1.0)
     window = record.window
     if window.iteration is not None:
         found = _by_differences(data, dt, spans, method, increments)
@@ -269,16 +257,6 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
 
 
 @lru_cache(maxsize=64)
-def _known(record: Method, structure: Any) -> ScalarFunction:
-    return _body_function(record, structure, {})
-
-
-def _body_function(record: Method, structure: Any, tables: Any) -> ScalarFunction:
-    formula = tangent.body_tangent(record, structure)
-    return scalar_function(formula, tables, arrays={"p": structure.n_params})
-
-
-@lru_cache(maxsize=64)
 def _body_rows(record: Method, structure: Any, parameters: bool) -> Repeated:
     formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
     size = tangent.directions(structure, parameters=parameters)
@@ -302,7 +280,7 @@ def tangent_rows(
         q,
         w,
         np.atleast_2d(packed.params),
-        tables=_tables(packed),
+        tables=packed.tables,
         n_threads=number_of(n_threads),
     )
     # an iteration that did not converge says so by an infinite turn
@@ -365,21 +343,26 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
 
     Raises ``ValueError`` or ``TypeError`` for another scene or method.
     """
-    if as_scene(scene).kind == "rate":
-        record, packed = _of_rate(scene, method or "magnus4")
-        made = _rate_function(record, packed.structure)
-    else:
-        record, packed = of_body(scene, method)
-        tables = _tables(packed)
-        made = (
-            _body_function(record, packed.structure, tables)
-            if tables
-            else _known(record, packed.structure)
-        )
-    params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
-    return StepTangent(
-        method=record.name, params=tuple(params.tolist()) if params.ndim == 1 else params, step=made
+    of_rate = as_scene(scene).kind == "rate"
+    formula: Any = tangent.rate_tangent if of_rate else tangent.body_tangent
+    record, packed = _of_rate(scene, method or "magnus4") if of_rate else of_body(scene, method)
+    structure, tables = packed.structure, packed.tables
+    step = (
+        _step_function(formula, record, structure, tables)
+        if tables
+        else _kept(formula, record, structure)
     )
+    params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
+    return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, step)
+
+
+def _step_function(
+    formula: Any, record: Method, structure: Any, tables: Mapping[int, Any] | None = None
+) -> ScalarFunction:
+    return scalar_function(formula(record, structure), tables, arrays={"p": structure.n_params})
+
+
+_kept = lru_cache(maxsize=128)(_step_function)
 
 
 def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any:

@@ -161,10 +161,42 @@ def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
     return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
 
 
-def number_of_filters(**arrays: tuple[NDArray[Any], int]) -> int | None:
-    """How many filters arrays with one more dimension than given are for; None for one alone.
+class Estimates:
+    """Attitudes, numbers beside them and covariances (δθ, δy), of one filter or of N."""
 
-    Raises ``ValueError`` where they differ.
-    """
-    many = {name: a for name, (a, one) in arrays.items() if a.ndim > one}
-    return common_number("filters", **many) if many else None
+    def __init__(
+        self, q: ArrayLike, name: str, y: NDArray[Any], covariance: ArrayLike, invalid: str
+    ) -> None:
+        """``name`` is what the numbers y, (K,) or (N, K), are called."""
+        start, size = checks.attitudes("q", q), 3 + y.shape[-1]
+        shapes = f"({size}, {size}) or (N, {size}, {size})"
+        P = checks.array("covariance", covariance, shapes)
+        given = {"q": (start, 1), name: (y, 1), "covariance": (P, 2)}
+        many = {name: x for name, (x, one) in given.items() if x.ndim > one}
+        n = common_number("filters", **many) if many else 1
+        self._one = not many
+        self._q, self._y = unit_rows(start, n), rows_of(y, (n, size - 3))
+        self._P = rows_of(P, (n, size, size))
+        self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
+
+    def _each(self, rows: Floats) -> Floats:
+        """The rows or, of one filter, its own."""
+        return np.asarray(rows[0]) if self._one else rows
+
+    def _figures(self, found: Floats) -> Any:
+        return float(found[0]) if self._one else found
+
+    @property
+    def q(self) -> Floats:
+        """Attitudes, (4,) or (N, 4)."""
+        return self._each(self._q)
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariances of the errors, (D, D) or (N, D, D)."""
+        return self._each(self._P)
+
+    def _nees(self, q: ArrayLike, y: ArrayLike) -> Any:
+        beside = np.broadcast_to(y, self._y.shape) - self._y
+        d = np.concatenate([attitude_error(self._q, q), beside], axis=-1)
+        return self._figures(normalised_square(d, self._P))

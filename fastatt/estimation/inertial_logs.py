@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.estimation import preintegration as pre
-from fastatt.estimation.amounts import at_least_zero, common_number, interval
+from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
 from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import Vector, minus
 from fastatt.flat.in_place import InPlace
@@ -129,10 +129,10 @@ class Preintegration:
         return _unless(self._one and len(found[0]) == 1, found)
 
     def _corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Any, Any, Any]:
-        biases = _triples(gyro_bias=gyro_bias, accel_bias=accel_bias)
-        common_number("logs", preintegrated=self.rows, **biases)
+        gyro, accel = triples("gyro_bias", gyro_bias), triples("accel_bias", accel_bias)
+        common_number("logs", preintegrated=self.rows, gyro_bias=gyro, accel_bias=accel)
         apply = rows(_corrected, {"x": _SIZE, "gyro": 3, "accel": 3}, (4, 3, 3))
-        return apply(self.rows, *biases.values())  # type: ignore[return-value]
+        return apply(self.rows, gyro, accel)  # type: ignore[return-value]
 
     def predict(
         self,
@@ -153,12 +153,12 @@ class Preintegration:
         """
         change = self._corrected(gyro_bias, accel_bias)
         g = checks.array("gravity", gravity, "(3,)").astype(np.float64)
-        start = np.atleast_2d(checks.attitudes("q", q)).astype(np.float64)
-        state = (start, *_triples(v=v, p=p).values())
-        n = common_number("logs", preintegrated=change[0], q=state[0], v=state[1], p=state[2])
+        q = np.atleast_2d(checks.attitudes("q", q)).astype(np.float64)
+        v, p = triples("v", v), triples("p", p)
+        n = common_number("logs", preintegrated=change[0], q=q, v=v, p=p)
         widths = {"change": 10, "t": None, "q": 4, "v": 3, "p": 3, "g": 3}
         apply = rows(_navigated, widths, (4, 3, 3))
-        found = apply(np.concatenate(change, axis=1), self.rows[:, 0], *state, g)
+        found = apply(np.concatenate(change, axis=1), self.rows[:, 0], q, v, p, g)
         return _unless(self._one and n == 1, found)
 
 
@@ -170,12 +170,9 @@ _SHAPES: tuple[tuple[int, ...], ...] = ((), (4,), (3,), (3,), *((3, 3),) * 5)
 
 def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
     n = len(rows)
-    parts = []
-    first = 0
-    for shape in _SHAPES:
-        size = math.prod(shape)
-        parts.append(rows[:, first : first + size].reshape(n, *shape))
-        first += size
+    ends = np.cumsum([math.prod(shape) for shape in _SHAPES])
+    pieces = zip(np.split(rows, ends, axis=1), _SHAPES, strict=False)
+    parts = [piece.reshape(n, *shape) for piece, shape in pieces]
     covariance = np.empty((n, 3, 3, 3, 3))
     for (i, j), first in _BLOCKS.items():
         block = rows[:, first : first + (6 if i == j else 9)]
@@ -183,21 +180,11 @@ def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
         covariance[:, i, :, j] = block
         covariance[:, j, :, i] = np.swapaxes(block, 1, 2)
     parts.append(covariance.reshape(n, 9, 9))
-    found = [part[0] if one else part for part in parts]
-    return Preintegration(*[*found, rows])
+    return Preintegration(*[*(part[0] if one else part for part in parts), rows])
 
 
 def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
     return (found[0][0], found[1][0], found[2][0]) if one else found
-
-
-def _triples(**values: ArrayLike) -> dict[str, NDArray[np.float64]]:
-    return {
-        name: np.atleast_2d(
-            checks.array(name, value, "(3,) or (N, 3)").astype(np.float64)
-        )
-        for name, value in values.items()
-    }
 
 
 def preintegrate(
@@ -235,8 +222,7 @@ def preintegrate(
     one = w.ndim == 2
     w = np.ascontiguousarray(w[None] if one else w, dtype=np.float64)
     n_logs, n = w.shape[:2]
-    bg = _bias("gyro_bias", gyro_bias, n_logs)
-    ba = _bias("accel_bias", accel_bias, n_logs)
+    bg, ba = of_logs("gyro_bias", gyro_bias, n_logs), of_logs("accel_bias", accel_bias, n_logs)
     spans = np.ascontiguousarray(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
@@ -253,15 +239,6 @@ def preintegrate(
         raise ValueError(f"accel: has shape {a.shape}; accepted: {np.shape(gyro)}, as gyro")
     a = np.asarray(a.reshape(w.shape), dtype=np.float64)
     return _unpacked(_logs(model)(start, (w, a, h), (bg, ba, variances), threads), one)
-
-
-def _bias(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
-    found = _triples(**{name: value})[name]
-    if len(found) not in (1, n_logs):
-        raise ValueError(
-            f"{name}: has shape {found.shape}; accepted: (3,) or ({n_logs}, 3), one a log"
-        )
-    return found
 
 
 def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:
@@ -282,7 +259,7 @@ class Preintegrator:
         model: str = "held",
     ) -> None:
         self._model = checks.choice("model", model, _ADD)
-        biases = _bias("gyro_bias", gyro_bias, 1), _bias("accel_bias", accel_bias, 1)
+        biases = of_logs("gyro_bias", gyro_bias, 1), of_logs("accel_bias", accel_bias, 1)
         self._known = np.concatenate([*biases, _variances(gyro_noise, accel_noise)], axis=1)
         self._own, self._row = np.empty((1, 7)), np.empty((1, _SIZE))
         self._run: Callable[[], object] | None = None
@@ -305,10 +282,7 @@ class Preintegrator:
         h = interval(dt)
         w, a = np.asarray(gyro), np.asarray(accel)
         if not (w.shape == a.shape == (3,) and w.dtype == a.dtype == np.float64):
-            w, a = (
-                checks.array(name, value, "(3,)")
-                for name, value in (("gyro", gyro), ("accel", accel))
-            )
+            w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
         numbers = *w.tolist(), *a.tolist(), h
         # a look in Python takes a sixth of the time of numpy's
         if not math.isfinite(sum(numbers)):

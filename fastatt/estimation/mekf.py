@@ -22,14 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.estimation.amounts import at_least_zero, interval
 from fastatt.estimation.filters import (
+    Estimates,
     attitude_covariance,
-    attitude_error,
     largest_square,
     measured_attitudes,
-    normalised_square,
-    number_of_filters,
-    rows_of,
-    unit_rows,
 )
 from fastatt.flat.formulas import Vector
 from fastatt.flat.in_place import InPlace
@@ -201,7 +197,7 @@ class _Call(NamedTuple):
     nis: NDArray[np.float64]
 
 
-class MEKF:
+class MEKF(Estimates):
     """Attitude and gyro bias of one body, or of N at once, each with its own covariance.
 
     Parameters
@@ -238,22 +234,15 @@ class MEKF:
         bias_noise: float,
         invalid: str = "raise",
     ) -> None:
-        start = checks.attitudes("q", q)
-        P = checks.array("covariance", covariance, "(6, 6) or (N, 6, 6)")
-        b = checks.array("bias", bias, "(3,) or (N, 3)")
-        found = number_of_filters(q=(start, 1), covariance=(P, 2), bias=(b, 1))
-        n = found or 1
-        self._one = found is None
-        self._q = unit_rows(start, n)
-        self._b = rows_of(b, (n, 3))
-        self._P = rows_of(P, (n, 6, 6))
-        self._gyro = self._b.copy()
+        super().__init__(
+            q, "bias", checks.array("bias", bias, "(3,) or (N, 3)"), covariance, invalid
+        )
+        self._gyro = self._y.copy()
         self._variances = (
             at_least_zero("angle_noise", angle_noise) ** 2,
             at_least_zero("bias_noise", bias_noise) ** 2,
         )
-        self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
-        self._shapes = {(3,), (n, 3)}
+        self._shapes = {(3,), self._y.shape}
         self._calls: dict[str, _Call] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -268,7 +257,7 @@ class MEKF:
             own = self._gyro if name == "predict" else own
             known = np.empty((1, operation.inputs["known"] or 0))
             nis = np.empty(n)
-            state = {4: self._q, 3: self._b, 36: self._P.reshape(n, 36), None: nis}
+            state = {4: self._q, 3: self._y, 36: self._P.reshape(n, 36), None: nis}
             arrays = (*(state[k] for k in (4, 3, 36)), own, known)
             if name == "predict":
                 known[0, 1:] = self._variances
@@ -278,22 +267,12 @@ class MEKF:
 
     def _normalised(self, call: _Call) -> Any:
         call.run()
-        return float(call.nis[0]) if self._one else call.nis.copy()
-
-    @property
-    def q(self) -> NDArray[np.float64]:
-        """Attitudes, (4,) or (N, 4)."""
-        return self._q[0] if self._one else self._q
+        return self._figures(call.nis.copy())
 
     @property
     def bias(self) -> NDArray[np.float64]:
         """Biases, (3,) or (N, 3), rad/s."""
-        return self._b[0] if self._one else self._b
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        """Covariances, (6, 6) or (N, 6, 6)."""
-        return self._P[0] if self._one else self._P
+        return self._each(self._y)
 
     def predict(self, gyro: ArrayLike, dt: float) -> None:
         """Go dt s on by a gyro sample, (3,) or (N, 3), rad/s; an increment over dt divided by dt.
@@ -348,11 +327,7 @@ class MEKF:
 
     def nees(self, q: ArrayLike, bias: ArrayLike) -> Any:
         """Normalised estimation error squared against the truth, χ² with 6 degrees of freedom."""
-        d = np.concatenate(
-            [attitude_error(self._q, q), np.broadcast_to(bias, self._b.shape) - self._b], axis=-1
-        )
-        found = normalised_square(d, self._P)
-        return float(found[0]) if self._one else found
+        return self._nees(q, bias)
 
     def _vectors(self, name: str, value: ArrayLike) -> tuple[NDArray[np.float64], bool]:
         """Rows, and whether all are finite."""

@@ -99,8 +99,7 @@ def static_start(
         means.append(mean)
         deviations.append(math.hypot(float(further), noise / long))
     references = [
-        checks.array(name, value, "(3,)").astype(np.float64)
-        for name, value in known.items()
+        checks.array(name, value, "(3,)").astype(np.float64) for name, value in known.items()
     ]
     P = np.diag(np.tile(rates.var(axis=0, ddof=1) / len(rates), 2))
     if mag is None:

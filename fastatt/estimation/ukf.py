@@ -13,6 +13,7 @@ from fastatt import checks
 from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
 from fastatt.estimation.amounts import at_least_zero
 from fastatt.estimation.filters import (
+    Estimates,
     Floats,
     Motion,
     attitude_covariance,
@@ -20,13 +21,10 @@ from fastatt.estimation.filters import (
     largest_square,
     measured_attitudes,
     normalised_square,
-    number_of_filters,
-    rows_of,
-    unit_rows,
 )
 
 
-class UKF:
+class UKF(Estimates):
     """Attitude and K numbers beside it, of one body or of N at once.
 
     The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy; its 2D + 1 sigma points (D = 3 + K)
@@ -63,38 +61,18 @@ class UKF:
         kappa: float = 1.0,
         invalid: str = "raise",
     ) -> None:
-        start = checks.attitudes("q", q)
-        beside = checks.array("y", y, "(K,) or (N, K)")
-        size = 3 + beside.shape[-1]
-        shapes = f"({size}, {size}) or (N, {size}, {size})"
-        P = checks.array("covariance", covariance, shapes)
-        found = number_of_filters(q=(start, 1), y=(beside, 1), covariance=(P, 2))
-        n = found or 1
-        self._one = found is None
-        self._q = unit_rows(start, n)
-        self._y = rows_of(beside, (n, size - 3))
-        self._P = rows_of(P, (n, size, size))
+        super().__init__(q, "y", checks.array("y", y, "(K,) or (N, K)"), covariance, invalid)
+        size = self._P.shape[-1]
         self._kappa = checks.real("kappa", kappa)
         if self._kappa <= -size:
             raise ValueError(f"kappa: found {kappa}; accepted: above {-size}")
-        self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
         self._weights = np.full(2 * size + 1, 0.5 / (size + self._kappa))
         self._weights[0] = self._kappa / (size + self._kappa)
 
     @property
-    def q(self) -> Floats:
-        """Attitudes, (4,) or (N, 4)."""
-        return self._q[0] if self._one else self._q
-
-    @property
     def y(self) -> Floats:
         """What is estimated beside them, (K,) or (N, K)."""
-        return self._y[0] if self._one else self._y
-
-    @property
-    def covariance(self) -> Floats:
-        """Covariances, (D, D) or (N, D, D)."""
-        return self._P[0] if self._one else self._P
+        return self._each(self._y)
 
     def sigma_points(self) -> tuple[Floats, Floats]:
         """Attitudes (N, 2D + 1, 4) and numbers (N, 2D + 1, K), the estimate first."""
@@ -202,12 +180,8 @@ class UKF:
         self._y = self._y + d[:, 3:]
         P = self._P - gain @ np.swapaxes(cross, 1, 2)
         self._P = 0.5 * (P + np.swapaxes(P, 1, 2))
-        return float(found[0]) if self._one else found
+        return self._figures(found)
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
         """Normalised estimation error squared against the truth, χ² with D degrees of freedom."""
-        d = np.concatenate(
-            [attitude_error(self._q, q), np.broadcast_to(y, self._y.shape) - self._y], axis=-1
-        )
-        found = normalised_square(d, self._P)
-        return float(found[0]) if self._one else found
+        return self._nees(q, y)

@@ -19,23 +19,7 @@ from fastatt.interchange.conventions import (
 from fastatt.interchange.tables import dataframe, write_csv
 
 __all__ = [
-    "Aem",
-    "AemSegment",
-    "aem_of",
-    "dataframe",
-    "from_gibbs",
-    "from_jpl",
-    "from_mrp",
-    "from_scalar_last",
-    "from_scipy",
-    "rates_to_body",
-    "rates_to_inertial",
-    "read_aem",
-    "to_gibbs",
-    "to_jpl",
-    "to_mrp",
-    "to_passive",
-    "to_scalar_last",
-    "to_scipy",
-    "write_csv",
-]
+    "Aem", "AemSegment", "aem_of", "dataframe", "from_gibbs", "from_jpl", "from_mrp",
+    "from_scalar_last", "from_scipy", "rates_to_body", "rates_to_inertial", "read_aem", "to_gibbs",
+    "to_jpl", "to_mrp", "to_passive", "to_scalar_last", "to_scipy", "write_csv",
+]  # fmt: skip

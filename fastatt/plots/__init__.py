@@ -16,17 +16,6 @@ from fastatt.plots.study import (
 )
 
 __all__ = [
-    "AxisTrace",
-    "Departures",
-    "Herpolhode",
-    "Ladder",
-    "Panel",
-    "Polhode",
-    "animation",
-    "axis_traces",
-    "history",
-    "polhode",
-    "polhodes",
-    "recordings",
-    "work_precision",
-]
+    "AxisTrace", "Departures", "Herpolhode", "Ladder", "Panel", "Polhode", "animation",
+    "axis_traces", "history", "polhode", "polhodes", "recordings", "work_precision",
+]  # fmt: skip
