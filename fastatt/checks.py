@@ -53,6 +53,16 @@ def real(name: str, value: Any, *, zero: bool = True) -> float:
     return number
 
 
+def above_zero(
+    name: str, value: Any, accepted: str = "a number above 0", *, finite: bool = True
+) -> float:
+    """A number above 0, ``finite`` or not."""
+    number = real(name, value) if finite else any_real(name, value, accepted)
+    if not number > 0.0:
+        raise ValueError(f"{name}: found {number}; accepted: {accepted}")
+    return number
+
+
 def any_real(name: str, value: Any, accepted: str) -> float:
     """A number, finite or not."""
     try:

@@ -281,7 +281,7 @@ def _integrate(arguments: argparse.Namespace) -> int:
         print(against_reference(log.t, q, reference, log.start))
     if arguments.compare:
         print("comparing with the other methods ...", flush=True)
-        print(compare_on_log(log, method, math.inf))
+        print(compare_on_log(log, method))
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,7 +87,7 @@ def recommend(
     if (tol is None) == (budget is None):
         found = "neither" if tol is None else "both"
         raise ValueError(f"tol, budget: found {found}; accepted: one of them")
-    wanted = _above_zero("tol", tol) if tol is not None else _above_zero("budget", budget)
+    wanted = checks.above_zero("budget", budget) if tol is None else checks.above_zero("tol", tol)
     ensemble = Ensemble.of(scene, q0, w0, v0, r0)
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     fitting = methods_for(scene)
@@ -126,17 +125,10 @@ def _hopeful(cases: Sequence[Case], tol: float) -> list[Case]:
     return [c for c in kept if c.dtype == "float64" or tol >= _SINGLE] or kept
 
 
-def _above_zero(name: str, value: Any) -> float:
-    number = checks.real(name, value)
-    if number <= 0.0:
-        raise ValueError(f"{name}: found {number}; accepted: a number above 0")
-    return number
-
-
 def _saves(t_end: float, interval: float | None) -> int | None:
     if interval is None:
         return None
-    every = _above_zero("save_interval", interval)
+    every = checks.above_zero("save_interval", interval)
     n = round(t_end / every)
     if n < 1 or abs(n * every - t_end) > 1e-9 * t_end:
         raise ValueError(

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastatt import torques
 from fastatt.arrays import euler313_to_quat
@@ -25,16 +24,12 @@ TRIAXIAL = (2.0, 1.0, 2.0 / 3.0)
 FREE = Scene(inertia=TRIAXIAL)
 # inertia about the fixed point, 0.1 m from the centre of mass
 TOP = Scene(inertia=(1.0, 1.0, 0.5), torque=torques.HeavyTop(arm=(0.0, 0.0, 0.1), weight=10.0))
-TORQUED = Scene(
-    inertia=TRIAXIAL,
-    torque=torques.Sum(
-        (
-            torques.GravityGradient(mean_motion=0.3),
-            torques.Damping(0.02),
-            torques.Rotor((0.1, 0.2, 0.3)),
-        )
-    ),
+_TORQUES = (
+    torques.GravityGradient(mean_motion=0.3),
+    torques.Damping(0.02),
+    torques.Rotor((0.1, 0.2, 0.3)),
 )
+TORQUED = Scene(inertia=TRIAXIAL, torque=torques.Sum(_TORQUES))
 BODY_SCENES: Mapping[str, Scene] = MappingProxyType({"free": FREE, "top": TOP, "torqued": TORQUED})
 
 
@@ -55,12 +50,6 @@ class BodyScene:
         )
 
 
-def _momenta(n_bodies: int) -> NDArray[np.float64]:
-    """Of size 1 in all directions, (N, 3)."""
-    m = np.random.default_rng(1).normal(size=(n_bodies, 3))
-    return np.asarray(m / np.linalg.norm(m, axis=1, keepdims=True))
-
-
 def _tilted_tops(n_bodies: int) -> State:
     """Nutating tops, tilted by 0.3 to 1.2 rad, with a spin of 3 to 6 rad/s."""
     generator = np.random.default_rng(2)
@@ -73,7 +62,9 @@ def _tilted_tops(n_bodies: int) -> State:
 
 def _aligned(n_bodies: int) -> State:
     """Momenta of size 1 in all directions."""
-    return State(np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1)), _momenta(n_bodies) / TRIAXIAL)
+    m = np.random.default_rng(1).normal(size=(n_bodies, 3))
+    m /= np.linalg.norm(m, axis=1, keepdims=True)
+    return State(np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1)), m / TRIAXIAL)
 
 
 _ENSEMBLES: dict[str, tuple[str, Callable[[int], State]]] = {
@@ -107,15 +98,13 @@ def body_trade(
     steps: Sequence[int],
     repeats: int,
     bar: bool,
-    cases: Sequence[Case] | None = None,
+    cases: Sequence[Case],
 ) -> list[Row]:
-    """Cases, or those of ``body_cases``, over a ladder of numbers of steps."""
-    wanted = body_cases(bodies.problem.ensemble.scene) if cases is None else cases
+    """Cases over a ladder of numbers of steps."""
+    measured = (name, bodies.problem, bodies.known, bodies.check)
     rows: list[Row] = []
-    with progress_bar(bar, len(wanted), "method") as done:
-        for case in wanted:
-            rows += case_rows(
-                name, bodies.problem, bodies.known, bodies.check, case, repeats, steps=steps
-            )
+    with progress_bar(bar, len(cases), "method") as done:
+        for case in cases:
+            rows += case_rows(*measured, case, repeats, steps=steps)
             done(1)
     return rows

@@ -54,9 +54,9 @@ def coning_trade(
     steps: Sequence[int],
     repeats: int,
     bar: bool,
-    cases: Mapping[str, Sequence[Case]] | None = None,
+    cases: Mapping[str, Sequence[Case]],
 ) -> list[Row]:
-    """Cases, or every one, over a ladder of numbers of steps."""
+    """Cases by the kind of input over a ladder of numbers of steps."""
     generator = np.random.default_rng(1)
     angle = generator.uniform(0.2, 1.5, n_bodies)
     frequency = generator.uniform(0.5, 2.0, n_bodies)
@@ -77,10 +77,9 @@ def coning_trade(
         status = "past the method's limit" if said else ""
         return Rung(n, seconds, angle_between(q[:, -1], end.q), status=status)
 
-    wanted: Mapping[str, Sequence[Case]] = coning_cases() if cases is None else cases
     rows: list[Row] = []
-    with progress_bar(bar, sum(map(len, wanted.values())), "method") as done:
-        for source, of_source in wanted.items():
+    with progress_bar(bar, sum(map(len, cases.values())), "method") as done:
+        for source, of_source in cases.items():
             for case in of_source:
                 rungs = [rung(source, case, n) for n in steps]
                 rows += ladder_rows(source, case, T_END, rungs)

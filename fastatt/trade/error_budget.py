@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,17 +62,14 @@ class ErrorBudget:
     @property
     def total(self) -> float:
         """All shares together, as independent ones add up, rad."""
-        shares = (self.interpolation, self.truncation, self.round_off, self.noise)
-        return math.sqrt(sum(x * x for x in shares))
+        return math.hypot(self.interpolation, self.truncation, self.round_off, self.noise)
 
     @property
     def with_twice_the_rate(self) -> float:
         """The same of a sensor that is twice as fast, its noise density the same, rad."""
         fall = 2.0 ** (self.order or 1.0)
-        shares = (
-            self.interpolation / fall, self.truncation / fall, self.round_off, self.noise
-        )  # fmt: skip
-        return math.sqrt(sum(x * x for x in shares))
+        shares = self.interpolation / fall, self.truncation / fall, self.round_off, self.noise
+        return math.hypot(*shares)
 
     @property
     def verdict(self) -> str:
@@ -96,17 +93,14 @@ class ErrorBudget:
     def __str__(self) -> str:
         order = "" if self.order is None else f" (order {self.order:.1f} in the interval)"
         degrees = 180.0 / math.pi
-        lines = [f"error of {self.method} on {self.samples} samples at {self.rate:.6g} Hz, deg:"]
-        lines += [
+        density = f" ({self.noise_density * degrees:.2g} deg/s/√Hz)"
+        shares = (self.interpolation, self.truncation, self.round_off, self.noise)
+        lines = [
             f"  {name:14} {value * degrees:9.2g}{note}"
-            for name, value, note in (
-                ("interpolation", self.interpolation, order),
-                ("truncation", self.truncation, ""),
-                ("round-off", self.round_off, ""),
-                ("noise", self.noise, f" ({self.noise_density * degrees:.2g} deg/s/√Hz)"),
-            )
+            for name, value, note in zip(_LIMITS, shares, (order, "", "", density), strict=True)
         ]
-        return "\n".join([*lines, f"  {self.verdict}"])
+        head = f"error of {self.method} on {self.samples} samples at {self.rate:.6g} Hz, deg:"
+        return "\n".join([head, *lines, f"  {self.verdict}"])
 
 
 def error_budget(
@@ -175,8 +169,7 @@ def _resolves(method: str, order: float | None) -> bool:
     return order is not None and order > _RESOLVED * METHODS[method].order
 
 
-@dataclass(frozen=True)
-class _Extrapolated:
+class _Extrapolated(NamedTuple):
     error: float
     order: float | None
 
@@ -187,11 +180,8 @@ class _Log:
     def __init__(
         self, rates: NDArray[np.float64], dt: ArrayLike, q0: NDArray[Any], max_gap: float | None
     ) -> None:
-        self.rates, self.q0 = rates, q0
-        self.max_gap = max_gap
-        self.dt = dt
-        n = len(rates) - 1
-        self.spans = np.broadcast_to(np.asarray(dt, dtype=np.float64), n)
+        self.rates, self.dt, self.q0, self.max_gap = rates, dt, q0, max_gap
+        self.spans = np.broadcast_to(np.asarray(dt, dtype=np.float64), len(rates) - 1)
 
     def part(self, every: int) -> tuple[NDArray[np.float64], Any, float | None]:
         """Every so many samples, the intervals between them and the longest one allowed."""
@@ -247,8 +237,7 @@ class _Log:
 
     def truncation(self, method: str) -> float:
         """The method against the exact integration of the polynomials that it fits."""
-        found = self.attitudes(method)
-        exact = self.exact(method)
+        found, exact = self.attitudes(method), self.exact(method)
         return float(angle_between(exact, found[: len(exact)]).max())
 
     def round_off(self, method: str, kind: np.dtype[Any]) -> float:

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,31 +89,28 @@ def _without_warnings() -> Iterator[list[warnings.WarningMessage]]:
         yield said
 
 
-def log_rows(
-    log: Log, repeats: int, max_gap: float | None = None, methods: Sequence[str] | None = None
-) -> list[LogRow]:
+def _attitudes(log: Log, method: str, every: int = 1) -> NDArray[Any]:
+    """By a method from every so many samples; of its gaps a log is rid when it is read."""
+    dt = log.dt
+    if every > 1:
+        dt = np.diff(log.t[::every]) if isinstance(dt, np.ndarray) else every * dt
+    return integrate_rates(log.rates[::every], dt, _start(log), method=method, max_gap=math.inf)
+
+
+def log_rows(log: Log, repeats: int, methods: Sequence[str] | None = None) -> list[LogRow]:
     """The methods, or every one, on one log.
 
     The difference of each from the reference, from itself at half the rate, and from the maker's
     orientation where the log has it.
     """
-    q0 = _start(log)
-    n = len(log.rates)
-    even = np.arange(0, n, 2)
-    half_dt = np.diff(log.t[even]) if isinstance(log.dt, np.ndarray) else 2.0 * log.dt
-    half_gap = None if max_gap is None else 2.0 * max_gap
-
-    def attitudes(name: str) -> NDArray[Any]:
-        return integrate_rates(log.rates, log.dt, q0, method=name, max_gap=max_gap)
-
     with _without_warnings():
-        reference = attitudes(REFERENCE)
-    rows = []
+        reference = _attitudes(log, REFERENCE)
+    n, rows = len(log.rates), []
     for name in methods_for_samples() if methods is None else methods:
         with _without_warnings() as said:
-            seconds, q = best_time(lambda name=name: attitudes(name), repeats)  # type: ignore[misc]
+            seconds, q = best_time(partial(_attitudes, log, name), repeats)
         with _without_warnings():
-            half = integrate_rates(log.rates[even], half_dt, q0, method=name, max_gap=half_gap)
+            half = _attitudes(log, name, 2)
         away = angle_between(q, reference) * DEGREES
         maker = None
         if log.attitudes is not None:
@@ -126,7 +124,7 @@ def log_rows(
                 nanoseconds_per_sample=seconds / n * 1e9,
                 difference_max=float(away.max()),
                 difference_end=float(away[-1]),
-                half_rate_difference_max=float(angle_between(half, q[even]).max() * DEGREES),
+                half_rate_difference_max=float(angle_between(half, q[::2]).max() * DEGREES),
                 maker_difference_max=maker,
                 warning=str(said[0].message) if said else "",
             )
@@ -134,20 +132,18 @@ def log_rows(
     return rows
 
 
-def compare_on_log(
-    log: Log, method: str, max_gap: float | None = None, methods: Sequence[str] | None = None
-) -> str:
+def compare_on_log(log: Log, method: str, methods: Sequence[str] | None = None) -> str:
     """Table: how far the methods differ on a log, and where the error of one comes from.
 
     ``methods`` are the others to compare with, None for all.
     """
     if methods is not None:
         methods = list(dict.fromkeys((*methods, method, *_RIVALS)))
-    table = log_table(log_rows(log, repeats=1, max_gap=max_gap, methods=methods))
+    table = log_table(log_rows(log, repeats=1, methods=methods))
     if len(log.rates) < LEAST:
         return f"{table}\n{len(log.rates)} samples: too few to tell where the error comes from"
     budget = error_budget(
-        log.rates, log.dt, _start(log), method=method, max_gap=max_gap, rivals=methods
+        log.rates, log.dt, _start(log), method=method, max_gap=math.inf, rivals=methods
     )
     return f"{table}\n{budget}"
 
@@ -174,15 +170,10 @@ def departures(log: Log, methods: Sequence[str] | None = None) -> plots.Departur
     """Each method's angle from the reference on a recording, and the maker's orientation's."""
     from fastatt import plots
 
-    q0 = _start(log)
-
-    def attitudes(name: str) -> NDArray[Any]:
-        return integrate_rates(log.rates, log.dt, q0, method=name)
-
     with _without_warnings():
-        base = attitudes(REFERENCE)
+        base = _attitudes(log, REFERENCE)
         angles = {
-            name: angle_between(attitudes(name), base)[1:] * DEGREES
+            name: angle_between(_attitudes(log, name), base)[1:] * DEGREES
             for name in (methods_for_samples() if methods is None else methods)
             if name != REFERENCE
         }

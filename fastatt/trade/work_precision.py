@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -183,11 +184,10 @@ def cases_of(
         if not isinstance(rep, Attitude):
             checks.choice("representations", rep, ATTITUDES)
     stored = [attitude_of(rep) for rep in representations]
-    for name, records in (("methods", wanted), ("representations", stored)):
-        names = [record.name for record in records]
-        twice = [each for each in names if names.count(each) > 1]
-        if twice:
-            raise ValueError(f"{name}: found {twice[0]!r} twice; accepted: different names")
+    for argument, records in (("methods", wanted), ("representations", stored)):
+        for name, times in Counter(record.name for record in records).items():
+            if times > 1:
+                raise ValueError(f"{argument}: found {name!r} twice; accepted: different names")
     for dtype in dtypes:
         checks.choice("dtypes", dtype, DTYPES)
     found = [
@@ -195,13 +195,13 @@ def cases_of(
         for method in wanted
         for attitude in stored
         for dtype in dtypes
-        if fits(method, scene, attitude.name if attitude.name in ATTITUDES else None)
+        if fits(method, scene, attitude)
     ]
     if not found:
-        names = [m.name for m in wanted]
+        names = [[record.name for record in records] for records in (wanted, stored)]
         raise ValueError(
-            f"methods, representations, dtypes: found {names}, {[a.name for a in stored]}, "
-            f"{list(dtypes)}, of which nothing fits; accepted: " + ", ".join(fitting)
+            f"methods, representations, dtypes: found {names[0]}, {names[1]}, {list(dtypes)}, of "
+            f"which nothing fits; accepted: {', '.join(fitting)}"
         )
     return found
 
@@ -224,10 +224,7 @@ def _name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
 
 def duration(t_end: float) -> float:
     """A finite number of seconds above 0."""
-    seconds = checks.real("t_end", t_end)
-    if seconds <= 0.0:
-        raise ValueError(f"t_end: found {seconds}; accepted: a duration above 0, s")
-    return seconds
+    return checks.above_zero("t_end", t_end, "a duration above 0, s")
 
 
 def spread(
