@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -116,7 +117,7 @@ class Bodies:
                 a, b, self.scene[a:b] if own else None, [_rows(x, a, b) for x in self.given]
             )
             keys = [(x.name, i, 0) if x.ndim == 2 else (x.name, 0) for x in lazy]
-            graph[name, i] = (_worked, work.key, part, *keys)
+            graph[name, i] = (operator.call, work.key, part, *keys)
         needed = HighLevelGraph.from_collections(name, graph, dependencies=[*lazy, work])
         return da.Array(needed, name, ((1,) * len(self.sizes),), meta=nothing(1, object))
 
@@ -127,7 +128,7 @@ class Bodies:
         chunks = (*((s,) for s in saves), self.sizes, *((k,) for k in tail))
         new = [k for k in range(len(chunks)) if k != len(saves)]
         return runs.map_blocks(
-            _named, name, chunks=chunks, new_axis=new, meta=nothing(len(chunks), kind)
+            operator.getitem, name, chunks=chunks, new_axis=new, meta=nothing(len(chunks), kind)
         )
 
     def merged(self, merge: Callable[..., Any], function: Callable[..., Any]) -> Any:
@@ -166,11 +167,3 @@ def _rows(x: Any, first: int, last: int) -> Any:
 def nothing(ndim: int, kind: Any) -> NDArray[Any]:
     """An empty array that shows Dask what blocks are."""
     return np.empty((0,) * ndim, dtype=kind)
-
-
-def _worked(work: Work, part: Part, *lazy: Any) -> Any:
-    return work(part, *lazy)
-
-
-def _named(found: dict[str, Any], name: str) -> Any:
-    return found[name]

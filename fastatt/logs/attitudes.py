@@ -43,7 +43,7 @@ def integrate_chunks(
                 write(pieces.close())
             write(pieces.push(chunk.t[first:last], chunk.values[first:last, :3]))
     write(pieces.close())
-    if pieces.warned is not None:
+    if pieces.warned:
         warnings.warn(pieces.warned, stacklevel=2)
 
 
@@ -53,14 +53,13 @@ class _Pieces:
     def __init__(self, reader: Reader, q0: ArrayLike, method: str) -> None:
         self.reader, self.q0, self.method = reader, q0, method
         self.number = 0
-        self.warned: Warning | None = None
+        self.warned: Warning | str = ""
         self._begin()
 
     def _begin(self) -> None:
         self.flow: Integrator | None = None
         # times that wait for their attitudes, and the latest of all
-        self.waiting: NDArray[np.float64] = np.empty(0)
-        self.last: NDArray[np.float64] = np.empty(0)
+        self.waiting = self.last = np.empty(0)
 
     def push(self, t: NDArray[np.float64], rates: NDArray[np.float64]) -> NDArray[np.float64]:
         """Rows that are final with some more samples."""
@@ -87,8 +86,8 @@ class _Pieces:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", StepWarning)
             q = act(self.flow)
-        if said and self.warned is None:
-            self.warned = said[0].message if isinstance(said[0].message, Warning) else None
+        if said and not self.warned:
+            self.warned = said[0].message
         return q
 
     def _rows(self, q: NDArray[Any]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,17 +84,16 @@ class Table:
     def rows(self, clock: int | None, wanted: list[int], *, mend: bool) -> Iterator[Block]:
         """Wanted columns of the rows; with ``mend`` what is no number is NaN, else refused."""
         read = _Reading(self.layout, clock, wanted, mend=mend)
-        line = self.layout.first_line
+        contents, line = self._content(), self.layout.first_line
         threads = default_threads()
         pending: deque[Any] = deque()
         with ThreadPoolExecutor(threads) as pool:
             try:
-                for content in self._content():
-                    pending.append((content, pool.submit(read.fast, content)))
-                    if len(pending) > 2 * threads:
-                        block, line = self._done(read, line, *pending.popleft())
-                        yield block
-                while pending:
+                while True:
+                    while len(pending) <= 2 * threads and (content := next(contents, b"")):
+                        pending.append((content, pool.submit(read.fast, content)))
+                    if not pending:
+                        return
                     block, line = self._done(read, line, *pending.popleft())
                     yield block
             finally:
@@ -114,8 +113,7 @@ class Table:
         if found is not None:
             stamps, values = found
             return Block(range(line, line + len(values)), stamps, values), line + len(values)
-        lines = content.decode("utf-8", "replace").split("\n")
-        lines = lines[:-1] if lines[-1] == "" else lines
+        lines = content.decode("utf-8", "replace").removesuffix("\n").split("\n")
         return read.slow(lines, line), line + len(lines)
 
 
@@ -135,6 +133,8 @@ class _Reading:
     def __init__(self, known: Layout, clock: int | None, wanted: list[int], *, mend: bool) -> None:
         self.layout, self.clock, self.wanted, self.mend = known, clock, wanted, mend
         self.stamps: Stamps = "float" if clock is None else known.stamps(clock)
+        # those of floats; time stamps that are such stand last
+        self.floats = wanted if clock is None or self.stamps != "float" else [*wanted, clock]
 
     def fast(self, content: bytes) -> tuple[NDArray[Any] | None, NDArray[np.float64]] | None:
         """Stamps and values by pyarrow; None where it isn't installed or met anything odd."""
@@ -192,31 +192,22 @@ class _Reading:
         values = None
         if rows and all(map(known.even, rows)):
             text = rows if known.decimal == "." else [x.replace(",", ".") for x in rows]
-            columns = [*self.wanted, *([self.clock or 0] if self._float_clock else [])]
-            try:
+            with suppress(ValueError, IndexError):
                 values = np.loadtxt(
-                    text, delimiter=known.delimiter, usecols=columns, comments=None, ndmin=2
+                    text, delimiter=known.delimiter, usecols=self.floats, comments=None, ndmin=2
                 )
-            except (ValueError, IndexError):
-                values = None
         if values is None or not np.isfinite(values).all():
             values = np.array([self._cells(n, row) for n, row in found], dtype=np.float64)
-            values = values.reshape(len(rows), -1)
+            values = values.reshape(len(rows), len(self.floats))
         k = len(self.wanted)
         if self.clock is None:
-            return Block(numbers, None, values[:, :k])
-        if self._float_clock:
-            return Block(numbers, values[:, k], values[:, :k])
-        return Block(numbers, self._exact(found), values[:, :k])
-
-    @property
-    def _float_clock(self) -> bool:
-        return self.clock is not None and self.stamps == "float"
+            return Block(numbers, None, values)
+        stamps = values[:, k] if self.stamps == "float" else self._exact(found, self.clock)
+        return Block(numbers, stamps, values[:, :k])
 
     def _cells(self, line: int, row: str) -> list[float]:
         """Numbers of a row; those of a row with a column lost or added are all NaN."""
-        known, n = self.layout, len(self.wanted)
-        columns = [*self.wanted, *([self.clock] if self.clock is not None else [])]
+        known = self.layout
         cells = known.split(row)
         where = f"{known.name} line {line}:"
         if not known.even(row):
@@ -225,9 +216,9 @@ class _Reading:
                     f"{where} found {len(cells)} columns; accepted: {known.n_columns}, as in line "
                     f"{known.first_line}"
                 )
-            return [math.nan] * (n + self._float_clock)
-        values = [number(cells[i]) for i in columns[: n + self._float_clock]]
-        for i, value in zip(columns, values, strict=False):
+            return [math.nan] * len(self.floats)
+        values = [number(cells[i]) for i in self.floats]
+        for i, value in zip(self.floats, values, strict=True):
             if not self.mend and not math.isfinite(value):
                 raise LogError(
                     f"{where} {known.column(i)[:60]} is {cells[i][:60]!r}; accepted: a finite "
@@ -235,14 +226,10 @@ class _Reading:
                 )
         return [value if math.isfinite(value) else math.nan for value in values]
 
-    def _exact(self, found: list[tuple[int, str]]) -> NDArray[np.int64]:
+    def _exact(self, found: list[tuple[int, str]], clock: int) -> NDArray[np.int64]:
         """Time stamps that are whole numbers or dates."""
-        assert self.clock is not None
-        cells = [
-            known[self.clock] if self.layout.even(row) and self.clock < len(known) else ""
-            for _, row in found
-            for known in (self.layout.split(row),)
-        ]
+        rows = [self.layout.split(row) if self.layout.even(row) else [] for _, row in found]
+        cells = [row[clock] if clock < len(row) else "" for row in rows]
         if self.stamps == "date":
             stamps = dates(cells)
         else:
@@ -253,7 +240,7 @@ class _Reading:
             k = int(np.argmax(bad))
             kind = "a date" if self.stamps == "date" else "a whole number"
             raise LogError(
-                f"{self.layout.name} line {found[k][0]}: {self.layout.column(self.clock)[:60]} is "
+                f"{self.layout.name} line {found[k][0]}: {self.layout.column(clock)[:60]} is "
                 f"{cells[k][:60]!r}; accepted: {kind}, as in the first row, or bad, to say what "
                 "becomes of such rows"
             )

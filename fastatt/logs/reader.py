@@ -44,24 +44,19 @@ class Options:
     beside: tuple[str, ...] = ("accel", "mag", "quat")  # what is read beside the rates
 
     def __post_init__(self) -> None:
-        for name, word, known in (
-            ("unit", self.unit, tuple(UNITS)),
-            ("time_unit", self.time_unit, tuple(TIME_UNITS)),
-            ("bad", self.bad, BAD),
-        ):
-            if word is not None:
+        for name, known in (("unit", UNITS), ("time_unit", TIME_UNITS), ("bad", BAD)):
+            if (word := getattr(self, name)) is not None:
                 checks.choice(name, word, known)
         if self.rate is not None:
             rate = checks.real("rate", self.rate)
             if not (rate > 0.0 and math.isfinite(1.0 / rate)):
                 raise LogError(f"rate: found {rate}; accepted: a sample rate above 0, Hz")
-        for name, value in (("max_gap", self.max_gap), ("bias_seconds", self.bias_seconds)):
-            if value is None:
-                continue
-            number = checks.any_real(name, value, "a number above 0")
-            if not number > 0.0:
-                raise LogError(f"{name}: found {number}; accepted: a number above 0, s")
-            object.__setattr__(self, name, number)
+        for name in ("max_gap", "bias_seconds"):
+            if (value := getattr(self, name)) is not None:
+                number = checks.any_real(name, value, "a number above 0")
+                if not number > 0.0:
+                    raise LogError(f"{name}: found {number}; accepted: a number above 0, s")
+                object.__setattr__(self, name, number)
 
 
 @contextmanager
@@ -110,8 +105,9 @@ class Reader:
 
     def dt(self, t: NDArray[np.float64]) -> float | NDArray[np.float64]:
         """The interval, or those between times."""
-        equal = self.rate is not None and self.options.bad in ("refuse", "hold")
-        return 1.0 / self.rate if equal and self.rate is not None else np.diff(t)
+        if self.rate is None or self.options.bad in ("drop", "split"):
+            return np.diff(t)
+        return 1.0 / self.rate
 
     def chunks(self) -> Iterator[Chunk]:
         """The samples in SI units, without bias."""
@@ -167,10 +163,10 @@ class Reader:
 
     def _times(self, first: list[Block]) -> Callable[[Block], NDArray[np.float64]]:
         """Times of blocks, s from the first sample."""
-        if self.rate is not None:
-            return self._at_a_rate(self.rate)
         clock = self.columns.clock
-        assert clock is not None
+        if clock is None:
+            assert self.rate is not None
+            return self._at_a_rate(self.rate)
         of, self.start, usual = times(self.layout, clock, first, self.options.time_unit)
         self.mending.set_usual(usual)
         return of
@@ -286,24 +282,22 @@ def _largest(x: NDArray[np.float64]) -> float:
 def _columns(layout: Layout, options: Options) -> Columns:
     """Columns as said or as their names are understood."""
     try:
-        gyro = layout.chosen(options.columns, 3, "columns") or names.gyro(
-            layout.names, layout.about
-        )
+        gyro = layout.chosen(options.columns, 3, "columns")
+        gyro = gyro or names.gyro(layout.names, layout.about)
         if gyro is None:
             raise LogError(
                 f"found no three columns named like gyro x, y, z among {layout.shown()}; name them "
                 "with columns (names or numbers from 1)"
             )
         clock = None
-        if options.rate is None and options.time_column is not None:
-            clock = layout.index(options.time_column, "time column")
-        elif options.rate is None:
-            clock = names.clock(layout.names)
-        if options.rate is None and clock is None and layout.rate is None:
-            raise LogError(
-                f"found no time column and no sample rate among {layout.shown()}; give a rate in "
-                "Hz or a time column"
-            )
+        if options.rate is None:
+            said = options.time_column
+            clock = names.clock(layout.names) if said is None else layout.index(said, "time column")
+            if clock is None and layout.rate is None:
+                raise LogError(
+                    f"found no time column and no sample rate among {layout.shown()}; give a rate "
+                    "in Hz or a time column"
+                )
     except LogError as error:
         text = str(error)
         raise LogError(text) if text.startswith(layout.name) else layout.error(text) from None

@@ -140,14 +140,13 @@ def against_reference(
             "reference: its clock has no time in common with the log's, and the angular speeds do "
             f"not tell the shift (correlation {alike:.2f}); accepted: times that overlap"
         )
+    shift = 0.0
     if told:
-        shift = _nearest(
-            lambda s: _fitted(when, attitudes, own - s, reference.q)[0],
-            (ahead - delay) * step,
-            step,
-        )
-    else:
-        shift = 0.0
+
+        def apart(s: float) -> float:
+            return _fitted(when, attitudes, own - s, reference.q)[0]
+
+        shift = _nearest(apart, (ahead - delay) * step, step)
     _, world, body = _fitted(when, attitudes, own - shift, reference.q)
     inside = _inside(when, own - shift)
     at = (own - shift)[inside]

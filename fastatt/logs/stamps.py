@@ -144,13 +144,8 @@ class Mending:
 
     def told(self) -> Iterator[str]:
         """What was mended, in words."""
-        for n, what in (
-            (self.dropped, "rows dropped"),
-            (self.held, "rows held"),
-            (self.gaps, "gaps"),
-        ):
-            if n:
-                yield f"{n} {what}"
+        counts = {"rows dropped": self.dropped, "rows held": self.held, "gaps": self.gaps}
+        yield from (f"{n} {what}" for what, n in counts.items() if n)
 
     def _refusal(
         self, block: Block, t: NDArray[np.float64], gaps: NDArray[np.float64], clock: str

@@ -3,9 +3,7 @@
 from fastatt.plots.animated import animation
 from fastatt.plots.runs import history, polhode
 from fastatt.plots.study import (
-    AxisTrace,
     Departures,
-    Herpolhode,
     Ladder,
     Panel,
     Polhode,
@@ -16,6 +14,6 @@ from fastatt.plots.study import (
 )
 
 __all__ = [
-    "AxisTrace", "Departures", "Herpolhode", "Ladder", "Panel", "Polhode", "animation",
+    "Departures", "Ladder", "Panel", "Polhode", "animation",
     "axis_traces", "history", "polhode", "polhodes", "recordings", "work_precision",
 ]  # fmt: skip

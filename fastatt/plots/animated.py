@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import quat_to_dcm
-from fastatt.plots.drawing import COLOURS, check_run
+from fastatt.plots.drawing import COLOURS, check_run, direction
 from fastatt.running.interpolation import interpolate
 from fastatt.running.trajectory import Trajectory
 
@@ -50,9 +50,8 @@ def animation(
         raise ValueError(f"body: found {body}; accepted: 0 to {n - 1}")
     rate = checks.whole("fps", fps, 1)
     span = abs(float(run.t[-1] - run.t[0]))
-    lasts = min(span, _LONGEST) if seconds is None else checks.real("seconds", seconds)
-    if lasts <= 0.0:
-        raise ValueError(f"seconds: found {lasts}; accepted: above 0")
+    lasts = min(span, _LONGEST) if seconds is None else seconds
+    lasts = checks.above_zero("seconds", lasts, "above 0")
     place = Path(path)
     kinds: dict[str, Any] = {".gif": writers.PillowWriter, ".mp4": writers.FFMpegWriter}
     kind = kinds.get(place.suffix.lower())
@@ -80,8 +79,7 @@ class _Stage:
         self.axes = figure.add_axes((0.0, 0.0, 1.0, 0.94), projection="3d", computed_zorder=False)
         self.axes.set_proj_type("ortho")
         self.axes.view_init(*_SEEN_FROM)
-        up, around = np.radians(_SEEN_FROM)
-        self.view = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+        self.view = direction(*_SEEN_FROM)
         self.axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.25)
         self.axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), zlim=(-1.2, 1.2))
         self.axes.set_axis_off()

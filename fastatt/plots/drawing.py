@@ -47,8 +47,32 @@ def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArr
     up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
     x, y, z = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0.0 * around
     axes.plot_wireframe(x, y, z, rstride=3, cstride=6, color="0.6", lw=0.3)
+    return direction(elevation, azimuth)
+
+
+def direction(elevation: float, azimuth: float) -> NDArray[np.float64]:
+    """The unit vector of a direction, deg."""
     e, a = np.radians([elevation, azimuth])
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:
+    """A figure of the momenta's sphere, seen from a direction, and of the plane across them."""
+    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
+    sphere = figure.add_subplot(1, 2, 1, projection="3d")
+    view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
+    plane = figure.add_subplot(1, 2, 2)
+    across = "angular velocity across the momentum, rad/s"
+    plane.set(aspect="equal", xlabel=across, ylabel=across)
+    plane.grid(visible=True, alpha=0.3)
+    return figure, sphere, view, plane
+
+
+def axes_on(sphere: Any, names: Sequence[str]) -> None:
+    """Draw three axes out of a unit sphere, with their names."""
+    for axis, name in zip(np.eye(3), names, strict=True):
+        sphere.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
+        sphere.text(*(1.6 * axis), name, fontsize=13, ha="center", va="center")
 
 
 def curve_on(axes: Any, points: NDArray[Any], view: NDArray[Any], style: Mapping[str, Any]) -> None:

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between, rotate
-from fastatt.plots.drawing import COLOURS, check_run, curve_on, save, sphere_on, tints_of
+from fastatt.plots.drawing import (
+    COLOURS,
+    axes_on,
+    check_run,
+    curve_on,
+    save,
+    sphere_and_plane,
+    tints_of,
+)
 from fastatt.running.drift import drift
 from fastatt.running.energy import angular_momentum
 from fastatt.running.trajectory import Trajectory
@@ -66,10 +74,7 @@ def _history(run: Trajectory, scene: Scene | None, attitude: str) -> Figure:
         _percentiles(rates, run.t, np.linalg.norm(run.w, axis=-1), "|w|, rad/s")
         _legend(turned)
     else:
-        if attitude == "angles":
-            _angles(turned, run)
-        else:
-            _axis(turned, run)
+        (_angles if attitude == "angles" else _axis)(turned, run)
         _rates(rates, run)
     _drifts(drifts, run, scene)
     drifts.set_xlabel("time, s")
@@ -115,13 +120,9 @@ def _polhode(run: Trajectory, scene: Scene, bodies: Sequence[int] | None) -> Fig
         if not 0 < chosen.size <= _CURVES or chosen.max() >= n:
             raise ValueError(f"bodies: found {list(bodies)}; accepted: 1 to 8 of 0 to {n - 1}")
     q, w = (x.reshape(len(run.t), n, -1)[:, chosen] for x in (run.q, run.w))
-    inertia: Any = scene[chosen].inertia
-    m = angular_momentum(w, inertia)
+    m = angular_momentum(w, scene[chosen].inertia)  # type: ignore[arg-type]
     space, held = rotate(q, w), rotate(q[0], m[0])
-    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
-    ball = figure.add_subplot(1, 2, 1, projection="3d")
-    view = sphere_on(ball, elevation=24.0, azimuth=35.0, zoom=1.05)
-    plane = figure.add_subplot(1, 2, 2)
+    figure, ball, view, plane = sphere_and_plane()
     tints = tints_of(chosen.tolist())
     with np.errstate(invalid="ignore"):
         unit = m / np.linalg.norm(m, axis=-1, keepdims=True)
@@ -130,14 +131,9 @@ def _polhode(run: Trajectory, scene: Scene, bodies: Sequence[int] | None) -> Fig
         across = space[:, k] @ _square_to(held[k])
         plane.plot(*across.T, color=tints[body], lw=1.3)
         plane.plot(*across[:1].T, color=tints[body], marker="o", ms=5)
-    for axis, name in zip(np.eye(3), "xyz", strict=True):
-        ball.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
-        ball.text(*(1.58 * axis), name, fontsize=13, ha="center", va="center")
+    axes_on(ball, "xyz")
     ball.set_title("Polhode: direction of the momentum along body axes")
-    name = "angular velocity across the momentum, rad/s"
-    plane.set(aspect="equal", xlabel=name, ylabel=name)
     plane.set_title("Herpolhode: angular velocity in space, from the dot on")
-    plane.grid(visible=True, alpha=0.3)
     if chosen.size > 1:
         entries = [Line2D([], [], color=tints[k], lw=2.4) for k in chosen.tolist()]
         names = [f"body {k}" for k in chosen]
@@ -164,18 +160,19 @@ def _finite(run: Trajectory, scene: Scene) -> tuple[Trajectory, Scene]:
     kept = _numbers(run)
     if kept.all() or not kept.any():
         return run, scene
-    carried = {name: x[:, kept] for name, x in run.carried.items()}
-    part: dict[str, Any] = {"state": run.state[:, kept], "defect": run.defect[:, kept]}
-    return replace(run, status=run.status[kept], carried=carried, **part), scene[kept]
+    return replace(_part(run, np.s_[:, kept]), status=run.status[kept]), scene[kept]
 
 
 def _thinned(run: Trajectory) -> Trajectory:
     """The same with fewer saves, the first and the last among them."""
     kept = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), _SAVES)).astype(int))
-    carried = {name: x[kept] for name, x in run.carried.items()}
-    return replace(
-        run, t=run.t[kept], state=run.state[kept], defect=run.defect[kept], carried=carried
-    )
+    return replace(_part(run, kept), t=run.t[kept])
+
+
+def _part(run: Trajectory, at: Any) -> Trajectory:
+    """Some saves or bodies of a run's states."""
+    carried = {name: x[at] for name, x in run.carried.items()}
+    return replace(run, state=run.state[at], defect=run.defect[at], carried=carried)
 
 
 def _legend(axes: Any) -> None:

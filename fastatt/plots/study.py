@@ -13,7 +13,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from fastatt.plots.drawing import COLOURS, curve_on, save, sphere_on, styles_of, tints_of
+from fastatt.plots.drawing import (
+    COLOURS,
+    axes_on,
+    curve_on,
+    save,
+    sphere_and_plane,
+    sphere_on,
+    styles_of,
+    tints_of,
+)
 
 _LINES: dict[str, Any] = {"quat": "-", "dcm": ":", "quat in float32": (0, (6, 2))}
 _KINDS = {"quat": "quaternion", "dcm": "matrix", "quat in float32": "quaternion, float32"}
@@ -59,22 +68,6 @@ class Polhode:
     separatrix: bool
 
 
-@dataclass(frozen=True)
-class Herpolhode:
-    """Angular velocity in the plane across the momentum in space, (T, 2), rad/s."""
-
-    energy: float
-    curve: NDArray[Any]
-
-
-@dataclass(frozen=True)
-class AxisTrace:
-    """A body axis in space over time, (T, 3)."""
-
-    title: str
-    axis: NDArray[Any]
-
-
 def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
     """Error against time per body, both logarithmic, a panel for each ensemble or input."""
     width = max(8.0, 5.8 * len(panels))
@@ -108,11 +101,14 @@ def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
     save(figure, path)
 
 
-def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], path: Path) -> None:
-    """Polhodes on the momentum sphere in body axes; herpolhodes in the plane fixed in space."""
-    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
-    sphere = figure.add_subplot(1, 2, 1, projection="3d")
-    view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
+def polhodes(
+    polhodes: Sequence[Polhode], herpolhodes: Mapping[float, NDArray[Any]], path: Path
+) -> None:
+    """Polhodes on the momentum sphere in body axes; herpolhodes in the plane fixed in space.
+
+    The latter are angular velocities across the momentum, (T, 2), rad/s, by the kinetic energy (J).
+    """
+    figure, sphere, view, plane = sphere_and_plane()
     tints = tints_of([p.energy for p in polhodes])
     styles = {p.energy: {"color": tints[p.energy], "lw": 1.8} for p in polhodes}
     styles |= {p.energy: {"color": "k", "lw": 2.4} for p in polhodes if p.separatrix}
@@ -120,39 +116,28 @@ def polhodes(polhodes: Sequence[Polhode], herpolhodes: Sequence[Herpolhode], pat
     for polhode in polhodes:
         for curve in polhode.curves:
             curve_on(sphere, curve, view, styles[polhode.energy])
-    for i, axis in enumerate(np.eye(3)):
-        sphere.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
-        sphere.text(*(1.62 * axis), f"$I_{i + 1}$", fontsize=13, ha="center", va="center")
+    axes_on(sphere, ("$I_1$", "$I_2$", "$I_3$"))
     sphere.set_title("Polhodes: the momentum seen from the body, faint on the far side")
-    plane = figure.add_subplot(1, 2, 2)
-    for herpolhode in herpolhodes:
-        plane.plot(*herpolhode.curve.T, **{**styles[herpolhode.energy], "lw": 1.3})
-    across = "angular velocity across the momentum, rad/s"
-    plane.set(aspect="equal", xlabel=across, ylabel=across)
+    for energy, curve in herpolhodes.items():
+        plane.plot(*curve.T, **{**styles[energy], "lw": 1.3})
     plane.set_title("Herpolhodes: the angular velocity in space over 40 s")
-    plane.grid(visible=True, alpha=0.3)
     entries = [Line2D([], [], **style) for style in styles.values()]
-    figure.legend(
-        entries,
-        names.values(),
-        loc="outside lower center",
-        ncols=len(names),
-        title="kinetic energy",
-    )
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(names)}
+    figure.legend(entries, names.values(), title="kinetic energy", **place)
     figure.suptitle("A free body with a momentum of 1 N·m·s and moments $I_1 > I_2 > I_3$")
     save(figure, path)
 
 
-def axis_traces(traces: Sequence[AxisTrace], path: Path) -> None:
-    """A body axis on the sphere of directions in space, a panel for each motion."""
+def axis_traces(traces: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """A body axis, (T, 3), on the sphere of directions in space, a panel for each motion."""
     figure = Figure(figsize=(4.6 * len(traces), 5.2), layout="constrained")
-    for i, trace in enumerate(traces):
+    for i, (title, axis) in enumerate(traces.items()):
         axes = figure.add_subplot(1, len(traces), i + 1, projection="3d")
         view = sphere_on(axes, elevation=38.0, azimuth=-60.0, zoom=1.3)
-        curve_on(axes, trace.axis, view, {"color": COLOURS[i], "lw": 1.8})
+        curve_on(axes, axis, view, {"color": COLOURS[i], "lw": 1.8})
         axes.plot([0.0, 0.0], [0.0, 0.0], [1.0, 1.25], color="k", lw=1.2)
         axes.text(0.0, 0.0, 1.3, "up", ha="center")
-        axes.set_title(trace.title)
+        axes.set_title(title)
     figure.suptitle("Axis of a heavy top in space, released with different rates of precession")
     save(figure, path)
 

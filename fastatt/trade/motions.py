@@ -54,32 +54,28 @@ def polhodes() -> list[plots.Polhode]:
     return found
 
 
-def herpolhodes() -> list[plots.Herpolhode]:
-    """Angular velocity in the plane across the momentum, (T, 2) rad/s, of some polhodes."""
-    from fastatt import plots
-
+def herpolhodes() -> dict[float, NDArray[np.float64]]:
+    """Angular velocity in the plane across the momentum, (T, 2) rad/s, by a polhode's energy."""
     t = np.linspace(0.0, 40.0, 2001)
-    found = []
+    found = {}
     for latitude in _ROLLED:
         m = _momentum(latitude)
         q, w = exact.free_body(_QUAT, m / TRIAXIAL, TRIAXIAL, t)
         # at t = 0 body and inertial axes coincide, and axis 2 lies across the momentum
         y = np.array([0.0, 1.0, 0.0])
         plane = np.stack([np.cross(y, m), y], axis=1)
-        found.append(plots.Herpolhode(_energy(m), rotate(q, w) @ plane))
+        found[_energy(m)] = rotate(q, w) @ plane
     return found
 
 
-def nutations() -> list[plots.AxisTrace]:
+def nutations() -> dict[str, NDArray[np.float64]]:
     """The symmetry axis of three heavy tops in space, (T, 3), over 17 s."""
-    from fastatt import plots
-
     q0 = euler313_to_quat([0.0, _TILT, 0.0])
-    found = []
+    found = {}
     for name, precession in _RELEASED.items():
         w0 = rotate_inverse(q0, [0.0, 0.0, precession])
         w0[2] = _SPIN
         run = propagate(TOP, q0, w0, dt=0.01, n_steps=1700, method="rk8", save_every=1)
         axis = rotate(run.q, np.broadcast_to([0.0, 0.0, 1.0], (run.t.size, 3)))
-        found.append(plots.AxisTrace(f"{name}: {precession:g} rad/s at the start", axis))
+        found[f"{name}: {precession:g} rad/s at the start"] = axis
     return found

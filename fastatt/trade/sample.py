@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
 from fastatt.running.self_check import EARLY, beginnings
-from fastatt.trade.measure import Case, Problem, best_time
+from fastatt.trade.measure import Case, Problem, best_time, is_flat
 from fastatt.trade.recommendation import Point
 from fastatt.trade.reference import Reference, intervals, reference, speeds
 
@@ -40,6 +40,10 @@ class Look:
     def seconds(self, n: float) -> float:
         """Of a call with n steps."""
         return self.fixed + self.slope * n
+
+    def is_flat(self, n: int, further: int) -> bool:
+        """Whether rounding is what keeps the error from falling, from n steps to more."""
+        return is_flat(self.case, self.order, *((k, self.errors[k]) for k in (n, further)))
 
     def steps_for(self, tol: float) -> float:
         """A guess at the steps that meet a tolerance, by the declared order from the best look."""

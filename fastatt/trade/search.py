@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from fastatt import torques
 from fastatt.arrays import angle_between
 from fastatt.models import Sum
 from fastatt.trade.each import share_of
-from fastatt.trade.measure import Case, best_time, is_flat
+from fastatt.trade.measure import Case, best_time
 from fastatt.trade.recommendation import Point, Recommendation, told
 from fastatt.trade.reference import intervals, reference
 from fastatt.trade.sample import Look, Sample, looks_at
@@ -38,6 +39,22 @@ def _rounds(cases: Sequence[Case]) -> list[list[Case]]:
     stepped = [c for c in cases if c.record.order]
     kinds = [[c for c in stepped if c.dtype == dtype] for dtype in DTYPES]
     return [some for some in (closed, *kinds) if some]
+
+
+class _Met(NamedTuple):
+    """Steps of a case that do what is wanted, and the safety of their error."""
+
+    look: Look
+    n: int
+    safety: float = 1.0
+
+    @property
+    def seconds(self) -> float:
+        """Of a call."""
+        return self.look.seconds(self.n)
+
+
+_SECONDS = attrgetter("seconds")
 
 
 class Search(Sample):
@@ -75,7 +92,7 @@ class Search(Sample):
         if a != b and 0.0 < eb < ea < math.inf:
             p = float(np.clip(math.log(ea / eb) / math.log(b / a), 0.5 * p, 2.0 * p))
         if good is None:
-            if a != b and b >= 1.4 * a and is_flat(look.case, look.order, (a, ea), (b, eb)):
+            if a != b and b >= 1.4 * a and look.is_flat(a, b):
                 return None
             if eb > 0.5:
                 return self.rounded(2.0 * b)
@@ -94,7 +111,7 @@ class Search(Sample):
         """The case that meets the tolerance in the shortest time."""
         self._check_reference(tol)
         within = tol / 1.1 if self.sampled < self.whole.ensemble.size else tol
-        met: list[tuple[Look, int]] = []
+        met: list[_Met] = []
         best = math.inf
 
         def guess(look: Look) -> float:
@@ -119,41 +136,41 @@ class Search(Sample):
                     continue
                 n = self.least(look, within, best)
                 if n is not None:
-                    met.append((look, n))
+                    met.append(_Met(look, n))
                     best = min(best, look.seconds(n))
-        met.sort(key=lambda found: found[0].seconds(found[1]))
-        sure: list[tuple[Look, int, float]] = []
-        for look, n in met[:3]:
-            if sure and look.seconds(n) > _NEAR * sure[0][0].seconds(sure[0][1]):
-                sure.append((look, n, self.unseen))  # which is not what will be run
-            elif found := self._sure(look, n, tol):
+        met.sort(key=_SECONDS)
+        sure: list[_Met] = []
+        for one in met[:3]:
+            if sure and one.seconds > _NEAR * sure[0].seconds:
+                sure.append(one._replace(safety=self.unseen))  # which is not what will be run
+            elif found := self._sure(one.look, one.n, tol):
                 sure.append(found)
         if not sure:
             raise ValueError(f"tol: found {tol:g}; {self._reachable(looks)}")
         return self._advise(sure, tol=tol)
 
-    def _sure(self, look: Look, n: int, tol: float) -> tuple[Look, int, float] | None:
-        """Steps that are enough for the bodies outside the sample too, and their safety."""
+    def _sure(self, look: Look, n: int, tol: float) -> _Met | None:
+        """Steps that are enough for the bodies outside the sample too."""
         for _ in range(_LOOKS):
             safety = self.safety(look, n)
             error = safety * self.error(look, n)
             if error <= tol:
-                return look, n, safety
+                return _Met(look, n, safety)
             if not look.order:
                 return None
             more = 1.3 if error == math.inf else 1.01 * (error / tol) ** (1.0 / look.order)
             further = max(self.rounded(min(more, _AHEAD) * n), n + self.unit(n))
             if self._too_long(further):
                 return None
-            before = (n, look.errors[n])
-            n = further
-            if is_flat(look.case, look.order, before, (n, self.error(look, n))):
+            self.error(look, further)
+            if look.is_flat(n, further):
                 return None
+            n = further
         return None
 
     def most_accurate(self, cases: Sequence[Case], budget: float, done: Any) -> Recommendation:
         """The case of least error within the time; of those within twice that, the cheapest."""
-        met: list[tuple[Look, int]] = []
+        met: list[_Met] = []
         looks: list[Look] = []
         least = math.inf
         for some in _rounds(cases):
@@ -165,16 +182,16 @@ class Search(Sample):
             for look in sorted(new, key=lambda look: -look.order):
                 n = self._within(look, budget, least)
                 if n is not None:
-                    met.append((look, n))
+                    met.append(_Met(look, n))
                     least = min(least, look.errors[n])
         if not met:
-            fastest = min(looks, key=lambda look: look.seconds(look.first))
+            fastest = min((_Met(look, look.first) for look in looks), key=_SECONDS)
             raise ValueError(
-                f"budget: found {budget:g} s; accepted: at least the "
-                f"{told(fastest.seconds(fastest.first))} that {fastest.case} takes in "
-                f"{fastest.first} steps"
+                f"budget: found {budget:g} s; accepted: at least the {told(fastest.seconds)} that "
+                f"{fastest.look.case} takes in {fastest.n} steps"
             )
-        sure = [(look, n, self.safety(look, n)) for look, n in met if look.errors[n] <= 2.0 * least]
+        near = [(look, n) for look, n, _ in met if look.errors[n] <= 2.0 * least]
+        sure = [_Met(look, n, self.safety(look, n)) for look, n in near]
         return self._advise(sure, budget=budget)
 
     def _within(self, look: Look, budget: float, least: float) -> int | None:
@@ -192,9 +209,8 @@ class Search(Sample):
             if look.errors[n] < 1.0 and look.errors[n] * (n / most) ** look.order > 4.0 * least:
                 return None
             further = min(most, 2 * n)
-            if is_flat(
-                look.case, look.order, (n, look.errors[n]), (further, self.error(look, further))
-            ):
+            self.error(look, further)
+            if look.is_flat(n, further):
                 break
             n = further
         allowed = {n: e for n, e in look.errors.items() if n <= most and e < math.inf}
@@ -214,28 +230,23 @@ class Search(Sample):
         return f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, {_WHY}"
 
     def _advise(
-        self,
-        met: list[tuple[Look, int, float]],
-        tol: float | None = None,
-        budget: float | None = None,
+        self, met: list[_Met], tol: float | None = None, budget: float | None = None
     ) -> Recommendation:
         """Time the best again, side by side, and say what limits the first of them."""
-        met.sort(key=lambda found: found[0].seconds(found[1]))
-        close = [f for f in met if f[0].seconds(f[1]) < _NEAR * met[0][0].seconds(met[0][1])]
-        timed = {id(look): math.inf for look, _, _ in close}
-        long = met[0][0].seconds(met[0][1]) > _WHOLE
-        for _ in range(1 if long else 2):  # they take turns
+        met.sort(key=_SECONDS)
+        close = [one for one in met if one.seconds < _NEAR * met[0].seconds]
+        timed = {id(look): math.inf for look, *_ in close}
+        for _ in range(1 if met[0].seconds > _WHOLE else 2):  # they take turns
             for look, n, _ in close:
                 timed[id(look)] = min(timed[id(look)], self._clock(look, n))
+
+        def taken(one: _Met) -> float:
+            return timed.get(id(one.look), one.seconds)
+
         # what was not timed beside the best was not made sure of either
-        met.sort(
-            key=lambda found: (
-                id(found[0]) not in timed,
-                timed.get(id(found[0]), found[0].seconds(found[1])),
-            )
-        )
+        met.sort(key=lambda one: (id(one.look) not in timed, taken(one)))
         look, n, safety = met[0]
-        seconds = timed.get(id(look), look.seconds(n))
+        seconds = taken(met[0])
         while budget is not None and seconds > budget and look.order:
             less = self.rounded(0.9 * n * budget / seconds)
             less -= self.unit(less)
@@ -247,8 +258,7 @@ class Search(Sample):
         up = None
         if len(met) > 1:
             other, m, factor = met[1]
-            taken = timed.get(id(other), other.seconds(m))
-            up = Point(other.case, m, factor * other.errors[m], taken)
+            up = Point(other.case, m, factor * other.errors[m], taken(met[1]))
         error = safety * look.errors[n]
         sampling = self._sampling_error()
         limit = self._limit(look, n)
