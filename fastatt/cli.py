@@ -18,11 +18,11 @@ from fastatt.checks import attitudes, real, whole
 from fastatt.flat import store
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.logs.attitudes import integrate_chunks, writing
-from fastatt.logs.command import add_options
 from fastatt.logs.log import in_one
+from fastatt.logs.names import TIME_UNITS, UNITS
 from fastatt.logs.reader import Options, reading
 from fastatt.logs.reference import against_reference, read_attitudes
-from fastatt.logs.stamps import Chunk
+from fastatt.logs.stamps import BAD, Chunk
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade import (
@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
         "Read a gyro log, integrate it, write the attitudes (body to inertial, scalar first), a "
         "chunk at a time; with --compare, say how far the methods differ on it.",
     )
-    add_options(integrate, _names, _floats)
+    _add_log(integrate)
 
     trade = command(
         _trade,
@@ -191,6 +191,39 @@ def _cache(arguments: argparse.Namespace) -> int:
         store.clear()
     print(warming.where())
     return 0
+
+
+def _add_log(command: argparse.ArgumentParser) -> None:
+    """A log, how it is read and what is made of it."""
+    add = command.add_argument
+    add("log", help="text table with three rate columns, gzipped or not; - is standard input")
+    out = "attitudes as .csv, .npy or .zarr (default: LOG.attitudes.csv)"
+    add("-o", "--out", type=Path, help=out)
+    method = "a method for sampled rates (default: previous)"
+    add("-m", "--method", default="previous", help=method)
+    add("-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z")
+    add("-u", "--unit", choices=UNITS, help="unit of the rates")
+    add("--time-unit", choices=TIME_UNITS, help="unit of the time stamps")
+    timing = command.add_mutually_exclusive_group()
+    timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
+    timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
+    add("--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3")
+    add(
+        "--bad",
+        choices=BAD,
+        default="refuse",
+        help="what becomes of rows that are no numbers, stamps that do not grow, and gaps: refuse "
+        "(default), drop (intervals go across), split (each piece begins at q0), hold (the last "
+        "rates stay)",
+    )
+    add("--max-gap", type=float, help="longest interval that is no gap, s")
+    bias = "take off the mean rate of so many s from the start"
+    add("--bias-seconds", type=float, help=bias)
+    reference = "table of a reference's attitudes: clocks and frames aligned, the angle is said"
+    add("--reference", type=Path, help=reference)
+    compare = "besides, how far the other methods differ, and where the error comes from"
+    add("--compare", action=argparse.BooleanOptionalAction, default=False, help=compare)
+    add("-q", "--quiet", action="store_true", help="no progress bar")
 
 
 def _add_scene(command: argparse.ArgumentParser) -> None:
@@ -341,16 +374,10 @@ def _trade_own(arguments: argparse.Namespace, scene: Scene) -> int:
     q0, w0 = _ensemble(arguments, scene)
     quick = arguments.quick
     found = work_precision(
-        scene,
-        q0,
-        w0,
-        t_end=arguments.t_end,
-        methods=arguments.methods,
-        dtypes=("float64",) if quick else ("float64", "float32"),
-        repeats=1 if quick else 3,
-        max_seconds=5.0 if quick else 60.0,
-        progress=_bar_wanted(arguments.quiet),
-    )
+        scene, q0, w0, t_end=arguments.t_end, methods=arguments.methods,
+        dtypes=("float64",) if quick else ("float64", "float32"), repeats=1 if quick else 3,
+        max_seconds=5.0 if quick else 60.0, progress=_bar_wanted(arguments.quiet),
+    )  # fmt: skip
     out: Path = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     print(found)
@@ -366,12 +393,8 @@ def _trade(arguments: argparse.Namespace) -> int:
         return _trade_own(arguments, own)
     scenes = arguments.scene or DEFAULT_SCENES
     run_trade(
-        arguments.out,
-        scenes=SCENES if _ALL in scenes else scenes,
-        methods=arguments.methods,
-        logs=arguments.log,
-        n_bodies=arguments.bodies,
-        quick=arguments.quick,
+        arguments.out, scenes=SCENES if _ALL in scenes else scenes, methods=arguments.methods,
+        logs=arguments.log, n_bodies=arguments.bodies, quick=arguments.quick,
         progress=_bar_wanted(arguments.quiet),
-    )
+    )  # fmt: skip
     return 0

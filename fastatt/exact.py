@@ -92,14 +92,13 @@ def _traced(solution: _Solution, kind: str, turned: bool) -> _Traced:
 
 @functools.cache
 def _compiled(solution: _Solution, kind: str, turned: bool) -> Any:
-    """``closed_form(table, first, last, step_first, step_last)`` of ``_code``."""
     code = _code(_traced(solution, kind, turned), kind, lanes_of(kind))
     program = machine.compiled(text_of(code.module))
     return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
 
 def _code(traced: _Traced, kind: str, lanes: int) -> Code:
-    """A program for blocks [first, last) of lanes, at times [step_first, step_last) of each.
+    """``closed_form(table, first, last, step_first, step_last)``: blocks of lanes, times of each.
 
     Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many times
     fill vectors as well as many bodies do. A last block is filled up with the last lane. The table

@@ -208,10 +208,7 @@ def _output(
 
 
 def _allowed(max_gap: Any) -> float:
-    allowed = checks.any_real("max_gap", max_gap, "a number above 0, or inf")
-    if not allowed > 0.0:
-        raise ValueError(f"max_gap: found {allowed}; accepted: a number above 0, or inf")
-    return allowed
+    return checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
 
 
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
@@ -219,13 +216,9 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
     given: Any = dt
     if isinstance(given, float) and 0.0 < given < math.inf:
         return precision.type(given)
-    accepted = f"a number or ({count},)"
-    spans = checks.array("dt", dt, accepted)
+    spans = checks.array("dt", dt, f"a number or ({count},)")
     if spans.ndim == 0:
-        interval = checks.real("dt", spans)
-        if interval <= 0.0:
-            raise ValueError(f"dt: found {interval}; accepted: an interval above 0")
-        return precision.type(interval)
+        return precision.type(checks.above_zero("dt", spans, "an interval above 0"))
     if not count:
         return spans.astype(precision)
     bad = spans <= 0.0

@@ -151,14 +151,9 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
     window = METHODS[checks.choice("method", method, known)].window
     step, step_into = _functions(window, increments)
     return SampleStepper(
-        method=method,
-        history=window.history,
-        span=window.span,
-        samples=window.samples(increments),
-        work=0,
-        step=step,
-        step_into=step_into,
-    )
+        method=method, history=window.history, span=window.span, samples=window.samples(increments),
+        work=0, step=step, step_into=step_into,
+    )  # fmt: skip
 
 
 @helper

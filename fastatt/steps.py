@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt._jit import around_formulas
-from fastatt.attitudes import ATTITUDES, Attitude
+from fastatt.attitudes import Attitude
 from fastatt.engine.job import Formulas, Job, Scope
 from fastatt.flat.formulas import Vector, as_like
 from fastatt.flat.functions import larger
@@ -42,7 +42,7 @@ from fastatt.sample_steps import (
     sample_step,
     trapezoid,
 )
-from fastatt.scene import Scene
+from fastatt.scene import Scene, as_scene
 
 # in this order, the first that fits the scene and the representation
 _DEFAULTS = ("magnus4", "rk8", "rk4")
@@ -105,10 +105,8 @@ class Stepper:
         if len(beside) != len(self._names):
             accepted = ", ".join(("q", *self._names))
             raise TypeError(f"state: found {1 + len(beside)} arguments; accepted: {accepted}")
-        y = [
-            self._flat(checks.array(name, value, "(3,)"))
-            for name, value in zip(self._names, beside, strict=True)
-        ]
+        given = zip(self._names, beside, strict=True)
+        y = [self._flat(checks.array(name, value, "(3,)")) for name, value in given]
         attitude_0 = self._flat(checks.attitudes("q", q, "(4,)"))
         x = self.start(attitude_0, sum(y, ()), self._of(body))
         return _floats(np.array(x, dtype=self._kind))
@@ -163,8 +161,7 @@ def single_step(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
+    as_scene(scene)
     attitude = attitude_of(representation)
     record = _method(scene, method, attitude)
     if position and not scene.moves:
@@ -174,35 +171,24 @@ def single_step(
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
     shared = packed.params.ndim == 1
     job = Job(record, attitude, packed.structure, KINDS[kind], shared=shared)
-    params = packed.params
-    tables = {key[1]: value for key, value in packed.resources.items() if key[0] == "table"}
     # functions take either precision; tables are what they hold besides their job
     key = replace(job, kind="double")
-    functions = _functions(key, tables) if tables else _kept(key)
+    functions = _functions(key, packed.tables) if packed.tables else _kept(key)
     start, read = _ends(replace(key, method=METHODS[_DEFAULTS[-1]]))
-    names = (
-        *(() if scene.kind == "rate" else ("w",)),
-        *(("v",) if scene.moves else ()),
-        *(("r",) if position else ()),
-    )
+    carried = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
     return Stepper(
-        method=record.name,
-        representation=attitude.name,
-        params=_floats(params) if shared else params,
-        start=start,
-        read=read,
-        **functions._asdict(),
-        _names=names,
+        method=record.name, representation=attitude.name,
+        params=_floats(packed.params) if shared else packed.params, start=start, read=read,
+        **functions._asdict(), _names=tuple(name for name, is_there in carried.items() if is_there),
         _kind=kind,
-    )
+    )  # fmt: skip
 
 
 def _method(scene: Scene, method: str | Method | None, attitude: Attitude) -> Method:
     """The method that was asked for, or the first of the defaults that fits."""
-    known = attitude.name if attitude.name in ATTITUDES else None
-    fitting = [name for name in methods_for(scene, known) if METHODS[name].is_stepped]
+    fitting = [name for name in methods_for(scene, attitude) if METHODS[name].is_stepped]
     if isinstance(method, Method):
-        if method.is_stepped and fits(method, scene, known):
+        if method.is_stepped and fits(method, scene, attitude):
             return method
         raise ValueError(
             f"method: found {method.name}; accepted: {', '.join(fitting)} and methods of one's own "

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ from fastatt.running.choosing import fits, methods_for
 from fastatt.running.drift import drift
 from fastatt.running.limits import StepWarning
 from fastatt.running.propagate import propagate
-from fastatt.running.trajectory import Trajectory
 from fastatt.scene import Scene
 from fastatt.threads import default_threads, progress_bar
 
@@ -82,7 +82,7 @@ class Task:
             elif self.scene is None:
                 _log(self)
             elif isinstance(self.scene, str):
-                for x, n in ((1.0, 1), (1.0, _BODIES), (_OWN, _BODIES)):
+                for x, n in (1.0, 1), (1.0, _BODIES), (_OWN, _BODIES):
                     _steps(self, SCENES[self.scene](x), n)
             else:
                 own = self.scene.packed(None).params
@@ -94,39 +94,32 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     q = np.tile(_TILTED, (n, 1))
     w = None if scene.kind == "rate" else np.tile([0.1, 0.2, 0.3], (n, 1))
     still = np.zeros((n, 3))
+    carried: dict[str, Any] = {"v0": still} if scene.moves else {}
     placed = {"r0": still + 1.0}
-    carried = {"v0": still} if scene.moves else {}
     if scene.couples:
         carried |= placed
-    elif carried and task.representation in _USUAL:
-        _run(task, scene, q, w, 0.01, {**carried, **placed})
-    run = _run(task, scene, q, w, 0.01, carried)
-    # what a trajectory makes of its states
-    _ = run.q, run.w, run.C
-    drift(run, scene)
-    # beyond any limit: what the quick form is not for
-    dt = 20.0 if w is None else 0.01
-    if w is not None:
-        w[0] *= 2000.0
-    _run(task, scene, q, w, dt, carried)
-
-
-def _run(
-    task: Task, scene: Scene, q: Any, w: Any, dt: float, carried: Mapping[str, Any]
-) -> Trajectory:
-    return propagate(
-        scene, q, w, dt=dt, n_steps=_STEPS, method=task.method, dtype=task.dtype,
+    run = partial(
+        propagate, scene, q, w, n_steps=_STEPS, method=task.method, dtype=task.dtype,
         representation=task.representation, **carried,
     )  # fmt: skip
+    if carried and not scene.couples and task.representation in _USUAL:
+        run(dt=0.01, **placed)
+    found = run(dt=0.01)
+    # what a trajectory makes of its states
+    _ = found.q, found.w, found.C
+    drift(found, scene)
+    # beyond any limit: what the quick form is not for
+    if w is not None:
+        w[0] *= 2000.0
+    run(dt=20.0 if w is None else 0.01)
 
 
 def _log(task: Task) -> None:
     scenes = METHODS[task.method].scenes
     for increments, wanted in ((False, "sampled rates"), (True, "increments")):
         if wanted in scenes:
-            for logs in (1, 32):  # one log is integrated in another way than many
-                samples = np.full((logs, 2000, 3), 1e-3)
-                data = samples[0] if logs == 1 else samples[:, :20]
+            # one log is integrated in another way than many
+            for data in np.full((2000, 3), 1e-3), np.full((32, 20, 3), 1e-3):
                 integrate_rates(
                     data, 0.01, method=task.method, increments=increments, dtype=task.dtype,
                     n_threads=1,

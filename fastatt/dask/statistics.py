@@ -223,11 +223,6 @@ def _table(
     _, source, _ = chunks[0]
     own = max(own for *_, own in chunks)
     return WorkPrecision(
-        rows=rows,
-        t_end=t_end,
-        n_bodies=n_bodies,
-        sampled=n_bodies,
-        reference=source,
-        reference_error=own,
-        confirmation="not confirmed by another method",
-    )
+        rows=rows, t_end=t_end, n_bodies=n_bodies, sampled=n_bodies, reference=source,
+        reference_error=own, confirmation="not confirmed by another method",
+    )  # fmt: skip

@@ -275,14 +275,9 @@ def tangent_rows(
     """q, w and the rows (..., 6, D) after a step of h s from times and states that broadcast."""
     (t, h), (q, w) = times, state
     q1, w1, phi, z = _body_rows(record, packed.structure, parameters)(
-        t,
-        h,
-        q,
-        w,
-        np.atleast_2d(packed.params),
-        tables=packed.tables,
+        t, h, q, w, np.atleast_2d(packed.params), tables=packed.tables,
         n_threads=number_of(n_threads),
-    )
+    )  # fmt: skip
     # an iteration that did not converge says so by an infinite turn
     phi[~np.isfinite(z)] = np.nan
     return q1, w1, phi.reshape(*phi.shape[:-1], 6, phi.shape[-1] // 6)

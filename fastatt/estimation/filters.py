@@ -59,15 +59,9 @@ def scene_motion(
 
     def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
         moved = propagate(
-            scene,
-            q,
-            y[:, :3] if carries else None,
-            dt=dt,
-            n_steps=n_steps,
-            method=method,
-            t0=t0,
+            scene, q, y[:, :3] if carries else None, dt=dt, n_steps=n_steps, method=method, t0=t0,
             n_threads=n_threads,
-        )
+        )  # fmt: skip
         return moved.q[-1], np.hstack([moved.w[-1], y[:, 3:]]) if carries else y
 
     return motion
@@ -96,9 +90,7 @@ def largest_square(gate: float | None) -> float:
     """The largest normalised innovation squared that is used; None: any that is finite."""
     if gate is None:
         return sys.float_info.max
-    found = checks.any_real("gate", gate, "a number above 0, or None")
-    if not found > 0.0:
-        raise ValueError(f"gate: found {found}; accepted: a number above 0, or None")
+    found = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)
     return min(found, sys.float_info.max)
 
 

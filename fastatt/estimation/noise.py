@@ -22,35 +22,20 @@ _DEGREE, _HOUR, _G = math.pi / 180.0, 3600.0, 9.80665
 #: what one of a unit is in rad, m and s
 _UNITS: dict[str, float] = {
     # angle random walk, rad/√s: what a rate's density in rad/s/√Hz is called
-    "rad/sqrt(s)": 1.0,
-    "rad/s/sqrt(Hz)": 1.0,
-    "deg/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
-    "deg/sqrt(s)": _DEGREE,
-    "deg/s/sqrt(Hz)": _DEGREE,
-    "mdeg/s/sqrt(Hz)": 1e-3 * _DEGREE,
+    "rad/sqrt(s)": 1.0, "rad/s/sqrt(Hz)": 1.0, "deg/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
+    "deg/sqrt(s)": _DEGREE, "deg/s/sqrt(Hz)": _DEGREE, "mdeg/s/sqrt(Hz)": 1e-3 * _DEGREE,
     "deg/h/sqrt(Hz)": _DEGREE / _HOUR,
     # a gyro's bias and its instability, rad/s
-    "rad/s": 1.0,
-    "deg/s": _DEGREE,
-    "mdeg/s": 1e-3 * _DEGREE,
-    "deg/h": _DEGREE / _HOUR,
+    "rad/s": 1.0, "deg/s": _DEGREE, "mdeg/s": 1e-3 * _DEGREE, "deg/h": _DEGREE / _HOUR,
     # rate random walk, rad/s^1.5
-    "rad/s/sqrt(s)": 1.0,
-    "deg/s/sqrt(s)": _DEGREE,
-    "deg/s/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
+    "rad/s/sqrt(s)": 1.0, "deg/s/sqrt(s)": _DEGREE, "deg/s/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
     "deg/h/sqrt(h)": _DEGREE / _HOUR**1.5,
     # velocity random walk, m/s^1.5
-    "m/s/sqrt(s)": 1.0,
-    "m/s^2/sqrt(Hz)": 1.0,
-    "m/s/sqrt(h)": 1.0 / math.sqrt(_HOUR),
-    "mg/sqrt(Hz)": 1e-3 * _G,
-    "ug/sqrt(Hz)": 1e-6 * _G,
+    "m/s/sqrt(s)": 1.0, "m/s^2/sqrt(Hz)": 1.0, "m/s/sqrt(h)": 1.0 / math.sqrt(_HOUR),
+    "mg/sqrt(Hz)": 1e-3 * _G, "ug/sqrt(Hz)": 1e-6 * _G,
     # an accelerometer's bias and its instability, m/s²
-    "m/s^2": 1.0,
-    "g": _G,
-    "mg": 1e-3 * _G,
-    "ug": 1e-6 * _G,
-}
+    "m/s^2": 1.0, "g": _G, "mg": 1e-3 * _G, "ug": 1e-6 * _G,
+}  # fmt: skip
 
 
 def from_data_sheet(value: ArrayLike, unit: str) -> Any:

@@ -103,17 +103,12 @@ def _isotropic(k: Any) -> Any:
     return k, o, o, k, o, k
 
 
-def _gyro_held(u: Any, h: Any, variance: Any) -> Any:
-    """σ² h Jr Jrᵀ."""
-    j = so3.right_jacobian(u)
-    return sym3.scale(variance * h, sym3.product(j, j))
-
-
 @_formula
 def add_rotation(s, w, h, variance):
     """A rate sample w (rad/s, bias taken off) held for h s, its noise held; σ_g² in rad²/s."""
     u = scale(h, w)
-    moved, _ = _rotated(s, u, h, _gyro_held(u, h, variance))
+    j = so3.right_jacobian(u)
+    moved, _ = _rotated(s, u, h, sym3.scale(variance * h, sym3.product(j, j)))
     return moved
 
 

@@ -16,6 +16,7 @@ from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph
 from fastatt.flat.llvm import Emitter
 from fastatt.flat.machine import processor
+from fastatt.flat.rows import lanes_of
 from fastatt.flat.trace import traceable
 from fastatt.gyro.windows import CHUNK, LANES, MOST_HISTORY
 from fastatt.kernels import quat
@@ -83,11 +84,6 @@ class Job(ctypes.Structure):
 
 
 _PLACES = {field[0]: i for i, field in enumerate(Job._fields_)}
-
-
-def lanes_of(kind: str) -> int:
-    """Numbers in one of the processor's vectors, at most ``LANES``."""
-    return min(LANES, processor().vector // (8 if kind == "double" else 4))
 
 
 class Chunk:
@@ -206,7 +202,7 @@ class Chunk:
         n, b, lanes = Int(c, n), c.b, self.lanes
         absolute = c.intrinsic("llvm.fabs", self.vector)
         highest = c.room(self.vector)
-        last = at_least(c, n - lanes, 0)
+        last = (n - lanes).at_least(0)
         with self.groups(c, Int(c, width)) as g:
             b.store(ir.Constant(self.vector, [0.0] * lanes), highest)
             columns = [b.inttoptr(c.load(pointers, g + k), self.reals) for k in range(lanes)]
@@ -249,8 +245,8 @@ class Chunk:
             at = b.select(inside, c.place(own, first * 3), column)
             c.store(pointers, j, b.ptrtoint(at, I64))
             with c.when(b.not_(inside)):
-                begin = at_least(c, known - first, 0).at_most(m)
-                end = at_least(c, (n_samples - first).at_most(m), begin)
+                begin = (known - first).at_least(0).at_most(m)
+                end = (n_samples - first).at_most(m).at_least(begin)
                 with c.loop(0, begin) as i:
                     row = c.whole(-1) - first - i
                     self._mix(c, job, "head", row, own, c.place(column, i * 3))
@@ -273,7 +269,7 @@ class Chunk:
                 c.store(pointers, j, b.ptrtoint(at, I64))
                 with c.when(b.not_(inside)):
                     with c.loop(0, need) as i:
-                        k = at_least(c, first + i, known).at_most(end - 1)
+                        k = (first + i).at_least(known).at_most(end - 1)
                         c.store(column, i, c.load(spans, k + lead))
                     self._fill(c, column, need)
             to = c.place(work, _INTERVALS)
@@ -311,7 +307,7 @@ class Chunk:
 
     def _fill(self, c: Code, column: Any, n: Int) -> None:
         """Zeros up to the length of a block."""
-        with c.loop(n, at_least(c, n, self.lanes)) as i:
+        with c.loop(n, n.at_least(self.lanes)) as i:
             c.store(column, i, c.real(self.kind, 0.0))
 
     def _choose(self) -> Any:
@@ -364,7 +360,7 @@ class Chunk:
         rows, starts, columns = (c.place(work, at) for at in (ATTITUDES, STARTS, _COLUMNS))
         m = left * 4 + 4
         size = max(lanes, 4)
-        last = at_least(c, m - size, 0)
+        last = (m - size).at_least(0)
         with self.groups(c, Int(c, width)) as g:
             p = self.vectors(c, starts, 0, g)
             with c.loop(0, (m + (size - 1)) // size) as block:
@@ -398,22 +394,13 @@ class Chunk:
                 off = c.whole(0) - (out // self.size + at + begin)
                 low = (begin + (off % line + line) % line).at_most(end)
                 high = low + (end - low) // line * line
-                for first, last, k in (
-                    (begin, low, pieces),
-                    (low, high, line),
-                    (high, end, pieces),
-                ):
+                for first, last, k in (begin, low, pieces), (low, high, line), (high, end, pieces):
                     with c.loop(first, last, k) as i:
                         move(i, k, k * self.size)
             with c.when(b.not_(aligned)), c.loop(begin, end) as i:
                 move(i, 1, self.size)
         c.give(0)
         return c.function
-
-
-def at_least(c: Code, x: Int, low: Any) -> Int:
-    """The larger of two whole numbers."""
-    return Int(c, c.b.select(x > low, x.value, c.raw(low)))
 
 
 def larger(c: Code, x: Any, y: Any) -> Any:

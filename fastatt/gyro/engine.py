@@ -224,13 +224,9 @@ class _Program:
         # an iteration has one form for all angles
         near = 0.0 if window.iteration else window.near
         self._job = Job(
-            history=window.history,
-            span=window.span,
-            extra=not increments,
-            by_interval=uneven and not increments,
-            near=near,
-            factor=float(increments),
-        )
+            history=window.history, span=window.span, extra=not increments,
+            by_interval=uneven and not increments, near=near, factor=float(increments),
+        )  # fmt: skip
         self._whole = window.samples(increments)
         self._ends: dict[tuple[int, int], Job] = {}
         self._made = partial(windows, window, increments, kind, uneven)

@@ -12,8 +12,8 @@ from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph
 from fastatt.flat.llvm import Emitter
 from fastatt.flat.machine import processor
+from fastatt.flat.rows import lanes_of
 from fastatt.flat.trace import traceable
-from fastatt.gyro.chunk import lanes_of
 from fastatt.gyro.windows import LANES, Iteration, Window
 from fastatt.kernels import quat
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,8 +152,7 @@ def aem_of(
     if version == "1.0":
         said |= {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
     if wanted == types[-1]:
-        along = "REF_FRAME_B" if version == "1.0" else body_frame
-        said[_RATES_ALONG[version]] = along
+        said[_RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
     said |= metadata or {}
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
     first = {"CREATION_DATE": now, "ORIGINATOR": "FASTATT", **(header or {})}
@@ -172,7 +170,7 @@ def read_aem(path: str | Path) -> Aem:
     an unknown order of a quaternion's numbers, rates along an unknown frame, Euler's rates.
     """
     lines = _Lines(Path(path).read_text(encoding="utf-8"))
-    key, version = lines.assignment()
+    key, version = lines.assignment(lines.next())
     if key != "CCSDS_AEM_VERS" or version not in _TYPES:
         raise lines.wrong(f"found {key} = {version}; accepted: CCSDS_AEM_VERS = 1.0 or 2.0")
     header, comments = lines.assignments("META_START")
@@ -238,11 +236,11 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     if missing:
         raise wrong(f"without {', '.join(missing)}")
     code = _Code(metadata, version, wrong)
-    if code.count > 4 and segment.w is None:
-        raise ValueError(f"{name}.w: is missing; {code.kind} needs (S, 3), rad/s")
     w = None
     if code.count > 4:
-        w = checks.array(f"{name}.w", segment.w, f"({t.size}, 3)")  # type: ignore[arg-type]
+        if segment.w is None:
+            raise ValueError(f"{name}.w: is missing; {code.kind} needs (S, 3), rad/s")
+        w = checks.array(f"{name}.w", segment.w, f"({t.size}, 3)")
     tags = epochs.tags(segment.epoch, t, leaps=metadata["TIME_SYSTEM"].upper() == "UTC")
     metadata["START_TIME"] = metadata["START_TIME"] or tags[0]
     metadata["STOP_TIME"] = metadata["STOP_TIME"] or tags[-1]
@@ -290,9 +288,8 @@ class _Code:
                 )
             names = dict.fromkeys(("REF_FRAME_A", "REF_FRAME_B", a.upper(), b.upper()))
             along = choice(_RATES_ALONG[version], tuple(names))
-            self.in_body = along in (
-                {"REF_FRAME_A", a.upper()} if swapped else {"REF_FRAME_B", b.upper()}
-            )
+            body = ("REF_FRAME_A", a) if swapped else ("REF_FRAME_B", b)
+            self.in_body = along in (body[0], body[1].upper())
 
     def read(self, rows: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any] | None]:
         """(q, w) of data lines' numbers."""
@@ -331,10 +328,6 @@ class _Lines:
         self._lines = [(k, x.strip()) for k, x in enumerate(text.splitlines(), 1) if x.strip()]
         self._at = 0
 
-    @cached_property
-    def _last(self) -> int:
-        return self._lines[-1][0] if self._lines else 0
-
     @property
     def left(self) -> bool:
         """Whether there are more."""
@@ -343,7 +336,8 @@ class _Lines:
     def next(self) -> str:
         """The next one."""
         if not self.left:
-            raise ValueError(f"line {self._last}: the message ends before a block does")
+            last = self._lines[-1][0] if self._lines else 0
+            raise ValueError(f"line {last}: the message ends before a block does")
         self._at += 1
         return self._lines[self._at - 1][1]
 
@@ -356,9 +350,8 @@ class _Lines:
         if (found := self.next()) != word:
             raise self.wrong(f"found {found}; accepted: {word}")
 
-    def assignment(self) -> tuple[str, str]:
-        """Keyword and value of the next."""
-        line = self.next()
+    def assignment(self, line: str) -> tuple[str, str]:
+        """Keyword and value of the line that was read."""
         key, equals, value = (x.strip() for x in line.partition("="))
         if not (equals and key and value):
             raise self.wrong(f"found {line}; accepted: KEYWORD = value")
@@ -372,8 +365,7 @@ class _Lines:
             if line.split()[0] == "COMMENT":
                 comments.append(line[7:].strip())
                 continue
-            self._at -= 1
-            key, value = self.assignment()
+            key, value = self.assignment(line)
             if key in found:
                 raise self.wrong(f"{key} is there twice")
             found[key] = value

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,7 +85,8 @@ class Table:
     def rows(self, clock: int | None, wanted: list[int], *, mend: bool) -> Iterator[Block]:
         """Wanted columns of the rows; with ``mend`` what is no number is NaN, else refused."""
         read = _Reading(self.layout, clock, wanted, mend=mend)
-        contents, line = self._content(), self.layout.first_line
+        first, self.first = self.first[self.start :], b""
+        contents, line = chain([first] if first else [], self.blocks), self.layout.first_line
         threads = default_threads()
         pending: deque[Any] = deque()
         with ThreadPoolExecutor(threads) as pool:
@@ -100,12 +102,6 @@ class Table:
                 for _, future in pending:
                     future.cancel()
 
-    def _content(self) -> Iterator[bytes]:
-        first, self.first = self.first[self.start :], b""
-        if first:
-            yield first
-        yield from self.blocks
-
     def _done(self, read: _Reading, line: int, content: bytes, future: Any) -> tuple[Block, int]:
         """A block's rows, and the line after it."""
         found = future.result()
@@ -120,11 +116,8 @@ class Table:
 def _whole_lines(stream: Any) -> Iterator[bytes]:
     """The bytes of a stream, cut after ends of lines, which are all made alike."""
     while data := stream.read(BYTES):
-        yield _alike(data + stream.readline())
-
-
-def _alike(data: bytes) -> bytes:
-    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
+        data += stream.readline()
+        yield data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
 
 
 class _Reading:

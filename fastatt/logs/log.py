@@ -112,15 +112,7 @@ def read_log(
     ((2, 3), array([0.01]))
     """
     options = Options(
-        columns=columns,
-        unit=unit,
-        rate=rate,
-        time_column=time_column,
-        time_unit=time_unit,
-        attitude_columns=attitude_columns,
-        bad=bad,
-        max_gap=max_gap,
-        bias_seconds=bias_seconds,
+        columns, unit, rate, time_column, time_unit, attitude_columns, bad, max_gap, bias_seconds
     )
     with reading(source, options, progress) as reader:
         return in_one(reader, list(reader.chunks()))
@@ -138,17 +130,10 @@ def in_one(reader: Reader, chunks: list[Chunk]) -> Log:
         parts.append(np.ascontiguousarray(values[:, at : at + width]) if place else None)
         at += width
     return Log(
-        path=Path(reader.layout.name),
-        rates=np.ascontiguousarray(values[:, :3]),
-        dt=1.0 / reader.rate if reader.rate and len(t) == 1 else reader.dt(t),
-        t=t,
-        columns=reader.names,
-        unit=reader.unit_said,
-        timing=reader.timing,
-        attitudes=parts[2],
-        accel=parts[0],
-        mag=parts[1],
-        start=reader.start,
+        path=Path(reader.layout.name), rates=np.ascontiguousarray(values[:, :3]),
+        dt=1.0 / reader.rate if reader.rate and len(t) == 1 else reader.dt(t), t=t,
+        columns=reader.names, unit=reader.unit_said, timing=reader.timing, attitudes=parts[2],
+        accel=parts[0], mag=parts[1], start=reader.start,
         pieces=tuple(slice(a, b) for a, b in pairwise([0, *cuts, len(t)])),
         summary=reader.summary(),
-    )
+    )  # fmt: skip

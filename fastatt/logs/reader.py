@@ -148,34 +148,36 @@ class Reader:
         while sum(len(b.values) for b in first) < _LOOK and (block := next(blocks, None)):
             first.append(block)
         values = np.concatenate([b.values for b in first])[:_LOOK]
-        self._choose_unit(values[:, :3])
+        if self.assumed:
+            self._choose_unit(_largest(values[:, :3]))
         scales = np.ones(len(wanted))
         scales[:3] = UNITS[self.unit]
         if self.columns.accel:
             scales[3:6] = self._accel_scale(values[:, 3:6])
         times = self._times(first)
         for block in chain(first, blocks):
-            if self.assumed and self.unit == "rad/s":
-                self._still_plausible(block.values[:, :3])
+            most = _largest(block.values[:, :3]) if self.assumed and self.unit == "rad/s" else 0.0
+            if most > _MOST_RAD:
+                raise self.layout.error(
+                    f"the rates have no unit, were at most {_MOST_RAD:g} in the first rows and "
+                    f"reach {most:.4g} later; accepted: unit, rad/s or deg/s"
+                )
             if (scales != 1.0).any():
                 np.multiply(block.values, scales, out=block.values)
             yield self.mending.mended(block, times(block), self._clock)
 
     def _times(self, first: list[Block]) -> Callable[[Block], NDArray[np.float64]]:
         """Times of blocks, s from the first sample."""
-        clock = self.columns.clock
-        if clock is None:
-            assert self.rate is not None
-            return self._at_a_rate(self.rate)
-        of, self.start, usual = times(self.layout, clock, first, self.options.time_unit)
-        self.mending.set_usual(usual)
-        return of
-
-    def _at_a_rate(self, rate: float) -> Callable[[Block], NDArray[np.float64]]:
+        rate, row = self.rate, 0
+        if rate is None:
+            assert self.columns.clock is not None
+            clock = self.columns.clock
+            of, self.start, usual = times(self.layout, clock, first, self.options.time_unit)
+            self.mending.set_usual(usual)
+            return of
         self.mending.set_usual(1.0 / rate)
-        row = 0
 
-        def times(block: Block) -> NDArray[np.float64]:
+        def at_a_rate(block: Block) -> NDArray[np.float64]:
             nonlocal row
             first, row = row, row + len(block.values)
             with np.errstate(over="ignore"):
@@ -186,13 +188,10 @@ class Reader:
                 )
             return t
 
-        return times
+        return at_a_rate
 
-    def _choose_unit(self, rates: NDArray[np.float64]) -> None:
-        """Take a unit that nothing says from the size of the first rates."""
-        if not self.assumed:
-            return
-        most = _largest(rates)
+    def _choose_unit(self, most: float) -> None:
+        """Take a unit that nothing says from the largest of the first rates."""
         if most > _MOST_DEG:
             raise self.layout.error(
                 f"the rates have no unit and reach {most:.4g}; accepted: unit, rad/s or deg/s; the "
@@ -205,14 +204,6 @@ class Reader:
             LogWarning,
             stacklevel=2,
         )
-
-    def _still_plausible(self, rates: NDArray[np.float64]) -> None:
-        most = _largest(rates)
-        if most > _MOST_RAD:
-            raise self.layout.error(
-                f"the rates have no unit, were at most {_MOST_RAD:g} in the first rows and reach "
-                f"{most:.4g} later; accepted: unit, rad/s or deg/s"
-            )
 
     def _accel_scale(self, accel: NDArray[np.float64]) -> float:
         """m/s² in the accelerometer's unit: by its name, else where it shows gravity in g."""

@@ -128,7 +128,8 @@ def _polhode(run: Trajectory, scene: Scene, bodies: Sequence[int] | None) -> Fig
         unit = m / np.linalg.norm(m, axis=-1, keepdims=True)
     for k, body in enumerate(chosen.tolist()):
         curve_on(ball, unit[:, k], view, {"color": tints[body], "lw": 1.8})
-        across = space[:, k] @ _square_to(held[k])
+        # two unit vectors across the momentum and each other
+        across = space[:, k] @ np.linalg.svd(held[k][None].astype(np.float64))[2][1:].T
         plane.plot(*across.T, color=tints[body], lw=1.3)
         plane.plot(*across[:1].T, color=tints[body], marker="o", ms=5)
     axes_on(ball, "xyz")
@@ -249,8 +250,3 @@ def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
         axes.set_ylim(1e-17, 1e-15)
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center")
     _legend(axes)
-
-
-def _square_to(v: NDArray[Any]) -> NDArray[np.float64]:
-    """Two unit vectors (3, 2) square to one and to each other."""
-    return np.linalg.svd(np.asarray(v, dtype=np.float64)[None])[2][1:].T

@@ -126,12 +126,9 @@ def own_steps(
     order = np.argsort(-steps, kind="stable")
     steps[order] = np.repeat(steps[order[::WIDTH]], WIDTH)[:n]
     return OwnSteps(
-        method if method is not None else record.name,
-        duration / steps,
-        steps,
-        wanted,
+        method if method is not None else record.name, duration / steps, steps, wanted,
         float(steps.mean() / steps.max()),
-    )
+    )  # fmt: skip
 
 
 def share_of(ensemble: Ensemble, order: int) -> float | None:

@@ -99,20 +99,10 @@ class Problem:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StepWarning)
             return propagate(
-                e.scene,
-                e.q0,
-                e.w0,
-                v0=e.v0,
-                r0=e.r0,
-                dt=self.t_end / n_steps,
-                n_steps=n_steps,
-                method=case.method,
-                representation=case.representation,
-                dtype=case.dtype,
-                save_every=save_every,
-                n_threads=self.n_threads,
-                t0=self.t0,
-            )
+                e.scene, e.q0, e.w0, v0=e.v0, r0=e.r0, dt=self.t_end / n_steps, n_steps=n_steps,
+                method=case.method, representation=case.representation, dtype=case.dtype,
+                save_every=save_every, n_threads=self.n_threads, t0=self.t0,
+            )  # fmt: skip
 
     def end(self, case: Case, n_steps: int) -> State:
         """Where it is then."""
@@ -218,16 +208,13 @@ def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int
     kept = None if lost else drift(watched, problem.ensemble.scene)
     seconds, result = best_time(lambda: problem.run(case, n_steps), repeats)
     found = last_state(result)
-    rate_error = None
-    if end.w is not None:
-        rate_error = np.linalg.norm(found.w - end.w, axis=-1)
     counts = result.status_counts().items()
     return Rung(
         n_steps=n_steps,
         seconds=seconds,
         error=angle_between(found.q, end.q),
         defect=float(np.abs(watched.defect).max()),
-        rate_error=rate_error,
+        rate_error=None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
         energy=None if kept is None or kept.energy is None else float(kept.energy.max()),
         momentum=None if kept is None or kept.momentum is None else float(kept.momentum.max()),
         status=", ".join(f"{name} {count}" for name, count in counts),
@@ -283,6 +270,10 @@ def ladder_rows(
             found = fall / math.log(rung.n_steps / before.n_steps)
         rate = rung.rate_error
         speed = rung.error.size * rung.n_steps / rung.seconds
+        part = None
+        if rung.operations is not None:
+            most = rung.threads * peak(KINDS[np.dtype(case.dtype)])
+            part = rung.operations * speed / most
         rows.append(
             Row(
                 input=name,
@@ -301,19 +292,13 @@ def ladder_rows(
                 seconds_per_body=rung.seconds / rung.error.size,
                 steps_per_second=speed,
                 operations=rung.operations,
-                peak=_part_of_peak(rung, speed, case.dtype),
+                peak=part,
                 order=found,
                 plateau=PLATEAU if flat[i] else "",
                 status=rung.status,
             )
         )
     return rows
-
-
-def _part_of_peak(rung: Rung, speed: float, dtype: str) -> float | None:
-    if rung.operations is None:
-        return None
-    return rung.operations * speed / (rung.threads * peak(KINDS[np.dtype(dtype)]))
 
 
 _COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (

@@ -55,14 +55,6 @@ def self_check(
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
     return check_order(
-        Ensemble.of(scene, q0, w0, v0, r0),
-        dt,
-        n_steps,
-        checks.whole("sample", sample, 1),
-        at,
-        method=method,
-        representation=representation,
-        dtype=dtype,
-        n_threads=n_threads,
-        t0=t0,
-    )
+        Ensemble.of(scene, q0, w0, v0, r0), dt, n_steps, checks.whole("sample", sample, 1), at,
+        method=method, representation=representation, dtype=dtype, n_threads=n_threads, t0=t0,
+    )  # fmt: skip

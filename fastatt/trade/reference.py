@@ -87,13 +87,12 @@ class Confirmation:
 def speeds(problem: Problem) -> NDArray[np.float64]:
     """The largest |w| of each body, rad/s: at the start or, of given rates, at even times."""
     e = problem.ensemble
-    if e.w0 is not None:
-        return np.broadcast_to(np.linalg.norm(np.atleast_2d(e.w0), axis=-1), (e.size,))
-    if isinstance(e.scene.rate, rates.Constant):
-        w = np.linalg.norm(np.atleast_2d(np.asarray(e.scene.rate.w, dtype=np.float64)), axis=-1)
-        return np.broadcast_to(w, (e.size,))
-    method = next(m for m in ("magnus4", *methods_for(e.scene)) if m in methods_for(e.scene))
-    run = problem.run(Case(method), _INSTANTS, 1)
+    given = e.scene.rate.w if isinstance(e.scene.rate, rates.Constant) else e.w0
+    if given is not None:
+        w = np.atleast_2d(np.asarray(given, dtype=np.float64))
+        return np.broadcast_to(np.linalg.norm(w, axis=-1), (e.size,))
+    fitting = methods_for(e.scene)
+    run = problem.run(Case("magnus4" if "magnus4" in fitting else fitting[0]), _INSTANTS, 1)
     return np.asarray(np.linalg.norm(run.w, axis=-1).max(axis=0))
 
 

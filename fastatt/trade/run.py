@@ -91,7 +91,12 @@ def _plan(
     """The cases of each scene that has any, in the order of ``SCENES``."""
     for name in scenes:
         checks.choice("--scene", name, SCENES)
-    every = {name: _cases(name) for name in SCENES if name in scenes}
+    every: dict[str, _Cases] = {
+        RECORDED: {RECORDED: [Case(name) for name in methods_for_samples()]},
+        CONING: coning_cases(),
+        **{name: {name: body_cases(scene)} for name, scene in BODY_SCENES.items()},
+    }
+    every = {name: cases for name, cases in every.items() if name in scenes}
     fitting = dict.fromkeys(
         case.name for of_scene in every.values() for cases in of_scene.values() for case in cases
     )
@@ -110,12 +115,6 @@ def _plan(
     return plan
 
 
-def _cases(scene: str) -> _Cases:
-    if scene == RECORDED:
-        return {RECORDED: [Case(name) for name in methods_for_samples()]}
-    return coning_cases() if scene == CONING else {scene: body_cases(BODY_SCENES[scene])}
-
-
 def _run_recordings(out: Path, logs: Sequence[Log], cases: _Cases, repeats: int) -> list[str]:
     from fastatt import plots
 
@@ -131,20 +130,12 @@ def _run_recordings(out: Path, logs: Sequence[Log], cases: _Cases, repeats: int)
 def _run_coning(
     out: Path, cases: _Cases, n_bodies: int, steps: Sequence[int], repeats: int, progress: bool
 ) -> list[str]:
-    from fastatt import plots
-
     over = f"over {CONING_T_END:g} s, against the exact attitude"
     print(f"\nEnsemble of {n_bodies} coning bodies {over}")
     rows = coning_trade(n_bodies, steps, repeats, progress, cases)
     print(trade_table(rows))
-    write_csv(out / "trade.csv", rows)
     by_input = {source: [r for r in rows if r.input == source] for source in cases}
-    _print_frontiers(by_input)
-    panels = [panel(_TITLES[source], CONING_T_END, own, _DRAWN) for source, own in by_input.items()]
-    plots.work_precision(
-        panels, "Ensemble of coning bodies: what accuracy costs", out / "trade.png"
-    )
-    return ["trade.csv", "trade.png"]
+    return _report(out / "trade", by_input, CONING_T_END, "Ensemble of coning bodies")
 
 
 def _run_bodies(
@@ -158,13 +149,7 @@ def _run_bodies(
         print(f"\n{bodies.describe()}", flush=True)
         by_input[name] = body_trade(name, bodies, steps, repeats, progress, of_scene)
         print(trade_table(by_input[name]))
-    write_csv(out / "bodies.csv", [row for rows in by_input.values() for row in rows])
-    _print_frontiers(by_input)
-    panels = [panel(_TITLES[name], BODY_T_END, rows, _DRAWN) for name, rows in by_input.items()]
-    plots.work_precision(
-        panels, "Ensembles of rigid bodies: what accuracy costs", out / "bodies.png"
-    )
-    files = ["bodies.csv", "bodies.png"]
+    files = _report(out / "bodies", by_input, BODY_T_END, "Ensembles of rigid bodies")
     if "free" in cases:
         plots.polhodes(polhodes(), herpolhodes(), out / "polhodes.png")
         files.append("polhodes.png")
@@ -174,7 +159,18 @@ def _run_bodies(
     return files
 
 
-def _print_frontiers(by_input: Mapping[str, Sequence[Row]]) -> None:
+def _report(
+    path: Path, by_input: Mapping[str, Sequence[Row]], t_end: float, bodies: str
+) -> list[str]:
+    """Frontiers to the screen, rows as CSV and a picture beside each other."""
+    from fastatt import plots
+
+    panels = []
     for source, rows in by_input.items():
         print(f"\nFrontier, {_TITLES[source]}: the cheapest way to each error")
         print(trade_table(frontier(rows)))
+        panels.append(panel(_TITLES[source], t_end, rows, _DRAWN))
+    table, picture = path.with_suffix(".csv"), path.with_suffix(".png")
+    write_csv(table, [row for rows in by_input.values() for row in rows])
+    plots.work_precision(panels, f"{bodies}: what accuracy costs", picture)
+    return [table.name, picture.name]

@@ -37,21 +37,17 @@ def read_scene(path: Path) -> Scene:
         raise ValueError(f"{path}: {error}") from None
     for key in found if isinstance(found, dict) else [found]:
         checks.choice(str(path), key, _KEYS)
-    given = {}
-    for key, value in found.items():
-        if key in _MODULES:
-            several = value if isinstance(value, list) else [value]
-            given[key] = _summed(key, [_of_table(key, item) for item in several])
-        else:
-            given[key] = value
-    return Scene(**given)
+    for key in found.keys() & _MODULES.keys():
+        several = found[key] if isinstance(found[key], list) else [found[key]]
+        found[key] = _summed(key, [_of_table(key, item) for item in several])
+    return Scene(**found)
 
 
 def _of_table(kind: str, table: Any) -> Any:
     if not isinstance(table, dict) or "model" not in table:
         raise ValueError(f'{kind}: found {checks.brief(table)}; accepted: a table with a "model"')
-    numbers = {key: value for key, value in table.items() if key != "model"}
-    return model(kind, str(table["model"]), numbers)
+    numbers = dict(table)
+    return model(kind, str(numbers.pop("model")), numbers)
 
 
 def _summed(kind: str, models: Sequence[Any]) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,7 +109,12 @@ class Search(Sample):
 
     def cheapest(self, cases: Sequence[Case], tol: float, done: Any) -> Recommendation:
         """The case that meets the tolerance in the shortest time."""
-        self._check_reference(tol)
+        own = float(self.known.own_error.max()) * self.divide
+        if own > 0.25 * tol:
+            raise ValueError(
+                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.known.source}, the "
+                f"reference, is good to {own:.1e} rad of some body, {_WHY}"
+            )
         within = tol / 1.1 if self.sampled < self.whole.ensemble.size else tol
         met: list[_Met] = []
         best = math.inf
@@ -146,7 +151,12 @@ class Search(Sample):
             elif found := self._sure(one.look, one.n, tol):
                 sure.append(found)
         if not sure:
-            raise ValueError(f"tol: found {tol:g}; {self._reachable(looks)}")
+            tried = [(error, n, look.case) for look in looks for n, error in look.errors.items()]
+            error, n, case = min(tried, key=itemgetter(0))
+            raise ValueError(
+                f"tol: found {tol:g}; accepted: what can be reached, {error:.1e} rad by {case} in "
+                f"{n} steps, {_WHY}"
+            )
         return self._advise(sure, tol=tol)
 
     def _sure(self, look: Look, n: int, tol: float) -> _Met | None:
@@ -216,19 +226,6 @@ class Search(Sample):
         allowed = {n: e for n, e in look.errors.items() if n <= most and e < math.inf}
         return min(allowed, key=lambda n: allowed[n]) if allowed else None
 
-    def _check_reference(self, tol: float) -> None:
-        own = float(self.known.own_error.max()) * self.divide
-        if own > 0.25 * tol:
-            raise ValueError(
-                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.known.source}, the "
-                f"reference, is good to {own:.1e} rad of some body, {_WHY}"
-            )
-
-    def _reachable(self, looks: Sequence[Look]) -> str:
-        tried = [(e, n, look) for look in looks for n, e in look.errors.items()]
-        error, n, look = min(tried, key=lambda found: found[0])
-        return f"accepted: what can be reached, {error:.1e} rad by {look.case} in {n} steps, {_WHY}"
-
     def _advise(
         self, met: list[_Met], tol: float | None = None, budget: float | None = None
     ) -> Recommendation:
@@ -261,36 +258,23 @@ class Search(Sample):
             up = Point(other.case, m, factor * other.errors[m], taken(met[1]))
         error = safety * look.errors[n]
         sampling = self._sampling_error()
-        limit = self._limit(look, n)
+        limit = "round-off"
+        if look.order and self.error(look, 2 * n) <= look.errors[n] * 0.5 ** (0.5 * look.order):
+            limit = "truncation"
         if sampling is not None and sampling > error:
             limit = "sampling"
         return Recommendation(
-            method=look.case.name,
-            representation=look.case.stored_as,
-            dtype=look.case.dtype,
-            dt=self.whole.t_end / n,
-            n_steps=n,
-            save_every=self._every(n),
-            n_threads=self.whole.threads(n),
-            at=self.at,
-            expected_error=error,
-            expected_seconds=seconds,
-            runner_up=up,
-            margin=None if up is None else up.seconds / seconds,
-            limited_by=limit,
-            tol=tol,
-            budget=budget,
-            n_bodies=self.whole.ensemble.size,
-            sampled=self.sampled,
-            safety=safety,
-            reference=self.known.source,
-            reference_error=float(self.known.own_error.max()),
-            sampling_error=sampling,
-            own_steps=share_of(self.whole.ensemble, look.order),
-            extrapolated_from=self.problem.t_end if self.divide > 1 else None,
-            case=look.case,
+            method=look.case.name, representation=look.case.stored_as, dtype=look.case.dtype,
+            dt=self.whole.t_end / n, n_steps=n, save_every=self._every(n),
+            n_threads=self.whole.threads(n), at=self.at, expected_error=error,
+            expected_seconds=seconds, runner_up=up,
+            margin=None if up is None else up.seconds / seconds, limited_by=limit, tol=tol,
+            budget=budget, n_bodies=self.whole.ensemble.size, sampled=self.sampled, safety=safety,
+            reference=self.known.source, reference_error=float(self.known.own_error.max()),
+            sampling_error=sampling, own_steps=share_of(self.whole.ensemble, look.order),
+            extrapolated_from=self.problem.t_end if self.divide > 1 else None, case=look.case,
             curve=self.points,
-        )
+        )  # fmt: skip
 
     def _every(self, n: int) -> int | None:
         return None if self.n_saves is None else n // self.n_saves
@@ -305,12 +289,6 @@ class Search(Sample):
         one = replace(self.whole, t_end=self.whole.t_end / n)
         once = best_time(lambda: one.run(look.case, 1), 1)[0]
         return once + look.slope * (n - 1)
-
-    def _limit(self, look: Look, n: int) -> str:
-        if not look.order:
-            return "round-off"
-        finer = self.error(look, 2 * n)
-        return "round-off" if finer > look.errors[n] * 0.5 ** (0.5 * look.order) else "truncation"
 
     def _sampling_error(self) -> float | None:
         """What the interval of a sampled torque costs: linear between samples, of order 2."""

@@ -157,14 +157,10 @@ def work_precision(
             found += case_rows(scene.kind, problem, known, check, case, repeats, share)
             done(1)
     return WorkPrecision(
-        rows=found,
-        t_end=problem.t_end,
-        n_bodies=ensemble.size,
-        sampled=rows.size,
-        reference=known.source,
-        reference_error=float(np.max(known.own_error)),
+        rows=found, t_end=problem.t_end, n_bodies=ensemble.size, sampled=rows.size,
+        reference=known.source, reference_error=float(np.max(known.own_error)),
         confirmation=str(check),
-    )
+    )  # fmt: skip
 
 
 def cases_of(
