@@ -124,16 +124,15 @@ def in_one(reader: Reader, chunks: list[Chunk]) -> Log:
     values = np.concatenate([c.values for c in chunks])
     firsts = np.cumsum([0, *(len(c.t) for c in chunks)])
     cuts = [int(a) + k for a, c in zip(firsts, chunks, strict=False) for k in c.cuts]
-    columns, at, parts = reader.columns, 3, []
-    for place in (columns.accel, columns.mag, columns.quat):
-        width = len(place or ())
-        parts.append(np.ascontiguousarray(values[:, at : at + width]) if place else None)
-        at += width
+    columns = reader.columns
+    widths = [len(place or ()) for place in (columns.accel, columns.mag, columns.quat)]
+    beside = np.split(values[:, 3:], np.cumsum(widths)[:-1], axis=1)
+    accel, mag, quat = (np.ascontiguousarray(x) if x.shape[1] else None for x in beside)
     return Log(
-        path=Path(reader.layout.name), rates=np.ascontiguousarray(values[:, :3]),
-        dt=1.0 / reader.rate if reader.rate and len(t) == 1 else reader.dt(t), t=t,
-        columns=reader.names, unit=reader.unit_said, timing=reader.timing, attitudes=parts[2],
-        accel=parts[0], mag=parts[1], start=reader.start,
+        path=Path(reader.layout.name), columns=reader.names, unit=reader.unit_said,
+        timing=reader.timing, t=t, start=reader.start,
+        dt=1.0 / reader.rate if reader.rate and len(t) == 1 else reader.dt(t),
+        rates=np.ascontiguousarray(values[:, :3]), accel=accel, mag=mag, attitudes=quat,
         pieces=tuple(slice(a, b) for a, b in pairwise([0, *cuts, len(t)])),
         summary=reader.summary(),
     )  # fmt: skip

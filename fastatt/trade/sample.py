@@ -43,7 +43,8 @@ class Look:
 
     def is_flat(self, n: int, further: int) -> bool:
         """Whether rounding is what keeps the error from falling, from n steps to more."""
-        return is_flat(self.case, self.order, *((k, self.errors[k]) for k in (n, further)))
+        errors = self.errors
+        return is_flat(self.case, self.order, (n, errors[n]), (further, errors[further]))
 
     def steps_for(self, tol: float) -> float:
         """A guess at the steps that meet a tolerance, by the declared order from the best look."""

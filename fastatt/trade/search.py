@@ -266,14 +266,15 @@ class Search(Sample):
         return Recommendation(
             method=look.case.name, representation=look.case.stored_as, dtype=look.case.dtype,
             dt=self.whole.t_end / n, n_steps=n, save_every=self._every(n),
-            n_threads=self.whole.threads(n), at=self.at, expected_error=error,
-            expected_seconds=seconds, runner_up=up,
-            margin=None if up is None else up.seconds / seconds, limited_by=limit, tol=tol,
-            budget=budget, n_bodies=self.whole.ensemble.size, sampled=self.sampled, safety=safety,
+            n_threads=self.whole.threads(n), at=self.at,
+            expected_error=error, expected_seconds=seconds, limited_by=limit,
+            runner_up=up, margin=None if up is None else up.seconds / seconds,
+            tol=tol, budget=budget,
+            n_bodies=self.whole.ensemble.size, sampled=self.sampled, safety=safety,
             reference=self.known.source, reference_error=float(self.known.own_error.max()),
             sampling_error=sampling, own_steps=share_of(self.whole.ensemble, look.order),
-            extrapolated_from=self.problem.t_end if self.divide > 1 else None, case=look.case,
-            curve=self.points,
+            extrapolated_from=self.problem.t_end if self.divide > 1 else None,
+            case=look.case, curve=self.points,
         )  # fmt: skip
 
     def _every(self, n: int) -> int | None:
