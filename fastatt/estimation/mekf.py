@@ -79,10 +79,7 @@ def joseph(P, d, z, h, r):
 @_formula
 def outer(a, b):
     """a bᵀ, nine numbers."""
-    x = scale(a[0], b)
-    y = scale(a[1], b)
-    z = scale(a[2], b)
-    return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+    return scale(a[0], b) + scale(a[1], b) + scale(a[2], b)
 
 
 @_formula
@@ -234,9 +231,8 @@ class MEKF(Estimates):
         bias_noise: float,
         invalid: str = "raise",
     ) -> None:
-        super().__init__(
-            q, "bias", checks.array("bias", bias, "(3,) or (N, 3)"), covariance, invalid
-        )
+        beside = checks.array("bias", bias, "(3,) or (N, 3)")
+        super().__init__(q, "bias", beside, covariance, invalid)
         self._gyro = self._y.copy()
         self._variances = (
             at_least_zero("angle_noise", angle_noise) ** 2,
@@ -267,7 +263,7 @@ class MEKF(Estimates):
 
     def _normalised(self, call: _Call) -> Any:
         call.run()
-        return self._figures(call.nis.copy())
+        return float(call.nis[0]) if self._one else call.nis.copy()
 
     @property
     def bias(self) -> NDArray[np.float64]:
