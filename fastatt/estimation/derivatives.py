@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import quat_multiply, quat_to_dcm, quat_to_rotation_vector
+from fastatt.arrays import quat_multiply, quat_to_dcm
 from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, of_logs
+from fastatt.estimation.filters import attitude_error
 from fastatt.flat.repeated import Repeated
 from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.gyro.ends import beyond
@@ -237,8 +238,7 @@ def _by_differences(
     turns = quat_multiply(q[:, :-1] * (1.0, -1.0, -1.0, -1.0), q[:, 1:])
     turns = turns.reshape(13, *data.shape[:1], *turns.shape[1:])
     turn = turns[0]
-    errors = quat_to_rotation_vector(quat_multiply(turn * (1.0, -1.0, -1.0, -1.0), turns[1:]))
-    e = errors.reshape(3, 4, *errors.shape[1:])
+    e = attitude_error(turn, turns[1:]).reshape(3, 4, *turn.shape[:-1], 3)
     columns = (8.0 * (e[:, 0] - e[:, 1]) - (e[:, 2] - e[:, 3])) / (12.0 * step)
     attitude = np.swapaxes(quat_to_dcm(turn), -1, -2)
     return Transition(turn, attitude, np.moveaxis(columns, 0, -1))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
+from fastatt.arrays import normalised, quat_multiply, rotate_inverse, rotation_vector_to_quat
 from fastatt.estimation.filters import Floats
 
 
@@ -80,9 +80,8 @@ def attitude_from_vectors(
 def _directions(name: str, value: ArrayLike) -> Floats:
     """Vectors at unit length."""
     rows = checks.array(name, value, "(m, 3) or (N, m, 3)")
-    size = np.abs(rows).max(axis=-1, keepdims=True)
-    if (size == 0.0).any():
-        k = [int(i) for i in np.argwhere(size[..., 0] == 0.0)[0]]
+    zero = ~rows.any(axis=-1)
+    if zero.any():
+        k = [int(i) for i in np.argwhere(zero)[0]]
         raise ValueError(f"{name}{k} is the zero vector; accepted: any other, unit or not")
-    scaled = np.asarray(rows, dtype=np.float64) / size
-    return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
+    return normalised(rows.astype(np.float64))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rates
-from fastatt.arrays import quat_multiply, quat_to_rotation_vector
+from fastatt.arrays import normalised, quat_multiply, quat_to_rotation_vector
 from fastatt.estimation.amounts import common_number
 from fastatt.running.propagate import propagate
 from fastatt.scene import Scene
@@ -119,12 +119,9 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     if rows.ndim < 2 or rows.shape[-1] != 4 or rows.shape[-2] == 0:
         raise ValueError(f"q: has shape {rows.shape}; accepted: (..., M, 4)")
     checks.finite("q", rows)
-    sizes = np.abs(rows).max(axis=-1, keepdims=True)
-    if not sizes.all():
+    if not rows.any(axis=-1).all():
         raise ValueError("q: found a zero quaternion; accepted: of any other length")
-    rows = rows / sizes
-    rows /= np.linalg.norm(rows, axis=-1, keepdims=True)
-    weighted = rows
+    weighted = rows = normalised(rows)
     if weights is not None:
         w = np.asarray(weights, dtype=np.float64)
         if w.shape[-1:] != rows.shape[-2:-1]:
@@ -144,8 +141,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
 
 def unit_rows(value: NDArray[Any], n: int) -> Floats:
     """n rows of unit quaternions, of one or n of any length but zero."""
-    scaled = value / np.abs(value).max(axis=-1, keepdims=True)
-    return rows_of(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True), (n, 4))
+    return rows_of(normalised(value), (n, 4))
 
 
 def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:

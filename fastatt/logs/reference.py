@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,14 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import (
-    angle_between,
-    normalised,
-    quat_multiply,
-    quat_to_rotation_vector,
-    rotation_vector_to_quat,
-)
-from fastatt.estimation import attitude_from_vectors, mean_attitude
+from fastatt.arrays import angle_between, normalised, quat_multiply, rotation_vector_to_quat
+from fastatt.estimation import attitude_error, attitude_from_vectors, mean_attitude
 from fastatt.logs import names, stamps
 from fastatt.logs.blocks import Table, opened
 from fastatt.logs.names import LogError
@@ -168,9 +163,9 @@ def _inside(t: Floats, own: Floats) -> NDArray[np.bool_]:
 def _at(t: Floats, q: Floats, at: Floats) -> Floats:
     """Attitudes at times within t, by a constant rate between neighbours."""
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-    turn = quat_to_rotation_vector(quat_multiply(q[k] * [1, -1, -1, -1], q[k + 1]))
     part = ((at - t[k]) / (t[k + 1] - t[k]))[:, None]
-    return np.asarray(quat_multiply(q[k], rotation_vector_to_quat(turn * part)))
+    turn = rotation_vector_to_quat(attitude_error(q[k], q[k + 1]) * part)
+    return np.asarray(quat_multiply(q[k], turn))
 
 
 def _speeds(t: Floats, q: Floats, step: float) -> Floats:
@@ -209,19 +204,14 @@ def _fitted(t: Floats, q: Floats, own: Floats, reference: Floats) -> tuple[float
     apart = max(1, round(_TURN / float(np.median(np.diff(own[where])))))
     body = np.array([1.0, 0.0, 0.0, 0.0])
     if apart < len(where):
-        turned = [
-            quat_to_rotation_vector(quat_multiply(x[:-apart] * [1, -1, -1, -1], x[apart:]))
-            for x in (b, a)
-        ]
-        size = np.linalg.norm(turned[1], axis=1) * np.linalg.norm(turned[0], axis=1)
+        theirs, ours = (attitude_error(x[:-apart], x[apart:]) for x in (b, a))
+        size = np.linalg.norm(ours, axis=1) * np.linalg.norm(theirs, axis=1)
         moving = size > 0.0
         size = np.sqrt(size[moving])
         if moving.sum() > 1:
             sigma = _LINE * math.sqrt(float(size @ size)) / size
-            try:
-                body, _ = attitude_from_vectors(turned[0][moving], turned[1][moving], sigma)
-            except ValueError:  # turns about one axis only
-                body = np.array([1.0, 0.0, 0.0, 0.0])
+            with suppress(ValueError):  # turns about one axis only
+                body, _ = attitude_from_vectors(theirs[moving], ours[moving], sigma)
     moved = quat_multiply(a, body)
     world = mean_attitude(quat_multiply(b, moved * [1, -1, -1, -1]))
     angle = np.asarray(angle_between(quat_multiply(world, moved), b))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,10 +14,9 @@ from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.running.choosing import methods_for
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.limits import StepWarning
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
-from fastatt.trade.measure import Case, Problem, Row, Rung, best_time, ladder_rows, measure
+from fastatt.trade.measure import Case, Problem, Row, Rung, best_time, ladder_rows, measure, noted
 from fastatt.trade.reference import coning_attitudes, reference
 
 T_END = 20.0
@@ -69,8 +67,7 @@ def coning_trade(
         if source == RATE:
             return measure(problem, end, case, n, repeats)
         data = coning_rates(angle, frequency, np.linspace(0.0, T_END, n + 1))
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", StepWarning)
+        with noted() as said:
             seconds, q = best_time(
                 lambda: integrate_rates(data, T_END / n, q0, method=case.name), repeats
             )

@@ -7,7 +7,8 @@ import math
 import os
 import platform
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from importlib import metadata
@@ -180,6 +181,14 @@ class Row:
     order: float | None
     plateau: str
     status: str
+
+
+@contextmanager
+def noted() -> Iterator[list[warnings.WarningMessage]]:
+    """Steps beyond a method's limit are noted rather than warned of."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", StepWarning)
+        yield said
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:

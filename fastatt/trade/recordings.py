@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
@@ -18,9 +16,8 @@ from numpy.typing import NDArray
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.logs import Log
-from fastatt.running.limits import StepWarning
 from fastatt.trade.error_budget import LEAST, error_budget
-from fastatt.trade.measure import best_time
+from fastatt.trade.measure import best_time, noted
 
 if TYPE_CHECKING:
     from fastatt import plots
@@ -81,14 +78,6 @@ def _start(log: Log) -> NDArray[np.float64]:
     return np.array([1.0, 0.0, 0.0, 0.0]) if log.attitudes is None else log.attitudes[0]
 
 
-@contextmanager
-def _without_warnings() -> Iterator[list[warnings.WarningMessage]]:
-    """Steps beyond a method's limit are noted rather than warned of."""
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", StepWarning)
-        yield said
-
-
 def _attitudes(log: Log, method: str, every: int = 1) -> NDArray[Any]:
     """By a method from every so many samples; of its gaps a log is rid when it is read."""
     dt = log.dt
@@ -103,13 +92,13 @@ def log_rows(log: Log, repeats: int, methods: Sequence[str] | None = None) -> li
     The difference of each from the reference, from itself at half the rate, and from the maker's
     orientation where the log has it.
     """
-    with _without_warnings():
+    with noted():
         reference = _attitudes(log, REFERENCE)
     n, rows = len(log.rates), []
     for name in methods_for_samples() if methods is None else methods:
-        with _without_warnings() as said:
+        with noted() as said:
             seconds, q = best_time(partial(_attitudes, log, name), repeats)
-        with _without_warnings():
+        with noted():
             half = _attitudes(log, name, 2)
         away = angle_between(q, reference) * DEGREES
         maker = None
@@ -170,7 +159,7 @@ def departures(log: Log, methods: Sequence[str] | None = None) -> plots.Departur
     """Each method's angle from the reference on a recording, and the maker's orientation's."""
     from fastatt import plots
 
-    with _without_warnings():
+    with noted():
         base = _attitudes(log, REFERENCE)
         angles = {
             name: angle_between(_attitudes(log, name), base)[1:] * DEGREES
