@@ -231,12 +231,15 @@ def _added(s: Any, w: Any, a: Any, h: Any, parts: Any, noise: Any) -> Any:
     )
 
 
+def _added_held(s: Any, w: Any, a: Any, h: Any, parts: Any, gyro: Any, accel: Any) -> Any:
+    noise = _held_noise(dcm.from_quat(s.rotation.q), scale(h, w), h, parts[2], gyro, accel)
+    return _added(s, w, a, h, parts, noise)
+
+
 @_formula
 def add_sample(s, w, a, h, gyro, accel):
     """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
-    parts = _exact(w, a, h)
-    noise = _held_noise(dcm.from_quat(s.rotation.q), scale(h, w), h, parts[2], gyro, accel)
-    return _added(s, w, a, h, parts, noise)
+    return _added_held(s, w, a, h, _exact(w, a, h), gyro, accel)
 
 
 @_formula
@@ -249,9 +252,7 @@ def add_sample_white(s, w, a, h, gyro, accel):
 @_formula
 def add_sample_forster(s, w, a, h, gyro, accel):
     """The same by Forster's eqs. 35 to 37: Euler's step in velocity and position, noise held."""
-    parts = _euler(w, a, h)
-    noise = _held_noise(dcm.from_quat(s.rotation.q), scale(h, w), h, parts[2], gyro, accel)
-    return _added(s, w, a, h, parts, noise)
+    return _added_held(s, w, a, h, _euler(w, a, h), gyro, accel)
 
 
 @_formula

@@ -146,7 +146,8 @@ def body_tangent(
 
     def start(motion: Body, q: Vector, m: Vector, p: Vector) -> Vector:
         if of_rate:
-            q, m = quat.normalise(q), momentum_of_rate(structure, m, p)
+            q = quat.normalise(q)
+            m = along_axes(structure, lambda w: rigid.momentum(w, p[3:6]), m, p)
         d = seed((0.0, 0.0, 0.0), size, like=m[0])
         a, n = displaced(q, d), seed(m, size, 3)
         if motion.axes is not None:
@@ -159,7 +160,10 @@ def body_tangent(
             a, n = quat.mul(a, quat.conj(motion.axes)), quat.rotate(motion.axes, n)
         phi = rows((*error(a), *n), size)
         q, m = quat.normalise(value(a)), value(n)
-        return (q, rate_of_momentum(structure, m, p), phi, z) if of_rate else (q, m, phi)
+        if not of_rate:
+            return q, m, phi
+        own = Body(QUATERNION, structure, p, p[0])
+        return q, along_axes(structure, own.angular_velocity, m, p), phi, z
 
     def whole(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
         motion = moving(p)
@@ -204,18 +208,9 @@ def differentiated(structure: RigidBody, p: Vector, size: int) -> Vector:
     return (*half, *i, *rigid.gyroscopic_coefficients(i), *p[9:end], *torque)
 
 
-def momentum_of_rate(structure: RigidBody, w: Vector, p: Vector) -> Any:
-    """m = I w along body axes."""
-    axes = p[9:13]
+def along_axes(structure: RigidBody, formula: Formula, x: Vector, p: Vector) -> Any:
+    """A formula of vectors along principal axes, from body axes and back."""
     if not structure.turned:
-        return rigid.momentum(w, p[3:6])
-    return quat.rotate(axes, rigid.momentum(quat.rotate_inverse(axes, w), p[3:6]))
-
-
-def rate_of_momentum(structure: RigidBody, m: Vector, p: Vector) -> Any:
-    """w = I⁻¹ m along body axes."""
-    motion = Body(QUATERNION, structure, p, p[0])
-    if motion.axes is None:
-        return motion.angular_velocity(m)
-    v = motion.angular_velocity(quat.rotate_inverse(motion.axes, m))
-    return quat.rotate(motion.axes, v)
+        return formula(x)
+    axes = p[9:13]
+    return quat.rotate(axes, formula(quat.rotate_inverse(axes, x)))
