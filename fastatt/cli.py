@@ -127,7 +127,6 @@ def _parser() -> argparse.ArgumentParser:
     _add_scene(trade)
     add("--t-end", type=float, help="duration of your own scene, s")
     add("--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only")
-    add("-q", "--quiet", action="store_true", help="no progress bar")
 
     advice = command(
         _recommend,
@@ -145,7 +144,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--at", choices=("run", "end"), default="run", help=where)
     add("--save-interval", type=float, help="s between saves (default: the end)")
     add("--methods", type=_names, help="only these methods: rk4,magnus4")
-    add("-q", "--quiet", action="store_true", help="no progress bar")
 
     warm = command(
         _warm,
@@ -159,7 +157,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
     add("-j", "--jobs", type=int, help="processes (default: one a processor)")
     add("--where", action="store_true", help="only say what is kept, and where")
-    add("-q", "--quiet", action="store_true", help="no progress bar")
 
     cache = command(
         _cache,
@@ -168,6 +165,8 @@ def _parser() -> argparse.ArgumentParser:
         "folder; FASTATT_CACHE=0 switches it off.",
     )
     cache.add_argument("--clear", action="store_true", help="remove them")
+    for shows_progress in (integrate, trade, advice, warm):
+        shows_progress.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     return parser
 
 
@@ -223,7 +222,6 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     add("--reference", type=Path, help=reference)
     compare = "besides, how far the other methods differ, and where the error comes from"
     add("--compare", action=argparse.BooleanOptionalAction, default=False, help=compare)
-    add("-q", "--quiet", action="store_true", help="no progress bar")
 
 
 def _add_scene(command: argparse.ArgumentParser) -> None:

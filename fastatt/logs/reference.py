@@ -68,7 +68,7 @@ class Comparison:
         )
 
 
-def read_attitudes(source: Any, time_unit: str | None = None) -> Reference:
+def read_attitudes(source: Any) -> Reference:
     """A table of time stamps and attitudes: of EuRoC, TUM, motion capture, or fastatt's own.
 
     Raises
@@ -89,7 +89,7 @@ def read_attitudes(source: Any, time_unit: str | None = None) -> Reference:
                 "like time, qw, qx, qy, qz"
             )
         blocks = list(table.rows(clock, quat, mend=False))
-    of, start, usual = times(layout, clock, blocks, time_unit)
+    of, start, usual = times(layout, clock, blocks, None)
     ordered = stamps.Mending(layout, "refuse", math.inf)
     ordered.set_usual(usual)
     chunks = [ordered.mended(b, of(b), layout.column(clock)) for b in blocks]

@@ -79,7 +79,7 @@ def _start(log: Log) -> NDArray[np.float64]:
 
 
 def _attitudes(log: Log, method: str, every: int = 1) -> NDArray[Any]:
-    """By a method from every so many samples; of its gaps a log is rid when it is read."""
+    """By a method from every so many samples; gaps were looked at when the log was read."""
     dt = log.dt
     if every > 1:
         dt = np.diff(log.t[::every]) if isinstance(dt, np.ndarray) else every * dt
