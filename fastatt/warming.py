@@ -95,7 +95,7 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     w = None if scene.kind == "rate" else np.tile([0.1, 0.2, 0.3], (n, 1))
     still = np.zeros((n, 3))
     carried: dict[str, Any] = {"v0": still} if scene.moves else {}
-    placed = {"r0": still + 1.0}
+    placed: dict[str, Any] = {"r0": still + 1.0}
     if scene.couples:
         carried |= placed
     run = partial(
