@@ -26,24 +26,31 @@ def rotation_vector_linear(a, b, t):
 
 @kernel
 def rotation_vector_quadratic(a, b, c, t):
-    """The same of w = a + b t + c t²: adds t³/3 c + t⁴/12 a×c + t⁵/60 b×c."""
+    """The same of w = a + b t + c t²: adds t³/3 c + t⁴/12 a×c + t⁵/60 b×c.
+
+    All products of three vectors are one: t³/12 (a − t²/5 c)×(b + t c).
+    """
     F = type(t)
-    rest = axpy(F(1.0 / 12.0), cross(a, c), scale(F(1.0 / 60.0) * t, cross(b, c)))
-    rest = axpy(t, rest, scale(F(1.0 / 3.0), c))
-    return axpy(t * t * t, rest, rotation_vector_linear(a, b, t))
+    s = t * t
+    angle = scale(t, axpy(s, scale(F(1.0 / 3.0), c), axpy(F(0.5) * t, b, a)))
+    coning = cross(axpy(F(-0.2) * s, c, a), axpy(t, c, b))
+    return axpy(F(1.0 / 12.0) * t * s, coning, angle)
 
 
 @kernel
 def rotation_vector(a, b, c, d, t):
     """The same of w = a + b t + c t² + d t³.
 
-    Adds t⁴/4 d + 3t⁵/40 a×d + t⁶/48 b×d + t⁷/168 c×d.
+    Adds t⁴/4 d + 3t⁵/40 a×d + t⁶/48 b×d + t⁷/168 c×d. All products of four vectors are two:
+    t³/12 (a − t²/5 c − t³/4 d)×(b + t c + 9t²/10 d) + t⁷/8400 c×d.
     """
     F = type(t)
-    rest = axpy(F(1.0 / 48.0), cross(b, d), scale(F(1.0 / 168.0) * t, cross(c, d)))
-    rest = axpy(t, rest, scale(F(3.0 / 40.0), cross(a, d)))
-    rest = axpy(t, rest, scale(F(0.25), d))
-    return axpy(t * t * t * t, rest, rotation_vector_quadratic(a, b, c, t))
+    s = t * t
+    angle = axpy(s, axpy(F(0.25) * t, d, scale(F(1.0 / 3.0), c)), axpy(F(0.5) * t, b, a))
+    left = axpy(F(-0.25) * t * s, d, axpy(F(-0.2) * s, c, a))
+    right = axpy(F(0.9) * s, d, axpy(t, c, b))
+    coning = axpy(F(1.0 / 700.0) * s * s, cross(c, d), cross(left, right))
+    return axpy(F(1.0 / 12.0) * t * s, coning, scale(t, angle))
 
 
 @kernel
