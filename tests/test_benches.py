@@ -20,6 +20,7 @@ import check_cost
 import long_runs
 import method_table
 import own_steps
+import recordings
 import scale
 
 
@@ -138,3 +139,38 @@ def test_own_steps_are_compared_at_an_equal_error(monkeypatch, capsys):
     assert cells[0].strip() == "free bodies"
     assert float(cells[3]) < 1e-5
     assert float(cells[3]) == pytest.approx(float(cells[5]), rel=0.15)
+
+
+# attitude and heading
+
+
+def test_the_filter_follows_a_recording_in_absolute_axes():
+    """The maker's filter has the same samples; what it corrects, this one does."""
+    filtered, alone = recordings.errors(recordings.x_imu3())
+    assert filtered < 0.7 * alone
+
+
+@pytest.mark.parametrize(
+    ("name", "factors"),
+    [
+        ("rates", np.diag([-1.0, -1.0, -1.0])),
+        ("accel", np.diag([-1.0, -1.0, -1.0])),
+        ("mag", np.diag([-1.0, -1.0, -1.0])),
+        ("mag", np.diag([1.0, -1.0, 1.0])),
+        ("reference", np.diag([1.0, -1.0, -1.0, -1.0])),
+        ("north", np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+    ],
+    ids=["rates", "gravity", "field", "left-handed", "conjugate", "east"],
+)
+def test_a_wrong_sign_or_frame_is_a_right_angle_and_more(name, factors):
+    recording = recordings.x_imu3()
+    filtered, _ = recordings.errors(
+        recording._replace(**{name: getattr(recording, name) @ factors})
+    )
+    assert filtered > 89.0
+
+
+def test_degrees_are_no_rest():
+    recording = recordings.x_imu3()
+    with pytest.raises(ValueError, match=r"gyro: .*at rest"):
+        recordings.errors(recording._replace(rates=np.degrees(recording.rates)))
