@@ -1,7 +1,8 @@
 """What a function that sees every step costs, beside the run without it: ``fastatt.reducer``.
 
-``python bench/reducer_cost.py`` takes half a minute; the runs are interleaved, and the least time
-of each counts.
+``python bench/reducer_cost.py`` takes a quarter of a minute on one core; the runs are
+interleaved, and the least time of each counts. Beside the time stand the operations that the
+function adds to a step.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import time
 import numpy as np
 
 import fastatt as fa
+from fastatt.running.loop import job_of
 
 
 def largest(t, q, w, s):
@@ -44,24 +46,32 @@ def cases(n):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--bodies", type=int, default=100_000)
-    parser.add_argument("--repeats", type=int, default=8)
+    parser.add_argument("--bodies", type=int, default=10_000)
+    parser.add_argument("--repeats", type=int, default=40)
+    parser.add_argument("--threads", type=int, default=1)
     args = parser.parse_args()
     watches = [None, fa.reducer(largest, start=0.0), fa.reducer(three, start=(0.0, -1.0, 0.0))]
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (args.bodies, 1))
-    print("| scene | method | million steps/s | largest rate | three numbers |")
-    print("| --- | --- | --- | --- | --- |")
+    shared = {"dt": 0.01, "n_threads": args.threads}
+    print("| scene | method | operations | million steps/s | largest rate | three numbers |")
+    print("| --- | --- | --- | --- | --- | --- |")
     for name, scene, w0, method, steps in cases(args.bodies):
         best = [np.inf] * len(watches)
         for repeat in range(-1, args.repeats):  # once to compile
             for i, watch in enumerate(watches):
                 begun = time.perf_counter()
-                fa.propagate(scene, q0, w0, dt=0.01, n_steps=steps, method=method, reduce=watch)
+                fa.propagate(scene, q0, w0, n_steps=steps, method=method, reduce=watch, **shared)
                 taken = time.perf_counter() - begun
                 best[i] = min(best[i], taken) if repeat >= 0 else np.inf
         speed = args.bodies * steps / best[0] / 1e6
-        more = " | ".join(f"{100 * (x / best[0] - 1):+.0f} %" for x in best[1:])
-        print(f"| {name} | {method} | {speed:.0f} | {more} |")
+        own, *operations = (
+            job_of(scene, method, "quat", "float64", watch).formulas.operations for watch in watches
+        )
+        more = " | ".join(
+            f"{n - own:+d}: {100 * (x / best[0] - 1):+.0f} %"
+            for n, x in zip(operations, best[1:], strict=True)
+        )
+        print(f"| {name} | {method} | {own} | {speed:.0f} | {more} |")
 
 
 if __name__ == "__main__":

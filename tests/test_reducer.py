@@ -141,6 +141,15 @@ def test_a_function_that_is_not_traced():
     assert np.array_equal(run.reduced[:, 1], np.full(N, 60.0))
 
 
+def test_its_operations_are_counted_among_those_of_the_step():
+    def counted(**options):
+        return int(fa.show_loop(BODY, "rk4", **options).split(": ")[1].split()[0])
+
+    assert counted(reduce=fa.reducer(count, start=0.0)) == counted() + 1
+    with pytest.raises(TypeError, match=r"reduce: .*accepted: a fastatt\.reducer"):
+        fa.show_loop(BODY, "rk4", reduce=count)
+
+
 def test_float32():
     run = fa.propagate(BODY, Q0, W0, reduce=WATCH, dtype=np.float32, **STEP)
     full = fa.propagate(BODY, Q0, W0, dtype=np.float32, save_every=1, **STEP)

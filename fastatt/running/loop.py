@@ -14,7 +14,8 @@ from fastatt.engine.layout import WIDTH
 from fastatt.flat import source
 from fastatt.methods import Method
 from fastatt.running.asked import KINDS
-from fastatt.running.choosing import attitude_of, default_method, method_of
+from fastatt.running.choosing import chosen
+from fastatt.running.reducer import Reducer
 from fastatt.scene import Scene, as_scene
 
 _LEGEND = {
@@ -34,12 +35,13 @@ def show_loop(
     *,
     representation: str | Attitude = "quat",
     dtype: DTypeLike = np.float64,
+    reduce: Reducer | None = None,
 ) -> str:
     """The flat loop that a scene's run executes, as text, its operations counted.
 
     A step is one straight line: what the scene does not require is not there. ``a*b + c`` is one
     fused instruction where the processor has it. Arguments are those of
-    :func:`fastatt.propagate`.
+    :func:`fastatt.propagate`; with ``reduce`` the function's operations are among them.
 
     Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
 
@@ -50,7 +52,7 @@ def show_loop(
     # rk4, free, quat, double: 213 floating-point operations a step
     """
     as_scene(scene)
-    job = job_of(scene, method, representation, checks.precision(dtype))
+    job = job_of(scene, method, representation, checks.precision(dtype), reduce)
     formulas = job.formulas
     flat = formulas.quick.plain
     text = source.Text(flat)
@@ -75,10 +77,17 @@ def show_loop(
     return "\n".join(lines) + "\n"
 
 
-def job_of(scene: Scene, method: Any, representation: Any, kind: Any) -> Job:
+def job_of(
+    scene: Scene, method: Any, representation: Any, kind: Any, reduce: Reducer | None = None
+) -> Job:
     """The job of a scene without its bodies."""
-    attitude = attitude_of(representation)
-    record = method_of(scene, method or default_method(scene, attitude), attitude)
-    packed = scene.packed(None, sorted_axes=record.sorted_axes)
+    choice = chosen(
+        scene, method, representation, compensated=False, normalise="output", reducer=reduce
+    )
+    packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
+    if reduce is not None:
+        packed = reduce.watching(packed)
     shared = packed.params.ndim == 1
-    return Job(record, attitude, packed.structure, KINDS[np.dtype(kind)], shared=shared)
+    return Job(
+        choice.method, choice.attitude, packed.structure, KINDS[np.dtype(kind)], shared=shared
+    )
