@@ -38,8 +38,8 @@ class Job:
     """All that the formulas of a run depend on, none of its numbers.
 
     ``kind`` is the precision of the state, "double" or "single"; ``shared`` says that all bodies
-    have the same parameters, ``known`` that turns are known beforehand, so that those of some
-    bodies need no look; ``raw``
+    have the same parameters, ``alike`` numbers those that they have in common if not all, ``known``
+    says that turns are known beforehand, so that those of some bodies need no look; ``raw``
     that what is handed out is not brought back to its group, ``mends`` that the state is, now and
     then; ``looks`` switches off what the status costs.
     """
@@ -49,6 +49,7 @@ class Job:
     structure: Structure
     kind: str = "double"
     shared: bool = True
+    alike: tuple[int, ...] = ()
     known: bool = False
     raw: bool = False
     mends: bool = False
@@ -151,7 +152,7 @@ class Formulas:
 
     @cached_property
     def _constants(self) -> Constants:
-        return Constants("p", "c")
+        return Constants("p", "c", self.job.alike)
 
     @cached_property
     def constants(self) -> Flat:

@@ -88,7 +88,10 @@ class Pieces:
             group, *i = name
             if group in scalars:
                 value = scalars[group]
-                return (value[i[0]] if i else value), False
+                if not i:
+                    return value, False
+                if i[0] in value:
+                    return value[i[0]], False
             if wide and group in wide:
                 return wide[group], True
             if source is not None and group == "y":
@@ -109,11 +112,11 @@ class Pieces:
         return code.b.bitcast(rows, REALS[kind].as_pointer()), at // self.doubles
 
     def _shared(self, code: Code, given: Given) -> dict[str, Any]:
-        """Parameters that all bodies share, as scalars."""
-        if not self.job.shared:
-            return {}
+        """Parameters that all bodies share, as scalars by their numbers."""
+        job = self.job
+        shared = range(self.formulas.parameters) if job.shared else job.alike
         array = given.array("p", REALS["double"].as_pointer())
-        return {"p": [code.load(array, i) for i in range(self.formulas.parameters)]}
+        return {"p": {i: code.load(array, i) for i in shared}}
 
     def _narrow(self, code: Code, value: Any) -> Any:
         """A double, or a vector of such, in the state's precision."""

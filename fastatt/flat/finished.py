@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from fastatt.flat.graph import Graph, number
@@ -124,14 +124,17 @@ def _numbered(
 class Constants:
     """What of some graphs depends on the inputs of one group alone: to be computed once.
 
+    Not what depends on those of the group alone that are numbered ``alike``.
+
     ``without`` gives a graph in which such values are inputs (``name``, k); ``flat`` computes them.
     No rounding changes: multiplications are fused already.
     """
 
-    def __init__(self, group: str, name: str) -> None:
-        self.group, self.name = group, name
+    def __init__(self, group: str, name: str, alike: Collection[int] = ()) -> None:
+        self.group, self.name, self.alike = group, name, alike
         self._graph = Graph()
         self._costs: list[int] = []
+        self._has_own: list[bool] = []
         self._picked: dict[int, int] = {}
 
     @property
@@ -149,7 +152,7 @@ class Constants:
                 continue
             node = made[i]
             at = own.get(i)
-            if at is not None and node.kind and self._costs[at] >= _WORTH:
+            if at is not None and node.kind and self._costs[at] >= _WORTH and self._has_own[at]:
                 if more:
                     self._picked.setdefault(at, len(self._picked))
                 if at in self._picked:
@@ -169,4 +172,6 @@ class Constants:
                 if own[i] == len(self._costs):
                     cost = _WORTH if node.op == "cast" else 1 if ops else 0
                     self._costs.append(cost + sum(self._costs[k] for k in args if ops))
+                    named = node.op == "in" and node.args[1] not in self.alike
+                    self._has_own.append(named or any(self._has_own[k] for k in args if ops))
         return own

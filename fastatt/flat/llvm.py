@@ -58,7 +58,8 @@ class Emitter:
     def shared(self, flat: Flat, scalars: Mapping[str, Any]) -> dict[int, tuple[Any, bool]]:
         """Values of the operations on ``scalars`` alone, written here: before a loop over lanes.
 
-        ``scalars`` are numbers, or sequences of them, by the names of a graph's inputs.
+        ``scalars`` are numbers, or some of a sequence by their places, by the names of a graph's
+        inputs.
         """
         self._spread.clear()
         found: dict[int, tuple[Any, bool]] = {}
@@ -68,9 +69,12 @@ class Emitter:
             group, *i = name
             return (scalars[group][i[0]] if i else scalars[group]), False
 
+        def is_given(name: tuple[Any, ...]) -> bool:
+            return name[0] in scalars and (len(name) == 1 or name[1] in scalars[name[0]])
+
         for i, node in enumerate(flat.nodes):
             known = node.op == "const" or (
-                node.args[0] in scalars
+                is_given(node.args)
                 if node.op == "in"
                 else node.op not in ("opaque", "item") and all(k in found for k in operands(node))
             )

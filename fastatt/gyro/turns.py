@@ -79,7 +79,7 @@ class WindowsLoop:
         q = graph.inputs(self.kind, "q", 4)
         flat = Flat(graph, products(q, exponentials(turns, self.wide)), self.kind)
         # what equal intervals alone give is the same for all windows
-        before = None if self.uneven else self.emitter.shared(flat, {"h": [self.interval]})
+        before = None if self.uneven else self.emitter.shared(flat, {"h": {0: self.interval}})
         return lambda j, k: self._write(flat, j, k, before)
 
     def _iterated(self, iteration: Iteration) -> Callable[[Int, Int], None]:

@@ -8,9 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine.status import Status
+from fastatt.motion import turning_part
 
 if TYPE_CHECKING:
     from fastatt.running.plan import Plan
+
+# bodies from which on it pays to look for what they have in common, and rows that are looked at
+_MANY, _ROWS = 64, 1 << 16
 
 
 def fixed(plan: Plan, rates: Any, h: Any, rows_each: int) -> dict[str, NDArray[Any]]:
@@ -28,6 +32,28 @@ def fixed(plan: Plan, rates: Any, h: Any, rows_each: int) -> dict[str, NDArray[A
     found: dict[str, Any] = {"p": params, "known": turns, "flags": flags_of(plan, params)}
     stages = np.array(plan.choice.method.stages, dtype=np.float64).reshape(-1, 3)
     return {"stages": stages, **{name: rows(x) for name, x in found.items()}}
+
+
+def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:
+    """Numbers of the parameters that many bodies have in common, where others are their own.
+
+    None of a user's function if the plan may be asked for others. In single precision sines of what
+    is shared are rounded otherwise: there, what bodies have in common by chance would show.
+    """
+    params = plan.packed.params
+    if params.ndim == 1 or len(params) < _MANY or plan.kind != np.float64 or plan.choice.device:
+        return ()
+    turning = turning_part(plan.packed.structure)
+    own = range(turning.n_params - turning.law.count, turning.n_params)
+    can_change = own if asked and plan.scene.params is not None else ()
+    bits = params.view(np.int64)
+    found = [k for k in range(params.shape[1]) if k not in can_change]
+    for a, b in ((0, _MANY), *((a, a + _ROWS) for a in range(_MANY, len(params), _ROWS))):
+        same = (bits[a:b, found] == bits[0, found]).all(axis=0)
+        found = [k for k, is_alike in zip(found, same, strict=True) if is_alike]
+        if not found:
+            break
+    return tuple(found)
 
 
 def flags_of(plan: Plan, params: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -19,7 +19,7 @@ from fastatt.exact import check_above_zero
 from fastatt.motion import carried, turning_part
 from fastatt.running import limits
 from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock
-from fastatt.running.fixed import fixed, flags_of
+from fastatt.running.fixed import alike, fixed, flags_of
 from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
 from fastatt.running.pieces import go, in_closed_form, piecewise
@@ -74,7 +74,6 @@ class Plan:
         self.packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed)
-        structure = self.packed.structure
         body = ["w"] if scene.kind != "rate" else []
         self.beside = [*body, *(["v"] if scene.moves else []), *(["r"] if position else [])]
         widths = [3] * len(self.beside)
@@ -90,9 +89,10 @@ class Plan:
         self.job = Job(
             method,
             attitude,
-            structure,
+            self.packed.structure,
             KINDS[kind],
             shared=self.packed.params.ndim == 1,
+            alike=alike(self, asked=bool(asked)),
             known=known is not None,
             raw=choice.raw,
             mends=choice.restore > 0,

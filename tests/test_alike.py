@@ -1,0 +1,103 @@
+"""Numbers that bodies have in common where others are their own: found, and worked on once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.engine.tiles import Writer
+from fastatt.running import fixed
+
+N = 70
+FEW = [0, 33, N - 1]  # too few for what they have in common to be looked for
+CHANCE = np.random.default_rng(3)
+Q0, W0 = CHANCE.normal(size=(N, 4)), CHANCE.normal(size=(N, 3))
+SIZES = CHANCE.uniform(0.8, 1.2, size=(N, 1))
+TURN = {"dt": 0.05, "n_steps": 12}
+
+
+def swinging(t, q, w, p):
+    return p[0] * math.sin(p[1] * t), p[2] - w[0], p[0] * q[1]
+
+
+OWN = np.hstack([SIZES, np.full((N, 1), 1.7), SIZES[::-1]])
+ORBIT = fa.torques.GravityGradient(0.3)
+SCENES = {
+    "cones": fa.Scene(rate=fa.rates.Coning(0.3 * SIZES[:, 0], 1.7)),
+    "orbit": fa.Scene(inertia=SIZES * (2.0, 1.5, 1.0), torque=ORBIT),
+    "function": fa.Scene(inertia=(2.0, 1.5, 1.0), torque=swinging, params=OWN),
+    "moved": fa.Scene(
+        inertia=(2.0, 1.5, 1.0), mass=SIZES[:, 0], force=(1.0, 0.0, 0.5), torque=ORBIT
+    ),
+}
+CASES = [
+    ("cones", "magnus4"), ("cones", "rk4"), ("orbit", "rk4"), ("orbit", "rk8"), ("orbit", "gbs16"),
+    ("orbit", "strang2"), ("orbit", "srkn4"), ("function", "rk4"), ("moved", "rk4"),
+]  # fmt: skip
+
+
+def run(scene, rows=slice(None), q0=Q0, **options):
+    rates = {} if scene.kind == "rate" else {"w0": W0[rows]}
+    speed = {"v0": W0[rows]} if scene.moves else {}
+    return fa.propagate(scene, q0[rows], **rates, **speed, **{**TURN, **options})
+
+
+def alike(scene, method, n=N):
+    return fa.plan(scene, n, method=method, **TURN).job.alike
+
+
+@pytest.mark.parametrize(("name", "method"), CASES)
+def test_a_body_has_the_bits_that_it_has_among_few(name, method):
+    scene = SCENES[name]
+    assert alike(scene, method)
+    many, few = run(scene, method=method), run(scene[FEW], FEW, method=method)
+    assert not alike(scene[FEW], method, len(FEW))
+    assert many.state[:, FEW].tobytes() == few.state.tobytes()
+    for carried, wanted in few.carried.items():
+        assert many.carried[carried][:, FEW].tobytes() == wanted.tobytes()
+
+
+def test_one_body_that_differs_is_enough():
+    """By its last bit, or by the sign of a zero."""
+    for value, other in ((1.7, np.nextafter(1.7, 2.0)), (0.0, -0.0)):
+        rates = np.full(N, value)
+        rates[-1] = other
+        assert alike(fa.Scene(rate=fa.rates.Coning(0.3, rates)), "rk4") == (0,)
+        rates[-1] = value
+        assert alike(fa.Scene(rate=fa.rates.Coning(0.3, rates)), "rk4") == (0, 1)
+
+
+def test_other_numbers_of_a_plan_need_not_be_alike():
+    scene = SCENES["function"]
+    plan = fa.plan(scene, N, method="rk4", **TURN)
+    params = OWN.copy()
+    params[:, 1] = np.linspace(0.5, 2.5, N)
+    other = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=swinging, params=params)
+    again = plan(Q0, W0, params=params)
+    assert again.q.tobytes() == run(other, method="rk4").q.tobytes()
+
+
+def test_what_is_alike_is_worked_on_once(monkeypatch):
+    """The sine of an orbit's angle, which bodies of different sizes are on: in no lanes' number."""
+    assert len(alike(SCENES["orbit"], "rk4")) == 7  # the orbit's rate and axes
+    sizes = {}
+    for many in (64, N + 1):
+        monkeypatch.setattr(fixed, "_MANY", many)
+        sizes[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).job)
+    assert sizes[64] < 0.8 * sizes[N + 1]
+
+
+def vectors_of(job):
+    """Operations on vectors in the loop's text."""
+    text = Writer(job, job.formulas).quick()
+    return sum("<" in line and " x double>" in line for line in text.splitlines())
+
+
+def test_single_precision_rounds_sines_as_it_does_of_few():
+    scene = SCENES["cones"]
+    many = run(scene, method="rk4", dtype=np.float32)
+    few = run(scene[FEW], FEW, method="rk4", dtype=np.float32)
+    assert many.q[:, FEW].tobytes() == few.q.tobytes()
