@@ -97,7 +97,9 @@ def vectors_of(job):
 
 
 def test_single_precision_rounds_sines_as_it_does_of_few():
+    """Of all bodies' own phases they are taken in single precision."""
     scene = SCENES["cones"]
+    assert fa.plan(scene, N, method="rk4", dtype=np.float32, **TURN).job.alike
     many = run(scene, method="rk4", dtype=np.float32)
     few = run(scene[FEW], FEW, method="rk4", dtype=np.float32)
     assert many.q[:, FEW].tobytes() == few.q.tobytes()

@@ -37,11 +37,10 @@ def fixed(plan: Plan, rates: Any, h: Any, rows_each: int) -> dict[str, NDArray[A
 def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:
     """Numbers of the parameters that many bodies have in common, where others are their own.
 
-    None of a user's function if the plan may be asked for others. In single precision sines of what
-    is shared are rounded otherwise: there, what bodies have in common by chance would show.
+    None of a user's function if the plan may be asked for others. No bit depends on it.
     """
     params = plan.packed.params
-    if params.ndim == 1 or len(params) < _MANY or plan.kind != np.float64 or plan.choice.device:
+    if params.ndim == 1 or len(params) < _MANY or plan.choice.device:
         return ()
     turning = turning_part(plan.packed.structure)
     own = range(turning.n_params - turning.law.count, turning.n_params)
