@@ -256,10 +256,11 @@ class Pieces:
             self._own_begin(code, given, rows, base)
         scalars, wide = self._moment(code, given, None)
         emit = self._emitter(code, given)
+        before = emit.shared(self.formulas.begin, scalars)
         with code.lanes(self.width, self.lanes) as j:
             own = wide(rows, j) if wide else None
             find = self._inputs(code, given, rows, j, scalars, (done, self.done), own)
-            found = emit.wide(self.formulas.begin, find)
+            found = emit.wide(self.formulas.begin, find, before)
             at = 0
             names = ("x", "e", "invariants", *(["bound"] if self.job.bounds else []))
             for name in names:
@@ -294,10 +295,11 @@ class Pieces:
         scalars, wide = self._moment(code, given, steps)
         emit = self._emitter(code, given)
         size = self.formulas.handed_out
+        before = emit.shared(self.formulas.save, scalars)
         with code.lanes(self.width, self.lanes) as j:
             own = wide(rows, j) if wide else None
             find = self._inputs(code, given, rows, j, scalars, wide=own)
-            found = emit.wide(self.formulas.save, find)
+            found = emit.wide(self.formulas.save, find, before)
             for i, value in enumerate(found):
                 code.store_vector(done, j + self._handed(i), value)
         base = Int(code, tile) * self.width
