@@ -23,15 +23,15 @@ $(VENV)/.made:
 	@touch $@
 
 $(VENV)/.trade: $(VENV)/.made pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[trade]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[trade]'
 	@touch $@
 
 $(VENV)/.leaderboard: $(VENV)/.made pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[leaderboard]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[leaderboard]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.made pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[test]'
 	@touch $@ $(VENV)/.trade
 
 venv: $(VENV)/.test  ## the environment of all other targets, in .venv

@@ -88,10 +88,16 @@ def hat(v):
 
 def quat_mul(p, q):
     """Hamilton product (p0 q0 − p·q, p0 q + q0 p + p×q)."""
-    p, q = list(p), list(q)
-    scalar = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3]
-    vector = p[0] * mp.matrix(q[1:]) + q[0] * mp.matrix(p[1:]) + cross(p[1:], q[1:])
-    return mp.matrix([scalar, *vector])
+    a, b, c, d = p
+    e, f, g, h = q
+    return mp.matrix(
+        [
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g + c * e + d * f - b * h,
+            a * h + d * e + b * g - c * f,
+        ]
+    )
 
 
 def quat_conj(q):
@@ -139,9 +145,18 @@ def quat_matrix(q):
 
 
 def isotropic(b, c, v):
-    """1 + b [v] + c [v]²."""
-    h = hat(vec(v))
-    return mp.eye(3) + b * h + c * (h * h)
+    """1 + b [v] + c [v]², [v]² = v vᵀ − |v|² 1."""
+    v = vec(v)
+    x, y, z = b * v
+    on = 1 - c * mp.fdot(v, v)
+    p, q, r = c * v
+    return mp.matrix(
+        [
+            [on + p * v[0], p * v[1] - z, p * v[2] + y],
+            [q * v[0] + z, on + q * v[1], q * v[2] - x],
+            [r * v[0] - y, r * v[1] + x, on + r * v[2]],
+        ]
+    )
 
 
 def coefficients(z):

@@ -7,7 +7,7 @@ import pkgutil
 
 import numpy as np
 import pytest
-from numba import njit, types
+from numba import njit, typeof, types
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import TypingError
 
@@ -269,15 +269,13 @@ def test_the_list_of_arguments_is_complete():
 
 
 @every_kernel
-def test_from_jitted_code_in_both_precisions(name):
+def test_in_both_precisions(name):
+    """Compiled as for jitted code, where kernels call kernels: one template serves both."""
     kernel, arguments = KERNELS[name], ARGUMENTS[name]
-
-    @njit(no_cfunc_wrapper=True)
-    def user(wide, narrow):
-        return kernel(*wide), kernel(*narrow)
-
-    double, single = user(arguments, cast(arguments, np.float32))
-    wide, narrow = user.nopython_signatures[0].return_type
+    narrowed = cast(arguments, np.float32)
+    double, single = kernel(*arguments), kernel(*narrowed)
+    results = {s.args: s.return_type for s in kernel.nopython_signatures}
+    wide, narrow = (results[tuple(map(typeof, x))] for x in (arguments, narrowed))
     assert set(leaves(wide)) == {types.float64}
     assert set(leaves(narrow)) == {types.float32}
     assert len(leaves(wide)) == len(leaves(narrow)) == len(leaves(double))
@@ -287,6 +285,14 @@ def test_from_jitted_code_in_both_precisions(name):
     assert np.abs(gap).max() <= 4 * np.finfo(np.float64).eps * size
     gap = np.subtract(leaves(single), leaves(double))
     assert np.abs(gap).max() <= 16 * np.finfo(np.float32).eps * size
+
+
+@pytest.mark.parametrize("name", ["quat.rotate", "so3.dexpinv", "rigid.gravity_gradient"])
+def test_from_jitted_code(name):
+    kernel, wide = KERNELS[name], ARGUMENTS[name]
+    user = user_function(kernel)
+    for arguments in (wide, cast(wide, np.float32)):
+        assert user(arguments) == kernel(*arguments)
 
 
 @every_kernel

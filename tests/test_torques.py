@@ -67,8 +67,8 @@ def kepler(inertia, n, e, anomaly):
     """The same where bisection of Kepler's equation finds the body, of a = 1 and μ = n²."""
 
     def acting(t, q, w):
-        number = mp.mpf if isinstance(t, mp.mpf) else float
-        mean = mp.mpf(n) * t + anomaly
+        number = float if isinstance(t, float) else ro.to_gmpy2
+        mean = mp.mpf(n) * ro.to_mpmath(t) + anomaly
         low, high = mean - e, mean + e
         for _ in range(mp.mp.prec):
             middle = (low + high) / 2
