@@ -411,6 +411,15 @@ def stop():
     raise KeyboardInterrupt
 
 
+@pytest.fixture
+def heard():
+    """Ctrl-C, which a shell's jobs in the background ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 def test_ctrl_c_keeps_what_is_done(monkeypatch):
     """In a thread that waits for others: they finish their pieces, and begin no more."""
     pressed = itertools.count()
