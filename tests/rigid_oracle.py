@@ -85,6 +85,11 @@ def exactly(rows):
     return tuple(tuple(mp.mpf(c) for c in row) for row in rows)
 
 
+def quickly(rows):
+    """The same as gmpy2's numbers."""
+    return tuple(tuple(map(to_gmpy2, row)) for row in rows)
+
+
 def inverse(matrix):
     """Inverse of a symmetric 3×3 matrix: its cofactors over its determinant."""
     a, b, c = matrix
@@ -98,7 +103,7 @@ def library(x):
     return {mp.mpf: mp, gmpy2.mpfr: gmpy2}.get(type(x), np)
 
 
-def _length(v):
+def length(v):
     square = dot(v, v)
     return library(square).sqrt(square)
 
@@ -179,7 +184,7 @@ def angular_velocity(inertia, m):
 
 
 @contextmanager
-def _digits(n):
+def many_digits(n):
     """n digits, of mpmath's and of gmpy2's numbers."""
     with mp.workdps(n), gmpy2.context(gmpy2.get_context(), precision=mp.mp.prec):
         yield
@@ -238,7 +243,7 @@ def solve(slope, y0, instants, *, start=0, digits=30, step=0.5):
     for stable motions.
     """
     rows = max(8, int(0.7 * digits))
-    with _digits(digits + 12):
+    with many_digits(digits + 12):
         tolerance = gmpy2.mpfr(10) ** -digits
         t, y = to_gmpy2(start), [to_gmpy2(c) for c in y0]
         h = to_gmpy2(step)
@@ -268,9 +273,8 @@ def integrate(
     Floats are taken exactly, mpmath numbers as they are. With a mass the velocity v0 (0 unless
     given) and the inertial position, from the origin, are carried along.
     """
-    with _digits(digits + 12):
-        rows = tuple(tuple(map(to_gmpy2, row)) for row in tensor(inertia))
-        slope = equations(rows, torque, force=force, mass=mass)
+    with many_digits(digits + 12):
+        slope = equations(quickly(tensor(inertia)), torque, force=force, mass=mass)
     y0 = [*q0, *w0]
     if mass is not None:
         y0 += [*((0, 0, 0) if v0 is None else v0), 0, 0, 0]
@@ -343,7 +347,7 @@ def quadratic_damping(c):
     c = _numbers(c, 3)
 
     def torque(t, q, w):
-        size = _length(w)
+        size = length(w)
         return tuple(-a * size * b for a, b in zip(c, w, strict=True))
 
     return torque
