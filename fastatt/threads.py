@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Event
 
@@ -68,8 +68,9 @@ def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:
             task(stop)
         return
     with ThreadPoolExecutor(min(n_threads, len(tasks))) as pool:
-        futures = [pool.submit(task, stop) for task in tasks]
+        futures: list[Future[None]] = []
         try:
+            futures += (pool.submit(task, stop) for task in tasks)
             for future in futures:
                 future.result()
         except BaseException:
