@@ -186,7 +186,7 @@ def _bodies(
 
     exact = _sizes(quick)[1]
     inertia = np.asarray(scene.inertia)
-    w0 = m0 / inertia
+    w0, third = m0 / inertia, float(inertia[2])
     parameters = {
         equations.FREE: lambda: equations.of_body(inertia),
         equations.TOP: lambda: equations.of_body(inertia, potential=True),
@@ -195,7 +195,7 @@ def _bodies(
     torque = {
         equations.FREE: None,
         equations.TOP: oracle.heavy_top(10.0, (0.0, 0.0, 0.1)),
-        equations.PUSHED: lambda t, q, w: (0, 0, inertia[2] * oracle.mp.sin(t) ** 2 / 4),
+        equations.PUSHED: lambda t, q, w: (0, 0, oracle.library(t).sin(t) ** 2 * third / 4),
     }[kind]
 
     def end(k: int, digits: int) -> list[float]:
