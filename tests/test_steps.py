@@ -18,6 +18,7 @@ from test_body_methods import FREE, INERTIA, Q0, W0, under_torque
 from test_translation import BODY, R0, SPIN, V0
 
 import fastatt as fa
+from fastatt.attitudes import ATTITUDES
 
 EPS = 2.0**-52
 MOTION = generic(3)
