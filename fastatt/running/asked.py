@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,8 +168,7 @@ class OwnClock(Clock):
         return Span(0, n, n, 1, 0, restore)
 
 
-@dataclass(frozen=True)
-class Handling:
+class Handling(NamedTuple):
     """What has no effect on results: threads, a bar, where saves go; and what invalid bodies do."""
 
     threads: int = 1

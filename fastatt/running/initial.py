@@ -61,22 +61,31 @@ def initial(
     q0, w0, v0, r0 = values
     start = checks.attitudes("q0", q0, flag=flag)
     has_inertia = scene.kind != "rate"
-    placed = "whose torque or force reads it needs" if scene.couples else "with mass takes"
     found = {}
-    for name, value, wanted, needed, unit in (
-        ("w0", w0, has_inertia, True, "with inertia needs (3,) or (N, 3), rad/s"),
-        ("v0", v0, scene.moves, True, "with mass needs (3,) or (N, 3), m/s"),
-        ("r0", r0, scene.moves, scene.couples, f"{placed} (3,) or (N, 3), m"),
+    look = checks.array_any if flag else checks.array
+    for name, value, wanted, needed in (
+        ("w0", w0, has_inertia, True),
+        ("v0", v0, scene.moves, True),
+        ("r0", r0, scene.moves, scene.couples),
     ):
-        if value is not None and not wanted:
-            raise ValueError(f"{name}: found, but this scene has none; a scene {unit}")
-        if value is None and wanted and needed:
-            raise ValueError(f"{name}: is missing; a scene {unit}")
-        if value is not None:
-            look = checks.array_any if flag else checks.array
-            found[name] = look(name, value, "(3,) or (N, 3)", [(3,), (-1, 3)])
+        if value is None:
+            if wanted and needed:
+                raise ValueError(f"{name}: is missing; {_taken(name, scene)}")
+        elif wanted:
+            found[name] = look(name, value, "(3,) or (N, 3)")
+        else:
+            raise ValueError(f"{name}: found, but this scene has none; {_taken(name, scene)}")
     same_number({**found, "q0": start})
     return start, found
+
+
+def _taken(name: str, scene: Scene) -> str:
+    """Which scenes take an initial value, and how it is given."""
+    placed = "whose torque or force reads it needs" if scene.couples else "with mass takes"
+    which, unit = {
+        "w0": ("with inertia needs", "rad/s"), "v0": ("with mass needs", "m/s"), "r0": (placed, "m")
+    }[name]  # fmt: skip
+    return f"a scene {which} (3,) or (N, 3), {unit}"
 
 
 def same_number(values: Mapping[str, NDArray[Any]]) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import threading
+from dataclasses import dataclass
 from functools import cached_property, partial, partialmethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +39,19 @@ def _apart(x: Any, memory: NDArray[np.uint8]) -> Any:
     return np.array(x) if type(x) is _ARRAY and np.may_share_memory(x, memory) else x
 
 
-class _Bench(NamedTuple):
-    """A run of the engine with the memory that it works in."""
+@dataclass(eq=False)
+class _Bench:
+    """A run of the engine with the memory that it works in; a trajectory's end may keep that."""
 
     run: Run
     x: NDArray[Any]
     watch: NDArray[Any]
+    is_kept: bool = False
+
+    def renew(self) -> None:
+        """Other memory in its place."""
+        self.x, self.watch = np.empty_like(self.x), np.empty_like(self.watch)
+        self.run.lend(self.x, self.watch)
 
 
 class Plan:
@@ -300,35 +308,31 @@ class Plan:
         in_pieces = handling.sink is not None or handling.checkpoint is not None
         saves = self._saves if handling.sink is None else min(self._saves, 1 + RING)
         raw = np.empty(self.handed.layout(saves)[2], np.uint8) if raw is None else raw
-        own = self._bench() if in_pieces else self._own_bench()
-        run, bench = own.run, own
-        if ends or start is not None:  # memory that the trajectory's end keeps
-            bench = _Bench(run, np.empty_like(own.x), np.empty_like(own.watch))
-            run.lend(bench.x, bench.watch)
-        try:
-            self._load(run, given, t0, (raw, saves))
-            if start is not None:
-                bench.x[...], bench.watch[...] = start.x, start.watch
-            warned = not self.is_short and self._warn_of_first(given)
-            later = partial(self._found, raw, t0, given.one_body)
-            if in_pieces:
-                end = partial(self._end, given, bench, t0)
-                begin = self.clock.done if start is None else start.done
-                results = self.handed.views(raw, saves)
-                made = piecewise(self, run, t0, results, given.one_body, (handling, begin, end))
+        bench = self._bench() if in_pieces else self._own_bench()
+        run = bench.run
+        if bench.is_kept:
+            bench.renew()
+        bench.is_kept = ends
+        self._load(run, given, t0, (raw, saves))
+        if start is not None:
+            bench.x[...], bench.watch[...] = start.x, start.watch
+        warned = not self.is_short and self._warn_of_first(given)
+        later = partial(self._found, raw, t0, given.one_body)
+        if in_pieces:
+            end = partial(self._end, given, bench, t0)
+            begin = self.clock.done if start is None else start.done
+            results = self.handed.views(raw, saves)
+            made = piecewise(self, run, t0, results, given.one_body, (handling, begin, end))
+        else:
+            if self.is_short and handling.threads == 1 and handling.done is None:
+                run(self._tiles)
             else:
-                if self.is_short and handling.threads == 1 and handling.done is None:
-                    run(self._tiles)
-                else:
-                    go(self, run, self.span, handling, later)
-                made = self._promised(raw, run, later)
-            if ends:
-                made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
-            if not warned:
-                self._warn_after(run, given, bench.watch)
-        finally:  # what is left by an exception too
-            if bench is not own:
-                run.lend(own.x, own.watch)
+                go(self, run, self.span, handling, later)
+            made = self._promised(raw, run, later)
+        if ends:
+            made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
+        if not warned:
+            self._warn_after(run, given, bench.watch)
         return made
 
     def _refuse_overflow(self, t0: float) -> None:
@@ -339,9 +343,8 @@ class Plan:
     def _load(self, run: Run, given: Given, t0: float, memory: tuple[Any, int]) -> None:
         """Tell a run what it works on; memory is told with its number of saves."""
         raw, saves = memory
-        run.load(
-            given, raw, self._offsets if saves == self._saves else self.handed.layout(saves), t0
-        )
+        offsets = self._offsets if saves == self._saves else self.handed.layout(saves)
+        run.load(given, raw, offsets, t0)
         if run.is_plain:
             run.put(q0=given.q, y0=given.y, **self.handed.views(raw, saves)._asdict())
         if run.is_timed and self.clock.is_rounded(t0):
@@ -360,8 +363,7 @@ class Plan:
     def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
         """The same of a few steps in this thread, with memory that is there."""
         if not -math.inf < t0 + self._length < math.inf:
-            checks.real("t0", t0)
-            self.clock.times(t0)  # which refuses them
+            self._refuse_overflow(t0)
         offsets, local = self._offsets, self._local
         if raw is None:
             raw = np.empty(offsets[2], np.uint8)
@@ -416,14 +418,12 @@ class Plan:
         go(self, run, self.span, handling, partial(self._fields, t0, results))
         return np.asarray(np.sqrt(bench.watch[0]))
 
-    def _fields(self, t0: float, results: Results) -> dict[str, Any]:
-        return self.handed.fields(self.clock.times(t0), results, one_body=False)
+    def _fields(self, t0: float, results: Results, one_body: bool = False) -> dict[str, Any]:
+        return self.handed.fields(self.clock.times(t0), results, one_body)
 
     def _found(self, raw: NDArray[np.uint8], t0: float, one_body: bool) -> dict[str, Any]:
         """The fields of a trajectory."""
-        return self.handed.fields(
-            self.clock.times(t0), self.handed.views(raw, self._saves), one_body
-        )
+        return self._fields(t0, self.handed.views(raw, self._saves), one_body)
 
     def _warn_of_first(self, given: Given) -> bool:
         """Warn of a body's first step."""
