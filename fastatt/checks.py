@@ -17,7 +17,7 @@ Floats = NDArray[np.floating[Any]]
 _Shapes = Iterable[tuple[int, ...]]
 
 _ROWS = 1 << 14
-_DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
+_PRECISIONS = _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
 
 def choice(name: str, value: object, accepted: Iterable[str]) -> str:
@@ -106,7 +106,10 @@ def array(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None
 
 def array_any(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None) -> Floats:
     """The same, finite or not."""
-    found = numbers(name, value, f"real numbers of shape {shapes}")
+    if type(value) is np.ndarray and value.dtype in _PRECISIONS:
+        found = value
+    else:
+        found = numbers(name, value, f"real numbers of shape {shapes}")
     for tail in tails or _tails(shapes):
         if _fits(found.shape, tail):
             return found
@@ -115,7 +118,7 @@ def array_any(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = 
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
     """A float32 or float64 array of what is real numbers and nothing else; masked ones are NaN."""
-    if type(value) is np.ndarray and value.dtype in (_DOUBLE, _SINGLE):
+    if type(value) is np.ndarray and value.dtype in _PRECISIONS:
         return value
     try:
         found = np.asarray(value)
@@ -140,12 +143,15 @@ def finite(name: str, value: Floats) -> None:
     raise ValueError(f"{name}{place} is {value[where]}; accepted: finite numbers")
 
 
-def all_finite(value: Floats) -> bool:
+def all_finite(*values: Floats) -> bool:
     """Whether all numbers are finite."""
-    # a sum of few numbers takes less time than NumPy does to begin
-    if value.size <= 16 and math.isfinite(sum(value.ravel().tolist())):
-        return True
-    return bool(np.isfinite(value).all())
+    for value in values:
+        # a sum of few numbers takes less time than NumPy does to begin
+        if value.size <= 16 and math.isfinite(sum(value.ravel().tolist())):
+            continue
+        if not np.isfinite(value).all():
+            return False
+    return True
 
 
 def attitudes(
@@ -193,6 +199,7 @@ def _tails(shapes: str) -> list[tuple[int, ...]]:
     return found
 
 
+@lru_cache(maxsize=1024)
 def _fits(shape: tuple[int, ...], tail: tuple[int, ...]) -> bool:
     return len(shape) == len(tail) and not [
         n for n, m in zip(shape, tail, strict=True) if n != m and (m != -1 or n == 0)

@@ -70,15 +70,16 @@ def integrate_rates(
     n_logs, n = data.shape[:2]
     count = n if increments else n - 1
     spans = intervals(dt, count, max_gap, precision)
-    check_intervals(method, uneven=isinstance(spans, np.ndarray))
+    if isinstance(spans, np.ndarray):
+        check_intervals(method, uneven=True)
     threads = None if n_threads is None else number_of(n_threads)
     start = NO_TURN if q0 is _UNTURNED else unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
         raise ValueError(f"q0: has shape {start.shape}; accepted: (4,) or ({n_logs}, 4), one a log")
 
     shape = (count + 1, 4) if one else (n_logs, count + 1, 4)
-    result = _output(out, shape, precision)
-    out = result.reshape(n_logs, count + 1, 4)
+    result = np.empty(shape, dtype=precision) if out is None else _output(out, shape, precision)
+    out = result[None] if one else result
     q = beginning(start, n_logs, precision)
     if count == 0:
         out[:, 0] = q[:, :4]
@@ -96,7 +97,7 @@ def integrate_rates(
         finish(window, increments, data, spans, end)
         out[:, -rest:] = end[:, 1:]
     # a sample that is not finite stays in every later attitude; the last may not be used
-    if not (checks.all_finite(q) and checks.all_finite(data[:, -1])):
+    if not checks.all_finite(q, data[:, -1]):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
     warn_of_turns(seen, data, spans, record, increments)
@@ -192,11 +193,7 @@ def check_intervals(method: str, *, uneven: bool) -> None:
         )
 
 
-def _output(
-    out: NDArray[Any] | None, shape: tuple[int, ...], precision: np.dtype[Any]
-) -> NDArray[Any]:
-    if out is None:
-        return np.empty(shape, dtype=precision)
+def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any]) -> NDArray[Any]:
     if not isinstance(out, np.ndarray):
         raise TypeError(f"out: found {checks.brief(out)}; accepted: an array, or None")
     if (out.shape, out.dtype) != (shape, precision) or not out.flags.carray:

@@ -35,7 +35,9 @@ _SCRATCH = threading.local()
 _MAKING = threading.Lock()
 _PROGRAMS: dict[Any, _Program] = {}
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
-_AT_REST = np.tile(NO_TURN, 2)
+_AT_REST: dict[Any, NDArray[Any]] = {
+    np.dtype(kind): np.tile(NO_TURN, (1, 2)).astype(kind) for kind in (np.float64, np.float32)
+}
 # intervals of a tile of one log, and tiles below which a thread more is no gain
 _TILE, _TILES = LANES * CHUNK, 64
 _SHORT = (2 * _TILES - 1) * _TILE
@@ -43,6 +45,8 @@ _SHORT = (2 * _TILES - 1) * _TILE
 _PIECE = 4096
 
 _Done = Callable[[int], object] | None
+_at = ctypes.addressof
+_byte: Any = ctypes.c_char.from_buffer
 
 
 class Run:
@@ -70,7 +74,10 @@ class Run:
         missing = 0 if window.iteration else -self._count % window.span
         self._ends = program.ends(spans, samples, missing)
         job = self._job = Job.from_buffer_copy(self._ends)
-        job.data, job.out = address_of(data), address_of(out)
+        try:  # without a call: of short logs it shows
+            job.data, job.out = _at(_byte(data)), _at(_byte(out))
+        except (TypeError, ValueError, BufferError):  # read-only, or empty
+            job.data, job.out = address_of(data), address_of(out)
         job.n_samples, job.lead, job.n_out = samples - lead, lead, self._count + 1
         job.count = self._count
         if uneven:
@@ -200,8 +207,7 @@ def finish(
 
 def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:
     """What logs are carried from: p, unit quaternions (4,) or (N, 4), and no turn, r."""
-    q = np.empty((n_logs, 8), dtype=precision)
-    q[:] = _AT_REST
+    q = np.repeat(_AT_REST[precision], n_logs, axis=0) if n_logs > 1 else _AT_REST[precision].copy()
     if unit is not NO_TURN:
         q[:, :4] = unit
     return q
