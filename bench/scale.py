@@ -16,6 +16,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -39,14 +40,15 @@ def states(n):
     return q0, w0
 
 
-def seconds(call, least):
-    """Median time of a call, of as many as take that long."""
+def seconds(call, least, together=1):
+    """Median time of a call, of as many as take that long; short ones are timed some together."""
     call()
     taken = []
-    while not taken or sum(taken) < least:
+    while not taken or sum(taken) * together < least:
         begin = perf_counter()
-        call()
-        taken.append(perf_counter() - begin)
+        for _ in range(together):
+            call()
+        taken.append((perf_counter() - begin) / together)
     return median(taken)
 
 
@@ -65,11 +67,11 @@ def overheads(least):
         plan = fa.plan(FREE, n, **options)
         run = plan(*values)
         calls = (
-            lambda: plan(*values),  # noqa: B023
-            lambda: plan(*values, out=run),  # noqa: B023
-            lambda: fa.propagate(FREE, *values, **options),  # noqa: B023
+            partial(plan, *values),
+            partial(plan, *values, out=run),
+            partial(fa.propagate, FREE, *values, **options),
         )
-        rows.append((n, *(1e6 * seconds(call, least) for call in calls)))
+        rows.append((n, *(1e6 * seconds(call, least, 100) for call in calls)))
     return rows
 
 
