@@ -51,7 +51,7 @@ bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 10 minutes: bench/LEADERBOARD.md
 	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench
 
-extremes: $(VENV)/.test  ## every method at the extremes, half an hour: bench/EXTREMES.md
+extremes: $(VENV)/.test  ## every method at the extremes, ten minutes: bench/EXTREMES.md
 	PYTHONPATH=tests $(BIN)/python -m extremes --long
 
 cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.md

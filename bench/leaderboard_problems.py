@@ -195,7 +195,7 @@ def _bodies(
     torque = {
         equations.FREE: None,
         equations.TOP: oracle.heavy_top(10.0, (0.0, 0.0, 0.1)),
-        equations.PUSHED: lambda t, q, w: (0, 0, oracle.library(t).sin(t) ** 2 * third / 4),
+        equations.PUSHED: lambda t, q, w: (0, 0, oracle.functions_of(t).sin(t) ** 2 * third / 4),
     }[kind]
 
     def end(k: int, digits: int) -> list[float]:

@@ -98,14 +98,14 @@ def inverse(matrix):
     return tuple(tuple(cofactors[i][j] / determinant for j in range(3)) for i in range(3))
 
 
-def library(x):
+def functions_of(x):
     """Where the elementary functions of x are: mpmath, gmpy2 or numpy."""
     return {mp.mpf: mp, gmpy2.mpfr: gmpy2}.get(type(x), np)
 
 
 def length(v):
     square = dot(v, v)
-    return library(square).sqrt(square)
+    return functions_of(square).sqrt(square)
 
 
 def _side(x):
@@ -358,7 +358,7 @@ def gravity_gradient(inertia, mean_motion):
     inertia, n = tensor(inertia), mean_motion
 
     def torque(t, q, w):
-        f = library(t)
+        f = functions_of(t)
         o = to_body(q, (f.cos(n * t), f.sin(n * t), 0))
         return tuple(3 * (n * (n * c)) for c in cross(o, times(inertia, o)))
 
@@ -523,7 +523,7 @@ def pd_slew(moment, kp, kd, angle, t, *, digits=30):
     """(θ, θ̇) of I θ̈ = −kp sin(θ/2) − kd θ̇ from rest: a slew about an axis, ``pd_control``."""
 
     def slope(_, y):
-        return y[1], -(kp * library(y[0]).sin(y[0] / 2) + kd * y[1]) / moment
+        return y[1], -(kp * functions_of(y[0]).sin(y[0] / 2) + kd * y[1]) / moment
 
     return solve(slope, (angle, 0), [t], digits=digits)[0]
 
