@@ -95,7 +95,7 @@ class Run:
         It ends at the end. Gives the largest component of an angle over an interval, rad.
         """
         n_logs, count = len(q), self._count
-        if n_logs == 1 and count <= _SHORT and not (phase or done):
+        if n_logs == 1 and count <= _SHORT and not (phase or done):  # with as little as can be
             return self._through(self._job, "along", (0, -(-count // _TILE)), address_of(q), 1)
         head = min(-phase % CHUNK, count)
         chunks = -(-(count - head) // CHUNK)
@@ -143,6 +143,8 @@ class Run:
         job = Job.from_buffer_copy(self._job)
         job.log, (job.first, job.count) = log, at
         tiles = -(-at[1] // _TILE)
+        if at[1] <= _SHORT and not done:
+            return self._through(job, "along", (0, tiles), address_of(q), 1)
         threads = max(1, min(number_of(n_threads), tiles // _TILES))
         bounds = [tiles * i // threads for i in range(threads + 1)]
         starts = [q, *(q.copy() for _ in bounds[2:])]
