@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -64,15 +64,15 @@ _SYMMETRIC_TOP = _Solution(formulas.free_body.symmetric_setup, _top)
 
 
 class _Traced(NamedTuple):
-    """The constants of a body, and attitude and angular velocity (seven numbers) at a time."""
+    """The constants of a body, and attitude and angular velocity at a time."""
 
     prepare: Flat
     state: Flat
 
 
 @functools.cache
-def _traced(solution: _Solution, kind: str, turned: bool) -> _Traced:
-    """``turned``: the principal axes are not those of the body."""
+def _traced(solution: _Solution, kind: str, turned: bool, stored: Any = None) -> _Traced:
+    """``turned``: the principal axes are not those of the body; ``stored`` as of ``Motion``."""
     quat = formulas.quat
     graph = Graph()
     q, w, moments, axes = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
@@ -87,12 +87,12 @@ def _traced(solution: _Solution, kind: str, turned: bool) -> _Traced:
     q, w = solution.state(given, moments, graph.input(kind, "t", 0))
     if turned:
         q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
-    return _Traced(prepare, Flat(graph, [*q, *w], kind))
+    return _Traced(prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind))
 
 
 @functools.cache
-def _compiled(solution: _Solution, kind: str, turned: bool) -> Any:
-    code = _code(_traced(solution, kind, turned), kind, lanes_of(kind))
+def _compiled(solution: _Solution, kind: str, turned: bool, stored: Any = None) -> Any:
+    code = _code(_traced(solution, kind, turned, stored), kind, lanes_of(kind))
     program = machine.compiled(text_of(code.module))
     return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
@@ -102,8 +102,8 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
 
     Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many times
     fill vectors as well as many bodies do. A last block is filled up with the last lane. The table
-    holds N, T, span, the number of lanes; address and stride of what a body is given by; addresses
-    of t, q and w.
+    holds N, T, span, the number of lanes; address and stride of what a body is given by; address
+    of t; address and stride of attitudes and of w.
     """
     code = Code(ir.Module("closed_form"), "closed_form", [I64.as_pointer(), *[I64] * 4])
     argument, first, last, step_first, step_last = code.function.args
@@ -111,7 +111,9 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     entries = Table(code, argument)
     bodies, times, span, total = (entries.number() for _ in range(4))
     given = {name: (entries.pointer(real), entries.number()) for name in _GIVEN}
-    t, q, w = (entries.pointer(real) for _ in range(3))
+    t = entries.pointer(real)
+    out = [(entries.pointer(real), entries.number()) for _ in range(2)]
+    stored = len(traced.state.results) - 3
     used = {name for flat in traced for name, _ in flat.inputs()}
 
     # columns: what the bodies are given by, their constants, the time; and the results
@@ -119,7 +121,7 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     names += [("constant", i) for i in range(len(traced.prepare.results))] + [("t", 0)]
     at = {name: k * lanes for k, name in enumerate(names)}
     taken = code.room(real, lanes * len(names))
-    made = code.room(real, lanes * 7)
+    made = code.room(real, lanes * (stored + 3))
     body, start = code.room(I64, lanes), code.room(I64, lanes)
     emit = Emitter(code, lanes, machine.processor().fuses)
 
@@ -147,8 +149,10 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
                 number = Int(code, code.load(start, j)) + step
                 with code.when(number < times):
                     row = number * bodies + Int(code, code.load(body, j))
-                    copy(code, 4, made, j, lanes, code.place(q, row * 4), 0, 1)
-                    copy(code, 3, made, j + 4 * lanes, lanes, code.place(w, row * 3), 0, 1)
+                    (x, x_stride), (w, w_stride) = out
+                    copy(code, stored, made, j, lanes, code.place(x, row * x_stride), 0, 1)
+                    first = j + stored * lanes
+                    copy(code, 3, made, first, lanes, code.place(w, row * w_stride), 0, 1)
     code.give(0)
     return code
 
@@ -251,7 +255,9 @@ def _at_times(
     if text := rounding.of_angles(turned(rates, times), precision):
         rounding.warn(f"t: found turns of {text}")
     flat = np.require(times.reshape(-1), precision, ["C", "A"])
-    q, w = states(body, (start, rates), flat, n, threads, solution)
+    q, w = np.empty((flat.size, n, 4), precision), np.empty((flat.size, n, 3), precision)
+    motion = Motion(body, precision, (flat.size, n), solution)
+    motion.fill((_rows(start, precision), _rows(rates, precision)), flat, (q, w), threads)
     shape = times.shape if one_body else (*times.shape, n)
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))
 
@@ -265,20 +271,105 @@ def check_above_zero(body: Principal) -> None:
         )
 
 
-def states(
-    body: Principal,
-    start: tuple[NDArray[Any], NDArray[Any]],
-    t: NDArray[Any],
-    n: int,
-    threads: int,
-    solution: _Solution = _FREE_BODY,
-) -> _States:
-    """q (T, n, 4) and w (T, n, 3) at times (T,), in whose precision all is, looked at before."""
-    rows = {"q": start[0], "w": start[1], "moments": body.moments, "axes": body.axes}
-    bodies = {name: _rows(x, t.dtype) for name, x in rows.items() if x is not None}
-    q, w = np.empty((t.size, n, 4), t.dtype), np.empty((t.size, n, 3), t.dtype)
-    (_in_python if without_compiler() else _run)(solution, bodies, t, (q, w), threads)
-    return q, w
+class Motion:
+    """Free motion of the same bodies from any start, at as many times: laid out once.
+
+    ``stored`` makes what is handed out of quaternions, these themselves unless it is given.
+    """
+
+    def __init__(
+        self,
+        body: Principal,
+        kind: np.dtype[Any],
+        shape: tuple[int, int],
+        solution: _Solution = _FREE_BODY,
+        stored: Callable[[Any], Any] | None = None,
+    ) -> None:
+        size, n = shape
+        self._formulas = (solution, kind_of(kind), body.axes is not None, stored)
+        self._bodies = {
+            name: _rows(x, kind)
+            for name, x in (("moments", body.moments), ("axes", body.axes))
+            if x is not None
+        }
+        self._span = -(-size // max(1, min(size, _TOGETHER // n)))
+        lanes = n * -(-size // self._span)
+        self._blocks, self._small = -(-lanes // lanes_of(self._formulas[1])), size * n <= _SMALL
+        self._head = [n, size, self._span, lanes]
+        moments, axes = self._bodies["moments"], self._bodies.get("axes", self._bodies["moments"])
+        self._last = [number for x in (moments, axes) for number in (address_of(x), _stride(x))]
+        self._run: Any = None if without_compiler() else _compiled(*self._formulas)
+        #: whether there is no machine code
+        self.is_plain = self._run is None
+
+    def fill(
+        self,
+        start: tuple[NDArray[Any], NDArray[Any]],
+        t: NDArray[Any],
+        out: tuple[NDArray[Any], NDArray[Any]],
+        threads: int,
+    ) -> None:
+        """Attitudes (T, N, k) and w (T, N, 3), rows with gaps or not, at times (T,).
+
+        All are in the same precision; q and w that bodies start with are (N, k), one row for all,
+        or (k,).
+        """
+        if self.is_plain:
+            self._in_python(start, t, out)
+            return
+        places = [(x.__array_interface__["data"][0], x.strides[1] // x.itemsize) for x in out]
+        self.write(start, t, places, threads)
+
+    def write(
+        self,
+        start: tuple[NDArray[Any], NDArray[Any]],
+        t: NDArray[Any],
+        places: Sequence[tuple[int, int]],
+        threads: int,
+    ) -> None:
+        """The same in machine code: where rows lie, and how many numbers apart."""
+        q, w = start
+        entries = [
+            *self._head, address_of(q), _stride(q), address_of(w), _stride(w), *self._last,
+            address_of(t), *places[0], *places[1],
+        ]  # fmt: skip
+        table = (ctypes.c_int64 * len(entries))(*entries)
+        span, blocks = self._span, self._blocks
+        if self._small:
+            self._run(table, 0, blocks, 0, span)
+            return
+        together = max(1, _PIECE // (lanes_of(self._formulas[1]) * min(span, _STEPS)))
+        together = max(1, min(together, blocks // threads))
+        pieces = product(range(0, blocks, together), range(0, span, _STEPS))
+        each_in_threads(
+            (
+                partial(self._run, table, i, min(i + together, blocks), k, min(k + _STEPS, span))
+                for i, k in pieces
+            ),
+            threads,
+        )
+
+    def _in_python(
+        self,
+        start: tuple[NDArray[Any], NDArray[Any]],
+        t: NDArray[Any],
+        out: tuple[NDArray[Any], NDArray[Any]],
+    ) -> None:
+        """Without a compiler, on one thread: a column a number of the formulas."""
+        traced = _traced(*self._formulas)
+        bodies = {**self._bodies, **dict(zip("qw", map(np.atleast_2d, start), strict=True))}
+        given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
+        constants = plain(traced.prepare, given, {})
+        given |= {("constant", i): x for i, x in enumerate(constants)}
+        given["t", 0] = t[:, None]
+        columns = [x[..., k] for x in out for k in range(x.shape[-1])]
+        for column, x in zip(columns, plain(traced.state, given, {}), strict=True):
+            column[...] = x
+
+
+def _stride(x: NDArray[Any]) -> int:
+    """From a body's row to the next, in numbers: none where all share one."""
+    return x.shape[-1] if x.ndim == 2 and len(x) > 1 else 0
 
 
 def _rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
@@ -292,65 +383,6 @@ def turned(w: NDArray[Any], t: NDArray[Any]) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):
         rates = np.asarray(w, dtype=np.float64)
         return np.asarray(np.sqrt((rates * rates) @ np.ones(3)) * np.abs(t).max(initial=0.0))
-
-
-_States = tuple[NDArray[Any], NDArray[Any]]
-
-
-def _run(
-    solution: _Solution,
-    bodies: dict[str, NDArray[Any]],
-    t: NDArray[Any],
-    out: _States,
-    threads: int,
-) -> None:
-    """Fill q (T, N, 4) and w (T, N, 3) of bodies in rows of their own, or one for all."""
-    q, w = out
-    size, n = q.shape[:2]
-    kind = kind_of(q.dtype)
-    closed_form, lanes = _compiled(solution, kind, "axes" in bodies), lanes_of(kind)
-    span = -(-size // max(1, min(size, _TOGETHER // n)))
-    total = n * -(-size // span)
-    entries = [n, size, span, total]
-    for name in _GIVEN:
-        x = bodies.get(name, t)
-        entries += [address_of(x), x.shape[-1] if len(x) > 1 else 0]
-    entries += map(address_of, (t, q, w))
-    table = (ctypes.c_int64 * len(entries))(*entries)
-
-    n_blocks = -(-total // lanes)
-    if size * n <= _SMALL:
-        closed_form(table, 0, n_blocks, 0, span)
-        return
-
-    together = max(1, _PIECE // (lanes * min(span, _STEPS)))
-    together = max(1, min(together, n_blocks // threads))
-    pieces = product(range(0, n_blocks, together), range(0, span, _STEPS))
-    each_in_threads(
-        (
-            partial(closed_form, table, i, min(i + together, n_blocks), k, min(k + _STEPS, span))
-            for i, k in pieces
-        ),
-        threads,
-    )
-
-
-def _in_python(
-    solution: _Solution,
-    bodies: dict[str, NDArray[Any]],
-    t: NDArray[Any],
-    out: _States,
-    threads: int,
-) -> None:
-    """``_run`` without a compiler, on one thread: a column a number of the formulas."""
-    traced = _traced(solution, kind_of(t.dtype), "axes" in bodies)
-    given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
-    constants = plain(traced.prepare, given, {})
-    given |= {("constant", i): x for i, x in enumerate(constants)}
-    given["t", 0] = t[:, None]
-    for k, x in enumerate(plain(traced.state, given, {})):
-        into = out[0][..., k] if k < 4 else out[1][..., k - 4]
-        into[...] = x
 
 
 def _check_symmetric(moments: NDArray[np.float64]) -> None:

@@ -149,8 +149,11 @@ def test_numbers_beyond_the_precision_are_flagged():
     assert not plan(Q0, W0).status.any()
 
 
-def test_results_over_earlier_ones():
-    plan = fa.plan(SCENES["torqued"], N, dt=0.05, n_steps=4, save_every=2, method="rk4")
+@pytest.mark.parametrize(("kind", "method"), [("torqued", "rk4"), ("free", "exact")])
+@pytest.mark.parametrize("representation", ["quat", "dcm"])
+def test_results_over_earlier_ones(kind, method, representation):
+    options = {"method": method, "representation": representation}
+    plan = fa.plan(SCENES[kind], N, dt=0.05, n_steps=4, save_every=2, **options)
     first, wanted = plan(Q0, W0), bits(plan(Q0[::-1], W0))
     second = plan(Q0[::-1], W0, out=first)
     assert bits(second) == wanted

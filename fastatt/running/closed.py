@@ -9,45 +9,89 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import exact, rounding
-from fastatt.arrays import quat_to_dcm
 from fastatt.engine.status import Status
-from fastatt.running.trajectory import Trajectory
+from fastatt.flat.rows import address_of
+from fastatt.running.asked import Handling, few
+from fastatt.running.initial import Given
+from fastatt.running.trajectory import Results, Trajectory
 
 if TYPE_CHECKING:
-    from fastatt.running.asked import Handling
-    from fastatt.running.initial import Given
     from fastatt.running.plan import Plan
 
 
-def closed_form(
-    plan: Plan, given: Given, t: NDArray[np.float64], t0: float, handling: Handling
-) -> Trajectory:
-    """The trajectory of a free body at the times t of a run that begins at t0."""
-    kind, since = plan.kind, t - t0
-    eps = float(np.finfo(kind).eps)
-    with np.errstate(over="ignore"):
-        # |w| is at most √3 of its components; what is no number is not quiet
-        longest = abs(float(since[-1])) if since.size else 0.0
-        most = math.sqrt(3.0) * max(float(given.y.max()), -float(given.y.min())) * longest
-    is_quiet = most * eps <= math.sqrt(eps)
-    times = since.astype(kind, copy=False)
-    start = (given.q, given.y)
-    q, w = exact.states(plan.scene.principal, start, times, plan.n_bodies, handling.threads)
-    status = np.zeros(plan.n_bodies, dtype=np.uint8)
-    with np.errstate(invalid="ignore", over="ignore"):
-        if not is_quiet or not math.isfinite(float(q.sum()) + float(w.sum())):
-            turned = exact.turned(np.atleast_2d(given.y), since)
-            if text := rounding.of_angles(turned, kind):
-                rounding.warn(f"t: found turns of {text}")
+class ClosedForm:
+    """What evaluates some saves of a plan."""
+
+    def __init__(self, plan: Plan, saves: int) -> None:
+        exact.check_above_zero(plan.scene.principal)
+        attitude, self._handed, self._saves = plan.choice.attitude, plan.handed, saves
+        self._plan = plan
+        self._stored, self._offsets = attitude.stored, plan.handed.layout(saves)
+        self._motion = exact.Motion(
+            plan.scene.principal,
+            plan.kind,
+            (saves, plan.n_bodies),
+            stored=None if attitude.stored == 4 else attitude.start,
+        )
+        # |w| t, rad, beyond which a body's is looked at
+        self._calm = float(np.finfo(plan.kind).eps) ** -0.5
+
+    def run(
+        self, given: Given, t0: float, handling: Handling, raw: NDArray[np.uint8] | None
+    ) -> Trajectory:
+        """The trajectory at all saves, or a few of them at a time."""
+        plan, t = self._plan, self._plan.clock.times(t0)
+        if handling.sink is None:
+            raw = plan.memory(len(t)) if raw is None else raw
+            flagged = self.fill(given, t - t0, raw, handling.threads)
+            return plan.promised(raw, flagged, t0, given.one_body)
+
+        def part(slots: list[int]) -> Trajectory:
+            raw = plan.memory(len(slots))
+            ClosedForm(plan, len(slots)).fill(given, t[slots] - t0, raw, handling.threads)
+            results = plan.handed.views(raw, len(slots))
+            return Trajectory(**plan.handed.fields(t[slots], results, given.one_body))
+
+        for slots in few(len(t)):
+            handling.sink(part(slots[1:] if slots[1:2] > [1] else slots))
+        return part([len(t) - 1])
+
+    def fill(
+        self, given: Given, since: NDArray[np.float64], raw: NDArray[np.uint8], threads: int
+    ) -> bool:
+        """Write results at times since the start, s; whether any body has a flag."""
+        kind, w, first = self._handed.kind, given.y.reshape(-1), self._offsets[0]
+        times = since
+        if kind != since.dtype:
+            with np.errstate(over="ignore"):
+                times = since.astype(kind)
+        start = (given.q, given.y)
+        if self._motion.is_plain:
+            out = self._handed.views(raw, self._saves).out
+            parts = (out[..., : self._stored], out[..., self._stored :])
+            self._motion.fill(start, times, parts, threads)
+        else:
+            at, width = address_of(raw), self._handed.width
+            places = ((at, width), (at + self._stored * kind.itemsize, width))
+            self._motion.write(start, times, places, threads)
+        raw[first:] = 0
+        # sums of squares: no square is larger, and of what is no number they are none
+        flat = raw[:first].view(kind)
+        most = math.sqrt(np.dot(w, w)) * abs(since.item(-1)) if since.size else 0.0
+        if most <= self._calm and math.isfinite(np.dot(flat, flat)):
+            return False
+        return self._flagged(given, since, self._handed.views(raw, self._saves))
+
+    @staticmethod
+    def _flagged(given: Given, since: NDArray[np.float64], results: Results) -> bool:
+        """Flag bodies whose results are no numbers, or that turned too far; warn of that."""
+        out, status = results.out, results.status
+        kind = out.dtype
+        turned = exact.turned(np.atleast_2d(given.y), since)
+        if text := rounding.of_angles(turned, kind):
+            rounding.warn(f"t: found turns of {text}")
+        with np.errstate(invalid="ignore"):
+            bad = np.isnan(out @ np.zeros(out.shape[-1], dtype=kind)).any(axis=0)
             far = turned > rounding.most_turned(kind)
-            bad = np.isnan((q @ np.zeros(4, dtype=kind) + w @ np.zeros(3, dtype=kind)).sum(axis=0))
-            status |= bad * np.uint8(Status.NON_FINITE) | far * np.uint8(Status.STEP_TOO_LARGE)
-    return Trajectory(
-        t=t,
-        state=q if plan.choice.attitude.stored == 4 else quat_to_dcm(q).reshape(*q.shape[:2], 9),
-        defect=np.zeros(q.shape[:2], dtype=kind),
-        status=status,
-        one_body=given.one_body,
-        carried={"w": w},
-        **plan.handed.told,
-    )
+        status[...] = bad * np.uint8(Status.NON_FINITE) | far * np.uint8(Status.STEP_TOO_LARGE)
+        return bool(status.any())

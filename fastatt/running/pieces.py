@@ -1,4 +1,4 @@
-"""How a run goes: in one go, in pieces for a sink or a file, or in closed form."""
+"""How a run of steps goes: in one go, or in pieces for a sink or a file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from fastatt.engine import pool
 from fastatt.engine.ensemble import Run, Span
 from fastatt.engine.status import Status
 from fastatt.running.asked import Handling, few
-from fastatt.running.closed import closed_form
-from fastatt.running.initial import Given
 from fastatt.running.trajectory import Results, Trajectory
 
 if TYPE_CHECKING:
@@ -96,14 +94,3 @@ def _pieces(plan: Plan, saves: bool) -> list[tuple[int, list[int]]]:
     each = max(1, _CHECKED // plan.n_bodies)
     ends = [*range(span.origin + each, span.n_steps, each), span.n_steps]
     return [(last, [0]) for last in ends]
-
-
-def in_closed_form(plan: Plan, given: Given, t0: float, handling: Handling) -> Trajectory:
-    """The trajectory at all saves, or a few of them at a time."""
-    t = plan.clock.times(t0)
-    if handling.sink is None:
-        return closed_form(plan, given, t, t0, handling)
-    for slots in few(len(t)):
-        new = slots[1:] if slots[1:2] > [1] else slots
-        handling.sink(closed_form(plan, given, t[new], t0, handling))
-    return closed_form(plan, given, t[-1:], t0, handling)

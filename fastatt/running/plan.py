@@ -16,14 +16,14 @@ from fastatt import checks, rounding
 from fastatt.engine.ensemble import Run, prepare
 from fastatt.engine.job import Job
 from fastatt.engine.tiles import width_for
-from fastatt.exact import check_above_zero
 from fastatt.motion import carried, turning_part
 from fastatt.running import limits
 from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock
+from fastatt.running.closed import ClosedForm
 from fastatt.running.fixed import alike, fixed, flags_of
 from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
-from fastatt.running.pieces import go, in_closed_form, piecewise
+from fastatt.running.pieces import go, piecewise
 from fastatt.running.resume import End, about
 from fastatt.running.trajectory import Results, Trajectory
 from fastatt.scene import Scene
@@ -108,15 +108,12 @@ class Plan:
             own_steps=isinstance(clock, OwnClock),
             width=n_bodies if choice.device else width_for(n_bodies, KINDS[kind]),
         )
-        if method.is_exact:
-            check_above_zero(scene.principal)
-        else:
+        if not method.is_exact:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
         self._fixed = fixed(self, known, self._h, rows_each)
         self.span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
         self._shapes = tuple(((k,), (n_bodies, k)) for k in (4, 3))
-        self._is_exact = method.is_exact
         told = {
             "method": method.name,
             "representation": attitude.name,
@@ -129,6 +126,7 @@ class Plan:
         self.handed = Handed(n_bodies, kind, attitude.stored, (self.beside, widths), told)
         self._saves = len(clock.saved)
         self._offsets = self.handed.layout(self._saves)
+        self._closed = ClosedForm(self, self._saves) if method.is_exact else None
         own = self.handling
         alone = own.threads == 1 and own.done is None and own.sink is None
         self._is_quick = self.is_short and alone and not method.is_exact
@@ -303,11 +301,11 @@ class Plan:
             return self._quickly(given, t0, raw)
         handling = handling or self.handling
         self._refuse_overflow(t0)
-        if self._is_exact:
-            return in_closed_form(self, given, t0, handling)
+        if self._closed is not None:
+            return self._closed.run(given, t0, handling, raw)
         in_pieces = handling.sink is not None or handling.checkpoint is not None
         saves = self._saves if handling.sink is None else min(self._saves, 1 + RING)
-        raw = np.empty(self.handed.layout(saves)[2], np.uint8) if raw is None else raw
+        raw = self.memory(saves) if raw is None else raw
         bench = self._bench() if in_pieces else self._own_bench()
         run = bench.run
         if bench.is_kept:
@@ -317,7 +315,6 @@ class Plan:
         if start is not None:
             bench.x[...], bench.watch[...] = start.x, start.watch
         warned = not self.is_short and self._warn_of_first(given)
-        later = partial(self._found, raw, t0, given.one_body)
         if in_pieces:
             end = partial(self._end, given, bench, t0)
             begin = self.clock.done if start is None else start.done
@@ -327,8 +324,8 @@ class Plan:
             if self.is_short and handling.threads == 1 and handling.done is None:
                 run(self._tiles)
             else:
-                go(self, run, self.span, handling, later)
-            made = self._promised(raw, run, later)
+                go(self, run, self.span, handling, partial(self._found, raw, t0, given.one_body))
+            made = self.promised(raw, run.told[1] > 0.0, t0, given.one_body)
         if ends:
             made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
         if not warned:
@@ -350,14 +347,21 @@ class Plan:
         if run.is_timed and self.clock.is_rounded(t0):
             rounding.warn(rounding.of_times(self.clock.longest(t0), self.clock.h))
 
-    @staticmethod
-    def _promised(raw: NDArray[np.uint8], run: Run, later: Any) -> Trajectory:
+    def memory(self, saves: int) -> NDArray[np.uint8]:
+        """Memory that a run writes to."""
+        return np.empty(self.handed.layout(saves)[2], np.uint8)
+
+    def promised(
+        self, raw: NDArray[np.uint8], flagged: bool, t0: float, one_body: bool
+    ) -> Trajectory:
         """A trajectory whose fields are found when they are asked for.
 
         To find them takes longer than a run of a few steps.
         """
         made = object.__new__(Trajectory)
-        made.__dict__.update(raw=raw, _flagged=run.told[1] > 0.0, _later=(later,))
+        fields = made.__dict__
+        fields["raw"], fields["_flagged"] = raw, flagged
+        fields["_later"] = (self._found, raw, t0, one_body)
         return made
 
     def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
@@ -377,11 +381,7 @@ class Plan:
         told = run.told
         if not self.calm[0] <= told[0] <= self.calm[1]:
             self._warn_after(run, given, bench.watch)
-        made = object.__new__(Trajectory)
-        fields = made.__dict__
-        fields["raw"], fields["_flagged"] = raw, told[1] > 0.0
-        fields["_later"] = (self._found, raw, t0, given[4])
-        return made
+        return self.promised(raw, told[1] > 0.0, t0, given[4])
 
     def _warn_after(self, run: Run, given: Given, watch: NDArray[Any]) -> None:
         """Warn of steps as they were; of an iteration that failed the first tells how large."""

@@ -79,7 +79,7 @@ class Trajectory:
     #: w, v and r where the scene carries them, each (S, N, 3)
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     check: SelfCheck | None = None
-    #: the memory that a run wrote to, of which its arrays are views; None of a closed form
+    #: the memory that a run wrote to, of which its arrays are views
     raw: NDArray[np.uint8] | None = field(default=None, repr=False)
     #: where another run may go on
     end: End | None = field(default=None, repr=False)
