@@ -233,13 +233,20 @@ def _aligned(n: int) -> np.ndarray:
     return np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
 
 
-def free_body(quick: bool) -> Problem:
+def free_body(quick: bool, t_end: float = 10.0) -> Problem:
     """Momenta of size 1 in all directions."""
     n = _sizes(quick)[0]
     m0 = np.random.default_rng(1).normal(size=(n, 3))
     m0 /= np.linalg.norm(m0, axis=1, keepdims=True)
     scene = fa.Scene(inertia=REAL)
-    return _bodies("free", "free triaxial body, 10 s", scene, _aligned(n), m0, 10.0, quick)
+    name = "free" if t_end == 10.0 else "free-long"
+    title = f"free triaxial body, {t_end:.0f} s"
+    return _bodies(name, title, scene, _aligned(n), m0, t_end, quick)
+
+
+def free_long(quick: bool) -> Problem:
+    """The same for some sixteen turns."""
+    return free_body(quick, 100.0)
 
 
 def dzhanibekov(quick: bool) -> Problem:
@@ -363,6 +370,7 @@ PROBLEMS = {
     "coning-small-sampled": lambda quick: _sampled(coning_small(quick)),
     "coning-large-sampled": lambda quick: _sampled(coning_large(quick)),
     "free": free_body,
+    "free-long": free_long,
     "dzhanibekov": dzhanibekov,
     "separatrix": near_separatrix,
     "top": heavy_top,
