@@ -27,6 +27,7 @@ PAIRS = [
     for kind in ("torqued", "rate", "free")
     if kind in method.scenes and (kind != "free" or "torqued" not in method.scenes)
 ]
+TILTED = np.diag(BODY) + 0.1  # its axes are numbers beside those of a function
 N = 5
 RNG = np.random.default_rng(5)
 Q0, W0 = RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))
@@ -132,10 +133,12 @@ def test_one_body():
         assert bits(run) == bits(wanted)
 
 
-def test_new_numbers_compile_nothing(monkeypatch):
-    plan = fa.plan(OWN, N, dt=0.05, n_steps=3, method="rk4")
+@pytest.mark.parametrize("inertia", [BODY, TILTED], ids=["principal", "tilted"])
+def test_new_numbers_compile_nothing(monkeypatch, inertia):
+    own = replace(OWN, inertia=inertia)
+    plan = fa.plan(own, N, dt=0.05, n_steps=3, method="rk4")
     other = (-0.7, 0.2)
-    wanted = fa.plan(replace(OWN, params=other), N, dt=0.05, n_steps=3, method="rk4")(Q0, W0)
+    wanted = fa.plan(replace(own, params=other), N, dt=0.05, n_steps=3, method="rk4")(Q0, W0)
     before = bits(plan(Q0, W0))
     monkeypatch.setattr(ensemble, "compiled", lambda text: pytest.fail("compiled"))
     ensemble.program.cache_clear()

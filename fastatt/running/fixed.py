@@ -42,9 +42,7 @@ def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:
     params = plan.packed.params
     if params.ndim == 1 or len(params) < _MANY or plan.choice.device:
         return ()
-    turning = turning_part(plan.packed.structure)
-    own = range(turning.n_params - turning.law.count, turning.n_params)
-    can_change = own if asked and plan.scene.params is not None else ()
+    can_change = own_numbers(plan) if asked and plan.scene.params is not None else ()
     bits = params.view(np.int64)
     found = [k for k in range(params.shape[1]) if k not in can_change]
     for a, b in ((0, _MANY), *((a, a + _ROWS) for a in range(_MANY, len(params), _ROWS))):
@@ -53,6 +51,12 @@ def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:
         if not found:
             break
     return tuple(found)
+
+
+def own_numbers(plan: Plan) -> range:
+    """Which of the parameters are those of the scene's own function: the last of what turns it."""
+    end = turning_part(plan.packed.structure).n_params
+    return range(end - np.atleast_1d(np.asarray(plan.scene.params)).shape[-1], end)
 
 
 def flags_of(plan: Plan, params: NDArray[np.float64]) -> NDArray[np.uint8]:

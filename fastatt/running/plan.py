@@ -16,11 +16,11 @@ from fastatt import checks, rounding
 from fastatt.engine.ensemble import Run, prepare
 from fastatt.engine.job import Job
 from fastatt.engine.tiles import width_for
-from fastatt.motion import carried, turning_part
+from fastatt.motion import carried
 from fastatt.running import limits
 from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock
 from fastatt.running.closed import ClosedForm
-from fastatt.running.fixed import alike, fixed, flags_of
+from fastatt.running.fixed import alike, fixed, flags_of, own_numbers
 from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
 from fastatt.running.pieces import go, piecewise
@@ -261,9 +261,8 @@ class Plan:
         if was is None:
             raise ValueError("params: found, but the scene has none; accepted: of an own function")
         now = checks.array("params", params, f"{np.shape(was)}", [np.shape(was)])
-        turning = turning_part(self.packed.structure)
         numbers = self.packed.params.copy()
-        numbers[..., turning.n_params - turning.law.count : turning.n_params] = now
+        numbers[..., own_numbers(self)] = now
         other = object.__new__(Plan)
         other.__dict__.update(self.__dict__, _local=threading.local())
         other.packed = self.packed._replace(params=numbers)
