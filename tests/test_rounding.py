@@ -95,11 +95,24 @@ def test_a_clock_that_tells_steps_apart_no_more_is_told_of(dtype):
         (coning, 1e-4, 1.7e6, 0),
         (constant, 1e-4, 1.7e9, 0),
         (free, 1e-4, 1.7e9, 0),
+        # steps of each body's own end at times
+        (coning, (1e-4, 5e-5), 1.7e9, 1),
+        (constant, (1e-4, 5e-5), 1.7e9, 1),
     ):
         w0 = [0.1, 0.2, 0.3] if scene is free else None
+        steps = {"dt": h, "n_steps": 2 if np.ndim(h) == 0 else (2, 4)}
         _, texts = told(
-            lambda s=scene, h=h, t0=t0, w=w0: fa.propagate(
-                s, Q[0], w, dt=h, n_steps=2, t0=t0, dtype=dtype
-            )
+            lambda s=scene, o=steps, t0=t0, w=w0: fa.propagate(s, Q, w, t0=t0, dtype=dtype, **o)
         )
         assert [text[:3] for text in texts] == ["t0:"] * n
+
+
+def test_a_closed_form_does_not_depend_on_when_it_begins():
+    free = fa.Scene(inertia=INERTIA)
+    early, late = (
+        fa.propagate(
+            free, Q[0], [0.1, 0.2, 0.3], dt=0.01, n_steps=9, save_every=3, method="exact", t0=t0
+        )
+        for t0 in (0.0, 1.7e9)
+    )
+    assert early.q.tobytes() == late.q.tobytes()

@@ -78,7 +78,8 @@ class Clock:
         )
 
     @cached_property
-    def _since(self) -> NDArray[np.float64]:
+    def since(self) -> NDArray[np.float64]:
+        """Times of the saves from step 0 on, s."""
         with np.errstate(over="ignore"):
             return np.array(self.saved, dtype=np.float64) * self.h
 
@@ -91,7 +92,7 @@ class Clock:
             raise ValueError(
                 f"dt: {self.end} steps of {self.h} s from {begin} s overflow; accepted: shorter"
             )
-        return self._since + begin
+        return self.since + begin
 
     def is_rounded(self, begin: float) -> bool:
         """Whether the clock does not tell the run's steps apart well."""
@@ -157,6 +158,11 @@ class OwnClock(Clock):
     def saved(self) -> list[int]:
         """Numbers of the saves."""
         return list(range(self.at.size))
+
+    @cached_property
+    def since(self) -> NDArray[np.float64]:
+        """Times of the saves from the begin on, s."""
+        return self.at - self.begin
 
     def times(self, begin: float) -> NDArray[np.float64]:
         """Times of the saves, s."""

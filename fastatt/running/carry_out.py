@@ -170,6 +170,7 @@ def _in_parts(wanted: Wanted) -> Trajectory:
                 part = clock.part(rows) if isinstance(clock, OwnClock) else clock
                 plan = replace(wanted, clock=part).planned(scene[rows] if own else scene, m)
             if a == 0:
+                plan.warn_of_times(wanted.t0)
                 check_memory((saves, n, plan.handed.width), kind)
                 memory, turns = Results.empty(saves, n, plan.handed.width, kind), np.empty(n, kind)
                 begun = np.zeros(n)  # what bodies turn in their first step, of parts that tell

@@ -40,15 +40,16 @@ class ClosedForm:
         self, given: Given, t0: float, handling: Handling, raw: NDArray[np.uint8] | None
     ) -> Trajectory:
         """The trajectory at all saves, or a few of them at a time."""
-        plan, t = self._plan, self._plan.clock.times(t0)
+        plan, clock = self._plan, self._plan.clock
+        t, since = clock.times(t0), clock.since
         if handling.sink is None:
             raw = plan.memory(len(t)) if raw is None else raw
-            flagged = self.fill(given, t - t0, raw, handling.threads)
+            flagged = self.fill(given, since, raw, handling.threads)
             return plan.promised(raw, flagged, t0, given.one_body)
 
         def part(slots: list[int]) -> Trajectory:
             raw = plan.memory(len(slots))
-            ClosedForm(plan, len(slots)).fill(given, t[slots] - t0, raw, handling.threads)
+            ClosedForm(plan, len(slots)).fill(given, since[slots], raw, handling.threads)
             results = plan.handed.views(raw, len(slots))
             return Trajectory(**plan.handed.fields(t[slots], results, given.one_body))
 

@@ -343,7 +343,12 @@ class Plan:
         run.load(given, raw, offsets, t0)
         if run.is_plain:
             run.put(q0=given.q, y0=given.y, **self.handed.views(raw, saves)._asdict())
-        if run.is_timed and self.clock.is_rounded(t0):
+        self.warn_of_times(t0)
+
+    def warn_of_times(self, t0: float) -> None:
+        """Warn of times too late to tell steps apart, where the motion or the saves go by them."""
+        by_time = self.job.own_steps or self.job.formulas.is_timed
+        if by_time and self.clock.is_rounded(t0):
             rounding.warn(rounding.of_times(self.clock.longest(t0), self.clock.h))
 
     def memory(self, saves: int) -> NDArray[np.uint8]:
