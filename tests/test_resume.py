@@ -331,6 +331,8 @@ def test_what_will_not_fit_is_said_before_it_begins(monkeypatch, tmp_path):
     monkeypatch.setattr(histories, "_available", lambda: 15_999)
     with pytest.raises(MemoryError, match=told):
         fa.propagate(SCENES["free"], Q0, W0, **options)
+    with pytest.raises(MemoryError, match="1000000000001 saves"):  # not even their numbers
+        fa.propagate(SCENES["free"], Q0, W0, **{**options, "n_steps": 10**12})
     monkeypatch.setattr(histories, "_free_on_disk", lambda path: 15_999)
     with pytest.raises(MemoryError, match="of free disk"):
         fa.propagate(SCENES["free"], Q0, W0, out=tmp_path / "history.npy", **options)

@@ -68,6 +68,11 @@ class Clock:
         """Number of the last step."""
         return self.done + self.n_steps
 
+    @property
+    def saves(self) -> int:
+        """How many saves there are: all their numbers may be more than memory holds."""
+        return 1 if self.every is None else -(-self.n_steps // self.every) + 1
+
     @cached_property
     def saved(self) -> list[int]:
         """Numbers of the steps after which states are saved."""
@@ -153,6 +158,11 @@ class OwnClock(Clock):
         """The same for the engine."""
         times, slots = self._stops
         return {"times": times, "slots": slots, "dt": self.steps}
+
+    @property
+    def saves(self) -> int:
+        """How many saves there are."""
+        return self.at.size
 
     @cached_property
     def saved(self) -> list[int]:

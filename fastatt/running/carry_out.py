@@ -50,6 +50,12 @@ class Wanted:
         return max(self.given.rows_q, self.given.rows_y)
 
     @property
+    def shape(self) -> tuple[int, int, int]:
+        """Saves, bodies, and numbers that are handed out of each."""
+        width = self.choice.attitude.stored + self.given.y.shape[-1]
+        return self.clock.saves, self.bodies, width
+
+    @property
     def plan(self) -> Plan:
         """Its plan, kept with the scene where it is small."""
         n, kind = self.bodies, self.given.q.dtype
@@ -89,12 +95,11 @@ def carry_out(wanted: Wanted) -> Trajectory:
     """
     if wanted.is_in_parts:
         return _in_parts(wanted)
-    plan, clock, handling = wanted.plan, wanted.clock, wanted.handling
-    end = wanted.end
+    clock, handling, shape, end = wanted.clock, wanted.handling, wanted.shape, wanted.end
     to_saves = handling.sink is not None or wanted.out is not None
-    shape = (len(plan.clock.saved), wanted.bodies, plan.handed.width)
     if not to_saves:
-        check_memory(shape, plan.kind)
+        check_memory(shape, wanted.given.q.dtype)
+    plan = wanted.plan
     ends = wanted.bodies <= MOST if wanted.ends is None else wanted.ends
     ends = ends and not isinstance(clock, OwnClock)
     device, file = wanted.choice.device, handling.checkpoint
@@ -150,7 +155,8 @@ def _in_parts(wanted: Wanted) -> Trajectory:
     """
     n, clock, scene, given = wanted.bodies, wanted.clock, wanted.scene, wanted.given
     own = scene.rows is not None
-    kind, saves = given.q.dtype, len(clock.saved)
+    kind, (saves, _, width) = given.q.dtype, wanted.shape
+    check_memory(wanted.shape, kind)
     # those with most steps first: no thread is left with them at the end
     order = np.argsort(np.abs(clock.steps)) if isinstance(clock, OwnClock) else None
     steps = clock.steps if isinstance(clock, OwnClock) else clock.h
@@ -171,16 +177,11 @@ def _in_parts(wanted: Wanted) -> Trajectory:
                 plan = replace(wanted, clock=part).planned(scene[rows] if own else scene, m)
             if a == 0:
                 plan.warn_of_times(wanted.t0)
-                check_memory((saves, n, plan.handed.width), kind)
-                memory, turns = Results.empty(saves, n, plan.handed.width, kind), np.empty(n, kind)
+                memory, turns = Results.empty(saves, n, width, kind), np.empty(n, kind)
                 begun = np.zeros(n)  # what bodies turn in their first step, of parts that tell
             chosen = given.part(rows, m)
             in_place = order is None
-            made = (
-                memory.bodies(rows)
-                if in_place
-                else Results.empty(saves, m, plan.handed.width, kind)
-            )
+            made = memory.bodies(rows) if in_place else Results.empty(saves, m, width, kind)
             try:
                 turns[rows] = found = plan.fill(chosen, wanted.t0, handling, made)
                 if not plan.calm[0] <= found.max() <= plan.calm[1]:

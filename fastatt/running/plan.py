@@ -124,7 +124,7 @@ class Plan:
             "check": None,
         }
         self.handed = Handed(n_bodies, kind, attitude.stored, (self.beside, widths), told)
-        self._saves = len(clock.saved)
+        self._saves = clock.saves
         self._offsets = self.handed.layout(self._saves)
         self._closed = ClosedForm(self, self._saves) if method.is_exact else None
         own = self.handling
