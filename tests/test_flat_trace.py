@@ -254,6 +254,10 @@ def remainders_of_c(x, y):
     return math.fmod(x, 0.75) + np.mod(y, 0.375) + np.fmod(y, -0.25) + np.remainder(x, -0.375)
 
 
+def remainders_to_the_nearest(x, y):
+    return math.remainder(x, 0.75) + 8.0 * math.remainder(y, -0.375) + math.remainder(1.0, 2.0 + x)
+
+
 def typed(x, y):
     F = type(x)
     return F(0.5) * x if y > F(1.0) else F(2.0)
@@ -297,6 +301,7 @@ FUNCTIONS = [
     *(falls_through, three_in_a_row, loops, look_up, newton, broken_off, local_helpers),
     *(changes_a_list, aliased, known_conditions, globals_, clamped, calls, remainders, powers),
     *(collected, any_and_all, is_in, rounded, numpys, remainders_of_c, typed, matched),
+    remainders_to_the_nearest,
     *(truth_of_comparison, truth_as_number, none_at_first),
 ]
 

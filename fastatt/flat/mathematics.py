@@ -59,10 +59,13 @@ class Mathematics:
         if not callable(value):
             return value
 
+        # numpy's is another function
+        known = label if label == "math.remainder" else name
+
         def call(*args: Any, **named: Any) -> Any:
             if not is_recorded(*args, *named.values()):
                 return value(*args, **named)
-            formula = None if named else formula_of(name, len(args))
+            formula = None if named else formula_of(known, len(args))
             if formula is None:
                 raise NotStraight(f"{label} of numbers that are not known beforehand")
             return formula(*args)
@@ -139,6 +142,15 @@ def _fmod(x: Any, y: Any) -> Any:
     return graph.choose(x < 0.0, -rest, rest)
 
 
+def _remainder(x: Any, y: Any) -> Any:
+    """What is left of x by the nearest whole number of y, the even one of two."""
+    size = abs(y)
+    rest = x - graph.apply("rint", x / size) * size
+    # a quotient may be rounded to halfway between two whole numbers
+    rest = graph.choose(rest > 0.5 * size, rest - size, rest)
+    return graph.choose(rest < -0.5 * size, rest + size, rest)
+
+
 def _copysign(x: Any, y: Any) -> Any:
     """Of a zero y the sign is not seen, as anywhere in compiled formulas."""
     size = abs(x)
@@ -179,6 +191,7 @@ _FORMULAS: dict[str, Callable[..., Any]] = {
     "ceil": _ceil,
     "trunc": _trunc,
     "fmod": _fmod,
+    "math.remainder": _remainder,
     "mod": lambda x, y: functions.divided(x, y)[1],
     "floor_divide": lambda x, y: functions.divided(x, y)[0],
     "minimum": _minimum,
