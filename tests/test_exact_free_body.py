@@ -178,6 +178,20 @@ def test_degenerate_bodies(inertia, shift):
     assert (errors(w, np.roll(inertia, shift), (3.0, -11.0)) <= BOUND).all()
 
 
+def test_degenerate_bodies_in_single_precision():
+    """Within 1e9 times the bound of double precision, of moments that single precision holds."""
+    moments = [np.roll(x, k) for x in DEGENERATE.values() for k in range(3)]
+    moments = np.array(moments, dtype=np.float32)
+    q0, w0 = np.float32([0.5, 0.5, -0.5, 0.5]), np.float32([0.1, -0.2, 0.3])
+    t = np.array([0.0, 0.5, 3.0])
+    q, w = exact.free_body(q0, w0, moments, t, dtype=np.float32)
+    known, rates = exact.free_body(q0, w0, moments, t, dtype=np.float64)
+    size = np.linalg.norm(w0)
+    bound = 1e-6 * (1.0 + size * t[:, None])
+    assert (fa.angle_between(q, known) <= bound).all()
+    assert (np.linalg.norm(w - rates, axis=-1) <= bound * size).all()
+
+
 @pytest.mark.parametrize("inertia", [(1.0, 1e3, 1e3), (1e3 + 0.5, 1.0, 1e3)])
 @pytest.mark.parametrize("w", [(1.0, 1e-3, -2e-3), (0.3, 0.2, 0.4)])
 def test_rods(inertia, w):

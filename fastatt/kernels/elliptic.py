@@ -146,10 +146,12 @@ def theta_pair(K, Kc, c):
     Four cubics (even real, even imaginary, odd real, odd imaginary part), then: units of the
     argument per u, the period (of u it is 2K) and its inverse, 0 where K > 300 counts as infinite
     (float32: 40); the phase per unit of argument within a period; 1 for the hyperbolic series, 0
-    for the trigonometric one. K' more than 48 counts as 48 (K − π/2 is below 1e-39 there).
+    for the trigonometric one. K' more than 48 counts as 48, where K − π/2 is below 1e-39 (float32:
+    14, 1e-11; exp(6K') is a number there).
     """
     F = type(K)
-    Kc = F(48.0) if Kc > F(48.0) else Kc
+    most = F(48.0) if F(1e-150) > F(0.0) else F(14.0)
+    Kc = most if Kc > most else Kc
     c = c if c < Kc else Kc
     wide = F(2.0) * Kc < K
     # the nome of the series: the fourth power of e, or e
