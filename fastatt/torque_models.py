@@ -116,7 +116,8 @@ class QuaternionPD(NamedTuple):
 
     ``stiffness`` k, N·m, ``damping`` c, N·m·s: numbers or (N,); ``target``: (4,) or (N, 4), unit,
     or a table, whose signs go on from sample to sample. The rate of a target that moves, seen from
-    the body, is then taken off w. Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
+    the body, is then taken off w. Where e0 passes 0 the torque jumps: across it a step of any
+    method is of order 1. Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
     """
 
     stiffness: ArrayLike
