@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import ast
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -95,11 +97,12 @@ class _Writer:
     def _add(self, *lines: str) -> None:
         self.lines += [" " * self._indent + line for line in lines]
 
-    def _open(self, line: str) -> None:
+    @contextmanager
+    def _under(self, line: str) -> Iterator[None]:
+        """A line that begins a block, and the block."""
         self._add(line)
         self._indent += 4
-
-    def _close(self) -> None:
+        yield
         self._indent -= 4
 
     def _formulas(self, flat: Flat, prefix: str, *targets: str) -> list[str]:
@@ -119,41 +122,29 @@ class _Writer:
         formulas = self.formulas
         tables = [source.table_name(name[1]) for name in formulas.resources]
         state = self._names("x", formulas.size)
-        self._open(f"def kernel({', '.join([*ARGUMENTS, *tables])}):")
-        self._add("body = cuda.grid(1)", "selp = cuda.selp")
-        self._open("if body >= x_rows.shape[0]:")
-        self._add("return")
-        self._close()
-        self._begin(state)
-        self._add("n = first")
-        self._add("due = begins")
-        self._open("while True:")
-        self._open("if due:")
-        self._save()
-        self._close()
-        self._open("if n >= last:")
-        self._add("break")
-        self._close()
-        self._add("gone = (n - origin) % save_every")
-        self._add(f"stop = min(n + {BLOCK}, last, n + save_every - gone)")
-        if formulas.mend is not None:
-            self._open("if restore > 0:")
-            self._add("stop = min(stop, (n // restore + 1) * restore)")
-            self._close()
-        self._block(state)
-        self._open("if turn > most:")
-        self._add("most = turn")
-        self._close()
-        self._add("n = stop")
-        if formulas.mend is not None:
-            self._open("if restore > 0 and n % restore == 0:")
-            (far,) = self._formulas(formulas.mend, "m", *state)
-            self._worse(1, far)
-            self._close()
-        self._add("due = (n - origin) % save_every == 0 or n == n_steps")
-        self._close()
-        self._add(*(f"x_rows[body, {i}] = {x}" for i, x in enumerate(state)))
-        self._add("watch[0, body] = most")
+        with self._under(f"def kernel({', '.join([*ARGUMENTS, *tables])}):"):
+            self._add("body = cuda.grid(1)", "selp = cuda.selp")
+            self._add("if body >= x_rows.shape[0]:", "    return")
+            self._begin(state)
+            self._add("n = first", "due = begins")
+            with self._under("while True:"):
+                with self._under("if due:"):
+                    self._save()
+                self._add("if n >= last:", "    break", "gone = (n - origin) % save_every")
+                self._add(f"stop = min(n + {BLOCK}, last, n + save_every - gone)")
+                if formulas.mend is not None:
+                    self._add(
+                        "if restore > 0:", "    stop = min(stop, (n // restore + 1) * restore)"
+                    )
+                self._block(state)
+                self._add("if turn > most:", "    most = turn", "n = stop")
+                if formulas.mend is not None:
+                    with self._under("if restore > 0 and n % restore == 0:"):
+                        (far,) = self._formulas(formulas.mend, "m", *state)
+                        self._worse(1, far)
+                self._add("due = (n - origin) % save_every == 0 or n == n_steps")
+            self._add(*(f"x_rows[body, {i}] = {x}" for i, x in enumerate(state)))
+            self._add("watch[0, body] = most")
         return "\n".join([*self.lines, ""])
 
     def _begin(self, state: list[str]) -> None:
@@ -161,26 +152,25 @@ class _Writer:
         job, formulas = self.job, self.formulas
         kind = job.kind
         self._add(f"h = {kind}(step)", "k = h", f"edge = {kind}(last_edge)", "t = t0")
-        groups = [("q_rows", "y", 0, formulas.coordinates)]
-        groups.append(("y_rows", "y", formulas.coordinates, formulas.given - formulas.coordinates))
-        groups.append(("p_rows", "p", 0, formulas.parameters))
-        for array, name, at, n in groups:
-            if n:
+        for array, name, first, last in (
+            ("q_rows", "y", 0, formulas.coordinates),
+            ("y_rows", "y", formulas.coordinates, formulas.given),
+            ("p_rows", "p", 0, formulas.parameters),
+        ):
+            if last > first:
                 self._add(f"row = min(body, {array}.shape[0] - 1)")
-            self._add(*(f"{name}{at + i} = {array}[row, {i}]" for i in range(n)))
+            self._add(*(f"{name}{i} = {array}[row, {i - first}]" for i in range(first, last)))
         constants = self._names("c", len(formulas.constants.results))
         if constants:
             self._formulas(formulas.constants, "d", *constants)
         extras = self._names("e", formulas.extras)
         kept = self._names("invariants", formulas.invariants)
         rest = self._formulas(formulas.begin, "b", *state, *extras, *kept)
-        self._open("if first > 0:")
-        self._add(*(f"{x} = x_rows[body, {i}]" for i, x in enumerate(state)))
-        self._add("most = watch[0, body]")
-        self._close()
-        self._open("else:")
-        self._add(*(f"watch[{i}, body] = 0.0" for i in range(3)), f"most = {kind}(0.0)")
-        self._close()
+        with self._under("if first > 0:"):
+            self._add(*(f"{x} = x_rows[body, {i}]" for i, x in enumerate(state)))
+            self._add("most = watch[0, body]")
+        with self._under("else:"):
+            self._add(*(f"watch[{i}, body] = 0.0" for i in range(3)), f"most = {kind}(0.0)")
         if not job.known:
             return
         self._add("row = min(body, known.shape[0] - 1)")
@@ -188,9 +178,7 @@ class _Writer:
             f"bound = {rest[0] if job.bounds else f'{kind}(product(known[row], known[row]))'}"
         )
         self._add(f"quiet = bound <= {kind}(product(most_quiet, most_quiet))")
-        self._open("if quiet and first == 0:")
-        self._add("most = bound")
-        self._close()
+        self._add("if quiet and first == 0:", "    most = bound")
 
     def _save(self) -> None:
         """Hand out the state after n steps, and how far it left what it keeps."""
@@ -208,9 +196,8 @@ class _Writer:
     def _worse(self, row: int, value: str) -> None:
         """Keep the larger of two numbers, or NaN."""
         self._add(f"before = watch[{row}, body]", f"value = {value}")
-        self._open("if not (before >= value or before != before):")
-        self._add(f"watch[{row}, body] = value")
-        self._close()
+        self._add("if not (before >= value or before != before):")
+        self._add(f"    watch[{row}, body] = value")
 
     def _block(self, state: list[str]) -> None:
         """Steps [n, stop), again from their start in the careful form where the quick is not."""
@@ -221,42 +208,43 @@ class _Writer:
             return
         careful = (formulas.careful, True, "f")
         if job.known:
-            self._open("if quiet:")
-            self._steps(state, *quick)
-            self._close()
-            self._open("else:")
-            self._steps(state, *careful)
-            self._close()
+            with self._under("if quiet:"):
+                self._steps(state, *quick)
+            with self._under("else:"):
+                self._steps(state, *careful)
             return
         start = ", ".join(self._names("start", formulas.size))
         names = ", ".join(state)
         self._add(f"{start}, = {names},")
         self._steps(state, *quick)
-        self._open(f"if turn > {math.pi**2!r}:")
-        self._add(f"{names}, = {start},")
-        self._steps(state, *careful)
-        self._close()
+        with self._under(f"if turn > {math.pi**2!r}:"):
+            self._add(f"{names}, = {start},")
+            self._steps(state, *careful)
 
     def _steps(self, state: list[str], forms: Forms, noted: bool, prefix: str) -> None:
         job = self.job
         flat = forms.noted if noted else forms.plain
         self._add(f"turn = {job.kind}(0.0)")
-        self._open("for m in range(n, stop):")
-        time = "double(m)"
-        if job.method.stages:
-            self._open("for i in range(stages.shape[0]):")
-            time += " + stages[i, 2]"
-            self._add(f"h = {job.kind}(product(stages[i, 0], step))")
-            self._add(f"k = {job.kind}(product(stages[i, 1], step))")
+        with self._under("for m in range(n, stop):"):
+            if not job.method.stages:
+                self._step(state, flat, noted, prefix, "double(m)")
+                return
+            with self._under("for i in range(stages.shape[0]):"):
+                self._add(
+                    *(
+                        f"{x} = {job.kind}(product(stages[i, {k}], step))"
+                        for k, x in enumerate("hk")
+                    )
+                )
+                self._step(state, flat, noted, prefix, "double(m) + stages[i, 2]")
+
+    def _step(self, state: list[str], flat: Flat, noted: bool, prefix: str, time: str) -> None:
         if ("t",) in flat.inputs():
             self._add(f"t = t0 + product({time}, step)")
         rest = self._formulas(flat, prefix, *state)
         if noted:
             (z,) = rest
             self._add(f"turn = {ast.unparse(_larger(ast.Name('turn'), ast.Name(z)))}")
-        if job.method.stages:
-            self._close()
-        self._close()
 
 
 def text(job: Job) -> tuple[str, dict[str, Any]]:
