@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -26,7 +26,6 @@ from fastatt.flat.rows import (
     copy,
     kind_of,
     lanes_of,
-    plain,
     without_compiler,
 )
 from fastatt.inertia import EQUAL, Principal, is_symmetric, principal
@@ -359,11 +358,11 @@ class Motion:
         traced = _traced(*self._formulas)
         bodies = {**self._bodies, **dict(zip("qw", map(np.atleast_2d, start), strict=True))}
         given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
-        constants = plain(traced.prepare, given, {})
+        constants = _plain(traced.prepare, given)
         given |= {("constant", i): x for i, x in enumerate(constants)}
         given["t", 0] = t[:, None]
         columns = [x[..., k] for x in out for k in range(x.shape[-1])]
-        for column, x in zip(columns, plain(traced.state, given, {}), strict=True):
+        for column, x in zip(columns, _plain(traced.state, given), strict=True):
             column[...] = x
 
 
@@ -383,6 +382,12 @@ def turned(w: NDArray[Any], t: NDArray[Any]) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):
         rates = np.asarray(w, dtype=np.float64)
         return np.asarray(np.sqrt((rates * rates) @ np.ones(3)) * np.abs(t).max(initial=0.0))
+
+
+def _plain(flat: Flat, columns: Mapping[tuple[Any, ...], NDArray[Any]]) -> tuple[Any, ...]:
+    from fastatt.flat.source import function
+
+    return function(flat)(*(columns[name] for name in flat.inputs()))
 
 
 def _check_symmetric(moments: NDArray[np.float64]) -> None:

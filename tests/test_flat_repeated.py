@@ -9,8 +9,7 @@ from test_flat_scalar import MACHINE, SINGLE, TABLE, looked_up
 from fastatt.flat import dual, functions, graph
 from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import axpy, quat, scale
-from fastatt.flat.in_place import InPlace
-from fastatt.flat.repeated import Repeated
+from fastatt.flat.repeated import InPlace, Repeated
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.traced import Recurrence
 
@@ -205,7 +204,7 @@ def test_a_fold_without_a_compiler(monkeypatch):
 
 
 def test_a_fold_refuses_a_step_to_another_state():
-    with pytest.raises(ValueError, match="step: gives 1 numbers; accepted: 2"):
+    with pytest.raises(ValueError, match="function: gives 1 numbers; accepted: 2"):
         Fold(lambda x, w: x[0] * w[0], 2, {"w": 1}, {})(np.ones((1, 2)), (np.ones((1, 3, 1)),), ())
 
 

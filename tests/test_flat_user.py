@@ -17,7 +17,7 @@ from fastatt.flat import machine, source, user
 from fastatt.flat.code import I64, REALS, Code
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Double, Graph
-from fastatt.flat.llvm import OPAQUE, Emitter
+from fastatt.flat.llvm import POINTERS, Emitter
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.user import UserFunction, user_function
 
@@ -156,7 +156,7 @@ def test_called_from_machine_code(lanes):
     double = REALS["double"]
     code = Code(module, "run", [double.as_pointer(), double.as_pointer(), I64])
     given, results, address = code.function.args
-    resources = {("function", made): code.b.inttoptr(address, OPAQUE)}
+    resources = {("function", made): code.b.inttoptr(address, POINTERS["function"])}
 
     def load(name, kind):
         at = [("a", 0), ("b", 0), ("b", 1)].index(name) * lanes

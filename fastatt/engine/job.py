@@ -8,7 +8,7 @@ from typing import Any
 
 from fastatt.attitudes import Attitude
 from fastatt.engine.layout import WIDTH
-from fastatt.flat.finished import Constants, Flat
+from fastatt.flat.finished import Constants, Flat, resources_of
 from fastatt.flat.formulas import Vector, as_like, dot, quat
 from fastatt.flat.graph import Graph, Number, choose
 from fastatt.methods.method import Method
@@ -63,11 +63,6 @@ class Job:
     def formulas(self) -> Formulas:
         """Its formulas, traced when they are asked for."""
         return Formulas(self)
-
-    @property
-    def is_kinematic(self) -> bool:
-        """Whether the rate is given and nothing else is carried."""
-        return isinstance(self.structure, GivenRate)
 
     @property
     def has_careful_form(self) -> bool:
@@ -248,15 +243,7 @@ class Formulas:
     @cached_property
     def resources(self) -> list[Any]:
         """Tables and opaque functions that the formulas call, in the order of their arrays."""
-        found: dict[Any, None] = {}
-        forms = [self.quick.noted, self.begin, self.save]
-        for flat in forms:
-            for node in flat.nodes:
-                if node.op == "gather":
-                    found["table", node.args[0]] = None
-                if node.op == "opaque":
-                    found["function", node.args[0]] = None
-        return list(found)
+        return resources_of(self.quick.noted, self.begin, self.save)
 
     @cached_property
     def is_timed(self) -> bool:

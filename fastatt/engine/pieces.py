@@ -9,7 +9,7 @@ from llvmlite import ir
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.layout import ARGUMENTS, Given, Rows
 from fastatt.flat.code import I64, REALS, Code, Int
-from fastatt.flat.llvm import OPAQUE, Emitter, larger
+from fastatt.flat.llvm import POINTERS, Emitter, larger
 from fastatt.flat.machine import processor
 
 # φ⁴ steps from one look to the next: pulses of any period meet one before long
@@ -63,10 +63,8 @@ class Pieces:
         return code, given, args[: len(more)]
 
     def _emitter(self, code: Code, given: Given) -> Emitter:
-        resources: dict[Any, Any] = {}
-        double = REALS["double"].as_pointer()
-        for i, name in enumerate(self.formulas.resources):
-            resources[name] = given.array(i, double if name[0] == "table" else OPAQUE)
+        names = self.formulas.resources
+        resources = {x: given.array(i, POINTERS[x[0]]) for i, x in enumerate(names)}
         return Emitter(code, self.lanes, processor().fuses, resources)
 
     def _inputs(

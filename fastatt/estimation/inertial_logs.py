@@ -16,7 +16,7 @@ from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
 from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import Vector, minus
-from fastatt.flat.in_place import InPlace
+from fastatt.flat.repeated import InPlace
 from fastatt.flat.rows import rows
 from fastatt.integrate import intervals
 from fastatt.threads import number_of

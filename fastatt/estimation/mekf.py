@@ -28,7 +28,7 @@ from fastatt.estimation.filters import (
     measured_attitudes,
 )
 from fastatt.flat.formulas import Vector
-from fastatt.flat.in_place import InPlace
+from fastatt.flat.repeated import InPlace
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.trace import stand_in
 from fastatt.kernels import dcm, error_state, quat, so3, sym3

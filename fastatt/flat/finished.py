@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from fastatt.flat.graph import Graph, number
@@ -106,6 +107,13 @@ class Flat:
     def inputs(self) -> list[tuple[Any, ...]]:
         """Names of the numbers that are given."""
         return [n.args for n in self.nodes if n.op == "in"]
+
+
+def resources_of(*flats: Flat) -> list[tuple[str, Any]]:
+    """What graphs find in memory: ("table", its number) and ("function", itself)."""
+    kinds = {"gather": "table", "opaque": "function"}
+    nodes = chain.from_iterable(flat.nodes for flat in flats)
+    return list(dict.fromkeys((kinds[n.op], n.args[0]) for n in nodes if n.op in kinds))
 
 
 def _numbered(

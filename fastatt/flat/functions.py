@@ -82,7 +82,7 @@ def lane(x: Number, k: int) -> Any:
 def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tuple[Any, ...]:
     """What a compiled function that is no straight line gives of some numbers, as doubles."""
     if (composed := composed_of(*args)) is not None:
-        return composed.opaque(function, results, args)
+        return composed.opaque(function, results, args)  # type: ignore[no-any-return]
     at = [Double(_lifted(x, like)).at for x in args]
     called = like.graph.add("opaque", "", function, results, *at)
     return tuple(_made(like.graph, "item", "double", called, i) for i in range(results))

@@ -219,6 +219,9 @@ def larger(code: Code, x: Any, y: Any) -> Any:
     return b.bitcast(b.select(b.icmp_signed(">", a, c), a, c), kind)
 
 
-OPAQUE = ir.FunctionType(
-    ir.VoidType(), [REALS["double"].as_pointer(), REALS["double"].as_pointer()]
-).as_pointer()
+_DOUBLES = REALS["double"].as_pointer()
+#: types of what a formula finds in memory: tables, and opaque functions
+POINTERS = {
+    "table": _DOUBLES,
+    "function": ir.FunctionType(ir.VoidType(), [_DOUBLES, _DOUBLES]).as_pointer(),
+}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from fastatt.flat.nodes import NotStraight
 
@@ -18,8 +18,7 @@ def functions_of_numbers() -> Any:
 class Recorded:
     """A number that is not known beforehand: of a graph, or composed of some that are.
 
-    What is composed (a dual number) has operators of its own, and says how it goes through the
-    functions below.
+    What is composed has operators of its own.
     """
 
     __slots__ = ()
@@ -74,43 +73,19 @@ class Recorded:
 
 
 class Composed(Recorded):
-    """A number composed of numbers of a graph; the functions below hand it to its class."""
+    """A number composed of numbers of a graph: a dual number, to which functions hand it over.
+
+    Its class has ``cast``, ``applied``, ``raised``, ``chosen``, ``larger``, ``opaque`` and
+    ``called`` in place of the functions of such names.
+    """
 
     __slots__ = ()
 
-    def cast(self, to: Any) -> Any:
-        """It in another precision."""
-        raise NotImplementedError
+    if TYPE_CHECKING:
 
-    def applied(self, function: str) -> Any:
-        """``apply``."""
-        raise NotImplementedError
-
-    def raised(self, power: Any) -> Any:
-        """``raised``."""
-        raise NotImplementedError
-
-    @classmethod
-    def chosen(cls, test: Any, a: Any, b: Any) -> Any:
-        """``choose``."""
-        raise NotImplementedError
-
-    @classmethod
-    def larger(cls, a: Any, b: Any) -> Any:
-        """``larger``."""
-        raise NotImplementedError
-
-    @classmethod
-    def opaque(cls, function: int, results: int, args: Sequence[Any]) -> tuple[Any, ...]:
-        """``opaque``."""
-        raise NotImplementedError
-
-    @classmethod
-    def called(cls, formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
-        """``called``."""
-        raise NotImplementedError
+        def __getattr__(self, name: str) -> Any: ...
 
 
-def composed_of(*values: Any) -> type[Composed] | None:
+def composed_of(*values: Any) -> Any:
     """The class of the first that is composed, None if none is."""
     return next((type(x) for x in values if isinstance(x, Composed)), None)

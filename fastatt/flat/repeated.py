@@ -1,25 +1,17 @@
-"""A formula with derivatives row by row over arrays: vectors have a lane a direction, not a row."""
+"""Formulas over single rows: derivatives go side by side, or rows are few and stay in place."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cached_property, partial
-from itertools import accumulate, pairwise
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
-import numpy as np
-from llvmlite import ir
-from numpy.typing import NDArray
-
-from fastatt.flat.code import I64, REALS, Code, Int
-from fastatt.flat.rows import Rows, Table
-from fastatt.flat.traced import Traced, Tuple, flattened_forms, plain, trace
+from fastatt.flat.code import Code
+from fastatt.flat.rows import Array, Rows, address_of, lanes_of, without_compiler
+from fastatt.flat.traced import WIDEST, Traced
 from fastatt.flat.writing import write
-from fastatt.threads import each_in_threads
-
-Array = NDArray[Any]
-_PIECE = 64  # rows at least that a thread is given
-_PIECES = 4  # of each thread
 
 
 class Repeated(Rows):
@@ -30,64 +22,19 @@ class Repeated(Rows):
     where it runs; a ``Recurrence`` stays a loop. So the loop is over single rows.
     """
 
+    _least = 64
+
     @cached_property
     def traced(self) -> Traced:
         """The formula for numbers and tuples of the widths of the inputs."""
-        return self._trace()
-
-    @cached_property
-    def _apart(self) -> Traced:
-        """The same without lanes: a number for each derivative."""
-        return self._trace(0)
-
-    def _trace(self, *widest: int) -> Traced:
-        forms = [
-            self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
-        ]
-        made = trace(self._function, forms, *widest)
-        self._check(len(list(flattened_forms((made.form,)))))
-        return made
-
-    def _check(self, count: int) -> None:
-        wanted = sum(1 if n is None else n for n in self.outputs)
-        if count != wanted:
-            raise ValueError(f"function: gives {count} numbers; accepted: {wanted}")
-
-    @cached_property
-    def _resources(self) -> list[tuple[str, Any]]:
-        return self.traced.resources
-
-    def _run(self, table: Any, total: int, n_threads: int) -> None:
-        with self._lock:
-            run = self._compiled
-        in_pieces(total, n_threads, lambda first, last: run(table, first, last))
-
-    def _in_python(
-        self, lead: tuple[int, ...], given: list[Array], tables: Mapping[int, Array]
-    ) -> tuple[Array, ...]:
-        columns = [x[..., i] for x in given for i in range(x.shape[-1])]
-        run = plain(self._apart, tables)
-        made = [np.broadcast_to(np.asarray(x, self._dtype), lead) for x in run(columns)]
-        bounds = pairwise(accumulate((1 if n is None else n for n in self.outputs), initial=0))
-        return tuple(
-            made[a].copy() if n is None else np.stack(made[a:b], axis=-1)
-            for n, (a, b) in zip(self.outputs, bounds, strict=True)
-        )
+        return self._trace(WIDEST)
 
     def _code(self, lanes: int) -> Code:
         """``rows(table, first, last)``, with the table that ``Rows`` makes."""
-        code = Code(ir.Module("rows"), "rows", [I64.as_pointer(), I64, I64])
-        argument, first, last = code.function.args
-        entries = Table(code, argument)
-        entries.number()
-        inner, real = entries.number(), REALS[self.kind]
-        sources = [
-            (entries.pointer(real), entries.number(), entries.number(), 1 if n is None else n)
-            for n in self.inputs.values()
-        ]
-        targets = [(entries.pointer(real), 1 if n is None else n) for n in self.outputs]
-        resources = entries.resources(self._resources)
-        with code.loop(Int(code, first), Int(code, last)) as i:
+        code, (first, last), entries = self._begun()
+        _, inner = entries.number(), entries.number()
+        sources, targets, resources = self._arrays(entries)
+        with code.loop(first, last) as i:
             s, b = i // inner, i % inner
             given: list[Any] = []
             for pointer, outer_stride, inner_stride, n in sources:
@@ -101,9 +48,42 @@ class Repeated(Rows):
         return code
 
 
-def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: int = _PIECE) -> None:
-    """``call(first, last)`` over n rows, in pieces of at least ``least`` on each thread."""
-    pieces = max(1, min(_PIECES * n_threads if n_threads > 1 else 1, n // least))
-    bounds = [n * i // pieces for i in range(pieces + 1)]
+class InPlace(Rows):
+    """A function whose arrays are known beforehand, results written over arguments if need be."""
 
-    each_in_threads([partial(call, *ends) for ends in pairwise(bounds)], n_threads)
+    @cached_property
+    def _one_by_one(self) -> Repeated:
+        """For few rows, with which most lanes of a vector would stay empty."""
+        return Repeated(self._function, self.inputs, self.outputs, self.kind)
+
+    def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
+        """A function of nothing that works on what the arrays hold when it is called.
+
+        ``arrays`` are (n, width), (n,) of a width None, or one row for all, (1, width); ``out`` the
+        same without the last; all of the precision, C-contiguous. One that is in both is changed in
+        place. It knows where they lie: a copy of it works on the same arrays.
+        """
+        for x in (*arrays, *out):
+            if x.dtype != self._dtype or not x.flags.c_contiguous:
+                raise ValueError(f"arrays: found {x.dtype}; accepted: {self._dtype}, C-contiguous")
+        if without_compiler():
+
+            def slowly() -> None:
+                for x, made in zip(out, self(*arrays), strict=True):
+                    x[...] = made
+
+            return slowly
+        n = len(out[0])
+        program = self._one_by_one if 2 * n <= lanes_of(self.kind) else self
+        table = [n, n]
+        for x in arrays:
+            table += [address_of(x), 0, 0 if len(x) == 1 else math.prod(x.shape[1:])]
+        table += map(address_of, out)
+        places = (ctypes.c_int64 * len(table))(*table)
+        run, held = program._compiled, (arrays, out)  # noqa: SLF001
+
+        def quickly() -> object:
+            assert held
+            return run(places, 0, n)
+
+        return quickly

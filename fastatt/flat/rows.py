@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 
 from fastatt.flat import machine
 from fastatt.flat.code import I64, REALS, Code, Int, text_of
-from fastatt.flat.finished import Flat
-from fastatt.flat.graph import Graph, flattened
-from fastatt.flat.llvm import OPAQUE, Emitter
+from fastatt.flat.llvm import POINTERS, Emitter
+from fastatt.flat.traced import Traced, Tuple, plain, trace
+from fastatt.threads import each_in_threads
 
 DTYPES: dict[str, np.dtype[Any]] = {"double": np.dtype(np.float64), "single": np.dtype(np.float32)}
 _VECTORS = 4  # of a block
 _UNROLLED = 16  # columns that are copied without a loop
 _PIECE = 1 << 16  # rows between two looks at Ctrl-C
-_SMALL = 1 << 14  # rows that are not worth a thread
+_PIECES = 4  # of each thread
 _BYTE = ctypes.c_char
 
 Array = NDArray[Any]
@@ -38,19 +38,8 @@ Array = NDArray[Any]
 Width = int | None
 
 
-class Rows:
-    """``function`` of numbers, applied to every row of arrays; compiled at the first call.
-
-    Parameters
-    ----------
-    function : takes a tuple of ``width`` recorded numbers an input (one number where the width is
-        None), in the order of ``inputs``, and gives numbers in tuples, nested at will: a kernel of
-        ``flat.formulas``, or what is made of such. It may look up tables (``graph.gather``), which
-        a call is given, and call opaque functions (``graph.opaque``), which have an ``address``.
-    inputs : widths by name.
-    outputs : widths of the arrays that the numbers are handed out to, in order.
-    kind : "double" or "single", the precision of inputs and outputs.
-    """
+class Program:
+    """A function of numbers as a program over arrays: traced once, compiled at the first call."""
 
     def __init__(
         self,
@@ -65,18 +54,52 @@ class Rows:
         self._lock = threading.Lock()
 
     @cached_property
-    def flat(self) -> Flat:
+    def traced(self) -> Traced:
         """The function's operations."""
-        graph = Graph()
-        given = [
-            graph.input(self.kind, name, 0) if n is None else graph.inputs(self.kind, name, n)
-            for name, n in self.inputs.items()
+        return self._trace(0)
+
+    def _trace(self, widest: int) -> Traced:
+        forms = [
+            self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
         ]
-        made = flattened(self._function(*given))
-        wanted = sum(map(_count, self.outputs))
-        if len(made) != wanted:
-            raise ValueError(f"function: gives {len(made)} numbers; accepted: {wanted}")
-        return Flat(graph, made, self.kind)
+        made = trace(self._function, forms, widest, self.kind)
+        count, wanted = len(made.flat.results), sum(map(_count, self.outputs))
+        if count != wanted:
+            raise ValueError(f"function: gives {count} numbers; accepted: {wanted}")
+        return made
+
+    @cached_property
+    def _compiled(self) -> Any:
+        code = self._code(lanes_of(self.kind))
+        program = machine.compiled(text_of(code.module))
+        return program.function("rows", ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+
+    @staticmethod
+    def _begun() -> tuple[Code, tuple[Int, Int], Table]:
+        """A program's function, the rows that it is called for, and its table."""
+        code = Code(ir.Module("rows"), "rows", [I64.as_pointer(), I64, I64])
+        argument, first, last = code.function.args
+        return code, (Int(code, first), Int(code, last)), Table(code, argument)
+
+    def _code(self, lanes: int) -> Code:
+        raise NotImplementedError
+
+
+class Rows(Program):
+    """``function`` of numbers, applied to every row of arrays; compiled at the first call.
+
+    Parameters
+    ----------
+    function : takes a tuple of ``width`` recorded numbers an input (one number where the width is
+        None), in the order of ``inputs``, and gives numbers in tuples, nested at will: a kernel of
+        ``flat.formulas``, or what is made of such. It may look up tables (``graph.gather``), which
+        a call is given, and call opaque functions (``graph.opaque``), which have an ``address``.
+    inputs : widths by name.
+    outputs : widths of the arrays that the numbers are handed out to, in order.
+    kind : "double" or "single", the precision of inputs and outputs.
+    """
+
+    _least = 1 << 13  # rows that are worth a thread
 
     def __call__(
         self,
@@ -112,8 +135,11 @@ class Rows:
                 table += [address_of(x), *_strides(x)]
             table += map(address_of, out)
             kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
-            table += addresses(self._resources, kept)
-            self._run((ctypes.c_int64 * len(table))(*table), total, n_threads)
+            table += addresses(self.traced.resources, kept)
+            places = (ctypes.c_int64 * len(table))(*table)
+            with self._lock:
+                run = self._compiled
+            in_pieces(total, n_threads, lambda a, b: run(places, a, b), self._least)
         return tuple(out)
 
     def _checked(self, name: str, n: Width, value: Any) -> Array:
@@ -129,42 +155,14 @@ class Rows:
     def _in_python(
         self, lead: tuple[int, ...], given: list[Array], tables: Mapping[int, Array]
     ) -> tuple[Array, ...]:
-        names = zip(self.inputs, given, strict=True)
-        columns = {(name, i): x[..., i] for name, x in names for i in range(x.shape[-1])}
-        made = [
-            np.broadcast_to(np.asarray(x, self._dtype), lead)
-            for x in plain(self.flat, columns, tables)
-        ]
+        columns = [x[..., i] for x in given for i in range(x.shape[-1])]
+        run = plain(self._trace(0), tables)
+        made = [np.broadcast_to(np.asarray(x, self._dtype), lead) for x in run(columns)]
         bounds = pairwise(accumulate(map(_count, self.outputs), initial=0))
         return tuple(
             np.stack(made[a:b], axis=-1).reshape((*lead, *_tail(n)))
             for n, (a, b) in zip(self.outputs, bounds, strict=True)
         )
-
-    @cached_property
-    def _resources(self) -> list[tuple[str, Any]]:
-        return resources_of(self.flat)
-
-    def _run(self, table: Any, total: int, n_threads: int) -> None:
-        with self._lock:
-            run = self._compiled
-        if total <= _PIECE and (n_threads == 1 or total <= _SMALL):
-            run(table, 0, total)
-            return
-
-        from fastatt.threads import each_in_threads
-
-        piece = min(_PIECE, -(-total // n_threads))
-        pieces = [(k, min(k + piece, total)) for k in range(0, total, piece)]
-        each_in_threads(
-            [partial(run, table, *x) for x in pieces], n_threads if total > _SMALL else 1
-        )
-
-    @cached_property
-    def _compiled(self) -> Any:
-        code = self._code(lanes_of(self.kind))
-        program = machine.compiled(text_of(code.module))
-        return program.function("rows", ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
     def _code(self, lanes: int) -> Code:
         """``rows(table, first, last)``: rows [first, last) of the arrays that a table describes.
@@ -172,24 +170,17 @@ class Rows:
         The table holds the number of rows and that of the last leading axis; address and strides
         along both leading axes of each input; the address of each output, and of each resource.
         """
-        code = Code(ir.Module("rows"), "rows", [I64.as_pointer(), I64, I64])
-        argument, first, last = code.function.args
-        entries = Table(code, argument)
+        code, (first, last), entries = self._begun()
         total, inner = entries.number(), entries.number()
+        sources, targets, resources = self._arrays(entries)
         real, block = REALS[self.kind], _VECTORS * lanes
-        sources = [
-            (entries.pointer(real), entries.number(), entries.number(), _count(n))
-            for n in self.inputs.values()
-        ]
-        targets = [(entries.pointer(real), _count(n)) for n in self.outputs]
-        resources = entries.resources(self._resources)
-        taken = code.room(real, block * max(1, sum(n for *_, n in sources)))
-        made = code.room(real, block * max(1, len(self.flat.results)))
-        at = {name: k * block for k, name in enumerate(self._names())}
+        size, flat = sum(map(_count, self.inputs.values())), self.traced.flat
+        taken = code.room(real, block * max(1, size))
+        made = code.room(real, block * max(1, len(flat.results)))
         emit = Emitter(code, lanes, machine.processor().fuses, resources)
         outer_at, inner_at = code.variable(0), code.variable(0)
-        with code.loop(Int(code, first), Int(code, last), block) as base:
-            count = (Int(code, last) - base).at_most(block)
+        with code.loop(first, last, block) as base:
+            count = (last - base).at_most(block)
             code.set(outer_at, base // inner)
             code.set(inner_at, base % inner)
             with code.loop(0, (count + (lanes - 1)) // lanes * lanes) as j:
@@ -203,8 +194,8 @@ class Rows:
                     code.set(outer_at, chosen(code, wraps, s + 1, s))
                     code.set(inner_at, chosen(code, wraps, 0, b + 1))
             with code.loop(0, count, lanes) as j:
-                given = columns(code, taken, {name: j + k for name, k in at.items()}, lanes)
-                for k, value in enumerate(emit.wide(self.flat, given)):
+                at = {("x", k): j + k * block for k in range(size)}
+                for k, value in enumerate(emit.wide(flat, columns(code, taken, at, lanes))):
                     code.store_vector(made, j + k * block, value)
             with code.loop(0, count) as j:
                 column = 0
@@ -215,8 +206,15 @@ class Rows:
         code.give(0)
         return code
 
-    def _names(self) -> list[tuple[str, int]]:
-        return [(name, i) for name, n in self.inputs.items() for i in range(_count(n))]
+    def _arrays(self, entries: Table) -> tuple[list[Any], list[Any], dict[Any, Any]]:
+        """What the table says: (pointer, strides, width) of inputs, of outputs; resources."""
+        real = REALS[self.kind]
+        sources = [
+            (entries.pointer(real), entries.number(), entries.number(), _count(n))
+            for n in self.inputs.values()
+        ]
+        targets = [(entries.pointer(real), _count(n)) for n in self.outputs]
+        return sources, targets, entries.resources(self.traced.resources)
 
 
 def _count(width: Width) -> int:
@@ -278,19 +276,14 @@ def without_compiler() -> bool:
     return bool(config.DISABLE_JIT)
 
 
-def plain(
-    flat: Flat, columns: Mapping[tuple[Any, ...], Array], tables: Mapping[int, Array]
-) -> tuple[Any, ...]:
-    """Results of a graph on columns by the names of its inputs, without a compiler."""
-    from fastatt.flat.source import function
-
-    return function(flat, tables=tables)(*(columns[name] for name in flat.inputs()))
-
-
-def resources_of(flat: Flat) -> list[tuple[str, Any]]:
-    """What a graph finds in memory: ("table", its number) and ("function", itself)."""
-    kinds = {"gather": "table", "opaque": "function"}
-    return list(dict.fromkeys((kinds[n.op], n.args[0]) for n in flat.nodes if n.op in kinds))
+def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: int) -> None:
+    """``call(first, last)`` over n rows, in pieces of at least ``least`` on each thread."""
+    pieces = max(min(_PIECES * n_threads if n_threads > 1 else 1, n // least), -(-n // _PIECE))
+    if pieces < 2:
+        call(0, n)
+        return
+    bounds = [n * i // pieces for i in range(pieces + 1)]
+    each_in_threads([partial(call, *ends) for ends in pairwise(bounds)], n_threads)
 
 
 def address_of(x: Array) -> int:
@@ -323,8 +316,7 @@ class Table:
 
     def resources(self, keys: Sequence[tuple[str, Any]]) -> dict[tuple[str, Any], Any]:
         """Addresses of tables (of doubles) and of opaque functions."""
-        kinds = {"table": REALS["double"].as_pointer(), "function": OPAQUE}
-        return {key: self._code.b.inttoptr(self.number().value, kinds[key[0]]) for key in keys}
+        return {key: self._code.b.inttoptr(self.number().value, POINTERS[key[0]]) for key in keys}
 
 
 def chosen(code: Code, test: Any, a: Any, b: Any) -> Int:

@@ -25,10 +25,12 @@ from numba.extending import NativeValue, models, register_model, typeof_impl, un
 
 from fastatt.flat.code import Code
 from fastatt.flat.graph import flattened
+from fastatt.flat.llvm import POINTERS
 from fastatt.flat.recorded import Recorded
+from fastatt.flat.rows import addresses
 from fastatt.flat.trace import traceable
 from fastatt.flat.traced import Traced, Tuple, trace
-from fastatt.flat.writing import POINTERS, in_memory, in_python, unpacking, write
+from fastatt.flat.writing import in_memory, in_python, unpacking, write
 
 _TYPES = {"double": types.float64, "single": types.float32, "truth": types.boolean}
 _KINDS = {types.float64: "double", types.float32: "single"}
@@ -98,17 +100,10 @@ class ScalarFunction:
 
     def _in_memory(self, forms: tuple[Any, ...]) -> Callable[..., Any]:
         traced = self.traced(forms)
-        return in_memory(traced, forms, list(self.addresses(traced).values()))
+        return in_memory(traced, forms, addresses(traced.resources, self.tables))
 
     def _in_python(self, forms: tuple[Any, ...]) -> Callable[..., Any]:
         return in_python(self.formula, forms, self.tables)
-
-    def addresses(self, traced: Traced) -> dict[Any, int]:
-        """Where the tables lie that a formula looks up and the functions that it calls."""
-        return {
-            (kind, found): self.tables[found].ctypes.data if kind == "table" else found.address
-            for kind, found in traced.resources
-        }
 
 
 def scalar_function(
@@ -213,8 +208,8 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
         traced = self.scalar.traced(forms)
         code = Code.within(builder)
         _never_kept(builder.module)
-        pointers = {}
-        for key, at in self.scalar.addresses(traced).items():
+        keys, pointers = traced.resources, {}
+        for key, at in zip(keys, addresses(keys, self.scalar.tables), strict=True):
             pointer = context.add_dynamic_addr(builder, at, info=self.scalar.__name__)
             pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])
         given: list[Any] = []

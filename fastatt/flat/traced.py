@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fastatt.flat.dual import Dual, mapped, value
-from fastatt.flat.finished import Flat
+from fastatt.flat.finished import Flat, resources_of
 from fastatt.flat.graph import Condition, Graph, Number, choose, flattened
 from fastatt.flat.nodes import NotStraight
 
-_WIDEST = 64
+WIDEST = 64
 """Directions of dual numbers that go side by side."""
 
 
@@ -88,19 +88,22 @@ class Traced(NamedTuple):
 
     @property
     def resources(self) -> list[tuple[str, Any]]:
-        """What it finds in memory: ("table", its number) and ("function", itself)."""
-        kinds = {"gather": "table", "opaque": "function"}
-        nodes = itertools.chain.from_iterable(flat.nodes for flat in self.flats)
-        return list(dict.fromkeys((kinds[n.op], n.args[0]) for n in nodes if n.op in kinds))
+        """What its graphs find in memory."""
+        return resources_of(*self.flats)
 
 
-def trace(formula: Callable[..., Any], forms: Sequence[Any], widest: int = _WIDEST) -> Traced:
-    """A formula for arguments of some forms; ``widest`` 0: no lanes for directions."""
+def trace(
+    formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = ""
+) -> Traced:
+    """A formula for arguments of some forms; ``widest`` 0: no lanes for directions.
+
+    ``kind`` is that of all its results; without, each has its own.
+    """
     constants = "single" if set(flattened_forms(forms)) == {"single"} else "double"
     if isinstance(formula, Recurrence) and len(formula.table) > 1:
         return _recurring(formula, forms, constants, widest)
     graph = Graph(widest)
-    form, flat = _ended(graph, formula(*_arguments(graph, forms)), constants)
+    form, flat = _ended(graph, formula(*_arguments(graph, forms)), constants, kind)
     return Traced(flat, form, _lanes((flat,)))
 
 
@@ -125,12 +128,12 @@ def _inputs(graph: Graph, form: Any, places: Iterator[int]) -> Any:
     return graph.input(form, "x", next(places))
 
 
-def _ended(graph: Graph, found: Any, constants: str) -> tuple[Any, Flat]:
+def _ended(graph: Graph, found: Any, constants: str, kind: str = "") -> tuple[Any, Flat]:
     """Form and graph of a result."""
     numbers: list[Any] = []
     form = _result(found, constants, numbers)
-    kinds = ["double" if kind == "truth" else kind for kind in flattened_forms((form,))]
-    return form, Flat(graph, numbers, kinds)
+    kinds = ["double" if own == "truth" else own for own in flattened_forms((form,))]
+    return form, Flat(graph, numbers, kind or kinds)
 
 
 def _result(x: Any, constants: str, numbers: list[Any]) -> Any:

@@ -12,12 +12,9 @@ from llvmlite import ir
 
 from fastatt.flat import machine
 from fastatt.flat.code import I32, I64, REALS, Code, Int, text_of
-from fastatt.flat.llvm import OPAQUE, Emitter
+from fastatt.flat.llvm import POINTERS, Emitter
 from fastatt.flat.nodes import Node, operands
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
-
-#: LLVM's types of what a formula finds in memory
-POINTERS = {"table": REALS["double"].as_pointer(), "function": OPAQUE}
 
 
 class _Emitter(Emitter):
