@@ -66,15 +66,15 @@ class OwnWriter(Writer):
             return
         pointer = self.real.as_pointer()
         code, given, (old, new, made) = self._function("regrid", pointer, pointer, pointer)
-        emit = self._emitter(code, given)
-        share = code.splat(given.number("edge"), self.lanes)
         shared, moment = self._moment(code, given, None)
-        with code.lanes(self.width, self.lanes) as j:
-            step = self._lane_double(code, new, "dt", j)
-            edge = code.b.fmul(share, step)
-            wide = {"k": self._narrow(code, step), "other": self._narrow(code, edge)}
-            find = self._inputs(code, given, old, j, shared, wide={**moment(old, j), **wide})
-            at = iter(emit.wide(regrid, find))
+        assert moment is not None
+
+        def both(rows: Any, j: Int) -> dict[str, Any]:
+            later = moment(new, j)
+            return {**moment(rows, j), "k": later["h"], "other": later["edge"]}
+
+        with self._evaluated(code, given, old, regrid, (shared, both)) as (j, found):
+            at = iter(found)
             for name in ("x", "e"):
                 for i in range(self.rows.sizes[name]):
                     code.store_vector(made, j + self.rows.offset(name, i), next(at))

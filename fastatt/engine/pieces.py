@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import ir
@@ -9,9 +11,14 @@ from llvmlite import ir
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.layout import ARGUMENTS, Given, Rows
 from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.finished import Flat
 from fastatt.flat.llvm import POINTERS, Emitter, larger
 from fastatt.flat.machine import processor
 
+#: numbers that all lanes share, and a function of rows and lane of those that have a lane a body
+Times = tuple[dict[str, Any], Callable[[Any, Int], dict[str, Any]] | None]
+# of bodies with steps of their own: the step, how many were taken, and when they began
+_OWN = ("dt", "before", "begin")
 # φ⁴ steps from one look to the next: pulses of any period meet one before long
 PACE = 6.854101966249685
 
@@ -67,40 +74,37 @@ class Pieces:
         resources = {x: given.array(i, POINTERS[x[0]]) for i, x in enumerate(names)}
         return Emitter(code, self.lanes, processor().fuses, resources)
 
-    def _inputs(
-        self, code: Code, given: Given, rows: Any, lane: Int, scalars: dict[str, Any],
-        source: tuple[Any, Rows] | None = None, wide: dict[str, Any] | None = None,
-    ) -> Any:  # fmt: skip
-        """Values of a formula's inputs: rows of the tile, or numbers that all lanes share.
+    @contextmanager
+    def _evaluated(
+        self, code: Code, given: Given, rows: Any, flat: Flat, times: Times, y: Any = None
+    ) -> Iterator[tuple[Int, list[Any]]]:
+        """(lane, a formula's results) of all lanes, a vector at a time.
 
-        ``wide`` are those that have a lane a body though they lie in no row.
+        Inputs are rows of the tile, initial values in ``y``, or what ``times`` says: numbers that
+        all lanes share, and what gives those that have a lane a body though they lie in no row.
         """
-        known: dict[Any, tuple[Any, bool]] = {}
+        scalars, wide = times
+        emit = self._emitter(code, given)
+        before = emit.shared(flat, scalars)
+        with code.lanes(self.width, self.lanes) as j:
+            own = wide(rows, j) if wide else {}
 
-        def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-            if name not in known:
-                known[name] = load(name, kind)
-            return known[name]
+            def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+                group, *i = name
+                if group in scalars and not i:
+                    return scalars[group], False
+                if i and i[0] in scalars.get(group, ()):
+                    return scalars[group][i[0]], False
+                if group in own:
+                    return own[group], True
+                if group == "y":
+                    return code.vector(y, j + self.done.offset("y", i[0]), self.lanes), True
+                if group in ("p", "c"):
+                    pointer, at = self._number(code, rows, group, i[0], kind)
+                    return code.vector(pointer, j + at, self.lanes), True
+                return code.vector(rows, j + self.rows.offset(group, i[0]), self.lanes), True
 
-        def load(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-            group, *i = name
-            if group in scalars:
-                value = scalars[group]
-                if not i:
-                    return value, False
-                if i[0] in value:
-                    return value[i[0]], False
-            if wide and group in wide:
-                return wide[group], True
-            if source is not None and group == "y":
-                memory, layout = source
-                return code.vector(memory, lane + layout.offset("y", i[0]), self.lanes), True
-            if group in ("p", "c"):
-                pointer, at = self._number(code, rows, group, i[0], kind)
-                return code.vector(pointer, lane + at, self.lanes), True
-            return code.vector(rows, lane + self.rows.offset(group, i[0]), self.lanes), True
-
-        return find
+            yield j, emit.wide(flat, find, before)
 
     def _number(self, code: Code, rows: Any, group: str, i: int, kind: str) -> tuple[Any, int]:
         """Memory, and where in it a row of either precision begins, of parameters or constants."""
@@ -123,48 +127,45 @@ class Pieces:
         vector = isinstance(value.type, ir.VectorType)
         return code.b.fptrunc(value, ir.VectorType(self.real, self.lanes) if vector else self.real)
 
-    def _own_times(self, code: Code, rows: Any, lane: Int) -> list[Any]:
-        """Each body's step, how many it has taken, and when it began."""
-        return [self._lane_double(code, rows, x, lane) for x in ("dt", "before", "begin")]
-
     def _lane_double(self, code: Code, rows: Any, name: str, lane: Int) -> Any:
         """A row of doubles, as a vector."""
         pointer, at = self._number(code, rows, name, 0, "double")
         return code.vector(pointer, lane + at, self.lanes)
 
+    def _clock(self, code: Code, given: Given, made: Any, even: Any = None) -> Times:
+        """What ``made`` gives of a step's length, the steps taken and when they began.
+
+        Of bodies with steps of their own that is a vector, unless those in the rows ``even`` are
+        equal.
+        """
+        if even is not None:
+            return made(*(code.load(*self._number(code, even, x, 0, "double")) for x in _OWN)), None
+        if not self.job.own_steps:
+            return made(given.number("h"), code.real("double", 0.0), given.number("t0")), None
+        return {}, lambda rows, j: made(*(self._lane_double(code, rows, x, j) for x in _OWN))
+
     def _stepping(
-        self, code: Code, given: Given, n: Any, parts: tuple[Any, Any, Any] | None, even: Any = None
-    ) -> tuple[dict[str, Any], Any]:
-        """(t, h, k) of step n, as numbers or, by a function of rows and lane, as vectors.
+        self, code: Code, given: Given, n: Int, parts: tuple[Any, Any, Any] | None, even: Any
+    ) -> Times:
+        """(t, h, k) of step n.
 
         ``parts`` are a stage's shares of the step and where in it the other flow acts; ``even`` the
         rows of a tile whose bodies' own steps are equal.
         """
         b = code.b
-        steps = b.sitofp(n.value, REALS["double"])
+        numbers = [b.sitofp(n.value, REALS["double"]), *(parts or ())]
+        if self.job.own_steps and even is None:
+            numbers = [code.splat(x, self.lanes) for x in numbers]
 
-        def times(step: Any, begin: Any, steps: Any, parts: Any) -> dict[str, Any]:
-            spans = [step, step]
+        def made(step: Any, before: Any, begin: Any) -> dict[str, Any]:
+            steps, spans = b.fadd(before, numbers[0]), [step, step]
             if parts:  # to a whole number first: the same bits of own steps and of one for all
-                steps = b.fadd(steps, parts[2])
-                spans = [b.fmul(x, step) for x in parts[:2]]
+                steps = b.fadd(steps, numbers[3])
+                spans = [b.fmul(x, step) for x in numbers[1:3]]
             h, k = (self._narrow(code, x) for x in spans)
             return {"t": b.fadd(begin, b.fmul(steps, step)), "h": h, "k": k}
 
-        if not self.job.own_steps:
-            return times(given.number("h"), given.number("t0"), steps, parts), None
-        if even is not None:
-            first = (self._number(code, even, x, 0, "double") for x in ("dt", "before", "begin"))
-            step, before, begin = (code.load(*x) for x in first)
-            return times(step, begin, b.fadd(before, steps), parts), None
-        count = code.splat(steps, self.lanes)
-        shares = parts and [code.splat(x, self.lanes) for x in parts]
-
-        def wide(rows: Any, lane: Int) -> dict[str, Any]:
-            step, before, begin = self._own_times(code, rows, lane)
-            return times(step, begin, b.fadd(before, count), shares)
-
-        return {}, wide
+        return self._clock(code, given, made, even)
 
     def _block(self, name: str, forms: Any, look: str, *, even: bool = False) -> None:
         """Steps [first, last) of every lane; ``even`` of lanes whose own steps are equal."""
@@ -174,17 +175,12 @@ class Pieces:
             zero = code.splat(code.real(self.kind, 0.0), self.lanes)
             code.store_vector(rows, j + self.rows.offset("turn"), zero)
         shared = self._shared(code, given)
-        emit = self._emitter(code, given)
 
         def lanes(noted: bool, n: Int, parts: Any = None) -> None:
             scalars, wide = self._stepping(code, given, n, parts, rows if even else None)
-            scalars.update(shared)
             flat = forms.noted if noted else forms.plain
-            before = emit.shared(flat, scalars)
-            with code.lanes(self.width, self.lanes) as j:
-                own = wide(rows, j) if wide else None
-                find = self._inputs(code, given, rows, j, scalars, wide=own)
-                found = emit.wide(flat, find, before)
+            times = {**scalars, **shared}, wide
+            with self._evaluated(code, given, rows, flat, times) as (j, found):
                 for i in range(self.formulas.size):
                     code.store_vector(rows, j + self.rows.offset("x", i), found[i])
                 if noted:
@@ -242,29 +238,20 @@ class Pieces:
             own, at = self._number(code, rows, "p", 0, "double")
             self._gather(code, given, own, base, ("p", "rows_p"), at, self.formulas.parameters)
         if self.rows.sizes["c"]:
-            emit = self._emitter(code, given)
-            with code.lanes(self.width, self.lanes) as j:
-                find = self._inputs(code, given, rows, j, {})
-                constants = self.formulas.constants
-                for i, value in enumerate(emit.wide(constants, find)):
+            constants = self.formulas.constants
+            with self._evaluated(code, given, rows, constants, ({}, None)) as (j, found):
+                for i, value in enumerate(found):
                     kind = constants.nodes[constants.results[i]].kind
                     pointer, at = self._number(code, rows, "c", i, kind)
                     code.store_vector(pointer, j + at, value)
         if self.job.own_steps:
             self._own_begin(code, given, rows, base)
-        scalars, wide = self._moment(code, given, None)
-        emit = self._emitter(code, given)
-        before = emit.shared(self.formulas.begin, scalars)
-        with code.lanes(self.width, self.lanes) as j:
-            own = wide(rows, j) if wide else None
-            find = self._inputs(code, given, rows, j, scalars, (done, self.done), own)
-            found = emit.wide(self.formulas.begin, find, before)
-            at = 0
-            names = ("x", "e", "invariants", *(["bound"] if self.job.bounds else []))
-            for name in names:
+        times, begin = self._moment(code, given, None), self.formulas.begin
+        with self._evaluated(code, given, rows, begin, times, done) as (j, found):
+            values = iter(found)
+            for name in ("x", "e", "invariants", *(["bound"] if self.job.bounds else [])):
                 for i in range(self.rows.sizes[name]):
-                    code.store_vector(rows, j + self.rows.offset(name, i), found[at])
-                    at += 1
+                    code.store_vector(rows, j + self.rows.offset(name, i), next(values))
         with code.when(given.whole("first") > 0):
             self._gather(code, given, rows, base, ("x", "bodies"), 0, self.formulas.size)
         code.give(0)
@@ -290,14 +277,8 @@ class Pieces:
         code, given, (rows, done, tile, n) = self._function("save", pointer, pointer, I64, I64)
         b = code.b
         steps = Int(code, n)
-        scalars, wide = self._moment(code, given, steps)
-        emit = self._emitter(code, given)
-        size = self.formulas.handed_out
-        before = emit.shared(self.formulas.save, scalars)
-        with code.lanes(self.width, self.lanes) as j:
-            own = wide(rows, j) if wide else None
-            find = self._inputs(code, given, rows, j, scalars, wide=own)
-            found = emit.wide(self.formulas.save, find, before)
+        size, times = self.formulas.handed_out, self._moment(code, given, steps)
+        with self._evaluated(code, given, rows, self.formulas.save, times) as (j, found):
             for i, value in enumerate(found):
                 code.store_vector(done, j + self._handed(i), value)
         base = Int(code, tile) * self.width
@@ -326,26 +307,21 @@ class Pieces:
         number = (gone - 1) // given.whole("save_every") + given.whole("slot")
         return Int(code, code.b.select(gone > 0, number.value, code.raw(0)))
 
-    def _moment(self, code: Code, given: Given, n: Int | None) -> tuple[dict[str, Any], Any]:
+    def _moment(self, code: Code, given: Given, n: Int | None) -> Times:
         """What a run's begin (n None), or a save after n steps, needs of times."""
-        b, shared = code.b, self._shared(code, given)
-        if not self.job.own_steps:
-            h, edge = (self._narrow(code, given.number(x)) for x in ("h", "edge"))
-            if n is None:
-                return {"t": given.number("t0"), "h": h, "edge": edge, **shared}, None
-            since = b.fmul(b.sitofp(n.value, REALS["double"]), given.number("h"))
-            found = {"t": b.fadd(given.number("t0"), since), "since": self._narrow(code, since)}
-            return {**found, "edge": edge, **shared}, None
-        share = code.splat(given.number("edge"), self.lanes)
+        b, edge = code.b, given.number("edge")
+        share = code.splat(edge, self.lanes) if self.job.own_steps else None
 
-        def wide(rows: Any, lane: Int) -> dict[str, Any]:
-            step, before, begin = self._own_times(code, rows, lane)
+        def made(step: Any, before: Any, begin: Any) -> dict[str, Any]:
+            if n is not None and share is None:
+                before = b.sitofp(n.value, REALS["double"])
             since = b.fmul(before, step)
-            spans = {"h": step, "since": since, "edge": b.fmul(share, step)}
+            spans = {"h": step, "since": since, "edge": b.fmul(share, step) if share else edge}
             narrow = {name: self._narrow(code, x) for name, x in spans.items()}
             return {"t": b.fadd(begin, since), **narrow}
 
-        return shared, wide
+        scalars, wide = self._clock(code, given, made)
+        return {**scalars, **self._shared(code, given)}, wide
 
     def _own_begin(self, code: Code, given: Given, rows: Any, base: Int) -> None:
         """Load each body's step."""
@@ -373,11 +349,9 @@ class Pieces:
     def _mend(self) -> None:
         """Bring the states nearer to their group; how far they had left it is not forgotten."""
         code, given, (rows, tile) = self._function("mend", self.real.as_pointer(), I64)
-        emit = self._emitter(code, given)
         size, mend = self.formulas.size, self.formulas.mend
         assert mend is not None
-        with code.lanes(self.width, self.lanes) as j:
-            found = emit.wide(mend, self._inputs(code, given, rows, j, {}))
+        with self._evaluated(code, given, rows, mend, ({}, None)) as (j, found):
             for i in range(size):
                 code.store_vector(rows, j + self.rows.offset("x", i), found[i])
             code.store_vector(rows, j + self.rows.offset("turn"), found[size])

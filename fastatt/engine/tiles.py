@@ -29,8 +29,6 @@ from fastatt.engine.layout import ARGUMENTS, BLOCK, WIDTH, Given
 from fastatt.engine.pieces import PACE, Pieces, lanes
 from fastatt.engine.status import Status
 from fastatt.flat.code import I64, REALS, Code, Int, text_of
-from fastatt.flat.llvm import Emitter
-from fastatt.flat.machine import processor
 
 # ulps a step by which |q|² may change unsuspected: good exponentials bring 2.7 at most
 ROUNDING = 4.0
@@ -65,19 +63,16 @@ class Writer(Pieces):
 
     # lanes that the quick form may not do for
 
-    def _remember(self, code: Code, rows: Any) -> None:
+    def _remember(self, code: Code, given: Given, rows: Any) -> None:
         """|q|² of every lane at the start of a block."""
-        with code.lanes(self.width, self.lanes) as j:
-            square = self._square(code, rows, j)
+        with self._squares(code, given, rows) as (j, (square,)):
             code.store_vector(rows, j + self.rows.offset("witness"), square)
 
-    def _square(self, code: Code, rows: Any, j: Int) -> Any:
-        find = self._inputs(code, None, rows, j, {})  # type: ignore[arg-type]
-        emit = Emitter(code, self.lanes, processor().fuses)
+    def _squares(self, code: Code, given: Given, rows: Any) -> Any:
         assert self.formulas.witness is not None
-        return emit.wide(self.formulas.witness, find)[0]
+        return self._evaluated(code, given, rows, self.formulas.witness, ({}, None))
 
-    def _doubt(self, code: Code, rows: Any, n: Int) -> None:
+    def _doubt(self, code: Code, given: Given, rows: Any, n: Int) -> None:
         """Infinity in place of the squared turns of lanes whose |q|² n steps have changed.
 
         Not where it was no number before: another run would not mend it.
@@ -87,9 +82,8 @@ class Writer(Pieces):
         steps = b.sitofp(n.value, self.real)
         bound = code.splat(b.fmul(steps, code.real(self.kind, ROUNDING * eps)), self.lanes)
         infinite = code.splat(code.real(self.kind, math.inf), self.lanes)
-        with code.lanes(self.width, self.lanes) as j:
+        with self._squares(code, given, rows) as (j, (after,)):
             before = code.vector(rows, j + self.rows.offset("witness"), self.lanes)
-            after = self._square(code, rows, j)
             change = b.call(code.intrinsic("llvm.fabs", after.type), [b.fsub(after, before)])
             kept = b.fcmp_ordered("<=", change, b.fmul(bound, before))
             kept = b.or_(kept, b.fcmp_unordered("uno", before, before))
@@ -298,10 +292,10 @@ class Writer(Pieces):
             many = (stop - n) > int(PACE)
             if self.formulas.witness is not None:
                 with code.when(many):
-                    self._remember(code, rows)
+                    self._remember(code, given, rows)
             b.call(block, arguments)
             if self.formulas.witness is not None:
                 with code.when(many):
-                    self._doubt(code, rows, stop - n)
+                    self._doubt(code, given, rows, stop - n)
             with code.when(self._far(code, rows, far)):
                 self._again(code, given, *again)

@@ -342,11 +342,4 @@ def columns(
     code: Code, memory: Any, at: Mapping[tuple[Any, ...], Any], lanes: int
 ) -> Callable[[tuple[Any, ...], str], tuple[Any, bool]]:
     """For an ``Emitter``: the inputs as vectors, from where in memory they lie."""
-    loaded: dict[tuple[Any, ...], Any] = {}
-
-    def given(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-        if name not in loaded:
-            loaded[name] = code.vector(memory, at[name], lanes)
-        return loaded[name], True
-
-    return given
+    return lambda name, kind: (code.vector(memory, at[name], lanes), True)
