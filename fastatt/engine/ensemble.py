@@ -13,7 +13,7 @@ from numba import config
 from numpy.typing import NDArray
 
 from fastatt.engine.job import Job
-from fastatt.engine.layout import ARRAYS, INTS, NUMBERS
+from fastatt.engine.layout import NUMBERS, Table
 from fastatt.engine.own_steps import OwnWriter
 from fastatt.engine.plain import PlainProgram
 from fastatt.engine.tiles import Writer
@@ -54,7 +54,7 @@ class Program:
         self._code = compiled(writer(job, self.formulas).quick())
         address = ctypes.c_void_p
         number = ctypes.c_int64
-        self.tiles = self._code.function("tiles", number, number, address, address, address)
+        self.tiles = self._code.function("tiles", number, number, address)
         self._careful: Any = None
 
     def careful(self) -> int:
@@ -101,31 +101,26 @@ class Run:
         self._program = made if isinstance(made, Program) else None
         formulas = made.formulas
         self.is_timed = formulas.is_timed
-        self.ints = (ctypes.c_int64 * len(INTS))()
-        self.numbers = (ctypes.c_double * len(NUMBERS))()
-        self.addresses = (ctypes.c_int64 * (len(ARRAYS) + len(formulas.resources)))()
+        self.table = Table()
         self._arrays: dict[str, NDArray[Any]] = {}
         self._given = [resources[name] for name in formulas.resources]
-        for i, x in enumerate(self._given):
-            self.addresses[len(ARRAYS) + i] = x if isinstance(x, int) else address_of(x)
+        found = [x if isinstance(x, int) else address_of(x) for x in self._given]
+        self._addresses = (ctypes.c_int64 * len(found))(*found)
         self.told = (ctypes.c_double * 2)()
-        self.addresses[_TOLD] = ctypes.addressof(self.told)
-        given = (self.ints, self.numbers, self.addresses)
-        self._where = tuple(ctypes.addressof(x) for x in given)
+        self.set(resources=ctypes.addressof(self._addresses), told=ctypes.addressof(self.told))
+        self._where = ctypes.addressof(self.table)
         self._lock = threading.Lock()
+
+    def set(self, **values: float) -> None:
+        """Numbers of the program."""
+        for name, value in values.items():
+            setattr(self.table, name, value)
 
     def put(self, **arrays: NDArray[Any]) -> None:
         """Where arrays lie, whose rows follow each other: who calls keeps them alive."""
-        for name, array in arrays.items():
-            self.addresses[_ARRAYS[name]] = address_of(array)
-        if self._plain is not None:
-            self._arrays.update(arrays)
-
-    def lend(self, x: NDArray[Any], watch: NDArray[Any]) -> None:
-        """Other memory for states and what is watched."""
-        self.addresses[_X], self.addresses[_WATCH] = address_of(x), address_of(watch)
+        self.set(**{name: address_of(array) for name, array in arrays.items()})
         if self.is_plain:
-            self._arrays.update(x=x, watch=watch)
+            self._arrays.update(arrays)
 
     def load(self, given: Any, memory: Any, offsets: tuple[int, int, int], t0: float) -> None:
         """Initial states (q, y, rows of q, rows of y), where results go, and when it begins.
@@ -133,25 +128,14 @@ class Run:
         What is handed out begins in ``memory``, departures and flags at the first two ``offsets``.
         """
         q, y, rows_q, rows_y = given[:4]
-        a, ints = self.addresses, self.ints
-        a[_OUT] = at = _at(_byte(memory))
-        a[_DEFECT], a[_STATUS] = at + offsets[0], at + offsets[1]
+        table = self.table
+        table.out = at = _at(_byte(memory))
+        table.defect, table.status = at + offsets[0], at + offsets[1]
         try:
-            a[_Q0], a[_Y0] = _at(_byte(q)), _at(_byte(y))
+            table.q0, table.y0 = _at(_byte(q)), _at(_byte(y))
         except (TypeError, ValueError, BufferError):  # read-only or empty
-            a[_Q0], a[_Y0] = address_of(q), address_of(y)
-        ints[_ROWS_Q], ints[_ROWS_Y] = rows_q, rows_y
-        self.numbers[_T0] = t0
-
-    def count(self, **values: int) -> None:
-        """Whole numbers of the program."""
-        for name, value in values.items():
-            self.ints[_INTS[name]] = value
-
-    def name(self, **values: float) -> None:
-        """Numbers of the program."""
-        for name, value in values.items():
-            self.numbers[_NUMBERS[name]] = value
+            table.q0, table.y0 = address_of(q), address_of(y)
+        table.rows_q, table.rows_y, table.t0 = rows_q, rows_y, t0
 
     def __call__(self, tiles: int) -> None:
         """Steps of the span that the numbers tell on all tiles, in the caller's thread."""
@@ -159,50 +143,37 @@ class Run:
         if self._program is None:
             self._slowly(self._span, 0, tiles)
             return
-        first = self._program.tiles(0, tiles, *self._where)
+        first = self._program.tiles(0, tiles, self._where)
         while first < tiles:
-            self.addresses[_CAREFUL] = self._program.careful()
-            first = self._program.tiles(first, tiles, *self._where)
+            self.table.careful = self._program.careful()
+            first = self._program.tiles(first, tiles, self._where)
 
     @property
     def _span(self) -> Span:
-        return Span(*(self.ints[_INTS[name]] for name in Span.__dataclass_fields__))
+        return Span(*(getattr(self.table, name) for name in Span.__dataclass_fields__))
 
     def part(self, span: Span, first: int, last: int) -> None:
         """Steps of a span on the tiles [first, last); several threads may call it at a time."""
         if self._program is None:
             self._slowly(span, first, last)
             return
-        ints = type(self.ints).from_buffer_copy(self.ints)
+        table, told = Table.from_buffer_copy(self.table), (ctypes.c_double * 2)()
         for name, value in span.__dict__.items():
-            ints[_INTS[name]] = value
-        addresses = type(self.addresses).from_buffer_copy(self.addresses)
-        told = (ctypes.c_double * 2)()
-        addresses[_TOLD] = ctypes.addressof(told)
-        addresses[_CAREFUL] = self._program.careful_if_there
-        where = [ctypes.addressof(x) for x in (ints, self.numbers, addresses)]
+            setattr(table, name, value)
+        table.told, table.careful = ctypes.addressof(told), self._program.careful_if_there
         while first < last:
-            first = self._program.tiles(first, last, *where)
+            first = self._program.tiles(first, last, ctypes.addressof(table))
             if first < last:
-                addresses[_CAREFUL] = self._program.careful()
+                table.careful = self._program.careful()
         with self._lock:
             self.told[:] = list(map(max, self.told, told))
 
     def _slowly(self, span: Span, first: int, last: int) -> None:
         assert self._plain is not None
-        numbers = dict(zip(NUMBERS, self.numbers, strict=True))
+        numbers = {name: getattr(self.table, name) for name in NUMBERS}
         told = self._plain.run(self._arrays, numbers, span, (first, last), self._resources)
         with self._lock:
             self.told[:] = list(map(max, self.told, told))
 
 
 _at, _byte = ctypes.addressof, ctypes.c_char.from_buffer
-_INTS, _NUMBERS, _ARRAYS = (
-    {name: i for i, name in enumerate(names)} for names in (INTS, NUMBERS, ARRAYS)
-)
-_TOLD, _CAREFUL, _Q0, _Y0, _X, _WATCH, _OUT, _DEFECT, _STATUS = (
-    _ARRAYS[name]
-    for name in ("told", "careful", "q0", "y0", "x", "watch", "out", "defect", "status")
-)
-_ROWS_Q, _ROWS_Y = (_INTS[name] for name in ("rows_q", "rows_y"))
-_T0 = _NUMBERS["t0"]

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
-from fastatt.flat.code import I64, REALS, Code, Int
+import ctypes
 
 #: bodies side by side; of few, one vector
 WIDTH = 64
@@ -13,44 +10,25 @@ WIDTH = 64
 #: costs the cheapest step next to nothing
 BLOCK = 256
 
-#: numbers of bodies and of rows, from save to save in bodies, the span
-INTS = (
-    "bodies", "rows_q", "rows_y", "rows_p", "rows_known", "rows_flags", "stride", "first", "last",
-    "n_steps", "save_every", "slot", "restore", "origin", "stages", "rows_own",
-)  # fmt: skip
 #: times, and what the status is judged by
 NUMBERS = ("t0", "h", "edge", "quiet", "limit", "norm", "invariant")
-ARRAYS = (
+_WHOLE = (
+    # numbers of bodies and of rows, from save to save in bodies, the span
+    "bodies", "rows_q", "rows_y", "rows_p", "rows_known", "rows_flags", "stride", "first", "last",
+    "n_steps", "save_every", "slot", "restore", "origin", "stage_count", "rows_own",
+    # addresses
     "q0", "y0", "p", "known", "flags", "stages", "x", "watch", "out", "defect", "status", "told",
-    "dt", "times", "slots", "careful",
+    "dt", "times", "slots", "careful", "resources",
 )  # fmt: skip
 
-_CHARS = I64.as_pointer()
-#: types of (whole numbers, doubles, addresses), with which every function of a program begins
-ARGUMENTS = (I64.as_pointer(), REALS["double"].as_pointer(), _CHARS)
 
+class Table(ctypes.Structure):
+    """What every function of a program is given."""
 
-class Given:
-    """What a function of the program was given, loaded when it is asked for."""
-
-    def __init__(self, code: Code, arguments: Sequence[Any]) -> None:
-        self.code = code
-        self._ints, self._numbers, self._addresses = arguments
-        self.arguments = tuple(arguments)
-
-    def whole(self, name: str) -> Int:
-        """A whole number."""
-        return Int(self.code, self.code.load(self._ints, INTS.index(name)))
-
-    def number(self, name: str) -> Any:
-        """A number of double precision."""
-        return self.code.load(self._numbers, NUMBERS.index(name))
-
-    def array(self, name: str | int, kind: Any) -> Any:
-        """Address of an array; of a table or a function by its place after the named ones."""
-        at = ARRAYS.index(name) if isinstance(name, str) else len(ARRAYS) + name
-        address = self.code.load(self._addresses, at)
-        return self.code.b.inttoptr(address, kind)
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in _WHOLE),
+        *((name, ctypes.c_double) for name in NUMBERS),
+    )
 
 
 class Rows:

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
-
-from fastatt.engine.layout import ARGUMENTS, BLOCK, Given
+from fastatt.engine.layout import BLOCK
 from fastatt.engine.tiles import Writer
-from fastatt.flat.code import I64, REALS, Code, Int, text_of
+from fastatt.flat.code import I64, REALS, Code, Given, Int, text_of
 
 _WHOLE = I64.as_pointer()
 _EPS = 2.0**-52
@@ -49,7 +47,7 @@ class OwnWriter(Writer):
                 other = b.fcmp_unordered("!=", code.load(pointer, j + row), first)
                 found = b.or_(code.get(differ).value, b.zext(other, I64))
                 code.set(differ, Int(code, found))
-        call, arguments = self.module.globals, [rows, *steps, *given.arguments]
+        call, arguments = self.module.globals, [rows, *steps, given.pointer]
         with code.when(code.get(differ).equals(0)):
             b.call(call["even"], arguments)
             code.give(0)
@@ -99,11 +97,11 @@ class OwnWriter(Writer):
 
     def _own_tile(self, code: Code, given: Given, memory: dict[str, Any], tile: Int) -> None:
         rows, far = memory["rows"], memory["far"]
-        b, args = code.b, given.arguments
+        b, args = code.b, given.pointer
         call = self.module.globals
         base = tile * self.width
         first = given.whole("first")
-        b.call(call["begin"], [rows, memory["done"], tile.value, *args])
+        b.call(call["begin"], [rows, memory["done"], tile.value, args])
         loud = self._begin_watch(code, given, rows, far, base)
         before, row = self._number(code, rows, "before", 0, "double")
         step, at = self._number(code, rows, "dt", 0, "double")
@@ -173,9 +171,7 @@ class OwnWriter(Writer):
                 count = Int(code, code.load(left, j))
                 with code.when(b.and_(count >= end, j <= last)):
                     turn = code.load(rows, j + self.rows.offset("turn"))
-                    known = code.load(watch, base + j)
-                    larger = b.fcmp_ordered(">", turn, known)
-                    code.store(watch, base + j, b.select(larger, turn, known))
+                    self._raise(code, watch, base + j, turn)
                 with code.when(count.equals(end)):
                     self._keep(code, rows, still, j)
             code.set(n, end)
@@ -195,7 +191,7 @@ class OwnWriter(Writer):
         """Hand out the states at a save: after what is left of a step, on a copy."""
         rows, other = memory["rows"], memory["other"]
         tile, save, slot = at
-        b, args = code.b, given.arguments
+        b, args = code.b, given.pointer
         zero = code.real("double", 0.0)
         with code.lanes(self.rows.count * self.width, self.lanes) as i:
             code.store_vector(other, i, code.vector(rows, i, self.lanes))
@@ -210,15 +206,15 @@ class OwnWriter(Writer):
                 code.store(step, j + row, rest)
         with code.when(code.get(some) > 0):
             self._partly(code, given, memory, tile)
-        b.call(self.module.globals["save"], [other, memory["done"], tile.value, slot.value, *args])
+        b.call(self.module.globals["save"], [other, memory["done"], tile.value, slot.value, args])
 
     def _partly(self, code: Code, given: Given, memory: dict[str, Any], tile: Int) -> None:
         """One shorter step of the lanes that are marked, in the form that is good for any turn."""
         rows, other, made = memory["rows"], memory["other"], memory["made"]
-        b, args = code.b, given.arguments
+        b, args = code.b, given.pointer
         regrid = self.formulas.regrid
         if regrid is not None:
-            b.call(self.module.globals["regrid"], [rows, other, made, *args])
+            b.call(self.module.globals["regrid"], [rows, other, made, args])
         places = {x: self._number(code, other, x, 0, "double") for x in ("dt", "before", "begin")}
         with (
             code.lanes(self.width, 1) as j,
@@ -237,11 +233,8 @@ class OwnWriter(Writer):
                         code.store(other, lane, code.load(made, lane))
         run = self.module.globals["block"]
         if self.job.has_careful_form:
-            kind = ir.FunctionType(I64, [self.real.as_pointer(), I64, I64, *ARGUMENTS])
-            run = given.array("careful", kind.as_pointer())
-            with code.when(b.icmp_unsigned("==", b.ptrtoint(run, I64), code.raw(0))):
-                code.give(tile)
-        b.call(run, [other, code.raw(0), code.raw(1), *args])
+            run = self._careful_block(code, given, tile)
+        b.call(run, [other, code.raw(0), code.raw(1), args])
         before, k = places["before"]
         with code.lanes(self.width, 1) as j:
             partly = Int(code, code.load(memory["left"], j)) > 0

@@ -9,8 +9,8 @@ from typing import Any
 from llvmlite import ir
 
 from fastatt.engine.job import Formulas, Job
-from fastatt.engine.layout import ARGUMENTS, Given, Rows
-from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.engine.layout import Rows, Table
+from fastatt.flat.code import I64, REALS, Code, Given, Int
 from fastatt.flat.finished import Flat
 from fastatt.flat.llvm import POINTERS, Emitter, larger
 from fastatt.flat.machine import processor
@@ -59,19 +59,21 @@ class Pieces:
         self.module = ir.Module("fastatt")
 
     def _function(self, name: str, *more: Any) -> tuple[Code, Given, list[Any]]:
-        code = Code(self.module, name, [*more, *ARGUMENTS])
-        args = list(code.function.args)
-        for pointer in args[: len(more)]:
+        code = Code(self.module, name, [*more, I64.as_pointer()])
+        *args, table = code.function.args
+        for pointer in args:
             if isinstance(pointer.type, ir.PointerType):
                 pointer.add_attribute("noalias")
         if name not in ("tiles", "careful"):
             code.function.linkage = "internal"
-        given = Given(code, args[len(more) :])
-        return code, given, args[: len(more)]
+        return code, Given(code, table, Table), args
 
     def _emitter(self, code: Code, given: Given) -> Emitter:
-        names = self.formulas.resources
-        resources = {x: given.array(i, POINTERS[x[0]]) for i, x in enumerate(names)}
+        keys = self.formulas.resources
+        found = given.array("resources", I64.as_pointer()) if keys else None
+        resources = {
+            x: code.b.inttoptr(code.load(found, i), POINTERS[x[0]]) for i, x in enumerate(keys)
+        }
         return Emitter(code, self.lanes, processor().fuses, resources)
 
     @contextmanager
@@ -193,7 +195,7 @@ class Pieces:
                 lanes(noted, n)
                 return
             stages = given.array("stages", REALS["double"].as_pointer())
-            with code.loop(0, given.whole("stages")) as i:
+            with code.loop(0, given.whole("stage_count")) as i:
                 lanes(noted, n, tuple(code.load(stages, i * 3 + k) for k in range(3)))
 
         if look != "times":

@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from fastatt.engine.layout import ARGUMENTS, BLOCK, WIDTH, Given
+from fastatt.engine.layout import BLOCK, WIDTH
 from fastatt.engine.pieces import PACE, Pieces, lanes
 from fastatt.engine.status import Status
-from fastatt.flat.code import I64, REALS, Code, Int, text_of
+from fastatt.flat.code import I64, REALS, Code, Given, Int, text_of
 
 # ulps a step by which |q|² may change unsuspected: good exponentials bring 2.7 at most
 ROUNDING = 4.0
@@ -163,8 +163,13 @@ class Writer(Pieces):
         most = turn if self.kind == "double" else b.fpext(turn, REALS["double"])
         flagged = b.uitofp(b.icmp_unsigned("!=", flags, ir.Constant(flags.type, 0)), most.type)
         for i, value in enumerate((most, flagged)):
-            before = code.load(told, i)
-            code.store(told, i, b.select(b.fcmp_ordered(">", value, before), value, before))
+            self._raise(code, told, i, value)
+
+    def _raise(self, code: Code, array: Any, at: Any, value: Any) -> None:
+        """Keep the larger of two numbers."""
+        before = code.load(array, at)
+        larger = code.b.fcmp_ordered(">", value, before)
+        code.store(array, at, code.b.select(larger, value, before))
 
     def _again(self, code: Code, given: Given, memory: tuple[Any, Any, Any], steps: Any) -> None:
         """Run a block in its careful form from the states kept, and take the marked lanes' results.
@@ -174,12 +179,9 @@ class Writer(Pieces):
         rows, kept, far = memory
         tile, first, last = steps
         b = code.b
-        kind = ir.FunctionType(I64, [self.real.as_pointer(), I64, I64, *ARGUMENTS])
-        address = given.array("careful", kind.as_pointer())
-        with code.when(b.icmp_unsigned("==", b.ptrtoint(address, I64), code.raw(0))):
-            code.give(tile)
+        address = self._careful_block(code, given, tile)
         self._exchange(code, rows, kept)
-        b.call(address, [rows, first.value, last.value, *given.arguments])
+        b.call(address, [rows, first.value, last.value, given.pointer])
         with (
             code.lanes(self.width, 1) as j,
             code.when(Int(code, code.load(far, j)) < 1),
@@ -187,6 +189,13 @@ class Writer(Pieces):
         ):
             at = i * self.width + j
             code.store(rows, at, code.load(kept, at))
+
+    def _careful_block(self, code: Code, given: Given, tile: Int) -> Any:
+        """Where the careful form of a block is; returns from the program where it is not yet."""
+        kind = ir.FunctionType(I64, [self.real.as_pointer(), I64, I64, I64.as_pointer()])
+        with code.when(given.whole("careful").equals(0)):
+            code.give(tile)
+        return given.array("careful", kind.as_pointer())
 
     def _exchange(self, code: Code, a: Any, c: Any) -> None:
         with code.lanes(self.copied.count * self.width, self.lanes) as at:
@@ -213,17 +222,17 @@ class Writer(Pieces):
         rows, _, done, far = memory
         b = code.b
         globals_ = self.module.globals
-        args = given.arguments
+        args = given.pointer
         base = tile * self.width
         first, last = given.whole("first"), given.whole("last")
         every, restore = given.whole("save_every"), given.whole("restore")
         n_steps, bodies = given.whole("n_steps"), given.whole("bodies")
-        b.call(globals_["begin"], [rows, done, tile.value, *args])
+        b.call(globals_["begin"], [rows, done, tile.value, args])
         watch = given.array("watch", self.real.as_pointer())
         loud = self._begin_watch(code, given, rows, far, base)
 
         def save(n: Int) -> None:
-            b.call(globals_["save"], [rows, done, tile.value, n.value, *args])
+            b.call(globals_["save"], [rows, done, tile.value, n.value, args])
 
         origin = given.whole("origin")
         due = b.or_(given.whole("slot").equals(1), n_steps.equals(origin))
@@ -242,13 +251,11 @@ class Writer(Pieces):
             self._run_block(code, given, memory, (tile, n, stop), loud)
             with code.loop(0, (bodies - base).at_most(self.width)) as j:
                 turn = code.load(rows, j + self.rows.offset("turn"))
-                before = code.load(watch, base + j)
-                larger_ = b.fcmp_ordered(">", turn, before)
-                code.store(watch, base + j, b.select(larger_, turn, before))
+                self._raise(code, watch, base + j, turn)
             code.set(at, stop)
             if self.formulas.mend is not None:
                 with code.when(restore > 0), code.when((stop % restore).equals(0)):
-                    b.call(globals_["mend"], [rows, tile.value, *args])
+                    b.call(globals_["mend"], [rows, tile.value, args])
             with code.when(b.or_(((stop - origin) % every).equals(0), stop.equals(n_steps))):
                 save(stop)
         self._end_tile(code, given, rows, base)
@@ -276,7 +283,7 @@ class Writer(Pieces):
         rows, kept, _, far = memory
         b = code.b
         _, n, stop = steps
-        arguments = [rows, n.value, stop.value, *given.arguments]
+        arguments = [rows, n.value, stop.value, given.pointer]
         block = self.module.globals["block"]
         again = ((rows, kept, far), steps)
         if not self.job.has_careful_form:

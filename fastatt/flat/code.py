@@ -6,6 +6,7 @@ and ``with when(...)`` open blocks.
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -282,6 +283,34 @@ class Code:
         asked = self.declared("llvm.prefetch.p0", ir.VoidType(), [char, I32, I32, I32])
         read, near, data = (ir.Constant(I32, k) for k in (0, 3, 1))
         self.b.call(asked, [self.b.bitcast(pointer, char), read, near, data])
+
+
+class Given:
+    """What a program was given: a structure of numbers of 8 bytes, by their names.
+
+    They are whole numbers, doubles, and addresses.
+    """
+
+    def __init__(self, code: Code, pointer: Any, kind: type[ctypes.Structure]) -> None:
+        self.code, self.pointer = code, pointer
+        self._places = {field[0]: i for i, field in enumerate(kind._fields_)}
+
+    def whole(self, name: str) -> Int:
+        """A whole number."""
+        return Int(self.code, self.code.load(self.pointer, self._places[name]))
+
+    def place(self, name: str) -> Any:
+        """Where a double lies."""
+        at = self.code.place(self.pointer, self._places[name])
+        return self.code.b.bitcast(at, REALS["double"].as_pointer())
+
+    def number(self, name: str) -> Any:
+        """A double."""
+        return self.code.b.load(self.place(name))
+
+    def array(self, name: str, kind: Any) -> Any:
+        """The address of an array or of a function."""
+        return self.code.b.inttoptr(self.whole(name).value, kind)
 
 
 def _typed(x: Any) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from fastatt.flat.code import I32, I64, REALS, Code, Int
+from fastatt.flat.code import I32, I64, REALS, Code, Given, Int
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph
 from fastatt.flat.llvm import Emitter
@@ -83,9 +83,6 @@ class Job(ctypes.Structure):
     )
 
 
-_PLACES = {field[0]: i for i, field in enumerate(Job._fields_)}
-
-
 class Chunk:
     """Writes the functions of one precision into a program."""
 
@@ -113,23 +110,21 @@ class Chunk:
 
     def field(self, c: Code, job: Any, name: str) -> Int:
         """A whole number of the job."""
-        return Int(c, c.load(job, _PLACES[name]))
+        return Given(c, job, Job).whole(name)
 
     def _number(self, c: Code, job: Any, name: str) -> Any:
-        at = c.b.bitcast(c.place(job, _PLACES[name]), REALS["double"].as_pointer())
-        value = c.b.load(at)
+        value = Given(c, job, Job).number(name)
         return value if self.kind == "double" else c.b.fptrunc(value, self.real)
 
     def raise_peak(self, c: Code, job: Any, value: Any) -> None:
         """Keep the larger of the job's peak and another."""
-        double = REALS["double"]
-        at = c.b.bitcast(c.place(job, _PLACES["peak"]), double.as_pointer())
-        other = value if self.kind == "double" else c.b.fpext(value, double)
+        at = Given(c, job, Job).place("peak")
+        other = value if self.kind == "double" else c.b.fpext(value, REALS["double"])
         c.b.store(larger(c, other, c.b.load(at)), at)
 
     def array(self, c: Code, job: Any, name: str, to: Any = None) -> Any:
         """An array of the job."""
-        return c.b.inttoptr(c.raw(self.field(c, job, name)), to or self.reals)
+        return Given(c, job, Job).array(name, to or self.reals)
 
     def whole(self, c: Code, work: Any, first: int) -> Any:
         """Whole numbers of the scratch memory."""
@@ -228,7 +223,7 @@ class Chunk:
             "gather", [self.wholes, self.reals, self.wholes, self.wholes, I64, I64, I64]
         )
         b, need, width = c.b, Int(c, need), Int(c, width)
-        field = {name: self.field(c, job, name) for name in _PLACES}
+        field = {name: self.field(c, job, name) for name, _ in Job._fields_}
         data, spans = (self.array(c, job, name) for name in ("data", "spans"))
         pointers, columns = self.whole(c, work, _POINTERS), c.place(work, _COLUMNS)
         m = need + field["extra"]

@@ -51,7 +51,7 @@ class _Bench:
     def renew(self) -> None:
         """Other memory in its place."""
         self.x, self.watch = np.empty_like(self.x), np.empty_like(self.watch)
-        self.run.lend(self.x, self.watch)
+        self.run.put(x=self.x, watch=self.watch)
 
 
 class Plan:
@@ -161,11 +161,15 @@ class Plan:
         edge = share * self.clock.h
         if isinstance(self.clock, OwnClock):
             run.put(**self.clock.stops)
-            run.count(rows_own=self.clock.steps.size)
+            run.set(rows_own=self.clock.steps.size)
             edge = share
         rows = {f"rows_{name}": len(fixed[name]) for name in ("p", "known", "flags")}
-        run.count(bodies=n, stages=len(stages), stride=n, **rows, **self.span.__dict__)
-        run.name(
+        run.set(
+            bodies=n,
+            stage_count=len(stages),
+            stride=n,
+            **rows,
+            **self.span.__dict__,
             h=self.clock.h,
             edge=edge,
             quiet=limits.quiet_up_to(self.scene, choice.method, self.limit),
@@ -417,8 +421,7 @@ class Plan:
         bench = self._own_bench()
         run, stride = bench.run, results.defect.strides[0] // results.defect.itemsize
         run.put(q0=given.q, y0=given.y, **results._asdict())
-        run.count(rows_q=given.rows_q, rows_y=given.rows_y, stride=stride)
-        run.name(t0=t0)
+        run.set(rows_q=given.rows_q, rows_y=given.rows_y, stride=stride, t0=t0)
         go(self, run, self.span, handling, partial(self._fields, t0, results))
         return np.asarray(np.sqrt(bench.watch[0]))
 
