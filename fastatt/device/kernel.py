@@ -32,10 +32,6 @@ ARGUMENTS = (
 _FUSED = ("fma", "fms", "fnma")
 
 
-def _call(name: str, *args: ast.expr) -> ast.expr:
-    return ast.Call(ast.Name(name), list(args), [])
-
-
 def _negative(x: ast.expr) -> ast.expr:
     return ast.UnaryOp(ast.USub(), x)
 
@@ -45,7 +41,7 @@ def _larger(x: ast.expr, y: ast.expr) -> ast.expr:
     above = ast.BinOp(
         ast.Compare(x, [ast.Gt()], [y]), ast.BitOr(), ast.Compare(x, [ast.NotEq()], [x])
     )
-    return _call("selp", above, x, y)
+    return source.call_of("selp", above, x, y)
 
 
 class _Text(source.Text):
@@ -72,16 +68,18 @@ class _Text(source.Text):
         if op in _FUSED:
             x, y, z = args
             x = _negative(x) if op == "fnma" else x
-            return _call(f"fma{narrow}", x, y, _negative(z) if op == "fms" else z)
+            return source.call_of(f"fma{narrow}", x, y, _negative(z) if op == "fms" else z)
         if op in ("*", "rint", "floor"):
-            return _call({"*": "product"}.get(op, op) + narrow, *args)
+            return source.call_of({"*": "product"}.get(op, op) + narrow, *args)
         if op == "select":
-            return _call("selp", *args)
+            return source.call_of("selp", *args)
         if op == "larger":
             return _larger(*args)
         if op == "gather":
-            table = ast.Subscript(ast.Name(source.table_name(node.args[0])), _call("whole", *args))
-            return _call(node.kind, table)
+            table = ast.Subscript(
+                ast.Name(source.table_name(node.args[0])), source.call_of("whole", *args)
+            )
+            return source.call_of(node.kind, table)
         return super()._operation(node, args)
 
 

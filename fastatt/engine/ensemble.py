@@ -56,18 +56,16 @@ class Program:
         number = ctypes.c_int64
         self.tiles = self._code.function("tiles", number, number, address)
         self._careful: Any = None
+        #: address of a block's careful form, 0 if it was not asked for yet
+        self.careful_at = 0
 
     def careful(self) -> int:
         """Address of a block's careful form, compiled now if it was not."""
         with self._lock:
-            if self._careful is None:
+            if not self.careful_at:
                 self._careful = compiled(Writer(self._job, self.formulas).careful())
-        return int(self._careful.address("careful"))
-
-    @property
-    def careful_if_there(self) -> int:
-        """The same, 0 if it was not asked for yet."""
-        return 0 if self._careful is None else int(self._careful.address("careful"))
+                self.careful_at = self._careful.address("careful")
+        return self.careful_at
 
 
 @lru_cache(maxsize=256)
@@ -94,11 +92,9 @@ class Run:
     """
 
     def __init__(self, made: Any, resources: Mapping[Any, Any]) -> None:
-        self._resources = resources
-        self._plain = None if isinstance(made, Program) else made
+        self._program, self._resources = made, resources
         #: whether it runs without this machine code, on arrays that it must be given (``put``)
-        self.is_plain = self._plain is not None
-        self._program = made if isinstance(made, Program) else None
+        self.is_plain = not isinstance(made, Program)
         formulas = made.formulas
         self.is_timed = formulas.is_timed
         self.table = Table()
@@ -140,7 +136,7 @@ class Run:
     def __call__(self, tiles: int) -> None:
         """Steps of the span that the numbers tell on all tiles, in the caller's thread."""
         self.told[0] = self.told[1] = 0.0
-        if self._program is None:
+        if self.is_plain:
             self._slowly(self._span, 0, tiles)
             return
         first = self._program.tiles(0, tiles, self._where)
@@ -154,13 +150,13 @@ class Run:
 
     def part(self, span: Span, first: int, last: int) -> None:
         """Steps of a span on the tiles [first, last); several threads may call it at a time."""
-        if self._program is None:
+        if self.is_plain:
             self._slowly(span, first, last)
             return
         table, told = Table.from_buffer_copy(self.table), (ctypes.c_double * 2)()
         for name, value in span.__dict__.items():
             setattr(table, name, value)
-        table.told, table.careful = ctypes.addressof(told), self._program.careful_if_there
+        table.told, table.careful = ctypes.addressof(told), self._program.careful_at
         while first < last:
             first = self._program.tiles(first, last, ctypes.addressof(table))
             if first < last:
@@ -169,9 +165,8 @@ class Run:
             self.told[:] = list(map(max, self.told, told))
 
     def _slowly(self, span: Span, first: int, last: int) -> None:
-        assert self._plain is not None
         numbers = {name: getattr(self.table, name) for name in NUMBERS}
-        told = self._plain.run(self._arrays, numbers, span, (first, last), self._resources)
+        told = self._program.run(self._arrays, numbers, span, (first, last), self._resources)
         with self._lock:
             self.told[:] = list(map(max, self.told, told))
 

@@ -14,6 +14,7 @@ from fastatt.flat.code import I64, REALS, Code, Given, Int
 from fastatt.flat.finished import Flat
 from fastatt.flat.llvm import POINTERS, Emitter, larger
 from fastatt.flat.machine import processor
+from fastatt.flat.rows import lanes_of
 
 #: numbers that all lanes share, and a function of rows and lane of those that have a lane a body
 Times = tuple[dict[str, Any], Callable[[Any, Int], dict[str, Any]] | None]
@@ -23,11 +24,6 @@ _OWN = ("dt", "before", "begin")
 PACE = 6.854101966249685
 
 
-def lanes(kind: str) -> int:
-    """Numbers of a precision in one of the processor's vectors."""
-    return processor().vector // (8 if kind == "double" else 4)
-
-
 class Pieces:
     """Writes the functions that a program of one job is made of."""
 
@@ -35,7 +31,7 @@ class Pieces:
         self.job, self.formulas = job, formulas
         self.kind = job.kind
         self.real = REALS[job.kind]
-        self.lanes = lanes(job.kind)
+        self.lanes = lanes_of(job.kind)
         self.width = job.width
         own = 0 if job.shared else formulas.parameters
         #: rows that a row of doubles takes

@@ -26,9 +26,10 @@ import numpy as np
 from llvmlite import ir
 
 from fastatt.engine.layout import BLOCK, WIDTH
-from fastatt.engine.pieces import PACE, Pieces, lanes
+from fastatt.engine.pieces import PACE, Pieces
 from fastatt.engine.status import Status
 from fastatt.flat.code import I64, REALS, Code, Given, Int, text_of
+from fastatt.flat.rows import lanes_of
 
 # ulps a step by which |q|² may change unsuspected: good exponentials bring 2.7 at most
 ROUNDING = 4.0
@@ -37,7 +38,7 @@ _BYTE = ir.IntType(8).as_pointer()
 
 def width_for(bodies: int, kind: str) -> int:
     """Width of the tile for a number of bodies: a power of two of vectors, at most ``WIDTH``."""
-    width = lanes(kind)
+    width = lanes_of(kind)
     while width < min(bodies, WIDTH):
         width *= 2
     return width

@@ -12,6 +12,7 @@ lane a direction, in place of one for each: a sixth of the operations for six di
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -26,6 +27,13 @@ _STEP = 2.0**-17
 """Of differences: near the cube root of an ulp, where rounding and truncation are alike."""
 
 Slope = Callable[[Any, Any], Any]
+
+
+_COMPARISONS = (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne)
+
+
+def _comparison(test: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda x, y: test(x.value, value(y))
 
 
 class Dual(Composed):
@@ -86,24 +94,7 @@ class Dual(Composed):
         below = self.value < 0.0
         return _dual(abs(self.value), [graph.choose(below, -slope, slope) for slope in self.slopes])
 
-    def __lt__(self, other: Any) -> Any:
-        return self.value < value(other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.value <= value(other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.value > value(other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.value >= value(other)
-
-    def __eq__(self, other: object) -> Any:
-        return self.value == value(other)
-
-    def __ne__(self, other: object) -> Any:
-        return self.value != value(other)
-
+    __lt__, __le__, __gt__, __ge__, __eq__, __ne__ = map(_comparison, _COMPARISONS)
     __hash__ = None  # type: ignore[assignment]
 
     def through(self, result: Any, slope: Any) -> Any:

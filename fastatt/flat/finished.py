@@ -34,7 +34,6 @@ class Flat:
             if i not in live:
                 live.add(i)
                 todo += operands(nodes[i])
-        fused: set[int] = set()
         made: dict[int, Node] = {}
         for i in sorted(live):
             made[i] = nodes[i]
@@ -47,23 +46,17 @@ class Flat:
                     a, b = nodes[k].args
                     made[left] = Node("neg", nodes[i].kind, (a,))
                     made[i] = Node("fms", nodes[i].kind, (left, b, nodes[i].args[1]))
-                    fused.add(k)
                 elif product is not None:
                     op, k, other = product
                     a, b = nodes[k].args
                     made[i] = Node(op, nodes[i].kind, (a, b, other))
-                    fused.add(k)
-        self.nodes, self.results = _numbered(made, sorted(live - fused), ends)
+        self.nodes, self.results = _numbered(made, ends)
 
     @classmethod
     def of(cls, made: Mapping[int, Node], ends: Sequence[int]) -> Flat:
         """What of operations in order, fused already, is needed for the results ``ends``."""
-        live = set(ends)
-        for i in sorted(made, reverse=True):
-            if i in live:
-                live.update(operands(made[i]))
         found = cls.__new__(cls)
-        found.nodes, found.results = _numbered(made, sorted(live), ends)
+        found.nodes, found.results = _numbered(made, ends)
         return found
 
     def first(self, n: int) -> Flat:
@@ -108,16 +101,14 @@ def resources_of(*flats: Flat) -> list[tuple[str, Any]]:
     return list(dict.fromkeys((kinds[n.op], n.args[0]) for n in nodes if n.op in kinds))
 
 
-def _numbered(
-    made: Mapping[int, Node] | Sequence[Node], order: Iterable[int], ends: Sequence[int]
-) -> tuple[list[Node], list[int]]:
-    """(operations, results) in an order; operations refer to each other by the keys of ``made``."""
-    place: dict[int, int] = {}
-    nodes: list[Node] = []
-    for i in order:
-        node = made[i]
-        place[i] = len(nodes)
-        nodes.append(renamed(node, [place[k] for k in operands(node)]))
+def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node], list[int]]:
+    """(operations that results need, results), numbered anew; before by the keys of ``made``."""
+    live = set(ends)
+    for i in sorted(made, reverse=True):
+        if i in live:
+            live.update(operands(made[i]))
+    place = {i: k for k, i in enumerate(sorted(live))}
+    nodes = [renamed(made[i], [place[k] for k in operands(made[i])]) for i in place]
     return nodes, [place[i] for i in ends]
 
 

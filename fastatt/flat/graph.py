@@ -89,6 +89,105 @@ class _Deciding(threading.local):
 deciding = _Deciding()
 
 
+def _lifted(x: Any, like: Number) -> Number:
+    if isinstance(x, Number):
+        return x
+    if isinstance(x, Condition):
+        return _lifted(choose(x, 1.0, 0.0), like)
+    if not isinstance(x, (int, float, np.number, np.bool_)):
+        raise NotStraight(f"arithmetic with {type(x).__name__}")
+    value = float(x)
+    return _made(like.graph, "const", like.kind, value)  # type: ignore[no-any-return]
+
+
+def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
+    """Both as numbers of one precision: see ``Graph``."""
+    like = a if isinstance(a, Number) else b
+    a, b = _lifted(a, like), _lifted(b, like)
+    if a.kind != b.kind:
+        graph = a.graph
+        wide, other = (a, b) if a.kind == "double" else (b, a)
+        later = op in ("+", "-") and graph.of_time(wide.at)[0] and graph.of_time(other.at)[1]
+        keeps = not graph.narrow or later
+        kind = Double if keeps else Single
+        a, b = kind(a), kind(b)
+    return a, b
+
+
+def _binary(op: str, a: Any, b: Any) -> Any:
+    if isinstance(b, Composed):
+        return NotImplemented
+    a, b = _pair(a, b, op)
+    return _made(a.graph, op, a.kind, a.at, b.at)
+
+
+def _is(x: Any, value: float) -> bool:
+    return not isinstance(x, Number) and isinstance(x, (int, float, np.number)) and x == value
+
+
+def _negative(x: Any) -> Any:
+    """y where x is −y, else None."""
+    if isinstance(x, Number) and x.graph.nodes[x.at].op == "neg":
+        return -x
+    return None
+
+
+def _sum(a: Any, b: Any) -> Any:
+    if _is(a, 0.0) or _is(b, 0.0):
+        return b if _is(a, 0.0) else a
+    if (y := _negative(b)) is not None:
+        return _difference(a, y)
+    if (x := _negative(a)) is not None and not isinstance(b, Composed):
+        return _difference(b, x)
+    return _binary("+", a, b)
+
+
+def _difference(a: Any, b: Any) -> Any:
+    if _is(b, 0.0):
+        return a
+    if _is(a, 0.0):
+        return -b
+    if isinstance(a, Number) and isinstance(b, Number) and a.at == b.at:
+        return 0.0  # the bracket of a constant rate disappears
+    if (y := _negative(b)) is not None:
+        return _sum(a, y)
+    return _binary("-", a, b)
+
+
+def _product(a: Any, b: Any) -> Any:
+    for x, y in ((a, b), (b, a)):
+        if _is(x, 0.0):
+            return 0.0
+        if _is(x, 1.0):
+            return y
+        if _is(x, -1.0):
+            return -y
+        # a sign goes outwards, where a sum takes it up: −k b beside k b is one product
+        if (positive := _negative(x)) is not None and not isinstance(y, Composed):
+            return -_product(positive, y)
+    return _binary("*", a, b)
+
+
+def _quotient(a: Any, b: Any) -> Any:
+    if _is(a, 0.0):
+        return 0.0
+    return a if _is(b, 1.0) else _binary("/", a, b)
+
+
+def _turned(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda b, a: operation(a, b)
+
+
+def _comparison(op: str) -> Callable[[Any, Any], Any]:
+    def compare(a: Any, b: Any) -> Any:
+        if not isinstance(b, (Number, int, float, np.number)):
+            return NotImplemented
+        a, b = _pair(a, b)
+        return _condition(a.graph, op, a.at, b.at)
+
+    return compare
+
+
 class Number(Recorded):
     """A number of a graph."""
 
@@ -108,29 +207,10 @@ class Number(Recorded):
         """A known number as one of this precision: kernels test what is left of the smallest."""
         return float(x)
 
-    def __add__(self, other: Any) -> Any:
-        return _sum(self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return _sum(other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return _difference(self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return _difference(other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return _product(self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return _product(other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return _quotient(self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _quotient(other, self)
+    __add__, __radd__ = _sum, _turned(_sum)
+    __sub__, __rsub__ = _difference, _turned(_difference)
+    __mul__, __rmul__ = _product, _turned(_product)
+    __truediv__, __rtruediv__ = _quotient, _turned(_quotient)
 
     def __pow__(self, power: Any) -> Any:
         return functions_of_numbers().raised(self, power)
@@ -144,24 +224,8 @@ class Number(Recorded):
     def __abs__(self) -> Any:
         return apply("abs", self)
 
-    def __lt__(self, other: Any) -> Any:
-        return _compare("<", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return _compare("<=", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return _compare(">", self, other)
-
-    def __ge__(self, other: Any) -> Any:
-        return _compare(">=", self, other)
-
-    def __eq__(self, other: object) -> Any:
-        return _compare("==", self, other)
-
-    def __ne__(self, other: object) -> Any:
-        return _compare("!=", self, other)
-
+    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("<", "<=", ">", ">="))
+    __eq__, __ne__ = map(_comparison, ("==", "!="))
     __hash__ = None
 
 
@@ -258,98 +322,6 @@ def _condition(graph: Graph, op: str, *args: int) -> Condition:
     made = object.__new__(Condition)
     made.graph, made.at = graph, graph.add(op, "", *args)
     return made
-
-
-def _lifted(x: Any, like: Number) -> Number:
-    if isinstance(x, Number):
-        return x
-    if isinstance(x, Condition):
-        return _lifted(choose(x, 1.0, 0.0), like)
-    if not isinstance(x, (int, float, np.number, np.bool_)):
-        raise NotStraight(f"arithmetic with {type(x).__name__}")
-    value = float(x)
-    return _made(like.graph, "const", like.kind, value)  # type: ignore[no-any-return]
-
-
-def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
-    """Both as numbers of one precision: see ``Graph``."""
-    like = a if isinstance(a, Number) else b
-    a, b = _lifted(a, like), _lifted(b, like)
-    if a.kind != b.kind:
-        graph = a.graph
-        wide, other = (a, b) if a.kind == "double" else (b, a)
-        later = op in ("+", "-") and graph.of_time(wide.at)[0] and graph.of_time(other.at)[1]
-        keeps = not graph.narrow or later
-        kind = Double if keeps else Single
-        a, b = kind(a), kind(b)
-    return a, b
-
-
-def _binary(op: str, a: Any, b: Any) -> Any:
-    if isinstance(b, Composed):
-        return NotImplemented
-    a, b = _pair(a, b, op)
-    return _made(a.graph, op, a.kind, a.at, b.at)
-
-
-def _is(x: Any, value: float) -> bool:
-    return not isinstance(x, Number) and isinstance(x, (int, float, np.number)) and x == value
-
-
-def _negative(x: Any) -> Any:
-    """y where x is −y, else None."""
-    if isinstance(x, Number) and x.graph.nodes[x.at].op == "neg":
-        return -x
-    return None
-
-
-def _sum(a: Any, b: Any) -> Any:
-    if _is(a, 0.0) or _is(b, 0.0):
-        return b if _is(a, 0.0) else a
-    if (y := _negative(b)) is not None:
-        return _difference(a, y)
-    if (x := _negative(a)) is not None and not isinstance(b, Composed):
-        return _difference(b, x)
-    return _binary("+", a, b)
-
-
-def _difference(a: Any, b: Any) -> Any:
-    if _is(b, 0.0):
-        return a
-    if _is(a, 0.0):
-        return -b
-    if isinstance(a, Number) and isinstance(b, Number) and a.at == b.at:
-        return 0.0  # the bracket of a constant rate disappears
-    if (y := _negative(b)) is not None:
-        return _sum(a, y)
-    return _binary("-", a, b)
-
-
-def _product(a: Any, b: Any) -> Any:
-    for x, y in ((a, b), (b, a)):
-        if _is(x, 0.0):
-            return 0.0
-        if _is(x, 1.0):
-            return y
-        if _is(x, -1.0):
-            return -y
-        # a sign goes outwards, where a sum takes it up: −k b beside k b is one product
-        if (positive := _negative(x)) is not None and not isinstance(y, Composed):
-            return -_product(positive, y)
-    return _binary("*", a, b)
-
-
-def _quotient(a: Any, b: Any) -> Any:
-    if _is(a, 0.0):
-        return 0.0
-    return a if _is(b, 1.0) else _binary("/", a, b)
-
-
-def _compare(op: str, a: Any, b: Any) -> Any:
-    if not isinstance(b, (Number, int, float, np.number)):
-        return NotImplemented
-    a, b = _pair(a, b)
-    return _condition(a.graph, op, a.at, b.at)
 
 
 def both(a: Any, b: Any) -> Any:

@@ -15,6 +15,10 @@ def functions_of_numbers() -> Any:
     return functions
 
 
+def _part_of(function: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
+    return lambda x, y: function(x, y)[k]
+
+
 class Recorded:
     """A number that is not known beforehand: of a graph, or composed of some that are.
 
@@ -42,23 +46,14 @@ class Recorded:
     def __bool__(self) -> bool:
         return bool(self != 0.0)
 
-    def __mod__(self, other: Any) -> Any:
-        return functions_of_numbers().divided(self, other)[1]
-
-    def __rmod__(self, other: Any) -> Any:
-        return functions_of_numbers().divided(other, self)[1]
-
-    def __floordiv__(self, other: Any) -> Any:
-        return functions_of_numbers().divided(self, other)[0]
-
-    def __rfloordiv__(self, other: Any) -> Any:
-        return functions_of_numbers().divided(other, self)[0]
-
     def __divmod__(self, other: Any) -> Any:
         return functions_of_numbers().divided(self, other)
 
     def __rdivmod__(self, other: Any) -> Any:
         return functions_of_numbers().divided(other, self)
+
+    __floordiv__, __mod__ = _part_of(__divmod__, 0), _part_of(__divmod__, 1)
+    __rfloordiv__, __rmod__ = _part_of(__rdivmod__, 0), _part_of(__rdivmod__, 1)
 
     def __rpow__(self, base: Any) -> Any:
         return functions_of_numbers().raised(base, self)

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import accumulate, pairwise
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
@@ -232,14 +232,7 @@ def _tail(width: Width) -> tuple[int, ...]:
     return () if width is None else (width,)
 
 
-class _Key(NamedTuple):
-    function: Hashable
-    inputs: tuple[tuple[str, Width], ...]
-    outputs: tuple[Width, ...]
-    kind: str
-
-
-_KNOWN: dict[_Key, Rows] = {}
+_KNOWN: dict[Hashable, Rows] = {}
 
 
 def rows(
@@ -254,11 +247,9 @@ def rows(
     ``key`` stands for the function where that is made anew at each call; it says all that the
     function's operations depend on.
     """
-    found = _Key(function if key is None else key, tuple(inputs.items()), tuple(outputs), kind)
-    made = _KNOWN.get(found)
-    if made is None:
-        made = _KNOWN.setdefault(found, Rows(function, inputs, outputs, kind))
-    return made
+    layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), kind
+    found = _KNOWN.get(layout)
+    return found or _KNOWN.setdefault(layout, Rows(function, inputs, outputs, kind))
 
 
 def kind_of(dtype: Any) -> str:

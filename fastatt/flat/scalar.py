@@ -37,20 +37,35 @@ _KINDS = {types.float64: "double", types.float32: "single"}
 
 
 class ScalarFunction:
-    """See :func:`scalar_function`."""
+    """A formula as a function for ``@njit`` code, and for Python.
+
+    ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
+    ``rewritten`` one that is written as kernels are (``fastatt.flat.trace``); or a ``Recurrence``.
+    It takes floats and tuples of them, nested and named ones too, and gives such; results are of
+    single precision where all arguments are. What the formula is made of is looked up when it is
+    first called with arguments of some types. ``tables`` are the arrays that it looks up;
+    ``arrays`` names the arguments that may be arrays too, of one axis, in place of tuples of so
+    many numbers: the first so many are read, and must be there.
+
+    Code that calls it holds the formula as it was then, which may have been edited when another
+    process runs: Numba keeps no such code on disk. Of ``@njit(cache=True)`` it warns so.
+
+    Two of them, chosen from by an ``if``, are a function of one's own that calls both.
+    """
 
     __name__: str
 
     def __init__(
         self,
         function: Callable[..., Any],
-        tables: Mapping[int, Any] | None,
-        arrays: Mapping[str, int] | None,
+        tables: Mapping[int, Any] | None = None,
         *,
-        rewritten: bool,
+        arrays: Mapping[str, int] | None = None,
+        rewritten: bool = False,
     ) -> None:
         functools.update_wrapper(self, function)
-        self._function, self._rewritten = function, rewritten
+        self._function = function
+        self._rewritten = rewritten or isinstance(function, CPUDispatcher)
         self.tables = {
             k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()
         }
@@ -106,31 +121,7 @@ class ScalarFunction:
         return in_python(self.formula, forms, self.tables)
 
 
-def scalar_function(
-    function: Callable[..., Any],
-    tables: Mapping[int, Any] | None = None,
-    *,
-    arrays: Mapping[str, int] | None = None,
-    rewritten: bool = False,
-) -> ScalarFunction:
-    """A formula as a function for ``@njit`` code, and for Python.
-
-    ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
-    ``rewritten`` one that is written as kernels are (``fastatt.flat.trace``); or a ``Recurrence``.
-    It takes floats and tuples of them, nested and named ones too, and gives such; results are of
-    single precision where all arguments are. What the formula is made of is looked up when it is
-    first called with arguments of some types. ``tables`` are the arrays that it looks up;
-    ``arrays`` names the arguments that may be arrays too, of one axis, in place of tuples of so
-    many numbers: the first so many are read, and must be there.
-
-    Code that calls it holds the formula as it was then, which may have been edited when another
-    process runs: Numba keeps no such code on disk. Of ``@njit(cache=True)`` it warns so.
-
-    Two of them, chosen from by an ``if``, are a function of one's own that calls both.
-    """
-    rewritten = rewritten or isinstance(function, CPUDispatcher)
-    return ScalarFunction(function, tables, arrays, rewritten=rewritten)
-
+scalar_function = ScalarFunction
 
 # forms
 

@@ -106,9 +106,9 @@ class Text:
         op = node.op
         if op == "/" and all(isinstance(x, ast.Constant) for x in args):
             # Python refuses to divide a constant by 0
-            args = [_call(node.kind, args[0]), args[1]]
+            args = [call_of(node.kind, args[0]), args[1]]
         if op == "select" and self._mixed:
-            args = [_call(node.kind, x) if isinstance(x, ast.Constant) else x for x in args]
+            args = [call_of(node.kind, x) if isinstance(x, ast.Constant) else x for x in args]
         if op in _FORMS:
             return _FORMS[op](*args)
         if op == "item":
@@ -119,7 +119,7 @@ class Text:
             args = [ast.Constant(node.args[0]), *args]
         name = self._function(node.args[0]) if op == "opaque" else op
         name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, name)
-        return _call(name, *args)
+        return call_of(name, *args)
 
     def _function(self, function: Any) -> str:
         """Name of an opaque function."""
@@ -261,5 +261,6 @@ def _uses(flat: Flat) -> list[int]:
     return uses
 
 
-def _call(name: str, *args: ast.expr) -> ast.expr:
+def call_of(name: str, *args: ast.expr) -> ast.expr:
+    """A call."""
     return ast.Call(ast.Name(name), list(args), [])

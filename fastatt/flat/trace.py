@@ -221,15 +221,14 @@ def each_way(run: Callable[[], Any]) -> Any:
 # functions
 
 
-class _Module:
-    """Stands for a module of functions."""
+class Standing:
+    """Stands for a module: what ``instead`` makes of each thing that it holds."""
 
-    def __init__(self, module: types.ModuleType) -> None:
-        self._module = module
+    def __init__(self, module: types.ModuleType, instead: Callable[[Any], Any]) -> None:
+        self._module, self._instead = module, instead
 
     def __getattr__(self, name: str) -> Any:
-        value = stand_in(getattr(self._module, name))
-        self.__dict__[name] = value
+        value = self.__dict__[name] = self._instead(getattr(self._module, name))
         return value
 
 
@@ -240,7 +239,7 @@ def stand_in(value: Any) -> Any:
     if isinstance(value, CPUDispatcher):
         return _lazily(value)
     if isinstance(value, types.ModuleType):
-        return _Module(value)
+        return Standing(value, stand_in)
     if (known := _mathematical(value)) is not None:
         return known
     if isinstance(value, types.FunctionType):

@@ -25,7 +25,7 @@ from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, Number
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.recorded import Recorded
-from fastatt.flat.trace import referred_to, traceable
+from fastatt.flat.trace import Standing, referred_to, traceable
 
 POINTS = 8
 # of a component beside its largest over the points; a wrong formula is off by far more
@@ -302,18 +302,8 @@ def _in_python(value: Any) -> Any:
     if isinstance(value, CPUDispatcher):
         return lambda *args, **named: interpreted(value)(*args, **named)
     if isinstance(value, ModuleType) and value not in (math, np):
-        return _Interpreted(value)
+        return Standing(value, _in_python)
     return value
-
-
-class _Interpreted:
-    """Stands for a module of jitted functions."""
-
-    def __init__(self, module: ModuleType) -> None:
-        self._module = module
-
-    def __getattr__(self, name: str) -> Any:
-        return _in_python(getattr(self._module, name))
 
 
 # what is no straight line

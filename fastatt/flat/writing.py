@@ -11,14 +11,24 @@ import numpy as np
 from llvmlite import ir
 
 from fastatt.flat import machine
-from fastatt.flat.code import I32, I64, REALS, Code, Int, text_of
+from fastatt.flat.code import I32, I64, REALS, Code, text_of
 from fastatt.flat.llvm import POINTERS, Emitter
 from fastatt.flat.nodes import Node, operands
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
 
 
-class _Emitter(Emitter):
-    """With lanes for the directions of dual numbers, of which single numbers are taken."""
+class _Written(Emitter):
+    """The graphs of a formula, one after the other, with lanes for the directions of dual numbers.
+
+    Single numbers are taken of those.
+    """
+
+    def __init__(
+        self, code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]
+    ) -> None:
+        super().__init__(code, traced.lanes, machine.processor().fuses, resources)
+        self.traced = traced
+        self.found: dict[str, Any] = {"x": given}
 
     def _node(self, node: Node, values: list[tuple[Any, bool]], given: Any) -> tuple[Any, bool]:
         if node.op == "lane":
@@ -35,18 +45,6 @@ class _Emitter(Emitter):
             return made[node.args[1]], has_lanes
         return super()._node(node, values, given)
 
-
-class _Written:
-    """The graphs of a formula, one after the other."""
-
-    def __init__(
-        self, code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]
-    ) -> None:
-        self.code, self.traced = code, traced
-        fuses = machine.processor().fuses
-        self.emit = _Emitter(code, traced.lanes, fuses, resources)
-        self.found: dict[str, Any] = {"x": given}
-
     def input(self, name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
         """A number that is given, for the emitter."""
         group, k = name
@@ -54,36 +52,35 @@ class _Written:
             return self.found["s"][k]  # type: ignore[no-any-return]
         if group != "direction":
             return self.found[group][k], False
-        lanes = self.traced.lanes
-        if lanes == 1:
+        if self.lanes == 1:
             return ir.Constant(REALS[kind], 1.0), False
-        units = [float(i == k) for i in range(lanes)]
-        return ir.Constant(ir.VectorType(REALS[kind], lanes), units), True
+        units = [float(i == k) for i in range(self.lanes)]
+        return ir.Constant(ir.VectorType(REALS[kind], self.lanes), units), True
 
     def results(self) -> list[Any]:
         """The numbers of the result."""
         if self.traced.loop is not None:
             self._repeated(self.traced.loop)
-        return [value for value, _ in self.emit(self.traced.flat, self.input)]
+        return [value for value, _ in self(self.traced.flat, self.input)]
 
     def _repeated(self, loop: Loop) -> None:
-        state = self.emit(loop.begin, self.input)
+        state = self(loop.begin, self.input)
         n = len(loop.step.results)
-        wide = [k in loop.wide and self.traced.lanes > 1 for k in range(n)]
+        wide = [k in loop.wide and self.lanes > 1 for k in range(n)]
         first = self._alike(state[:n], wide)
         rooms = [self.code.room(x.type) for x in first]
         self._put(rooms, first)
-        row = _Table(self.code, loop)
+        table, size = _table(self.code, loop), len(loop.table[0])
         with self.code.loop(0, len(loop.table)) as i:
             self.found["s"] = [*self._got(rooms, wide), *state[n:]]
-            self.found["row"] = row.at(i)
-            self._put(rooms, self._alike(self.emit(loop.step, self.input), wide))
+            self.found["row"] = [self.code.load(table, i * size + k) for k in range(size)]
+            self._put(rooms, self._alike(self(loop.step, self.input), wide))
         self.found["s"] = [*self._got(rooms, wide), *state[n:]]
 
     def _alike(self, values: Sequence[tuple[Any, bool]], wide: Sequence[bool]) -> list[Any]:
         """Each with lanes where it has any."""
         pairs = zip(values, wide, strict=True)
-        return [self.emit.spread(*x) if lanes else x[0] for x, lanes in pairs]
+        return [self.spread(*x) if lanes else x[0] for x, lanes in pairs]
 
     # a vector of many directions is wider than what memory on the stack is aligned to
 
@@ -96,24 +93,16 @@ class _Written:
         return [(self.code.b.load(room, align=8), lanes) for room, lanes in pairs]
 
 
-class _Table:
-    """The constants of a loop, in the program."""
-
-    def __init__(self, code: Code, loop: Loop) -> None:
-        self.code, self.size = code, len(loop.table[0])
-        kinds = {node.args[1]: node.kind for node in loop.step.nodes if node.args[:1] == ("row",)}
-        kind = REALS[next(iter(kinds.values()), "double")]
-        numbers = [x for row in loop.table for x in row]
-        of = ir.ArrayType(kind, len(numbers))
-        name = code.module.get_unique_name("table")
-        table = ir.GlobalVariable(code.module, of, name)
-        table.linkage, table.global_constant = "internal", True
-        table.initializer = ir.Constant(of, numbers)
-        self.start = code.b.bitcast(table, kind.as_pointer())
-
-    def at(self, i: Int) -> list[Any]:
-        """A row."""
-        return [self.code.load(self.start, i * self.size + k) for k in range(self.size)]
+def _table(code: Code, loop: Loop) -> Any:
+    """Where the constants of a loop are in the program."""
+    kinds = (node.kind for node in loop.step.nodes if node.args[:1] == ("row",))
+    kind = REALS[next(kinds, "double")]
+    numbers = [x for row in loop.table for x in row]
+    of = ir.ArrayType(kind, len(numbers))
+    table = ir.GlobalVariable(code.module, of, code.module.get_unique_name("table"))
+    table.linkage, table.global_constant = "internal", True
+    table.initializer = ir.Constant(of, numbers)
+    return code.b.bitcast(table, kind.as_pointer())
 
 
 def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from fastatt.arrays import quat_multiply
 from fastatt.flat import machine
 from fastatt.flat.code import text_of
-from fastatt.flat.rows import address_of
+from fastatt.flat.rows import address_of, kind_of
 from fastatt.gyro import ends
 from fastatt.gyro.chunk import Job, scratch_size
 from fastatt.gyro.loops import Loops
@@ -29,11 +29,9 @@ from fastatt.gyro.turns import WindowsLoop
 from fastatt.gyro.windows import CHUNK, LANES, Window
 from fastatt.threads import each_in_threads, in_threads, number_of
 
-_KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
 _SCRATCH = threading.local()
-# programs are made once: threads that meet the need of one together wait for the first
+# threads that meet a turn of any angle together wait for the first
 _MAKING = threading.Lock()
-_PROGRAMS: dict[Any, _Program] = {}
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _AT_REST: dict[Any, NDArray[Any]] = {
     np.dtype(kind): np.tile(NO_TURN, (1, 2)).astype(kind) for kind in (np.float64, np.float32)
@@ -188,11 +186,10 @@ class Run:
         call, work = self._program.loops[name], _scratch(self._program.kind)
         where = ctypes.addressof(job)
         while at < last:
-            job.short, job.wide = self._program.forms
+            job.short, job.wide = self._program.short, self._program.wide
             at = call(where, work, q, *how, at, last)
             if at < last:
-                with _MAKING:
-                    self._program.any_angle()
+                self._program.any_angle()
         return float(job.peak)
 
 
@@ -224,10 +221,16 @@ def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
 
 
 class _Program:
-    """A method's windows for a kind of samples, and the loops over them."""
+    """A method's windows for a kind of samples, and the loops over them.
 
-    def __init__(self, window: Window, increments: bool, kind: str, uneven: bool) -> None:
-        self.kind, self.loops = kind, _loops(kind)
+    ``uneven`` intervals stand in rows, equal ones are one number.
+    """
+
+    def __init__(
+        self, window: Window, increments: bool, precision: np.dtype[Any], uneven: bool
+    ) -> None:
+        kind = self.kind = kind_of(precision)
+        self.loops = _loops(kind)
         self._given, self._uneven = (window, increments), uneven
         # an iteration has one form for all angles
         near = 0.0 if window.iteration else window.near
@@ -237,20 +240,20 @@ class _Program:
         )  # fmt: skip
         self._whole = window.samples(increments)
         self._ends: dict[tuple[int, int], Job] = {}
-        self._made = partial(windows, window, increments, kind, uneven)
-        self._forms = [self._made(wide=False) if near else None, None]
-        self.forms = 0, 0
-        self._find() if near else self.any_angle()
+        self._loop = partial(WindowsLoop, window, increments, kind, uneven)
+        self._made: list[machine.Compiled] = []
+        #: addresses of the windows' loop for turns of at most π and for any; 0 of none
+        self.short = self._compiled(wide=False) if near else 0
+        self.wide = 0 if near else self._compiled(wide=True)
 
     def any_angle(self) -> None:
-        """Make the form for turns of any angle."""
-        self._forms[1] = self._made(wide=True)
-        self._find()
+        """Make the form for turns of any angle, if it is not there."""
+        with _MAKING:
+            self.wide = self.wide or self._compiled(wide=True)
 
-    def _find(self) -> None:
-        """Addresses of the windows' loop for turns of at most π and for any; 0 of none."""
-        short, wide = (form.address("windows") if form else 0 for form in self._forms)
-        self.forms = short, wide
+    def _compiled(self, *, wide: bool) -> int:
+        self._made.append(machine.compiled(text_of(self._loop(wide=wide).module)))
+        return self._made[-1].address("windows")
 
     def ends(self, spans: Any, n: int, missing: int) -> Job:
         """A job with the tables of samples beyond the ends of logs of n, ``missing`` after them."""
@@ -270,6 +273,9 @@ class _Program:
             if not self._uneven:
                 self._ends[key] = found
         return found
+
+
+_program = functools.cache(_Program)
 
 
 def _scratch(kind: str) -> int:
@@ -293,27 +299,3 @@ def _loops(kind: str) -> dict[str, Any]:
         "along": made.function("along", address, address, address, whole, whole, whole),
         "chain": made.function("chain", address, address, whole),
     }
-
-
-def _program(window: Window, increments: bool, precision: np.dtype[Any], uneven: bool) -> _Program:
-    key = window, increments, precision, uneven
-    found = _PROGRAMS.get(key)
-    if found is None:
-        with _MAKING:
-            found = _PROGRAMS.get(key)
-            if found is None:
-                made = _Program(window, increments, _KINDS[precision], uneven)
-                found = _PROGRAMS[key] = made
-    return found
-
-
-@functools.cache
-def windows(
-    window: Window, increments: bool, kind: str, uneven: bool, *, wide: bool
-) -> machine.Compiled:
-    """A method's loop over a chunk's windows, on all lanes; compiled, or from disk.
-
-    ``uneven`` intervals stand in rows, equal ones are one number; ``wide`` takes turns of any
-    angle.
-    """
-    return machine.compiled(text_of(WindowsLoop(window, increments, kind, uneven, wide).module))
