@@ -308,7 +308,7 @@ def test_text():
     p = graph.inputs("double", "p", 2)
     z = x * p[0] + y
     flat = Flat(graph, [choose(z < p[1], -z, 1.0), (z + 2.0) / y], "double")
-    assert source.text(flat) == (
+    assert str(source.Text(flat)) == (
         "t1 = x0 * p0 + x1\nt2 = where(t1 < p1, -t1, 1.0)\nt3 = (t1 + 2.0) / x1\nreturn t2, t3"
     )
 
@@ -318,7 +318,7 @@ def test_expressions_are_nested_to_a_depth():
     z = x
     for _ in range(12):
         z = (z + y) / y
-    *lines, last = source.text(Flat(graph, [z], "double")).splitlines()
+    *lines, last = str(source.Text(Flat(graph, [z], "double"))).splitlines()
     assert last == "return t5"
     operations = [sum(map(line.count, "+/")) for line in lines]
     assert operations == [5, 5, 5, 5, 4]

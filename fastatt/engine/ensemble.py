@@ -69,20 +69,14 @@ class Program:
 
 
 @lru_cache(maxsize=256)
-def program(job: Job) -> Program:
-    """The program of a job, made once a process."""
-    return Program(job)
-
-
-@lru_cache(maxsize=256)
-def plain_program(job: Job) -> PlainProgram:
-    """The same, without machine code."""
-    return PlainProgram(job)
+def program(job: Job, *, plain: bool) -> Program | PlainProgram:
+    """The program of a job, made once a process; ``plain`` is without machine code."""
+    return PlainProgram(job) if plain else Program(job)
 
 
 def prepare(job: Job) -> Program | PlainProgram:
     """What runs a job, compiled if it was not."""
-    return plain_program(job) if config.DISABLE_JIT else program(job)
+    return program(job, plain=bool(config.DISABLE_JIT))
 
 
 class Run:

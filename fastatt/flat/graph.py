@@ -8,6 +8,7 @@ meets, so that known numbers are folded by Python itself.
 from __future__ import annotations
 
 import ctypes
+import operator
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -248,6 +249,38 @@ class Single(Number):
         return ctypes.c_float(x).value
 
 
+def both(a: Any, b: Any) -> Any:
+    """a and b, of conditions."""
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, (bool, np.bool_)):
+            return y if x else False
+    return _condition(a.graph, "and", a.at, b.at)
+
+
+def either(a: Any, b: Any) -> Any:
+    """a or b, of conditions."""
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, (bool, np.bool_)):
+            return True if x else y
+    return _condition(a.graph, "or", a.at, b.at)
+
+
+def negated(a: Any) -> Any:
+    """not a."""
+    if not isinstance(a, Condition):
+        return not a
+    node = a.graph.nodes[a.at]
+    if node.op == "not":
+        made = object.__new__(Condition)
+        made.graph, made.at = a.graph, node.args[0]
+        return made
+    return _condition(a.graph, "not", a.at)
+
+
+def _as_number(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda test, other: operation(choose(test, 1.0, 0.0), other)
+
+
 class Condition:
     """A truth value of a graph."""
 
@@ -257,35 +290,12 @@ class Condition:
     graph: Graph
 
     # in arithmetic 1 or 0, as in Python
-
-    def __mul__(self, other: Any) -> Any:
-        return choose(self, 1.0, 0.0) * other
-
-    __rmul__ = __mul__
-
-    def __add__(self, other: Any) -> Any:
-        return choose(self, 1.0, 0.0) + other
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Any:
-        return choose(self, 1.0, 0.0) - other
-
-    def __rsub__(self, other: Any) -> Any:
-        return other - choose(self, 1.0, 0.0)
-
-    def __and__(self, other: Any) -> Any:
-        return both(self, other)
-
-    __rand__ = __and__
-
-    def __or__(self, other: Any) -> Any:
-        return either(self, other)
-
-    __ror__ = __or__
-
-    def __invert__(self) -> Any:
-        return negated(self)
+    __add__ = __radd__ = _as_number(operator.add)
+    __mul__ = __rmul__ = _as_number(operator.mul)
+    __sub__, __rsub__ = _as_number(operator.sub), _as_number(_turned(operator.sub))
+    __and__ = __rand__ = both
+    __or__ = __ror__ = either
+    __invert__ = negated
 
     def __eq__(self, other: object) -> Any:
         return negated(self != other)
@@ -322,34 +332,6 @@ def _condition(graph: Graph, op: str, *args: int) -> Condition:
     made = object.__new__(Condition)
     made.graph, made.at = graph, graph.add(op, "", *args)
     return made
-
-
-def both(a: Any, b: Any) -> Any:
-    """a and b, of conditions."""
-    for x, y in ((a, b), (b, a)):
-        if isinstance(x, (bool, np.bool_)):
-            return y if x else False
-    return _condition(a.graph, "and", a.at, b.at)
-
-
-def either(a: Any, b: Any) -> Any:
-    """a or b, of conditions."""
-    for x, y in ((a, b), (b, a)):
-        if isinstance(x, (bool, np.bool_)):
-            return True if x else y
-    return _condition(a.graph, "or", a.at, b.at)
-
-
-def negated(a: Any) -> Any:
-    """not a."""
-    if not isinstance(a, Condition):
-        return not a
-    node = a.graph.nodes[a.at]
-    if node.op == "not":
-        made = object.__new__(Condition)
-        made.graph, made.at = a.graph, node.args[0]
-        return made
-    return _condition(a.graph, "not", a.at)
 
 
 def choose(test: Any, a: Any, b: Any) -> Any:

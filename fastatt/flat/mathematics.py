@@ -109,20 +109,12 @@ _least = _of_all(lambda a, b: graph.choose(b < a, b, a))
 _most = _of_all(lambda a, b: graph.choose(b > a, b, a))
 
 
-def _minimum(a: Any, b: Any) -> Any:
-    return graph.choose(graph.either(b < a, _nan(b)), b, a)
+def _extreme(better: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
+    """The second of two numbers where it is better, or the k-th of them is NaN."""
+    return lambda *pair: graph.choose(graph.either(better(*pair[::-1]), _nan(pair[k])), *pair[::-1])
 
 
-def _maximum(a: Any, b: Any) -> Any:
-    return graph.choose(graph.either(b > a, _nan(b)), b, a)
-
-
-def _fmin(a: Any, b: Any) -> Any:
-    return graph.choose(graph.either(b < a, _nan(a)), b, a)
-
-
-def _fmax(a: Any, b: Any) -> Any:
-    return graph.choose(graph.either(b > a, _nan(a)), b, a)
+_minimum, _maximum = _extreme(operator.lt, 1), _extreme(operator.gt, 1)
 
 
 def _hypot(*values: Any) -> Any:
@@ -196,8 +188,8 @@ _FORMULAS: dict[str, Callable[..., Any]] = {
     "floor_divide": lambda x, y: functions.divided(x, y)[0],
     "minimum": _minimum,
     "maximum": _maximum,
-    "fmin": _fmin,
-    "fmax": _fmax,
+    "fmin": _extreme(operator.lt, 0),
+    "fmax": _extreme(operator.gt, 0),
     "clip": lambda x, low, high: _minimum(_maximum(x, low), high),
     "where": graph.choose,
     "square": lambda x: x * x,

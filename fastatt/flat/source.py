@@ -137,11 +137,6 @@ def table_name(key: Any) -> str:
     return f"table{getattr(key, 'digest', key)}"
 
 
-def text(flat: Flat) -> str:
-    """A graph as readable assignments and a return, each operation once."""
-    return str(Text(flat))
-
-
 def function(
     flat: Flat,
     *,

@@ -108,23 +108,20 @@ class Chunk:
         c.function.attributes.add("noinline")
         return c, c.function.args
 
-    def field(self, c: Code, job: Any, name: str) -> Int:
-        """A whole number of the job."""
-        return Given(c, job, Job).whole(name)
+    @staticmethod
+    def job(c: Code, pointer: Any) -> Given:
+        """What the loops work on."""
+        return Given(c, pointer, Job)
 
-    def _number(self, c: Code, job: Any, name: str) -> Any:
-        value = Given(c, job, Job).number(name)
+    def _number(self, c: Code, job: Given, name: str) -> Any:
+        value = job.number(name)
         return value if self.kind == "double" else c.b.fptrunc(value, self.real)
 
-    def raise_peak(self, c: Code, job: Any, value: Any) -> None:
+    def raise_peak(self, c: Code, job: Given, value: Any) -> None:
         """Keep the larger of the job's peak and another."""
-        at = Given(c, job, Job).place("peak")
+        at = job.place("peak")
         other = value if self.kind == "double" else c.b.fpext(value, REALS["double"])
         c.b.store(larger(c, other, c.b.load(at)), at)
-
-    def array(self, c: Code, job: Any, name: str, to: Any = None) -> Any:
-        """An array of the job."""
-        return Given(c, job, Job).array(name, to or self.reals)
 
     def whole(self, c: Code, work: Any, first: int) -> Any:
         """Whole numbers of the scratch memory."""
@@ -222,9 +219,9 @@ class Chunk:
         c, (job, work, body, start, width, n, need) = self._part(
             "gather", [self.wholes, self.reals, self.wholes, self.wholes, I64, I64, I64]
         )
-        b, need, width = c.b, Int(c, need), Int(c, width)
-        field = {name: self.field(c, job, name) for name, _ in Job._fields_}
-        data, spans = (self.array(c, job, name) for name in ("data", "spans"))
+        b, need, width, job = c.b, Int(c, need), Int(c, width), self.job(c, job)
+        field = {name: job.whole(name) for name, _ in Job._fields_}
+        data, spans = (job.array(name, self.reals) for name in ("data", "spans"))
         pointers, columns = self.whole(c, work, _POINTERS), c.place(work, _COLUMNS)
         m = need + field["extra"]
         lead, n_samples = field["lead"], field["n_samples"]
@@ -272,11 +269,11 @@ class Chunk:
         c.give(0)
         return c.function
 
-    def _mix(self, c: Code, job: Any, name: str, row: Int, samples: Any, to: Any) -> None:
+    def _mix(self, c: Code, job: Given, name: str, row: Int, samples: Any, to: Any) -> None:
         """A sample beyond a log: a row of a table times those near it."""
         b, double = c.b, REALS["double"]
-        n = self.field(c, job, f"n_{name}")
-        table = c.place(self.array(c, job, name, double.as_pointer()), row * n)
+        n = job.whole(f"n_{name}")
+        table = c.place(job.array(name, double.as_pointer()), row * n)
         total = c.room(double)
         for axis in range(3):
             b.store(ir.Constant(double, 0.0), total)
@@ -312,8 +309,8 @@ class Chunk:
         of at most π the same bits: a lane's neighbours change none of its own.
         """
         c, (job, work, width) = self._part("choose", [self.wholes, self.reals, I64])
-        b, lanes = c.b, self.lanes
-        by_interval = self.field(c, job, "by_interval") > 0
+        b, lanes, job = c.b, self.lanes, self.job(c, job)
+        by_interval = job.whole("by_interval") > 0
         factor = c.splat(self._number(c, job, "factor"), lanes)
         near = c.splat(self._number(c, job, "near"), lanes)
         far = c.variable(0)
@@ -323,18 +320,18 @@ class Chunk:
             c.store_vector(work, g + MOST, larger(c, angle, c.vector(work, g + MOST, lanes)))
             past = b.bitcast(b.fcmp_unordered(">=", angle, near), ir.IntType(lanes))
             b.store(b.or_(b.load(far), b.zext(past, I64)), far)
-        short, wide = (c.raw(self.field(c, job, name)) for name in ("short", "wide"))
+        short, wide = (c.raw(job.whole(name)) for name in ("short", "wide"))
         c.give(Int(c, b.select(c.get(far).equals(0), short, wide)))
         return c.function
 
-    def turn(self, c: Code, job: Any, work: Any, windows: Any, width: Int, undone: Any) -> None:
+    def turn(self, c: Code, job: Given, work: Any, windows: Any, width: Int, undone: Any) -> None:
         """A chunk's windows; where their loop is not made yet the function gives ``undone``."""
         b = c.b
-        chosen = Int(c, b.call(self.choose, [job, work, width.value]))
+        chosen = Int(c, b.call(self.choose, [job.pointer, work, width.value]))
         with c.when(chosen.equals(0)):
             undone()
         to = ir.FunctionType(I64, [self.reals, self.reals, self.reals, I64, I64]).as_pointer()
-        with c.when(self.field(c, job, "n_spans").equals(0)):
+        with c.when(job.whole("n_spans").equals(0)):
             c.store(work, _INTERVALS, self._number(c, job, "interval"))
         given = [c.place(work, _SAMPLES), c.place(work, _INTERVALS)]
         given += [c.place(work, ATTITUDES), c.raw(windows), width.value]
@@ -351,7 +348,8 @@ class Chunk:
         c, (job, work, body, start, n, left, width) = self._part(
             "scatter", [self.wholes, self.reals, self.wholes, self.wholes, I64, I64, I64]
         )
-        b, lanes, n, left = c.b, self.lanes, Int(c, n), Int(c, left)
+        b, lanes, job = c.b, self.lanes, self.job(c, job)
+        n, left = Int(c, n), Int(c, left)
         rows, starts, columns = (c.place(work, at) for at in (ATTITUDES, STARTS, _COLUMNS))
         m = left * 4 + 4
         size = max(lanes, 4)
@@ -367,8 +365,7 @@ class Chunk:
                     for lane, column in enumerate(self._transposed(c, found[k : k + lanes])):
                         to = c.place(columns, i + k + (g + lane) * _COLUMN)
                         b.store(column, self._anywhere(c, to, lanes), align=self.size)
-        out = self.field(c, job, "out")
-        n_out = self.field(c, job, "n_out")
+        out, n_out = job.whole("out"), job.whole("n_out")
         aligned = (out % 16).equals(0)
         pieces, line = 16 // self.size, 64 // self.size
         with c.loop(0, Int(c, width)) as j:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from threading import Event
@@ -39,7 +39,7 @@ _AT_REST: dict[Any, NDArray[Any]] = {
 # intervals of a tile of one log, and tiles below which a thread more is no gain
 _TILE, _TILES = LANES * CHUNK, 64
 _SHORT = (2 * _TILES - 1) * _TILE
-# tiles that take some 0.05 s
+# tiles that take some 0.05 s, between two looks at Ctrl-C
 _PIECE = 4096
 
 _Done = Callable[[int], object] | None
@@ -156,13 +156,9 @@ class Run:
             known = bounds[-2]
             totals = np.empty((known * LANES, 4), dtype=q.dtype)
             job.totals = address_of(totals)
-            parts = [known * i // threads for i in range(threads + 1)]
-
-            def find(first: int, last: int, stop: Event) -> None:
-                for piece in _pieces(first, last, stop):
-                    through(piece, q, 0)
-
-            in_threads([partial(find, a, z) for a, z in pairwise(parts)], threads)
+            size = min(_PIECE, -(-known // threads))
+            pieces = ((a, min(a + size, known)) for a in range(0, known, size))
+            each_in_threads([partial(through, piece, q, 0) for piece in pieces], threads)
             chain = self._program.loops["chain"]
             for i in range(1, threads):
                 starts[i][:] = starts[i - 1]
@@ -170,10 +166,13 @@ class Run:
                 chain(address_of(starts[i]), address_of(totals[first:]), last - first)
 
         def along(p: NDArray[Any], first: int, last: int, stop: Event) -> None:
-            for piece in _pieces(first, last, stop):
-                through(piece, p, 1)
+            for a in range(first, last, _PIECE):
+                if stop.is_set():
+                    return
+                z = min(a + _PIECE, last)
+                through((a, z), p, 1)
                 if done:
-                    done(min(_TILE * piece[1], at[1]) - _TILE * piece[0])
+                    done(min(_TILE * z, at[1]) - _TILE * a)
 
         runs = zip(starts, pairwise(bounds), strict=True)
         in_threads([partial(along, p, a, z) for p, (a, z) in runs], threads)
@@ -210,14 +209,6 @@ def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDAr
     if unit is not NO_TURN:
         q[:, :4] = unit
     return q
-
-
-def _pieces(first: int, last: int, stop: Event) -> Iterator[tuple[int, int]]:
-    """Cuts between which a run may be stopped, some 0.05 s apart."""
-    for a in range(first, last, _PIECE):
-        if stop.is_set():
-            return
-        yield a, min(a + _PIECE, last)
 
 
 class _Program:

@@ -32,11 +32,11 @@ class Loops(Chunk):
         c = Code(self.module, "sweep", [self.wholes, self.reals, self.reals, I64, I64])
         b, lanes = c.b, self.lanes
         job, work, q, first, last = c.function.args
-        last = Int(c, last)
+        job, last = self.job(c, job), Int(c, last)
         rows, most, starts = (c.place(work, at) for at in (ATTITUDES, MOST, STARTS))
-        field = {name: self.field(c, job, name) for name in ("history", "span", "count", "phase")}
+        field = {name: job.whole(name) for name in ("history", "span", "count", "phase")}
         body, start = self.whole(c, work, LOGS), self.whole(c, work, FIRSTS)
-        begin = self.field(c, job, "first").value
+        begin = job.whole("first").value
         with c.loop(Int(c, first), last, LANES) as tile:
             width = (last - tile).at_most(LANES)
             with c.loop(0, LANES) as j:
@@ -53,7 +53,7 @@ class Loops(Chunk):
                 left = (field["count"] - n).at_most(c.whole(CHUNK) - c.get(phase))
                 windows = (left + field["span"] - 1) // field["span"]
                 need = windows * field["span"] + field["history"]
-                where = [job, work, body, start]
+                where = [job.pointer, work, body, start]
                 b.call(self.gather, [*where, width.value, n.value, need.value])
                 self.turn(c, job, work, windows, width, lambda: c.give(tile))
                 b.call(self.scatter, [*where, n.value, left.value, width.value])
@@ -86,11 +86,11 @@ class Loops(Chunk):
         c = Code(self.module, "along", [self.wholes, self.reals, self.reals, I64, I64, I64])
         b, lanes = c.b, self.lanes
         job, work, q, write, first, last = c.function.args
-        write = Int(c, write) > 0
+        job, write = self.job(c, job), Int(c, write) > 0
         rows, most, starts = (c.place(work, at) for at in (ATTITUDES, MOST, STARTS))
         names = ("history", "span", "log", "first", "count")
-        history, span, log, begin, count = (self.field(c, job, name) for name in names)
-        totals = self.array(c, job, "totals")
+        history, span, log, begin, count = (job.whole(name) for name in names)
+        totals = job.array("totals", self.reals)
         body, start = self.whole(c, work, LOGS), self.whole(c, work, FIRSTS)
         p, r = self._quaternion(c), self._quaternion(c)
         p.set([c.load(q, k) for k in range(4)])
@@ -110,7 +110,7 @@ class Loops(Chunk):
                 self.put_vectors(c, rows, 0, g, [c.splat(x, lanes) for x in self.one(c)])
                 c.store_vector(most, g, c.splat(c.real(self.kind, 0.0), lanes))
             windows = (own.at_most(CHUNK) + (span - 1)) // span
-            where = [job, work, body, start]
+            where = [job.pointer, work, body, start]
             b.call(self.gather, [*where, width.value, c.raw(0), (history + windows * span).value])
 
             def undone() -> None:
