@@ -137,7 +137,8 @@ class Formulas:
 
     def _form(self, quick: bool) -> Forms:
         scope = self.scope(quick=quick)
-        x, z = scope.step(*scope.span(), scope.state(), scope.extras())
+        times = scope.time(), scope.number("h"), scope.number("k")
+        x, z = scope.step(*times, scope.state(), scope.extras())
         flat = scope.finished((*x, z))
         if self.job.look == "never" and quick:
             flat = flat.first(len(x))
@@ -299,10 +300,6 @@ class Scope:
     def time(self) -> Any:
         """The time, of double precision."""
         return self.graph.time(self.graph.input("double", "t"))
-
-    def span(self) -> tuple[Any, Any, Any]:
-        """(t, h, k) of a step or a stage."""
-        return self.time(), self.number("h"), self.number("k")
 
     def finished(self, results: Vector) -> Flat:
         """The graph for some results."""

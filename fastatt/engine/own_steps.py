@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastatt.engine.layout import BLOCK
+from fastatt.engine.pieces import OWN
 from fastatt.engine.tiles import Writer
 from fastatt.flat.code import I64, REALS, Code, Given, Int, text_of
 
@@ -40,11 +41,11 @@ class OwnWriter(Writer):
         code, given, (rows, *steps) = self._function("block", self.real.as_pointer(), I64, I64)
         b = code.b
         differ = code.variable(0)
-        for name in ("dt", "before", "begin"):
-            pointer, row = self._number(code, rows, name, 0, "double")
-            first = code.load(pointer, row)
+        for name in OWN:
+            row = self._doubles(code, rows, name)
+            first = code.load(row, 0)
             with code.lanes(self.width, 1) as j:
-                other = b.fcmp_unordered("!=", code.load(pointer, j + row), first)
+                other = b.fcmp_unordered("!=", code.load(row, j), first)
                 found = b.or_(code.get(differ).value, b.zext(other, I64))
                 code.set(differ, Int(code, found))
         call, arguments = self.module.globals, [rows, *steps, given.pointer]
@@ -81,16 +82,11 @@ class OwnWriter(Writer):
     def _tiles(self) -> None:
         """Saves [first, last) of tiles; the number of the tile that was not finished."""
         code, given, (first_tile, last_tile) = self._function("tiles", I64, I64)
-        memory = {
-            "rows": code.room(self.real, self.rows.count * self.width),
-            "other": code.room(self.real, self.rows.count * self.width),
-            "made": code.room(self.real, self.rows.count * self.width),
-            "kept": code.room(self.real, self.copied.count * self.width),
-            "still": code.room(self.real, self.formulas.size * self.width),
-            "done": code.room(self.real, self.done.count * self.width),
-            "far": code.room(I64, self.width),
-            "left": code.room(I64, self.width),
-        }
+        rows, kept, done = self.rows.count, self.copied.count, self.done.count
+        sizes = {"rows": rows, "other": rows, "made": rows, "kept": kept, "done": done}
+        sizes["still"] = self.formulas.size
+        memory = {name: code.room(self.real, n * self.width) for name, n in sizes.items()}
+        memory |= {name: code.room(I64, self.width) for name in ("far", "left")}
         with code.loop(Int(code, first_tile), Int(code, last_tile)) as tile:
             self._own_tile(code, given, memory, tile)
         code.give(Int(code, last_tile))
@@ -103,11 +99,10 @@ class OwnWriter(Writer):
         first = given.whole("first")
         b.call(call["begin"], [rows, memory["done"], tile.value, args])
         loud = self._begin_watch(code, given, rows, far, base)
-        before, row = self._number(code, rows, "before", 0, "double")
-        step, at = self._number(code, rows, "dt", 0, "double")
+        step, before, _ = (self._doubles(code, rows, x) for x in OWN)
         with code.when(first > 0), code.lanes(self.width, 1) as j:
-            count, _ = self._on_grid(code, given, code.load(step, j + at), first - 1)
-            code.store(before, j + row, b.sitofp(count.value, REALS["double"]))
+            count, _ = self._on_grid(code, given, code.load(step, j), first - 1)
+            code.store(before, j, b.sitofp(count.value, REALS["double"]))
         with code.loop(first, given.whole("last")) as save:
             self._leg(code, given, memory, (tile, save), loud)
             slot = Int(code, code.load(given.array("slots", _WHOLE), save))
@@ -144,12 +139,11 @@ class OwnWriter(Writer):
         tile, save = at
         b = code.b
         base = tile * self.width
-        before, row = self._number(code, rows, "before", 0, "double")
-        step, of_step = self._number(code, rows, "dt", 0, "double")
+        step, before, _ = (self._doubles(code, rows, x) for x in OWN)
         most = code.variable(0)
         with code.lanes(self.width, 1) as j:
-            gone = Int(code, b.fptosi(code.load(before, j + row), I64))
-            count = self._on_grid(code, given, code.load(step, j + of_step), save)[0] - gone
+            gone = Int(code, b.fptosi(code.load(before, j), I64))
+            count = self._on_grid(code, given, code.load(step, j), save)[0] - gone
             code.store(left, j, count.value)
             code.set(most, code.get(most).at_least(count))
             with code.when(count <= 0):
@@ -177,8 +171,8 @@ class OwnWriter(Writer):
             code.set(n, end)
         with code.lanes(self.width, 1) as j:
             self._keep(code, still, rows, j)
-            count, _ = self._on_grid(code, given, code.load(step, j + of_step), save)
-            code.store(before, j + row, b.sitofp(count.value, REALS["double"]))
+            count, _ = self._on_grid(code, given, code.load(step, j), save)
+            code.store(before, j, b.sitofp(count.value, REALS["double"]))
 
     def _keep(self, code: Code, source: Any, target: Any, lane: Int) -> None:
         """A lane's state."""
@@ -195,15 +189,15 @@ class OwnWriter(Writer):
         zero = code.real("double", 0.0)
         with code.lanes(self.rows.count * self.width, self.lanes) as i:
             code.store_vector(other, i, code.vector(rows, i, self.lanes))
-        step, row = self._number(code, other, "dt", 0, "double")
+        step = self._doubles(code, other, "dt")
         some = code.variable(0)
         with code.lanes(self.width, 1) as j:
-            _, rest = self._on_grid(code, given, code.load(step, j + row), save)
+            _, rest = self._on_grid(code, given, code.load(step, j), save)
             partly = b.fcmp_unordered("!=", rest, zero)
             code.store(memory["left"], j, b.zext(partly, I64))
             with code.when(partly):
                 code.set(some, 1)
-                code.store(step, j + row, rest)
+                code.store(step, j, rest)
         with code.when(code.get(some) > 0):
             self._partly(code, given, memory, tile)
         b.call(self.module.globals["save"], [other, memory["done"], tile.value, slot.value, args])
@@ -215,17 +209,16 @@ class OwnWriter(Writer):
         regrid = self.formulas.regrid
         if regrid is not None:
             b.call(self.module.globals["regrid"], [rows, other, made, args])
-        places = {x: self._number(code, other, x, 0, "double") for x in ("dt", "before", "begin")}
+        old = self._doubles(code, rows, "dt")
+        _, before, begin = (self._doubles(code, other, x) for x in OWN)
         with (
             code.lanes(self.width, 1) as j,
             code.when(Int(code, code.load(memory["left"], j)) > 0),
         ):
             # the time where the shorter step begins, by the longer ones before it
-            old, at = self._number(code, rows, "dt", 0, "double")
-            (before, k), (begin, i) = places["before"], places["begin"]
-            gone = b.fmul(code.load(before, j + k), code.load(old, j + at))
-            code.store(begin, j + i, b.fadd(code.load(begin, j + i), gone))
-            code.store(before, j + k, code.real("double", 0.0))
+            gone = b.fmul(code.load(before, j), code.load(old, j))
+            code.store(begin, j, b.fadd(code.load(begin, j), gone))
+            code.store(before, j, code.real("double", 0.0))
             if regrid is not None:
                 for name in ("x", "e"):
                     for i in range(self.rows.sizes[name]):
@@ -235,10 +228,9 @@ class OwnWriter(Writer):
         if self.job.has_careful_form:
             run = self._careful_block(code, given, tile)
         b.call(run, [other, code.raw(0), code.raw(1), args])
-        before, k = places["before"]
         with code.lanes(self.width, 1) as j:
             partly = Int(code, code.load(memory["left"], j)) > 0
             one = code.real("double", 1.0)
-            code.store(before, j + k, b.select(partly, one, code.load(before, j + k)))
+            code.store(before, j, b.select(partly, one, code.load(before, j)))
             with code.when(b.not_(partly)):
                 self._keep(code, rows, other, j)

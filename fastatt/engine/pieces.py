@@ -18,8 +18,8 @@ from fastatt.flat.rows import lanes_of
 
 #: numbers that all lanes share, and a function of rows and lane of those that have a lane a body
 Times = tuple[dict[str, Any], Callable[[Any, Int], dict[str, Any]] | None]
-# of bodies with steps of their own: the step, how many were taken, and when they began
-_OWN = ("dt", "before", "begin")
+#: of bodies with steps of their own: the step, how many were taken, and when they began
+OWN = ("dt", "before", "begin")
 # φ⁴ steps from one look to the next: pulses of any period meet one before long
 PACE = 6.854101966249685
 
@@ -125,10 +125,9 @@ class Pieces:
         vector = isinstance(value.type, ir.VectorType)
         return code.b.fptrunc(value, ir.VectorType(self.real, self.lanes) if vector else self.real)
 
-    def _lane_double(self, code: Code, rows: Any, name: str, lane: Int) -> Any:
-        """A row of doubles, as a vector."""
-        pointer, at = self._number(code, rows, name, 0, "double")
-        return code.vector(pointer, lane + at, self.lanes)
+    def _doubles(self, code: Code, rows: Any, name: str) -> Any:
+        """A row of doubles."""
+        return code.place(*self._number(code, rows, name, 0, "double"))
 
     def _clock(self, code: Code, given: Given, made: Any, even: Any = None) -> Times:
         """What ``made`` gives of a step's length, the steps taken and when they began.
@@ -137,10 +136,12 @@ class Pieces:
         equal.
         """
         if even is not None:
-            return made(*(code.load(*self._number(code, even, x, 0, "double")) for x in _OWN)), None
+            return made(*(code.load(self._doubles(code, even, x), 0) for x in OWN)), None
         if not self.job.own_steps:
             return made(given.number("h"), code.real("double", 0.0), given.number("t0")), None
-        return {}, lambda rows, j: made(*(self._lane_double(code, rows, x, j) for x in _OWN))
+        return {}, lambda rows, j: made(
+            *(code.vector(self._doubles(code, rows, x), j, self.lanes) for x in OWN)
+        )
 
     def _stepping(
         self, code: Code, given: Given, n: Int, parts: tuple[Any, Any, Any] | None, even: Any
@@ -323,12 +324,11 @@ class Pieces:
 
     def _own_begin(self, code: Code, given: Given, rows: Any, base: Int) -> None:
         """Load each body's step."""
-        step, at = self._number(code, rows, "dt", 0, "double")
-        self._gather(code, given, step, base, ("dt", "rows_own"), at, 1)
-        for name, value in (("before", code.real("double", 0.0)), ("begin", given.number("t0"))):
-            pointer, at = self._number(code, rows, name, 0, "double")
+        step, before, begin = (self._doubles(code, rows, x) for x in OWN)
+        self._gather(code, given, step, base, ("dt", "rows_own"), 0, 1)
+        for row, value in ((before, code.real("double", 0.0)), (begin, given.number("t0"))):
             with code.lanes(self.width, self.lanes) as j:
-                code.store_vector(pointer, j + at, code.splat(value, self.lanes))
+                code.store_vector(row, j, code.splat(value, self.lanes))
 
     def _handed(self, i: int) -> int:
         """Row of the i-th number that is handed out, the departures after them."""

@@ -18,6 +18,7 @@ from fastatt.engine.layout import BLOCK
 from fastatt.engine.status import Status
 from fastatt.flat import source
 from fastatt.flat.finished import Flat
+from fastatt.flat.nodes import Node
 
 Array = NDArray[Any]
 _EPS = 2.0**-52
@@ -53,16 +54,14 @@ class PlainProgram:
                 told.append(run.go_between(span))
             return max(x for x, _ in told), max(x for _, x in told)
 
-    def evaluate(self, flat: Flat, find: Any, tables: Mapping[Any, Any]) -> list[Array]:
-        """A graph's results on arrays."""
+    def function(self, flat: Flat, tables: Mapping[Any, Any]) -> Any:
+        """A graph as a function of arrays."""
         made = self._functions.get(id(flat))
         # a program serves every scene of a structure, each with tables of its own
         if made is None or made[0] is not tables:
             named = {k[1]: v for k, v in tables.items() if k[0] == "table"}
             made = self._functions[id(flat)] = tables, source.function(flat, tables=named)
-        kinds = {n.args: n.kind for n in flat.nodes if n.op == "in"}
-        given = [find(name, kinds[name]) for name in flat.inputs()]
-        return list(made[1](*given))
+        return made[1]
 
 
 class _PlainRun:
@@ -90,14 +89,13 @@ class _PlainRun:
         """A row for each result, in its precision."""
         n = len(self.bodies)
 
-        def find(name: tuple[Any, ...], kind: str) -> Any:
-            of = _REALS[kind]
-            group, *i = name
-            if group in scalars:
-                return of(scalars[group])
-            return np.asarray(self.rows[group][i[0]], dtype=of)
+        def input_of(node: Node) -> Any:
+            group, *i = node.args
+            value = scalars[group] if group in scalars else self.rows[group][i[0]]
+            return np.asarray(value, dtype=_REALS[node.kind])
 
-        found = self.program.evaluate(flat, find, self.tables)
+        given = (input_of(node) for node in flat.nodes if node.op == "in")
+        found = self.program.function(flat, self.tables)(*given)
         kinds = [_REALS[flat.nodes[i].kind] for i in flat.results]
         pairs = zip(found, kinds, strict=True)
         return [np.broadcast_to(np.asarray(x, dtype=kind), (n,)) for x, kind in pairs]
