@@ -28,7 +28,7 @@ class _Seen(Exception):  # noqa: N818
 def job_of(monkeypatch, run):
     """The job whose program a run asks for; it is not made, and nothing is run."""
 
-    def record(job):
+    def record(job, **_):
         raise _Seen(job)
 
     monkeypatch.setattr(ensemble, "program", record)

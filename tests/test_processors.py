@@ -14,7 +14,7 @@ from exact import START, generic
 from llvmlite import binding as llvm
 
 import fastatt as fa
-from fastatt.engine import pieces, tiles
+from fastatt.engine import tiles
 from fastatt.flat.machine import Processor, processor
 from fastatt.running.loop import job_of
 
@@ -112,8 +112,8 @@ def arm(monkeypatch):
     except RuntimeError as error:
         pytest.skip(str(error))
     found = Processor("generic", "", "aarch64-linux-gnu")
-    for module in (pieces, tiles):
-        monkeypatch.setattr(module, "processor", lambda: found)
+    for module in ("flat.machine", "engine.pieces"):
+        monkeypatch.setattr(f"fastatt.{module}.processor", lambda: found)
     machine = target.create_target_machine(cpu=found.name, features=found.features, opt=2)
 
     def assembly(text):

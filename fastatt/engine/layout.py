@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from itertools import accumulate
 
 #: bodies side by side; of few, one vector
 WIDTH = 64
@@ -35,15 +36,9 @@ class Rows:
     """Where what belongs to a lane lies in a tile's memory, a row of ``width`` numbers each."""
 
     def __init__(self, width: int, **sizes: int) -> None:
-        self.width = width
-        self.first: dict[str, int] = {}
-        at = 0
-        for name, size in sizes.items():
-            self.first[name] = at
-            at += size
-        self.sizes = sizes
-        self.count = at
+        self.width, self.sizes, self.count = width, sizes, sum(sizes.values())
+        self._first = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
 
     def offset(self, name: str, i: int = 0) -> int:
         """Index of a row's first number."""
-        return (self.first[name] + i) * self.width
+        return (self._first[name] + i) * self.width

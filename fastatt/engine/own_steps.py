@@ -82,10 +82,10 @@ class OwnWriter(Writer):
     def _tiles(self) -> None:
         """Saves [first, last) of tiles; the number of the tile that was not finished."""
         code, given, (first_tile, last_tile) = self._function("tiles", I64, I64)
-        rows, kept, done = self.rows.count, self.copied.count, self.done.count
-        sizes = {"rows": rows, "other": rows, "made": rows, "kept": kept, "done": done}
-        sizes["still"] = self.formulas.size
-        memory = {name: code.room(self.real, n * self.width) for name, n in sizes.items()}
+        rows, kept = self.rows.count * self.width, self.copied
+        sizes = {"rows": rows, "other": rows, "made": rows, "kept": kept, "still": kept}
+        sizes["done"] = self.done
+        memory = {name: code.room(self.real, n) for name, n in sizes.items()}
         memory |= {name: code.room(I64, self.width) for name in ("far", "left")}
         with code.loop(Int(code, first_tile), Int(code, last_tile)) as tile:
             self._own_tile(code, given, memory, tile)

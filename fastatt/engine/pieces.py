@@ -50,8 +50,9 @@ class Pieces:
             before=self.doubles * job.own_steps,
             begin=self.doubles * job.own_steps,
         )
-        self.copied = Rows(self.width, x=formulas.size, turn=1)
-        self.done = Rows(self.width, y=max(formulas.handed_out, formulas.given), defect=1, change=1)
+        #: numbers of a tile: the states with their turns, and what is given or handed out
+        self.copied = (formulas.size + 1) * self.width
+        self.done = max(formulas.handed_out + 2, formulas.given) * self.width
         self.module = ir.Module("fastatt")
 
     def _function(self, name: str, *more: Any) -> tuple[Code, Given, list[Any]]:
@@ -96,7 +97,7 @@ class Pieces:
                 if group in own:
                     return own[group], True
                 if group == "y":
-                    return code.vector(y, j + self.done.offset("y", i[0]), self.lanes), True
+                    return code.vector(y, j + i[0] * self.width, self.lanes), True
                 if group in ("p", "c"):
                     pointer, at = self._number(code, rows, group, i[0], kind)
                     return code.vector(pointer, j + at, self.lanes), True
@@ -279,7 +280,7 @@ class Pieces:
         size, times = self.formulas.handed_out, self._moment(code, given, steps)
         with self._evaluated(code, given, rows, self.formulas.save, times) as (j, found):
             for i, value in enumerate(found):
-                code.store_vector(done, j + self._handed(i), value)
+                code.store_vector(done, j + i * self.width, value)
         base = Int(code, tile) * self.width
         bodies = given.whole("bodies")
         width = (bodies - base).at_most(self.width)
@@ -289,12 +290,12 @@ class Pieces:
             body = base + j
             target = (slot * stride + body) * size
             for i in range(size):
-                code.store(out, target + i, code.load(done, j + self._handed(i)))
-            far = code.load(done, j + self._handed(size))
+                code.store(out, target + i, code.load(done, j + i * self.width))
+            far = code.load(done, j + size * self.width)
             code.store(defect, slot * stride + body, far)
             magnitude = b.call(code.intrinsic("llvm.fabs", self.real), [far])
             self._worse(code, watch, bodies + body, magnitude)
-            change = code.load(done, j + self._handed(size + 1))
+            change = code.load(done, j + (size + 1) * self.width)
             self._worse(code, watch, bodies * 2 + body, change)
         code.give(0)
 
@@ -329,13 +330,6 @@ class Pieces:
         for row, value in ((before, code.real("double", 0.0)), (begin, given.number("t0"))):
             with code.lanes(self.width, self.lanes) as j:
                 code.store_vector(row, j, code.splat(value, self.lanes))
-
-    def _handed(self, i: int) -> int:
-        """Row of the i-th number that is handed out, the departures after them."""
-        size = self.formulas.handed_out
-        if i < size:
-            return self.done.offset("y", i)
-        return self.done.offset("defect" if i == size else "change")
 
     def _worse(self, code: Code, array: Any, at: Int, value: Any) -> None:
         """Keep the larger of two numbers, or NaN."""

@@ -186,10 +186,9 @@ class Writer(Pieces):
         with (
             code.lanes(self.width, 1) as j,
             code.when(Int(code, code.load(far, j)) < 1),
-            code.loop(0, self.copied.count) as i,
+            code.loop(0, self.copied, self.width) as row,
         ):
-            at = i * self.width + j
-            code.store(rows, at, code.load(kept, at))
+            code.store(rows, row + j, code.load(kept, row + j))
 
     def _careful_block(self, code: Code, given: Given, tile: Int) -> Any:
         """Where the careful form of a block is; returns from the program where it is not yet."""
@@ -199,21 +198,21 @@ class Writer(Pieces):
         return given.array("careful", kind.as_pointer())
 
     def _exchange(self, code: Code, a: Any, c: Any) -> None:
-        with code.lanes(self.copied.count * self.width, self.lanes) as at:
+        with code.lanes(self.copied, self.lanes) as at:
             x, y = code.vector(a, at, self.lanes), code.vector(c, at, self.lanes)
             code.store_vector(a, at, y)
             code.store_vector(c, at, x)
 
     def _copy(self, code: Code, a: Any, c: Any) -> None:
-        with code.lanes(self.copied.count * self.width, self.lanes) as at:
+        with code.lanes(self.copied, self.lanes) as at:
             code.store_vector(c, at, code.vector(a, at, self.lanes))
 
     def _tiles(self) -> None:
         """Steps [first, last) of tiles; the number of the tile that was not finished."""
         code, given, (first_tile, last_tile) = self._function("tiles", I64, I64)
         rows = code.room(self.real, self.rows.count * self.width)
-        kept = code.room(self.real, self.copied.count * self.width)
-        done = code.room(self.real, self.done.count * self.width)
+        kept = code.room(self.real, self.copied)
+        done = code.room(self.real, self.done)
         far = code.room(I64, self.width)
         with code.loop(Int(code, first_tile), Int(code, last_tile)) as tile:
             self._tile(code, given, (rows, kept, done, far), tile)
