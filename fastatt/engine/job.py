@@ -108,7 +108,7 @@ class Forms:
     def plain(self) -> Flat:
         """The state alone, to the same bits."""
         whole = len(self.noted.results) == self.size
-        return self.noted if whole else self.noted.first(self.size)
+        return self.noted if whole else self.noted.first(self.size).in_few_registers()
 
 
 class Formulas:
@@ -144,7 +144,7 @@ class Formulas:
             flat = flat.first(len(x))
         if not self.job.shared:
             flat = self._constants.without(flat, more=quick)
-        return Forms(flat, len(x))
+        return Forms(flat.in_few_registers(), len(x))
 
     @cached_property
     def _constants(self) -> Constants:

@@ -8,6 +8,7 @@ from typing import Any
 
 from fastatt.flat.graph import Graph, number
 from fastatt.flat.nodes import SPECIAL, Node, operands, renamed
+from fastatt.flat.order import ordered
 
 #: operations that a value must take to be kept in memory rather than computed again
 _WORTH = 3
@@ -62,6 +63,17 @@ class Flat:
     def first(self, n: int) -> Flat:
         """The same for the first n results alone."""
         return Flat.of(dict(enumerate(self.nodes)), self.results[:n])
+
+    def in_few_registers(self) -> Flat:
+        """The same in an order in which few results wait."""
+        order = ordered(self.nodes, self.results)
+        at = {i: k for k, i in enumerate(order)}
+        found = Flat.__new__(Flat)
+        found.nodes = [
+            renamed(self.nodes[i], [at[k] for k in operands(self.nodes[i])]) for i in order
+        ]
+        found.results = [at[i] for i in self.results]
+        return found
 
     @staticmethod
     def _product(nodes: list[Node], uses: dict[int, int], i: int) -> tuple[str, int, int] | None:
