@@ -83,6 +83,10 @@ def test_text_is_the_kernel_to_the_bit(name, kind):
     assert {n.kind for n in flat.nodes} <= {kind, ""}
     found = source.function(flat)(*map(F, given(flat, name)))
     np.testing.assert_array_equal(found, kernel_values(name, kind))
+    assert {np.asarray(x).dtype for x in kernel_values(name, kind)} == {np.dtype(F)}
+    double = kernel_values(name, "double")
+    size = max(1.0, *np.abs(double))
+    assert np.abs(np.subtract(found, double)).max() <= 16 * np.finfo(F).eps * size
 
 
 @every_precision
