@@ -11,6 +11,8 @@ PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
 # what is compiled stays in the checkout
 export FASTATT_CACHE ?= $(CURDIR)/.fastatt_cache
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
+# bytecode too: else each of the tests' processes would compile all that it imports
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help venv test trade bench leaderboard extremes cases scale bench-smoke lint format types layers docs readme clean
 

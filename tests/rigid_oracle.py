@@ -20,7 +20,7 @@ import gmpy2
 import mpmath as mp
 import numpy as np
 import oracle
-from scipy.integrate import solve_ivp
+import scipy
 
 # vectors, quaternions and tensors as tuples of mpmath numbers, floats or arrays over bodies
 
@@ -304,7 +304,7 @@ def integrate_float(inertia, q0, w0, t, torque=None, *, force=None, mass=None, v
         return np.concatenate([np.broadcast_to(c, bodies).ravel() for c in rates])
 
     instants = np.atleast_1d(np.asarray(t, float))
-    run = solve_ivp(
+    run = scipy.integrate.solve_ivp(
         flat,
         (0.0, instants[-1]),
         y0.ravel(),

@@ -8,14 +8,10 @@ import signal
 import time
 import warnings
 
-import dask
-import dask.array as da
 import numpy as np
 import pytest
-from distributed import Client, LocalCluster
 
 import fastatt as fa
-from fastatt import dask as fd
 from fastatt.running.watch import Measure
 
 N = 70
@@ -36,6 +32,17 @@ RUNS = {
     "closed form": (OWN, (Q0, W0), {**STEPS, "save_every": 30}),
 }
 NAMES = ("q0", "w0", "v0", "r0")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _libraries():
+    """Imported where these tests run, not by every process that collects them."""
+    global Client, LocalCluster, da, dask, fd  # noqa: PLW0603
+    import dask
+    import dask.array as da
+    from distributed import Client, LocalCluster
+
+    from fastatt import dask as fd
 
 
 def lazily(values):
@@ -226,7 +233,8 @@ def test_one_bad_body():
     assert same(found.q[:, fine], fa.propagate(SHARED, Q0, W0, **RK4).q[:, fine])
 
 
-UNKNOWN = da.from_array(Q0, chunks=(30, -1))[da.from_array(W0[:, 0], chunks=30) > 0]
+def of_unknown_size():
+    return da.from_array(Q0, chunks=(30, -1))[da.from_array(W0[:, 0], chunks=30) > 0]
 
 
 @pytest.mark.parametrize(
@@ -236,7 +244,10 @@ UNKNOWN = da.from_array(Q0, chunks=(30, -1))[da.from_array(W0[:, 0], chunks=30) 
         (lambda: fd.propagate(OWN, Q0[:9], W0[:9], **STEPS), f"inertia: found {N} bodies"),
         (lambda: fd.propagate(SHARED, lazily([Q0])[0], W0[:9], **STEPS), "rows"),
         (lambda: fd.propagate(SHARED, lazily([W0])[0], W0, **STEPS), "q0"),
-        (lambda: fd.propagate(SHARED, UNKNOWN, W0, **STEPS), "q0: found chunks of unknown size"),
+        (
+            lambda: fd.propagate(SHARED, of_unknown_size(), W0, **STEPS),
+            "q0: found chunks of unknown size",
+        ),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=0, **STEPS), "chunks: found 0"),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=(9, 9), **STEPS), "chunks: found 18 bodies"),
         (lambda: fd.propagate(SHARED, Q0, W0, **{**STEPS, "dt": 0.0}), "dt"),

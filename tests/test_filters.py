@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 from exact import START, Motion, angle, attitude, exp, matrix, mul
 from numba import njit
-from scipy import linalg, stats
-from scipy.spatial.transform import Rotation
 
 import fastatt as fa
 from fastatt import estimation as es
@@ -71,17 +70,17 @@ def through(craft, predict, filtered):
 
 def consistent(nees, nis, bias, covariance, craft):
     """Inside the 95 % bands of χ² over the runs."""
-    low, high = stats.chi2.ppf([0.025, 0.975], 6 * N) / N
+    low, high = scipy.stats.chi2.ppf([0.025, 0.975], 6 * N) / N
     assert low < nees[-1] < high
     inside = (nees > low) & (nees < high)
     assert inside.mean() > 0.8  # 30 correlated means, of which 95 % are expected inside
-    low, high = stats.chi2.ppf([0.025, 0.975], 3 * nis.size) / nis.size
+    low, high = scipy.stats.chi2.ppf([0.025, 0.975], 3 * nis.size) / nis.size
     assert low < nis.mean() < high
     # recovered: from 1e-3 to what the covariance says, and that is far below
     error = bias - craft.gyro.bias[:, -1]
     told = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 3:])
     assert told.max() < 0.2 * START_BIAS
-    low, high = np.sqrt(stats.chi2.ppf([1e-4, 1 - 1e-4], N) / N)
+    low, high = np.sqrt(scipy.stats.chi2.ppf([1e-4, 1 - 1e-4], N) / N)
     assert ((error / told).std(axis=0) > low).all()
     assert ((error / told).std(axis=0) < high).all()
 
@@ -95,7 +94,7 @@ def test_the_mekf_is_consistent(spacecraft):
 def test_a_mekf_that_is_told_too_little_noise_is_not(spacecraft):
     f = es.MEKF(spacecraft.start, P0, angle_noise=0.5 * ANGLE_NOISE, bias_noise=BIAS_NOISE)
     nees, _ = through(spacecraft, lambda gyro: f.predict(gyro, H), f)
-    assert nees[-1] > 1.1 * stats.chi2.ppf(0.975, 6 * N) / N
+    assert nees[-1] > 1.1 * scipy.stats.chi2.ppf(0.975, 6 * N) / N
 
 
 def ukf_predict(f):
@@ -132,7 +131,9 @@ def test_the_particle_filter_finds_what_the_mekf_finds(spacecraft):
     # some 5000 of the particles are apart from each other: 0.014, of the largest of six twice that
     assert np.abs(error).max() < 0.1
     assert np.abs(np.sqrt(np.diagonal(p.covariance())) / sigma - 1.0).max() < 0.1
-    assert p.nees(spacecraft.q[first], spacecraft.gyro.bias[0, first]) < stats.chi2.ppf(0.999, 6)
+    assert p.nees(spacecraft.q[first], spacecraft.gyro.bias[0, first]) < scipy.stats.chi2.ppf(
+        0.999, 6
+    )
 
 
 # the parts of the MEKF against dense algebra
@@ -170,7 +171,7 @@ def continuous(w, P, h, v, u):
     A = np.zeros((6, 6))
     A[:3, :3], A[:3, 3:] = -cross(w), -np.eye(3)
     G = np.diag([v] * 3 + [u] * 3)
-    big = linalg.expm(h * np.block([[-A, G], [np.zeros((6, 6)), A.T]]))
+    big = scipy.linalg.expm(h * np.block([[-A, G], [np.zeros((6, 6)), A.T]]))
     phi = big[6:, 6:].T
     return phi @ P @ phi.T + phi @ big[:6, 6:]
 
@@ -327,7 +328,9 @@ def test_the_mean_attitude_is_scipys():
     q = mul(START, exp(rng.normal(0.0, 0.7, (50, 3)))) * rng.choice([-1.0, 1.0], (50, 1))
     weights = rng.uniform(0.0, 1.0, 50)
     found = es.mean_attitude(q, weights)
-    theirs = fa.from_scipy(Rotation.from_quat(q[:, [1, 2, 3, 0]]).mean(weights))
+    theirs = fa.from_scipy(
+        scipy.spatial.transform.Rotation.from_quat(q[:, [1, 2, 3, 0]]).mean(weights)
+    )
     assert angle(found, theirs) <= 32 * EPS
     assert found[0] >= 0.0
     assert es.mean_attitude(np.tile(q, (3, 1, 1))).shape == (3, 4)

@@ -6,9 +6,8 @@ import copy
 
 import numpy as np
 import pytest
+import scipy
 from exact import START, angle, exp, matrix, mul
-from scipy import stats
-from scipy.spatial.transform import Rotation
 
 from fastatt import estimation as es
 
@@ -45,7 +44,9 @@ def test_the_attitude_of_noisy_directions_is_scipys(sigmas):
     b = r @ matrix(START) + np.multiply(rng.normal(size=(3, 3)), np.reshape(sigmas, (3, 1)))
     q, _ = es.attitude_from_vectors(b, r, sigmas)
     unit = b / np.linalg.norm(b, axis=1, keepdims=True)
-    theirs = Rotation.align_vectors(r, unit, weights=1.0 / np.square(sigmas))[0].as_quat()
+    theirs = scipy.spatial.transform.Rotation.align_vectors(
+        r, unit, weights=1.0 / np.square(sigmas)
+    )[0].as_quat()
     # two Gauss-Newton steps from the answer stay there to the square of the residuals' curvature
     assert angle(q, theirs[[3, 0, 1, 2]]) <= 1e-9
 
@@ -60,7 +61,7 @@ def test_the_covariance_of_a_start_is_that_of_its_errors(sigmas):
     q, P = es.attitude_from_vectors(noisy, REFERENCE, sigmas)
     d = es.attitude_error(q, START)
     nees = np.einsum("ni,nij,nj->n", d, np.linalg.inv(P), d).mean()
-    low, high = stats.chi2.ppf([5e-4, 1 - 5e-4], 3 * n) / n
+    low, high = scipy.stats.chi2.ppf([5e-4, 1 - 5e-4], 3 * n) / n
     assert low < nees < high
 
 
@@ -182,13 +183,13 @@ def test_a_gate_keeps_a_filter_that_one_wrong_fix_would_lose():
     for k in range(60):
         error = rng.normal(0.0, 1e-3, 3) + (k % 20 == 19) * np.array([1.0, 0.0, 0.0])
         seen = mul(START, exp(error))
-        for f, gate in ((lost, None), (kept, stats.chi2.ppf(0.9999, 3))):
+        for f, gate in ((lost, None), (kept, scipy.stats.chi2.ppf(0.9999, 3))):
             f.predict(np.zeros(3), 1.0)
             nis = f.update_attitude(seen, 1e-3, gate=gate)
-        if not nis <= stats.chi2.ppf(0.9999, 3):
+        if not nis <= scipy.stats.chi2.ppf(0.9999, 3):
             refused.append(k)
     assert refused == [19, 39, 59]
-    assert kept.nees(START, np.zeros(3)) < stats.chi2.ppf(0.999, 6)
+    assert kept.nees(START, np.zeros(3)) < scipy.stats.chi2.ppf(0.999, 6)
     assert lost.nees(START, np.zeros(3)) > 1e4
 
 

@@ -6,10 +6,10 @@ import warnings
 
 import numpy as np
 import pytest
+import scipy
 from extremes.cases import OF_BODIES
 from numba import njit
 from numpy.testing import assert_array_equal
-from scipy.optimize import brentq
 
 import fastatt as fa
 from fastatt.kernels.trig import sincos
@@ -191,7 +191,7 @@ def test_the_norm_is_judged_before_it_is_mended(normalise, dtype, bound):
     """Steps whose loss is a tenth below the bound and above it; a mend leaves 3/2 of its square."""
     steps = 4 if normalise == 1 else 1
     for share, flag in ((0.9, 0), (1.1, fa.Status.NORM_LOST)):
-        turn = 2.0 * brentq(lambda x, loss=share * bound: shrunk(x) - loss, 0.1, 1.5)
+        turn = 2.0 * scipy.optimize.brentq(lambda x, loss=share * bound: shrunk(x) - loss, 0.1, 1.5)
         scene = fa.Scene(rate=fa.rates.Polynomial([[0.0, 0.6 * turn, 0.8 * turn]]))
         run = fa.propagate(
             scene, Q0[:1], dt=1.0, n_steps=steps, method="rk4", normalise=normalise, dtype=dtype

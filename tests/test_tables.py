@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 import fastatt as fa
 from fastatt import forces, tables, torques
@@ -362,7 +362,7 @@ def test_gravity_gradient_on_an_eccentric_orbit():
     w0 = np.array([0.2, -0.3, 1.1]) * n
     end = math.pi / n
     times = np.linspace(0.0, end, 801)
-    known = solve_ivp(
+    known = scipy.integrate.solve_ivp(
         moving, (0.0, end), [*start, *Q0, *w0], method="DOP853", rtol=1e-11, atol=1e-14,
         t_eval=times,
     ).y  # fmt: skip

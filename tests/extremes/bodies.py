@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.special import ellipj
+import scipy
 
 import fastatt as fa
 from extremes.cases import (
@@ -298,7 +298,7 @@ def pendulum(x: float) -> Column:
         error, turn = np.zeros(n), np.abs(w0).max(axis=1)
         got = propagate(case, scene, q0, w0, dt=1.0, n_steps=TORQUED_STEPS, save_every=1)
         for s, t in enumerate(got.t):
-            sn, cn, dn, _ = ellipj(frequency * t, modulus**2)
+            sn, cn, dn, _ = scipy.special.ellipj(frequency * t, modulus**2)
             half = np.arctan2(modulus * sn, dn)
             turned = np.zeros((n, 3))
             turned[np.arange(n), axis] = 2.0 * half
