@@ -36,6 +36,11 @@ def _collect_garbage():
         gc.freeze()
 
 
+def pytest_unconfigure():
+    """The interpreter collects once more before it ends, all that was ever compiled."""
+    gc.freeze()
+
+
 @pytest.fixture(params=["pyarrow", "numpy"])
 def reader(request, monkeypatch):
     """Both ways to read numbers."""
