@@ -76,10 +76,12 @@ class ClosedForm:
             places = ((at, width), (at + self._stored * kind.itemsize, width))
             self._motion.write(start, times, places, threads)
         raw[first:] = 0
-        # sums of squares: no square is larger, and of what is no number they are none
         flat = raw[:first].view(kind)
-        most = math.sqrt(np.dot(w, w)) * abs(since.item(-1)) if since.size else 0.0
-        if most <= self._calm and math.isfinite(np.dot(flat, flat)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            # sums of squares: no square is larger, and of what is no number they are none
+            turned, numbers = np.dot(w, w), np.dot(flat, flat)
+        most = math.sqrt(turned) * abs(since.item(-1)) if since.size else 0.0
+        if most <= self._calm and math.isfinite(numbers):
             return False
         return self._flagged(given, since, self._handed.views(raw, self._saves))
 
