@@ -140,19 +140,24 @@ def cubic(p, x):
 
 
 @kernel
-def theta_pair(K, Kc, c):
-    """Constants of ``theta_pair_at`` for quarter periods K, K' and a parameter 0 ≤ c ≤ K'.
+def limited(Kc):
+    """K' up to 44, beyond which K − π/2 is below 1e-37."""
+    F = type(Kc)
+    return F(44.0) if Kc > F(44.0) else Kc
 
-    Four cubics (even real, even imaginary, odd real, odd imaginary part), then: units of the
-    argument per u, the period (of u it is 2K) and its inverse, 0 where K > 300 counts as infinite
-    (float32: 40); the phase per unit of argument within a period; 1 for the hyperbolic series, 0
-    for the trigonometric one. K' more than 48 counts as 48, where K − π/2 is below 1e-39 (float32:
-    14, 1e-11; exp(6K') is a number there).
+
+@kernel
+def theta_terms(K, Kc, c):
+    """Series of theta functions at π(u − ic)/2K, 0 ≤ c ≤ 2K', and what their argument is.
+
+    Cubics, each of a real and an imaginary part: of θ1; of the cosine series of odd multiples; of
+    the one of even multiples. Where K > 2K' they are hyperbolic: the second is then of θ4, the
+    third of θ2, elsewhere the other way round. Then: units of the argument per u, the period (of u
+    it is 2K) and its inverse, 0 where K > 300 counts as infinite (float32: 40); the phase per unit
+    of argument within a period; 1 for hyperbolic series, 0 for trigonometric ones; their nome. K'
+    is one of ``limited``.
     """
     F = type(K)
-    most = F(48.0) if F(1e-150) > F(0.0) else F(14.0)
-    Kc = most if Kc > most else Kc
-    c = c if c < Kc else Kc
     wide = F(2.0) * Kc < K
     # the nome of the series: the fourth power of e, or e
     x = F(0.5 * math.pi) * (K / Kc if wide else Kc / K)
@@ -160,66 +165,115 @@ def theta_pair(K, Kc, c):
     sh, ch = sinhcosh(x)
     e = F(1.0) / (sh + ch)
     nome = e if wide else (e * e) * (e * e)
-    q1 = nome * nome
-    q2 = q1 * q1 * q1
-    q3 = q2 * q2
-    # cos (2n+1)γ and sin (2n+1)γ, or cosh and sinh of (2n+1)γ over cosh γ, from those of 2γ
+    # cos (2n+1)γ and sin (2n+1)γ, or cosh and sinh of (2n+1)γ over cosh γ, from those of 2γ; each
+    # power of the nome goes where it keeps the products in range
     gamma = F(0.5 * math.pi) * c / (F(2.0) * Kc if wide else K)
     sc, cc = sincos(gamma)
     sh, ch = sinhcosh(gamma)
-    double = F(1.0) - F(2.0) * sc * sc if wide else F(1.0) + F(2.0) * sh * sh
-    double_sine = F(2.0) * sh * ch
+    d = F(2.0) * nome * (F(1.0) - F(2.0) * sc * sc if wide else F(1.0) + F(2.0) * sh * sh)
+    double_sine = F(4.0) * nome * (sc * cc if wide else sh * ch)
     c0 = cc if wide else F(1.0)
     s0 = sc if wide else sh / ch
-    even = F(4.0) * double * double - F(1.0)
-    odd = F(2.0) * double
-    c1 = c0 * q1 * (odd - F(1.0))
-    s1 = s0 * q1 * (odd + F(1.0))
-    c2 = c0 * q2 * (even - odd)
-    s2 = s0 * q2 * (even + odd)
-    cubed = F(2.0) * double * even - odd
-    c3 = c0 * q3 * (cubed - even)
-    s3 = s0 * q3 * (cubed + even)
+    q1 = nome * nome
+    q2 = q1 * q1
+    q3 = q2 * q2 * nome
+    even = d * d - q1
+    cubed = d * (even - q1)
+    c1 = c0 * nome * (d - nome)
+    s1 = s0 * nome * (d + nome)
+    c2 = c0 * q2 * (even - nome * d)
+    s2 = s0 * q2 * (even + nome * d)
+    c3 = c0 * q3 * (cubed - nome * even)
+    s3 = s0 * q3 * (cubed + nome * even)
     odd_real = sine_sum(c0, -c1, c2, -c3)
     odd_imaginary = cosine_sum(-s0, s1, -s2, s3)
-    even_real = cosine_sum(c0, c1, c2, c3)
-    even_imaginary = sine_sum(-s0, -s1, -s2, -s3)
-    # the even series of the other kind: cos 2nv, n = 0 to 3
-    w1 = F(-2.0) * nome
-    w2 = F(2.0) * q1 * q1
-    w3 = F(-2.0) * q1 * q2 * nome
-    a1 = w1 * double
-    a2 = w2 * (F(2.0) * double * double - F(1.0))
-    a3 = w3 * double * (even - F(2.0))
-    b1 = w1 * double_sine
-    b2 = w2 * double_sine * odd
-    b3 = w3 * double_sine * even
+    real = cosine_sum(c0, c1, c2, c3)
+    side = F(-1.0) if wide else F(1.0)
+    imaginary = sine_sum(side * s0, side * s1, side * s2, side * s3)
+    # cos 2nv, n = 0 to 3
+    a2 = q1 * (d * d - F(2.0) * q1)
+    a3 = -q1 * q2 * d * (d * d - F(3.0) * q1)
+    b1 = -side * double_sine
+    b2 = side * q1 * d * double_sine
+    b3 = -side * q1 * q2 * even * double_sine
     infinite = (F(300.0) if F(1e-150) > F(0.0) else F(40.0)) < K
     period = F(0.5 * math.pi) * K / Kc if wide else F(math.pi)
     inverse = F(1.0) / period if wide else F(0.0)
     return (
-        even_real[0] if wide else F(1.0) - a2,
-        even_real[1] if wide else a1 - F(3.0) * a3,
-        even_real[2] if wide else F(2.0) * a2,
-        even_real[3] if wide else F(4.0) * a3,
-        even_imaginary[0] if wide else F(2.0) * (b1 - b3),
-        even_imaginary[1] if wide else F(4.0) * b2,
-        even_imaginary[2] if wide else F(8.0) * b3,
-        even_imaginary[3] if wide else F(0.0),
-        odd_real[0],
-        odd_real[1],
-        odd_real[2],
-        odd_real[3],
-        odd_imaginary[0],
-        odd_imaginary[1],
-        odd_imaginary[2],
-        odd_imaginary[3],
-        F(0.5 * math.pi) / (F(2.0) * Kc if wide else K),
-        period,
-        F(0.0) if infinite else inverse,
-        F(0.0) if infinite else (c / K if wide else F(0.0)),
-        F(1.0) if wide else F(0.0),
+        odd_real + odd_imaginary,
+        real + imaginary,
+        (
+            F(1.0) - a2,
+            -d - F(3.0) * a3,
+            F(2.0) * a2,
+            F(4.0) * a3,
+            F(2.0) * (b1 - b3),
+            F(4.0) * b2,
+            F(8.0) * b3,
+            F(0.0),
+        ),
+        (
+            F(0.5 * math.pi) / (F(2.0) * Kc if wide else K),
+            period,
+            F(0.0) if infinite else inverse,
+            F(0.0) if infinite else (c / K if wide else F(0.0)),
+            F(1.0) if wide else F(0.0),
+            nome,
+        ),
     )
+
+
+@kernel
+def select(first, a, b):
+    """a where ``first`` > 0, else b, tuples of eight."""
+    F = type(first)
+    s = first > F(0.0)
+    return (
+        a[0] if s else b[0],
+        a[1] if s else b[1],
+        a[2] if s else b[2],
+        a[3] if s else b[3],
+        a[4] if s else b[4],
+        a[5] if s else b[5],
+        a[6] if s else b[6],
+        a[7] if s else b[7],
+    )
+
+
+@kernel
+def theta_pair(K, Kc, c):
+    """Constants of ``theta_pair_at`` for quarter periods K, K' and a parameter 0 ≤ c ≤ K'.
+
+    The cubics of θ4 and θ1, and the argument, of ``theta_terms``.
+    """
+    Kc = limited(Kc)
+    odd, cosines, evens, argument = theta_terms(K, Kc, c if c < Kc else Kc)
+    return select(argument[4], cosines, evens) + odd + argument[0:5]
+
+
+@kernel
+def theta_argument(a, s):
+    """(1 or −1 by whether periods are even or odd, the rest r, S, C, x) of the argument s.
+
+    ``a`` says what that is as ``theta_terms`` does. The series are in sine and cosine of r, or the
+    hyperbolic ones, S and C, and in that cosine of 2r.
+    """
+    F = type(s)
+    n = np.rint(s * a[2])
+    r = s - n * a[1]
+    sine, cosine = sincos(r)
+    # where the period is longer, quotients have met their limits (in float32 sooner)
+    far = F(40.0) if F(1e-150) > F(0.0) else F(20.0)
+    half = F(0.5) * a[1] if a[2] > F(0.0) else far
+    far = half if half < far else far
+    x = far if r > far else r
+    x = -far if r < -far else x
+    sh, ch = sinhcosh(x)
+    wide = a[4] > F(0.5)
+    S = sh if wide else sine
+    C = ch if wide else cosine
+    x = F(2.0) * S * S
+    return F(1.0) - F(2.0) * is_odd(n), r, S, C, (F(1.0) + x if wide else F(1.0) - x)
 
 
 @kernel
@@ -230,23 +284,11 @@ def theta_pair_at(g, s):
     a positive factor of both that depends on u and one of each that depends on c. ``g`` are the
     constants of ``theta_pair``; s is u in their units.
     """
+    flip, r, S, C, x = theta_argument(g[16:21], s)
     F = type(s)
-    n = np.rint(s * g[18])
-    r = s - n * g[17]
-    sine, cosine = sincos(r)
-    # where the period is longer, A and B have met their limits (in float32 sooner)
-    far = F(40.0) if F(1e-150) > F(0.0) else F(10.0)
-    x = far if r > far else r
-    x = -far if r < -far else x
-    sh, ch = sinhcosh(x)
     wide = g[20] > F(0.5)
-    S = sh if wide else sine
-    C = ch if wide else cosine
-    x = F(2.0) * S * S
-    x = F(1.0) + x if wide else F(1.0) - x
     ar = cubic(g[0:4], x) * (C if wide else F(1.0))
     ai = cubic(g[4:8], x) * (S if wide else S * C)
-    flip = F(1.0) - F(2.0) * is_odd(n)
     S = S * flip
     C = C * flip
     return ar, ai, cubic(g[8:12], x) * S, cubic(g[12:16], x) * C, g[19] * r
