@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import dcm_to_quat, quat_multiply
+from fastatt.arrays import dcm_to_quat, normalised, quat_multiply, rotate_inverse
 
 _SHAPES = "(3,), (3, 3), (N, 3) or (N, 3, 3)"
 # two moments closer than this share of the largest are equal
@@ -105,6 +105,47 @@ def sort_axes(found: Principal) -> Principal:
     turn = dcm_to_quat(np.swapaxes(np.eye(3)[order], -1, -2))
     axes = turn if found.axes is None else quat_multiply(found.axes, turn)
     return Principal(np.take_along_axis(m, order, axis=-1), axes)
+
+
+def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[np.float64]]:
+    """The same bodies with their axis of symmetry third, and how far along it an arm reaches.
+
+    ``arm`` is (3,) or (N, 3), m, along body axes. Raises ``ValueError`` for a body whose moments
+    about two axes that are normal to its arm are not equal, by its number.
+    """
+    inside = arm if found.axes is None else rotate_inverse(found.axes, arm)
+    m, inside = np.broadcast_arrays(found.moments, inside)
+    size = np.linalg.norm(inside, axis=-1)[..., None]
+    first, second = np.array([1, 2, 0]), np.array([2, 0, 1])
+    most = m.max(axis=-1, keepdims=True)
+    even = np.abs(m[..., first] - m[..., second]) <= EQUAL * most
+    off = np.hypot(inside[..., first], inside[..., second])
+    # by what a moment about the arm differs: nothing matters of a sphere
+    gap = np.maximum(np.abs(m[..., first] - m), np.abs(m[..., second] - m))
+    fits = even & (off * gap <= EQUAL * size * most)
+    bad = np.atleast_1d(~fits.any(axis=-1))
+    if bad.any():
+        b = int(np.argmax(bad))
+        where = f"[{b}]" if m.ndim == 2 else ""
+        rows = (", ".join(f"{x:.6g}" for x in x.reshape(-1, 3)[b]) for x in (m, inside))
+        raise ValueError(
+            "inertia{0} is ({1}) with arm{0} ({2}) along principal axes; accepted by the closed "
+            "form of a heavy top: an arm along the axis of two equal moments".format(where, *rows)
+        )
+    axis = 2 - np.argmax(np.where(fits, np.abs(inside), -1.0)[..., ::-1], axis=-1)
+    at = axis[..., None]
+    # the direction of the arm, upwards along that axis
+    side = np.copysign(size, np.take_along_axis(inside, at, axis=-1))
+    oblique = np.take_along_axis(off, at, axis=-1) > 0.0
+    n = np.where(oblique, inside / np.where(oblique, side, 1.0), np.eye(3)[axis])
+    reach = np.asarray((inside * n).sum(axis=-1))
+    if (n == np.eye(3)[2]).all():
+        return found, reach
+    turn = np.stack([1.0 + n[..., 2], -n[..., 1], n[..., 0], 0.0 * n[..., 0]], axis=-1)
+    turn = normalised(turn)
+    axes = turn if found.axes is None else quat_multiply(found.axes, turn)
+    order = (at + np.array([1, 2, 0])) % 3
+    return Principal(np.take_along_axis(m, order, axis=-1), axes), reach
 
 
 def is_sorted(moments: NDArray[Any]) -> bool:

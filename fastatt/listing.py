@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fastatt import warming
+from fastatt.closed_forms import LEVERS
 from fastatt.methods import METHODS, Method
 from fastatt.running.choosing import fits
 from fastatt.running.loop import job_of
@@ -65,6 +66,8 @@ def _fits(m: Method) -> str:
             words += found
         elif found:
             words.append(plural)
+    if m.is_exact:
+        words[-1] += f" ({' or '.join(LEVERS)} along the axis of a symmetric body)"
     if m.takes in _TAKEN:
         words[-1] += f" ({_TAKEN[m.takes]})"
     return ", ".join(words)

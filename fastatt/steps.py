@@ -147,7 +147,7 @@ def single_step(
     scene : what acts.
     method : a name of ``fastatt.METHODS`` that fits, or a method of one's own; None takes the first
         of magnus4, rk8 and rk4. The closed form takes no steps: see ``fastatt.exact`` and
-        ``fastatt.kernels.free_body``.
+        ``fastatt.kernels.free_body`` and ``heavy_top``.
     representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
         ``Attitude`` of one's own.
     position : carry the position too, of a scene with mass.

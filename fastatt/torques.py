@@ -96,7 +96,9 @@ class TorqueRecord(Record):
     ``depends`` says how on w, and has no default: taken for independent, a torque is evaluated at
     a standstill by the splittings. ``damping(p)`` gives the coefficients (N·m·s, three) of what is
     linear damping; ``decay(model)`` a bound of them in numpy; ``potential(t, pose, p)`` the
-    potential energy, J, where there is one.
+    potential energy, J, where there is one. ``lever(p)`` gives (arm, pull), in body and in inertial
+    axes, of a potential energy arm·Cᵀpull: a symmetric body with the arm on its axis has a closed
+    form.
     """
 
     depends: Dependence
@@ -105,6 +107,7 @@ class TorqueRecord(Record):
     potential: Callable[..., Any] | None = None
     damping: Callable[[Any], Vector] | None = None
     decay: Callable[[Any], Any] | None = None
+    lever: Callable[[Any], tuple[Vector, Vector]] | None = None
 
 
 def _no_potential(t: Any, pose: Pose, p: Vector) -> float:
@@ -200,11 +203,13 @@ _ALL = (
         ),
         _POSITION, False,
         potential=lambda t, pose, p: p[3] * dot(p[:3], pose.to_body((0.0, 0.0, 1.0))),
+        lever=lambda p: (p[:3], (0.0, 0.0, p[3])),
     ),
     TorqueRecord(
         MagneticDipole, (_TABLED, _TABLED),
         lambda t, pose, p: vec3.cross(p[:3], pose.to_body(p[3:])), _POSITION, False,
         potential=lambda t, pose, p: -dot(p[:3], pose.to_body(p[3:])),
+        lever=lambda p: (p[:3], -p[3:]),
     ),
     TorqueRecord(
         QuaternionPD, (_NUMBER, _NUMBER, Field((4,), table="slopes")), _quaternion_pd, _RATE, False,
@@ -277,6 +282,18 @@ def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float6
     record = RECORDS.get(type(model))
     decay = None if record is None else record.decay
     return np.zeros(()) if decay is None else np.asarray(decay(model) / moments.min(axis=-1))
+
+
+def lever_of(model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """(arm, pull) of a model whose record has a lever, each (3,) or (N, 3); None of any other."""
+    record = RECORDS.get(type(model))
+    if record is None or record.lever is None:
+        return None
+    packed = pack_fields(model, record, None, "torque")
+    if packed.law.look_ups:  # what a table says depends on time
+        return None
+    arm, pull = record.lever(np.moveaxis(packed.params, -1, 0))
+    return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
 
 
 def has_potential(law: Law) -> bool:

@@ -275,7 +275,8 @@ def test_methods_say_what_they_take(capsys):
     assert everywhere in lines["rk4"]
     assert damped in lines["strang2"]
     assert "order 4; torqued bodies (torque free of w): " in lines["srkn4"]
-    assert "closed form; free bodies: " in lines["exact"]
+    of_tops = "closed form; free bodies, torqued bodies (HeavyTop or MagneticDipole along the axis "
+    assert of_tops in lines["exact"]
     assert "order 1, 2 for increments; samples: " in lines["hold"]
     assert "order 4; increments: " in lines["coning3_optimal"]
 

@@ -461,7 +461,7 @@ def test_refusals(solution, place, value, message):
 def test_refusals_of_numbers_of_bodies():
     with pytest.raises(ValueError, match="w0: has 3 rows; accepted: one, or 2 as of q0"):
         exact.free_body(np.eye(4)[:2], np.ones((3, 3)), GOOD[2], 1.0)
-    with pytest.raises(ValueError, match="inertia: found 4 bodies; accepted: one, or 2"):
+    with pytest.raises(ValueError, match="inertia: has 4 rows; accepted: one, or 2 as of q0"):
         exact.free_body(np.eye(4)[:2], GOOD[1], np.ones((4, 3)), 1.0)
     with pytest.raises(TypeError, match="t: found 'now'; accepted: real numbers"):
         exact.free_body(*GOOD[:3], "now")

@@ -20,12 +20,13 @@ SCENES = {
     "torqued": fa.Scene(inertia=BODY, torque=fa.torques.HeavyTop((0.0, 0.0, 0.5), 2.0)),
     "rate": fa.Scene(rate=fa.rates.Coning(1.0, 1.0)),
 }
-# each method once: DMV and the closed form are of free bodies alone
+FITTING = {kind: fa.methods_for(scene) for kind, scene in SCENES.items()}
+# each method once: DMV and the closed form of a triaxial body are of free bodies alone
 PAIRS = [
     (kind, name)
-    for name, method in fa.METHODS.items()
+    for name in fa.METHODS
     for kind in ("torqued", "rate", "free")
-    if kind in method.scenes and (kind != "free" or "torqued" not in method.scenes)
+    if name in FITTING[kind] and (kind != "free" or name not in FITTING["torqued"])
 ]
 TILTED = np.diag(BODY) + 0.1  # its axes are numbers beside those of a function
 N = 5

@@ -1,18 +1,19 @@
-"""The closed form of free motion: one evaluation for each save, whatever the number of steps."""
+"""Closed forms of bodies: one evaluation for each save, whatever the number of steps."""
 
 from __future__ import annotations
 
-from fastatt.methods.method import FREE, Method
+from fastatt.methods.method import BODIES, Method
 
 METHOD = Method(
     name="exact",
     order=0,
-    scenes=FREE,
+    scenes=BODIES,
     representations=("quat", "dcm"),
     conserves=("norm", "momentum", "energy"),
     rate_calls=0,
     exponentials=0,
     limits={},
-    summary="Jacobi's closed form at every save; sparse output, reference",
-    source="van Zon and Schofield, J. Comput. Phys. 225 (2007) 145; Celledoni et al. (2008)",
+    summary="closed form of free bodies and heavy symmetric tops; sparse output, reference",
+    source="van Zon and Schofield, J. Comput. Phys. 225 (2007) 145; Celledoni et al. (2008); "
+    "Klein and Sommerfeld, The Theory of the Top (1897-1910)",
 )

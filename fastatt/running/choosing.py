@@ -6,6 +6,7 @@ from typing import Any
 
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
+from fastatt.closed_forms import form_of
 from fastatt.device import Device
 from fastatt.methods import METHODS, Method
 from fastatt.running.asked import Choice
@@ -64,6 +65,11 @@ def fits(method: Method, scene: Scene, representation: str | Attitude | None = N
 
 
 def _takes(method: Method, scene: Scene) -> bool:
+    if method.is_exact:
+        try:
+            return bool(form_of(scene))
+        except ValueError:
+            return False
     if method.takes is Dependence.RATE:
         return True
     return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
@@ -102,6 +108,8 @@ def method_of(scene: Scene, method: str | Method, representation: str | Attitude
     found = METHODS.get(method) if isinstance(method, str) else None  # type: ignore[redundant-expr]
     if found is not None and fits(found, scene, representation):
         return found
+    if found is not None and found.is_exact and scene.kind == "torqued":
+        form_of(scene)  # says why there is none
     checks.choice("method", method, methods_for(scene))
     checks.choice(
         f'method for representation "{_name_of(representation)}"',

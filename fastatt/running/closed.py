@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import exact, rounding
+from fastatt import closed_forms, rounding
 from fastatt.engine.status import Status
 from fastatt.flat.rows import address_of
 from fastatt.running.asked import Handling, few
@@ -23,16 +23,17 @@ class ClosedForm:
     """What evaluates some saves of a plan."""
 
     def __init__(self, plan: Plan, saves: int) -> None:
-        exact.check_above_zero(plan.scene.principal)
+        self._form = closed_forms.form_of(plan.scene)
         attitude, self._handed, self._saves = plan.choice.attitude, plan.handed, saves
         self._plan = plan
         self._stored, self._offsets = attitude.stored, plan.handed.layout(saves)
-        self._motion = exact.Motion(
-            plan.scene.principal,
+        self._motion = closed_forms.Motion(
+            self._form,
             plan.kind,
             (saves, plan.n_bodies),
             stored=None if attitude.stored == 4 else attitude.start,
         )
+        self._gain = float(self._form.gain.max())
         # |w| t, rad, beyond which a body's is looked at
         self._calm = float(np.finfo(plan.kind).eps) ** -0.5
 
@@ -80,17 +81,17 @@ class ClosedForm:
         with np.errstate(over="ignore", invalid="ignore"):
             # sums of squares: no square is larger, and of what is no number they are none
             turned, numbers = np.dot(w, w), np.dot(flat, flat)
-        most = math.sqrt(turned) * abs(since.item(-1)) if since.size else 0.0
+        fastest = math.sqrt(turned) + self._gain
+        most = fastest * abs(since.item(-1)) if since.size else 0.0
         if most <= self._calm and math.isfinite(numbers):
             return False
         return self._flagged(given, since, self._handed.views(raw, self._saves))
 
-    @staticmethod
-    def _flagged(given: Given, since: NDArray[np.float64], results: Results) -> bool:
+    def _flagged(self, given: Given, since: NDArray[np.float64], results: Results) -> bool:
         """Flag bodies whose results are no numbers, or that turned too far; warn of that."""
         out, status = results.out, results.status
         kind = out.dtype
-        turned = exact.turned(np.atleast_2d(given.y), since)
+        turned = closed_forms.turned(np.atleast_2d(given.y), since, self._form.gain)
         if text := rounding.of_angles(turned, kind):
             rounding.warn(f"t: found turns of {text}")
         with np.errstate(invalid="ignore"):
