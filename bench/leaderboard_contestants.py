@@ -21,7 +21,7 @@ from leaderboard_solvers import PYTHON, QUICK, Contestant, Run, at_tolerance, to
 
 import fastatt as fa
 from fastatt.integrate import methods_for_samples
-from fastatt.kernels import free_body
+from fastatt.kernels import free_body, heavy_top
 from fastatt.running.loop import job_of
 
 OURS = "fastatt"
@@ -55,7 +55,7 @@ def our_loop(problem: Problem, name: str, quick: bool) -> Contestant:
     It is worth its compilation for methods that lead elsewhere.
     """
     closed = name == "exact"
-    run = _closed_loop() if closed else _stepped_loop(problem, name)
+    run = _closed_loop(problem) if closed else _stepped_loop(problem, name)
     rows = range(problem.n_exact)
     starts = [tuple(problem.q0[k].tolist()) for k in rows]
     rates = [() if problem.w0 is None else tuple(problem.w0[k].tolist()) for k in rows]
@@ -94,8 +94,17 @@ def _stepped_loop(problem: Problem, name: str) -> Callable[..., Any]:
     return run
 
 
-def _closed_loop() -> Callable[..., Any]:
-    setup, evaluate = free_body.setup_rate, free_body.evaluate
+def _closed_loop(problem: Problem) -> Callable[..., Any]:
+    if problem.kind == equations.TOP:
+        begin, evaluate = heavy_top.setup, heavy_top.evaluate
+        torque = problem.scene.torque
+        pull = (0.0, 0.0, torque.weight * torque.arm[2])
+
+        @numba.njit
+        def setup(q, w, p):
+            return begin(q, w, p, pull)
+    else:
+        setup, evaluate = free_body.setup_rate, free_body.evaluate
 
     @numba.njit
     def run(q, w, t_end, n, p):

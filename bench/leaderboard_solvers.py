@@ -23,7 +23,7 @@ QUICK = {
     "methods": {
         equations.CONING: ("magnus6", "trapezoid"),
         equations.FREE: ("exact",),
-        equations.TOP: ("rk8",),
+        equations.TOP: ("exact",),
         equations.PUSHED: ("rk8",),
     },
 }  # fmt: skip

@@ -23,8 +23,10 @@ from fastatt.trade.work_precision import DTYPES, cases_of, duration
 _USUAL = {
     "rate": ("lie_midpoint", "rk4", "magnus4", "magnus6", "magnus8", "gauss12"),
     "free": ("exact", "strang2", "rk4", "dmv4", "dmv6", "dmv8", "dmv10", "kahan_li8"),
-    "torqued": ("strang2", "rk4", "rk8", "rk9", "gbs16", "suzuki4", "kahan_li6", "kahan_li8"),
-}
+    "torqued": (
+        "exact", "strang2", "rk4", "rk8", "rk9", "gbs16", "suzuki4", "kahan_li6", "kahan_li8",
+    ),
+}  # fmt: skip
 _SINGLE = 1e-6  # rad: nothing is that exact in float32
 _FINER = 30.0  # how much better than the tolerance the reference must be
 _HOPELESS = 6.0  # times the guessed work of the best: not even looked at

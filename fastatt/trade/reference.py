@@ -15,17 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import exact, rates, torques
+from fastatt import rates, torques
 from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
+from fastatt.closed_forms import Motion, form_of, rows
 from fastatt.methods import METHODS
-from fastatt.methods.method import FREE
 from fastatt.running.choosing import methods_for
 from fastatt.running.self_check import EARLY, beginnings
 from fastatt.running.trajectory import Trajectory
+from fastatt.threads import number_of
 from fastatt.trade.measure import Case, Problem, State
 
 # of other families than those run tight; order 4 is extrapolated from a step and its half
 _CONFIRMING = ("dmv10", "kahan_li8", "rkmk4", "cf4", "rk4")
+# of what is not run tight
+_BESIDE_CLOSED = ("dmv10", "rk9", *_CONFIRMING)
 _HIGH = 6
 _EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
 _EPS = float(np.finfo(np.float64).eps)
@@ -123,26 +126,36 @@ def _closed_form(problem: Problem, looks: int) -> Reference | None:
     found = _solution(problem)
     if found is None:
         return None
-    name, solution = found
+    name, solution, gain = found
 
     def after(times: int, part: int = 1) -> State:
         return solution(problem.t_end * np.arange(1, times + 1) / (times * part))
 
-    own = 2.0 * _EPS * (1.0 + speeds(problem) * abs(problem.t_end))
+    own = 2.0 * _EPS * (1.0 + np.hypot(speeds(problem), gain) * abs(problem.t_end))
     return Reference(after(looks), name, own, looks, lambda times, part: after(times, part).q)
 
 
-def _solution(problem: Problem) -> tuple[str, Callable[[NDArray[np.float64]], State]] | None:
-    """The exact states after times t (S,), s, and what they are called; None where not known."""
+_Solution = tuple[str, Callable[[NDArray[np.float64]], State], Any]
+
+
+def _solution(problem: Problem) -> _Solution | None:
+    """What exact states are called, they after times t (S,), s, and what |w| gains on the way.
+
+    The gain (rad/s, in the sum of squares) is of each body or of all; None where not known.
+    """
     e, scene = problem.ensemble, problem.ensemble.scene
     q0 = np.broadcast_to(e.q0, (e.size, 4)).astype(np.float64)
-    if scene.kind in FREE:
+    if e.w0 is not None and "exact" in methods_for(scene):
         w0 = np.broadcast_to(np.asarray(e.w0), (e.size, 3)).astype(np.float64)
-        inertia = np.asarray(scene.inertia)
-        unphysical = scene.allow_unphysical
-        return "the closed form", lambda t: State(
-            *exact.free_body(q0, w0, inertia, t, allow_unphysical=unphysical)
-        )
+        form, threads = form_of(scene), number_of(None)
+        start = rows(q0, q0.dtype), rows(w0, w0.dtype)
+
+        def formed(t: NDArray[np.float64]) -> State:
+            q, w = np.empty((t.size, e.size, 4)), np.empty((t.size, e.size, 3))
+            Motion(form, t.dtype, (t.size, e.size)).fill(start, t, (q, w), threads)
+            return State(q, w)
+
+        return "the closed form", formed, form.gain
     if isinstance(scene.rate, rates.Constant):
         w = np.atleast_2d(scene.rate.w)
 
@@ -151,7 +164,7 @@ def _solution(problem: Problem) -> tuple[str, Callable[[NDArray[np.float64]], St
             pair = (q0, turn) if scene.frame == "body" else (turn, q0)
             return State(quat_multiply(*pair))
 
-        return "one exponential", turned
+        return "one exponential", turned, 0.0
     if isinstance(scene.rate, rates.Coning) and scene.frame == "body":
         angle, frequency = map(np.atleast_1d, scene.rate)
 
@@ -160,7 +173,7 @@ def _solution(problem: Problem) -> tuple[str, Callable[[NDArray[np.float64]], St
             back = path[:1] * (1.0, -1.0, -1.0, -1.0)
             return State(quat_multiply(q0, quat_multiply(back, path[1:])))
 
-        return "the exact coning motion", cone
+        return "the exact coning motion", cone, 0.0
     return None
 
 
@@ -265,7 +278,8 @@ def confirm(problem: Problem, known: Reference, method: str | None = None) -> Co
     fitting = methods_for(problem.ensemble.scene, "quat")
     used = known.source.split()[0]
     if method is None:
-        method = next((m for m in _CONFIRMING if m in fitting and m != used), fitting[0])
+        others = _CONFIRMING if used in METHODS else _BESIDE_CLOSED
+        method = next((m for m in others if m in fitting and m != used), fitting[0])
     order = METHODS[method].order
     best: Confirmation | None = None
     before: State | None = None
