@@ -251,6 +251,14 @@ def test_propagate_takes_it_first():
     assert np.abs(gap).max() <= 2e-15
 
 
+def test_what_needs_steps_takes_steps():
+    """Where no method is named."""
+    run = fa.propagate(TOP, UP, (0.1, 0.0, 3.0), dt=0.1, n_steps=2, compensated=True)
+    assert run.method == "rk8"
+    with pytest.raises(ValueError, match="compensated: found with method exact; accepted with"):
+        fa.propagate(TOP, UP, (0.1, 0.0, 3.0), dt=0.1, n_steps=2, compensated=True, method="exact")
+
+
 def test_dipole_in_an_oblique_field():
     dipole, field = (0.0, 0.0, -1.3), (0.3, -0.8, -0.5)
     scene = fa.Scene(inertia=BODY, torque=fa.torques.MagneticDipole(dipole, field))

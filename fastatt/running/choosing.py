@@ -139,7 +139,7 @@ def chosen(
         return scene.memo[key]  # type: ignore[no-any-return]
     attitude = attitude_of(representation)
     steps = device is not None
-    record = _method(scene, method, attitude, reducer, steps=steps)
+    record = _method(scene, method, attitude, reducer, steps=steps or compensated)
     if steps and record.is_exact:
         raise ValueError(f'method: found {record.name}; accepted with device "cuda": steps')
     if compensated:
