@@ -38,7 +38,7 @@ _HELD_BY = {
     "running.drift": "Drift drift",
     "running.energy": "angular_momentum kinetic_energy kinetic_energy_symmetric potential_energy",
     "running.interpolation": "interpolate",
-    "running.limits": "StepWarning",
+    "rounding": "StepWarning",
     "running.loop": "show_loop",
     "running.plan": "Plan",
     "running.choosing": "methods_for",
@@ -109,6 +109,7 @@ if TYPE_CHECKING:
     from fastatt.methods import METHODS, Method
     from fastatt.methods.explicit import explicit
     from fastatt.methods.lie import lie
+    from fastatt.rounding import StepWarning
     from fastatt.running.angular_velocity import angular_velocity
     from fastatt.running.choosing import methods_for
     from fastatt.running.drift import Drift, drift
@@ -119,7 +120,6 @@ if TYPE_CHECKING:
         potential_energy,
     )
     from fastatt.running.interpolation import interpolate
-    from fastatt.running.limits import StepWarning
     from fastatt.running.loop import show_loop
     from fastatt.running.plan import Plan
     from fastatt.running.propagate import plan, propagate, propagate_directions

@@ -158,7 +158,6 @@ def attitudes(
     name: str,
     value: ArrayLike,
     shapes: str = "(4,) or (N, 4)",
-    tails: _Shapes | None = None,
     *,
     flag: bool = False,
 ) -> Floats:
@@ -169,8 +168,8 @@ def attitudes(
     if hasattr(value, "as_quat"):
         value = np.roll(value.as_quat(), 1, axis=-1)
     if flag:
-        return array_any(name, value, shapes, tails)
-    q = array(name, value, shapes, tails)
+        return array_any(name, value, shapes)
+    q = array(name, value, shapes)
     zero = _zero_rows(q.reshape(-1, 4))
     if zero.any():
         first = np.unravel_index(int(zero.argmax()), q.shape[:-1])

@@ -12,22 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fastatt import models
 from fastatt.flat.formulas import Vector, dot, quat, scale
 from fastatt.flat.graph import apply
-from fastatt.models import (
-    SUM,
-    Field,
-    Law,
-    Model,
-    Packed,
-    Record,
-    Sum,
-    join,
-    no_model,
-    pack_fields,
-    pack_sum,
-    pack_user,
-)
+from fastatt.models import SUM, Field, Law, Model, Packed, Record, Sum, join, pack_user
 from fastatt.tables import Table
 
 
@@ -96,27 +84,22 @@ RECORDS: dict[type, Record] = {r.model: r for r in _ALL if r.model is not None}
 USER = {at: Record(None, (), lambda *given: given[-1], reads_position=at) for at in (False, True)}
 
 
-def pack(
-    model: Model, n_bodies: int | None, mass: NDArray[np.float64], argument: str = "force"
-) -> Packed:
-    """Check a model's numbers and lay them out flat; ``mass`` is () or (N,), kg.
+def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
+    record = USER[bool(model.uses_position)]
+    return pack_user(model.function, "force", record, model.params, n_bodies)
 
-    Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
-    finite or of the wrong shape.
-    """
-    cls = type(model)
-    if cls is Sum:
-        return pack_sum(model, lambda term, n, name: pack(term, n, mass, name), n_bodies, argument)
-    if cls is Custom:
-        record = USER[bool(model.uses_position)]
-        return pack_user(model.function, "force", record, model.params, n_bodies)
-    if cls not in RECORDS:
-        raise no_model(model, argument, "forces", (*RECORDS, Custom, Sum))
-    packed = pack_fields(model, RECORDS[cls], n_bodies, argument)
-    if cls is not CentralGravity:
-        return packed
-    params = join([packed.params, mass[..., None]], n_bodies, argument)
-    return packed._replace(law=Law(packed.law.record, (1, 1)), params=params)
+
+def pack(model: Model, n_bodies: int | None, mass: NDArray[np.float64]) -> Packed:
+    """``models.pack`` of a force; ``mass`` is () or (N,), kg."""
+
+    def finish(packed: Packed, n_bodies: int | None, argument: str) -> Packed:
+        record = packed.structure.record
+        if record.model is not CentralGravity:
+            return packed
+        params = join([packed.params, mass[..., None]], n_bodies, argument)
+        return packed._replace(structure=Law(record, (1, 1)), params=params)
+
+    return models.pack(model, n_bodies, "force", RECORDS, {Custom: _pack_custom}, finish)
 
 
 def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:

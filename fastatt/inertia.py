@@ -44,7 +44,7 @@ def principal(
     ``allow_unphysical`` lets those pass, but for moments of 0; of a tensor it takes the symmetric
     part.
     """
-    given = checks.array("inertia", inertia, _SHAPES, [(3,), (3, 3), (-1, 3), (-1, 3, 3)])
+    given = checks.array("inertia", inertia, _SHAPES)
     found = given.astype(np.float64)
     if (np.abs(found) > _LARGEST).any():
         raise ValueError(f"inertia: found {np.abs(found).max():.6g}; accepted: up to {_LARGEST:g}")

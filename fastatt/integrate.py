@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import functools
 import math
-import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.arrays import normalised
 from fastatt.gyro.engine import NO_TURN, Run, beginning, finish
 from fastatt.methods import METHODS, Method
-from fastatt.running.limits import StepWarning
 from fastatt.threads import number_of, progress_bar
 
 _GAP = 10.0  # an interval this many times the median is a hole in the log
@@ -133,12 +131,11 @@ def warn_of_turns(
     increments: bool,
     *,
     first: int = 0,
-    level: int = 3,
 ) -> None:
     """Say where an interval turns further than the method can follow.
 
     ``seen`` is the largest component of an angle, of the samples or of more; ``first`` what the
-    first interval is called, ``level`` how many calls up the user's is.
+    first interval is called.
     """
     limit = record.limits["increments" if increments else "rates"]
     # |w| is at most √3 of its components
@@ -154,12 +151,10 @@ def warn_of_turns(
     log, k = np.unravel_index(int(np.nanargmax(angle)), angle.shape)
     most = float(angle[log, k])
     if most > limit:
-        warnings.warn(
+        rounding.warn(
             f"dt: interval {first + k} of log {log} turns by {most:.3g} rad, {record.name}'s limit "
             f"is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): sample "
-            f"more than {most / limit:.2g} times as often",
-            StepWarning,
-            stacklevel=level,
+            f"more than {most / limit:.2g} times as often"
         )
 
 
@@ -204,10 +199,6 @@ def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any])
     return out
 
 
-def _allowed(max_gap: Any) -> float:
-    return checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
-
-
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
     given: Any = dt
@@ -223,8 +214,11 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
         k = int(np.argmax(bad))
         what = "a repeated" if spans[k] == 0.0 else "a decreasing"
         raise ValueError(f"dt[{k}] is {spans[k]}: {what} time stamp; accepted: intervals above 0")
-    with np.errstate(over="ignore"):
-        longest = _GAP * float(np.median(spans)) if max_gap is None else _allowed(max_gap)
+    if max_gap is None:
+        with np.errstate(over="ignore"):
+            longest = _GAP * float(np.median(spans))
+    else:
+        longest = checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
     if spans.max() > longest:
         k = int(np.argmax(spans))
         raise ValueError(

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.flat.trace import traceable
-from fastatt.flat.user import FORMS, user_function
+from fastatt.flat.user import FORMS, UserFunction, user_function
 from fastatt.tables import Form, Table, recorded
 
 Model = Any  # an instance of a model's class
@@ -142,17 +142,80 @@ class Law:
 
 
 class Packed(NamedTuple):
-    """A model ready for the engine: its law, flat parameters, (P,) shared or (N, P), tables."""
+    """What acts, ready for the engine."""
 
-    law: Any
+    #: a law, or a scene's ``fastatt.motion.Structure`` of them
+    structure: Any
+    #: flat parameters, (P,) shared or (N, P)
     params: NDArray[np.float64]
-    #: arrays that a formula looks up, by their numbers; those of a user's function by the tables
-    tables: Mapping[Any, NDArray[np.float64]]
+    #: tables and opaque functions that formulas look up, by the names that graphs have for them:
+    #: of fields of models by numbers, of a user's function by themselves
+    resources: dict[tuple[str, Any], Any]
+
+    @property
+    def tables(self) -> dict[Any, NDArray[np.float64]]:
+        """The tables alone."""
+        return {x: array for (kind, x), array in self.resources.items() if kind == "table"}
 
     def with_tables_from(self, k: int) -> Packed:
-        """The same, its tables numbered from k on."""
-        moved = {x + k if isinstance(x, int) else x: array for x, array in self.tables.items()}
-        return self._replace(law=self.law.with_tables_from(k), tables=moved)
+        """That of a law, its tables numbered from k on."""
+        moved = {
+            (kind, x + k if isinstance(x, int) else x): found
+            for (kind, x), found in self.resources.items()
+        }
+        return self._replace(structure=self.structure.with_tables_from(k), resources=moved)
+
+
+def resources_of(function: UserFunction) -> dict[tuple[str, Any], Any]:
+    """What a graph of a user's function looks up, by the names that it has there."""
+    if not function.straight:
+        return {("function", function): function.address}
+    return {("table", x): array for x, array in function.tables.items()}
+
+
+_Pack = Callable[[Any, int | None, str], Packed]
+
+
+def pack(
+    model: Model,
+    n_bodies: int | None,
+    argument: str,
+    records: Mapping[type, Record],
+    others: Mapping[type, _Pack] | None = None,
+    finish: _Pack = lambda packed, n_bodies, argument: packed,
+) -> Packed:
+    """Check a model's numbers and lay them out flat.
+
+    Models with a record are packed by their fields, ``others`` as these say; ``finish`` adds what
+    depends on the scene to each.
+
+    Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
+    finite or of the wrong shape.
+    """
+    cls, others = type(model), others or {}
+    if cls is Sum:
+        name = f"{argument}: Sum"
+        if not isinstance(model.terms, (tuple, list)) or not model.terms:
+            raise ValueError(f"{name}.terms is empty; accepted is a tuple of models")
+        terms = [pack(term, n_bodies, name, records, others, finish) for term in model.terms]
+        params = join([term.params for term in terms], n_bodies, name)
+        laws: list[Law] = []
+        found: dict[tuple[str, Any], Any] = {}
+        for term in terms:
+            moved = term.with_tables_from(len(found))
+            laws.append(moved.structure)
+            found |= moved.resources
+        return Packed(Law(SUM, (), tuple(laws)), params, found)
+    if cls in others:
+        return finish(others[cls](model, n_bodies, argument), n_bodies, argument)
+    if cls in records:
+        return finish(pack_fields(model, records[cls], n_bodies, argument), n_bodies, argument)
+    kind = argument.partition(":")[0]
+    names = ", ".join(sorted({c.__name__ for c in (*records, *others, Sum)}))
+    raise TypeError(
+        f"{argument}: found {cls.__name__}; accepted is a model of fastatt.{kind}s ({names}) or an "
+        f"@njit function {FORMS[kind].call}"
+    )
 
 
 def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: str) -> Packed:
@@ -163,7 +226,7 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
     cls = type(model)
     sizes, columns = [], []
     look_ups: list[LookUp | None] = []
-    tables: dict[int, NDArray[np.float64]] = {}
+    tables: dict[tuple[str, Any], NDArray[np.float64]] = {}
     for name, value, field in zip(model._fields, model, record.fields, strict=True):
         label = f"{argument}: {cls.__name__}.{name}"
         if isinstance(value, Table):
@@ -172,7 +235,7 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
             sizes.append(rows.shape[-1])
             columns.append(rows)
             look_ups.append(LookUp(len(tables), value.form, field.table == "slopes"))
-            tables[len(tables)] = value.data
+            tables["table", len(tables)] = value.data
             continue
         shape, above_zero, _ = field
         look_ups.append(None)
@@ -204,26 +267,6 @@ def _check_table(label: str, table: Table, field: Field) -> None:
         raise ValueError(f'{label}: found a linear table; accepted: one of kind "cubic"')
 
 
-def pack_sum(
-    model: Sum,
-    pack: Callable[[Model, int | None, str], Packed],
-    n_bodies: int | None,
-    argument: str,
-) -> Packed:
-    """The same for a sum, whose terms ``pack`` packs."""
-    if not isinstance(model.terms, (tuple, list)) or not model.terms:
-        raise ValueError(f"{argument}: Sum.terms is empty; accepted is a tuple of models")
-    packed = [pack(term, n_bodies, f"{argument}: Sum") for term in model.terms]
-    params = join([p.params for p in packed], n_bodies, f"{argument}: Sum")
-    laws: list[Law] = []
-    tables: dict[Any, NDArray[np.float64]] = {}
-    for term in packed:
-        moved = term.with_tables_from(len(tables))
-        laws.append(moved.law)
-        tables |= moved.tables
-    return Packed(Law(SUM, (), tuple(laws)), params, tables)
-
-
 def pack_user(
     function: Callable[..., Any],
     form: str,
@@ -239,16 +282,7 @@ def pack_user(
     joined = join([given], n_bodies, "params")
     n = joined.shape[-1]
     made = user_function(function, form, n, joined)
-    return Packed(Law(record, (n,), function=made), joined, made.tables)
-
-
-def no_model(model: Model, argument: str, module: str, known: Iterable[type]) -> TypeError:
-    """The refusal of something that is no model."""
-    names = ", ".join(sorted(c.__name__ for c in known))
-    return TypeError(
-        f"{argument}: found {type(model).__name__}; accepted is a model of fastatt.{module} "
-        f"({names}) or an @njit function {FORMS[module[:-1]].call}"
-    )
+    return Packed(Law(record, (n,), function=made), joined, resources_of(made))
 
 
 SUM = Record(Sum, (), sum)

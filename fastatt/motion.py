@@ -74,78 +74,50 @@ class RigidBody(NamedTuple):
         return 3
 
 
-class Moving(NamedTuple):
-    """Structure of a scene that carries the velocity, and the position if it is asked for.
+class Structure(NamedTuple):
+    """What acts in a scene, without its numbers.
 
-    Its parameters: those of ``inner``, 1/μ, the force's.
+    Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's.
     """
 
-    inner: GivenRate | RigidBody
-    law: Law
+    turning: GivenRate | RigidBody
+    force: Law | None = None
+    #: whether the position is carried too
     position: bool = False
+    #: a user's function that reduces states to so many numbers a body
+    watcher: UserFunction | None = None
+    watched: int = 0
 
     @property
     def n_params(self) -> int:
         """Number of parameters."""
-        return self.inner.n_params + 1 + self.law.count
+        return self.turning.n_params + (0 if self.force is None else 1 + self.force.count)
 
     @property
     def couples(self) -> bool:
         """Whether something reads the position, so that all is stepped as one system."""
-        return self.law.reads_position or self.inner.law.reads_position
+        if self.force is None:
+            return False
+        return self.force.reads_position or self.turning.law.reads_position
+
+    @property
+    def moved(self) -> int:
+        """Numbers of velocity and position."""
+        return (0 if self.force is None else 3) + (3 if self.position else 0)
 
     @property
     def tail(self) -> int:
         """Numbers carried beside the attitude."""
-        return self.inner.tail + (6 if self.position else 3)
-
-
-class Watched(NamedTuple):
-    """Structure of a scene whose states a user's function reduces to ``size`` numbers a body."""
-
-    inner: GivenRate | RigidBody | Moving
-    function: UserFunction
-    size: int
+        return self.turning.tail + self.moved + self.watched
 
     @property
-    def n_params(self) -> int:
-        """Number of parameters."""
-        return self.inner.n_params
-
-    @property
-    def tail(self) -> int:
-        """Numbers carried beside the attitude."""
-        return self.inner.tail + self.size
-
-
-Structure = GivenRate | RigidBody | Moving | Watched
-
-
-def moving_part(structure: Structure) -> GivenRate | RigidBody | Moving:
-    """What moves, of a scene that may be watched."""
-    return structure.inner if isinstance(structure, Watched) else structure
-
-
-def turning_part(structure: Structure) -> GivenRate | RigidBody:
-    """What turns, of a scene that may carry a velocity too."""
-    moving = moving_part(structure)
-    return moving.inner if isinstance(moving, Moving) else moving
-
-
-def stepped_part(structure: Structure) -> GivenRate | RigidBody | Moving:
-    """What a method's step is given: what turns, and what moves where something reads it."""
-    moving = moving_part(structure)
-    return moving if isinstance(moving, Moving) and moving.couples else turning_part(structure)
+    def beside(self) -> int:
+        """Those of them that are carried beside what a method steps."""
+        return self.watched + (0 if self.couples else self.moved)
 
 
 class Motion:
-    """What a method's step needs of a scene in a representation.
-
-    ``at(t)`` is what ``field`` needs of the time, evaluated once where several stages share it;
-    ``field(g, x)`` the time derivative of a state without low parts; ``base(x)`` that state,
-    ``advanced(x, d)`` x + d with what rounding loses kept; ``turning(g, xdot, x)`` the square of
-    the rate (rad/s) that limits an explicit step.
-    """
+    """What a method's step needs of a scene in a representation."""
 
     attitude: Attitude
 
@@ -163,11 +135,11 @@ class Motion:
         return self.attitude.turn(x, u)
 
     def at(self, t: Any) -> Any:
-        """What ``field`` needs of the time t."""
+        """What ``field`` needs of the time t, evaluated once where several stages share it."""
         raise NotImplementedError
 
     def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
-        """Time derivative of a state; ``place`` is what moves beside it and is read."""
+        """Time derivative of a state without low parts; ``place`` moves beside it and is read."""
         raise NotImplementedError
 
     def base(self, x: Vector) -> Vector:
@@ -175,11 +147,11 @@ class Motion:
         raise NotImplementedError
 
     def advanced(self, x: Vector, d: Vector) -> Vector:
-        """x + d."""
+        """x + d with what rounding loses kept."""
         raise NotImplementedError
 
     def turning(self, g: Any, xdot: Vector, x: Vector) -> Any:
-        """Square of the rate that limits an explicit step."""
+        """Square of the rate (rad/s) that limits an explicit step."""
         raise NotImplementedError
 
     def begin(self, q: Vector, beside: Vector) -> Vector:
@@ -363,6 +335,5 @@ def motion_of(
 
 def carried(attitude: Attitude, structure: Structure) -> int:
     """Numbers of state a body."""
-    body = isinstance(turning_part(structure), RigidBody)
-    low = 3 if attitude.compensated and body else 0
+    low = structure.turning.tail if attitude.compensated else 0
     return attitude.size + low + structure.tail

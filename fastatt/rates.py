@@ -15,18 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt.flat.formulas import axpy, trig
 from fastatt.flat.graph import choose
-from fastatt.models import (
-    SUM,
-    Field,
-    Law,
-    Model,
-    Packed,
-    Record,
-    Sum,
-    no_model,
-    pack_fields,
-    pack_sum,
-)
+from fastatt.models import SUM, Field, Law, Record, Sum
 
 _VECTOR = Field((3,))
 
@@ -180,19 +169,6 @@ def bound(law: Law, params: Numbers) -> Numbers | None:
 def is_constant(law: Law) -> bool:
     """Whether a rate never changes along its axes."""
     return law.record is not SUM and law.record.constant
-
-
-def pack(model: Model, n_bodies: int | None, argument: str = "rate") -> Packed:
-    """Check a model's numbers and lay them out flat.
-
-    Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
-    finite or of the wrong shape.
-    """
-    if type(model) is Sum:
-        return pack_sum(model, pack, n_bodies, argument)
-    if type(model) not in RECORDS:
-        raise no_model(model, argument, "rates", (*RECORDS, Sum))
-    return pack_fields(model, RECORDS[type(model)], n_bodies, argument)
 
 
 __all__ = ["Coning", "Constant", "Polynomial", "Precession", "Sinusoidal", "Slew", "Sum"]

@@ -58,7 +58,7 @@ def of_times(longest: float, h: float) -> str:
 
     A rate that a step resolves is wrong by less than ``SHARE`` rad of its phase.
     """
-    tick = float(np.spacing(longest))
+    tick = math.ulp(longest)
     if tick <= SHARE * abs(h):
         return ""
     return (

@@ -11,14 +11,13 @@ from typing import Any
 
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from fastatt import checks
 from fastatt._jit import helper, kernel
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.traced import Recurrence
 from fastatt.gyro.turns import products
 from fastatt.gyro.windows import Iteration, Window
+from fastatt.integrate import method_of
 from fastatt.kernels import quat
-from fastatt.methods import METHODS
 from fastatt.methods import coning2 as _coning2
 from fastatt.methods import coning3 as _coning3
 from fastatt.methods import hold as _hold
@@ -38,16 +37,23 @@ def turned(q, u):
     return quat.mul(q, quat.exp(u))
 
 
-@kernel
-def turned_twice(q, u):
-    """(q∘exp(u1), q∘exp(u2)) of two rotation vectors, flat."""
-    return turned(q, u[:3]), turned(q, u[3:])
+@helper
+def _one(q, u):
+    return turned(q, u)
 
 
-@kernel
-def turned_thrice(q, u):
-    """(q∘exp(u1), q∘exp(u2), q∘exp(u3)) of three rotation vectors, flat."""
-    return turned(q, u[:3]), turned(q, u[3:6]), turned(q, u[6:])
+@helper
+def _two(q, u):
+    return turned(q, u[:3]) + turned(q, u[3:])
+
+
+@helper
+def _three(q, u):
+    return turned(q, u[:3]) + turned(q, u[3:6]) + turned(q, u[6:])
+
+
+# attitudes after each of so many rotation vectors from the same attitude, flat
+_TURNED: dict[int, Any] = {1: _one, 2: _two, 3: _three}
 
 
 @kernel
@@ -86,32 +92,37 @@ def previous_increments(q, u0, u1, h0, h1):
 @kernel
 def coning2(q, w0, w1, w2, h0, h1):
     """(q1, q2): attitudes h0 and h0 + h1 s after q, from rates at all three instants; order 4."""
-    return turned_twice(q, _coning2.rates(w0 + w1 + w2, (h0, h1)))
+    found = _two(q, _coning2.rates(w0 + w1 + w2, (h0, h1)))
+    return found[:4], found[4:]
 
 
 @kernel
 def coning2_increments(q, u0, u1, h0, h1):
     """(q1, q2): attitudes after each of two increments (rad) over h0 and h1 s."""
-    return turned_twice(q, _coning2.increments(u0 + u1, (h0, h1)))
+    found = _two(q, _coning2.increments(u0 + u1, (h0, h1)))
+    return found[:4], found[4:]
 
 
 @kernel
 def coning3(q, w0, w1, w2, w3, h0, h1, h2):
     """(q1, q2, q3): attitudes at the ends of three intervals, from rates at all four instants."""
-    return turned_thrice(q, _coning3.rates(w0 + w1 + w2 + w3, (h0, h1, h2)))
+    found = _three(q, _coning3.rates(w0 + w1 + w2 + w3, (h0, h1, h2)))
+    return found[:4], found[4:8], found[8:]
 
 
 @kernel
 def coning3_increments(q, u0, u1, u2, h0, h1, h2):
     """(q1, q2, q3): attitudes after each of three increments (rad) over h0, h1 and h2 s."""
-    return turned_thrice(q, _coning3.increments(u0 + u1 + u2, (h0, h1, h2)))
+    found = _three(q, _coning3.increments(u0 + u1 + u2, (h0, h1, h2)))
+    return found[:4], found[4:8], found[8:]
 
 
 @kernel
 def coning3_optimal_increments(q, u0, u1, u2):
     """(q1, q2, q3) of increments (rad) over equal intervals, the last optimal for pure coning."""
     one = type(u0[0])(1.0)
-    return turned_thrice(q, _coning3.increments_optimal(u0 + u1 + u2, (one, one, one)))
+    found = _three(q, _coning3.increments_optimal(u0 + u1 + u2, (one, one, one)))
+    return found[:4], found[4:8], found[8:]
 
 
 @dataclass(frozen=True)
@@ -146,37 +157,12 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
 
     Raises ``ValueError`` for a method that does not take such samples.
     """
-    scene = "increments" if increments else "sampled rates"
-    known = [m.name for m in METHODS.values() if scene in m.scenes]
-    window = METHODS[checks.choice("method", method, known)].window
+    window = method_of(method, increments).window
     step, step_into = _functions(window, increments)
     return SampleStepper(
         method=method, history=window.history, span=window.span, samples=window.samples(increments),
         work=0, step=step, step_into=step_into,
     )  # fmt: skip
-
-
-@helper
-def one_quaternion(q, u):
-    """``turned`` of one rotation vector, flat."""
-    return turned(q, u)
-
-
-@helper
-def two_quaternions(q, u):
-    """``turned_twice``, flat."""
-    a, b = turned_twice(q, u)
-    return a + b
-
-
-@helper
-def three_quaternions(q, u):
-    """``turned_thrice``, flat."""
-    a, b, c = turned_thrice(q, u)
-    return a + b + c
-
-
-_FLAT: dict[int, Any] = {1: one_quaternion, 2: two_quaternions, 3: three_quaternions}
 
 
 def _functions(window: Window, increments: bool) -> tuple[Any, Any]:
@@ -186,7 +172,7 @@ def _functions(window: Window, increments: bool) -> tuple[Any, Any]:
         into = _into(step, 3 * window.samples(increments), window.intervals, 4 * window.span)
         return step, kernel(into, cache=False)
     # they close over plain functions and numbers alone, which Numba's disk cache knows again
-    functions = _stepped(_FLAT[window.span], window.formula(increments), 4 * window.span)
+    functions = _stepped(_TURNED[window.span], window.formula(increments), 4 * window.span)
     return kernel(functions[0]), kernel(functions[1])
 
 

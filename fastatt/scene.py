@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,25 +22,9 @@ from fastatt.inertia import (
     sort_axes,
 )
 from fastatt.kernels import rigid
-from fastatt.models import Law, join, numbers
-from fastatt.motion import GivenRate, Moving, RigidBody, Structure, turning_part
+from fastatt.models import Law, Packed, join, numbers
+from fastatt.motion import GivenRate, RigidBody, Structure
 from fastatt.tables import Table
-
-
-class Packed(NamedTuple):
-    """A scene ready for the engine."""
-
-    #: what acts, without numbers
-    structure: Structure
-    #: flat parameters, (P,) shared or (N, P)
-    params: NDArray[np.float64]
-    #: tables and opaque functions that the formulas look up, by the names that graphs have for them
-    resources: dict[Any, Any]
-
-    @property
-    def tables(self) -> dict[int, NDArray[np.float64]]:
-        """The tables alone, by their numbers."""
-        return {name[1]: array for name, array in self.resources.items() if name[0] == "table"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +86,14 @@ class Scene:
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
         structure, params, _ = self.packed(None)
-        couples = isinstance(structure, Moving) and structure.couples
-        if self.mass is None and turning_part(structure).law.reads_position:
+        if self.mass is None and structure.turning.law.reads_position:
             raise ValueError(
                 "torque: found one that reads the position, but the scene carries none; accepted: "
                 "with mass and force"
             )
         # those of all bodies take long to find again
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
-        object.__setattr__(self, "couples", couples)
+        object.__setattr__(self, "couples", structure.couples)
         for field in fields(self):
             object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
 
@@ -180,7 +163,8 @@ class Scene:
 
     @cached_property
     def _law(self) -> Law:
-        return turning_part(self._body(None).structure).law
+        found: Law = self._body(None).structure.turning.law
+        return found
 
     def dependence(self, *, sorted_axes: bool = False) -> torques.Dependence:
         """How the torque depends on w."""
@@ -205,10 +189,8 @@ class Scene:
         that is not is called for each body (``reason`` says why).
         """
         structure = self.packed(None).structure
-        laws = [turning_part(structure).law]
-        if isinstance(structure, Moving):
-            laws.append(structure.law)
-        leaves = [leaf for law in laws for leaf in law.leaves()]
+        laws = (structure.turning.law, structure.force)
+        leaves = [leaf for law in laws if law is not None for leaf in law.leaves()]
         found = [f for leaf in leaves for f in (leaf.function, leaf.potential)]
         return tuple(f for f in found if f is not None)
 
@@ -224,21 +206,16 @@ class Scene:
 
         The intermediate principal axis may be wanted second, and the position carried.
         """
-        key = sorted_axes, position
-        found = self._shared.get(key) or self._packed(n_bodies, *key)
+        key = "packed", sorted_axes, position
+        found: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
         if found.params.ndim == 1:
             found.params.setflags(write=False)
-            self._shared[key] = found
+            self.memo[key] = found
         return found
 
     @cached_property
     def memo(self) -> dict[Any, Any]:
-        """What runs found once: methods that fit, plans."""
-        return {}
-
-    @cached_property
-    def _shared(self) -> dict[tuple[bool, bool], Packed]:
-        """What was packed of numbers that all bodies share."""
+        """What was found once: numbers that all bodies share, packed; methods that fit, plans."""
         return {}
 
     def _packed(self, n_bodies: int | None, sorted_axes: bool, position: bool) -> Packed:
@@ -256,19 +233,17 @@ class Scene:
         pushing = forces.pack(model, n_bodies, mass).with_tables_from(len(packed.resources))
         columns = [packed.params, 1.0 / mass[..., None], pushing.params]
         params = join(columns, n_bodies, "mass, force")
-        inner = packed.structure
-        assert isinstance(inner, (GivenRate, RigidBody))
-        structure = Moving(inner, pushing.law, position)
+        structure = packed.structure._replace(force=pushing.structure)
         structure = structure._replace(position=position or structure.couples)
-        return Packed(structure, params, {**packed.resources, **_resources(pushing)})
+        return Packed(structure, params, {**packed.resources, **pushing.resources})
 
     def _rate(self, n_bodies: int | None) -> Packed:
         if callable(self.rate):
             packed = models.pack_user(self.rate, "rate", rates.USER, self.params, n_bodies)
         else:
-            packed = rates.pack(self.rate, n_bodies)
-        structure = GivenRate(packed.law, self.frame == "inertial")
-        return Packed(structure, packed.params, _resources(packed))
+            packed = models.pack(self.rate, n_bodies, "rate", rates.RECORDS)
+        structure = Structure(GivenRate(packed.structure, self.frame == "inertial"))
+        return packed._replace(structure=structure)
 
     def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:
         found = self.principal
@@ -288,18 +263,8 @@ class Scene:
         if found.axes is not None:
             columns.append(found.axes)
         params = join([*columns, acting.params], n_bodies, "inertia, torque")
-        structure = RigidBody(acting.law, found.axes is not None)
-        return Packed(structure, params, _resources(acting))
-
-
-def _resources(packed: models.Packed) -> dict[Any, Any]:
-    """Tables and opaque functions of a law."""
-    found: dict[Any, Any] = {("table", k): array for k, array in packed.tables.items()}
-    for law in packed.law.leaves():
-        for function in (law.function, law.potential):
-            if function is not None and not function.straight:
-                found["function", function] = function.address
-    return found
+        structure = Structure(RigidBody(acting.structure, found.axes is not None))
+        return acting._replace(structure=structure, params=params)
 
 
 def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str]) -> Scene:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -24,10 +24,10 @@ from fastatt.engine.job import Formulas, Job, Scope
 from fastatt.flat.formulas import Vector, as_like
 from fastatt.flat.functions import larger
 from fastatt.flat.graph import CLASSES, Double, number
+from fastatt.flat.rows import kind_of
 from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.methods import METHODS, Method
-from fastatt.running.asked import KINDS
-from fastatt.running.choosing import attitude_of, fits, methods_for
+from fastatt.running.choosing import attitude_of, method_of
 from fastatt.sample_steps import (
     SampleStepper,
     coning2,
@@ -44,8 +44,6 @@ from fastatt.sample_steps import (
 )
 from fastatt.scene import Scene, as_scene
 
-# in this order, the first that fits the scene and the representation
-_DEFAULTS = ("magnus4", "rk8", "rk4")
 _HALF_TURN = math.pi * math.pi
 _ONE_STAGE = ((1.0, 1.0, 0.0),)
 
@@ -163,39 +161,25 @@ def single_step(
     """
     as_scene(scene)
     attitude = attitude_of(representation)
-    record = _method(scene, method, attitude)
+    record = method_of(scene, method, attitude, need="is_stepped")
     if position and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     kind = checks.precision(dtype)
     position = position or scene.couples
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
     shared = packed.params.ndim == 1
-    job = Job(record, attitude, packed.structure, KINDS[kind], shared=shared)
+    job = Job(record, attitude, packed.structure, kind_of(kind), shared=shared)
     # functions take either precision; tables are what they hold besides their job
     key = replace(job, kind="double")
     functions = _functions(key, packed.tables) if packed.tables else _kept(key)
-    start, read = _ends(replace(key, method=METHODS[_DEFAULTS[-1]]))
+    start, read = _ends(replace(key, method=METHODS["rk4"]))
     carried = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
     return Stepper(
         method=record.name, representation=attitude.name,
         params=_floats(packed.params) if shared else packed.params, start=start, read=read,
-        **functions._asdict(), _names=tuple(name for name, is_there in carried.items() if is_there),
+        **functions, _names=tuple(name for name, is_there in carried.items() if is_there),
         _kind=kind,
     )  # fmt: skip
-
-
-def _method(scene: Scene, method: str | Method | None, attitude: Attitude) -> Method:
-    """The method that was asked for, or the first of the defaults that fits."""
-    fitting = [name for name in methods_for(scene, attitude) if METHODS[name].is_stepped]
-    if isinstance(method, Method):
-        if method.is_stepped and fits(method, scene, attitude):
-            return method
-        raise ValueError(
-            f"method: found {method.name}; accepted: {', '.join(fitting)} and methods of one's own "
-            f'that take steps of this scene ({scene.kind}) in "{attitude.name}"'
-        )
-    name = next((n for n in _DEFAULTS if n in fitting), "") if method is None else method
-    return METHODS[checks.choice("method", name, fitting)]
 
 
 def _floats(values: NDArray[Any]) -> tuple[Any, ...]:
@@ -285,19 +269,8 @@ class _Pieces:
         return tuple(attitude.quaternion(y[: attitude.size]))
 
 
-class _Functions(NamedTuple):
-    """What a stepper does of a method."""
-
-    step: Any
-    step_and_turn: Any
-    step_into: Any
-    enter: Any
-    advance: Any
-    leave: Any
-
-
-def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> _Functions:
-    """The functions of a job, each compiled when it is first called."""
+def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str, Any]:
+    """What a stepper does of a method, each function compiled when it is first called."""
     pieces, size = _Pieces(job), job.formulas.size
     stages = np.array(job.method.stages or _ONE_STAGE)
     # what is stepped lies this share of h ahead
@@ -337,7 +310,7 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> _Function
         return left(t, s, edge * h, y, p, e)
 
     made = (step, step_and_turn, step_into, enter, advance, leave)
-    return _Functions(*[around_formulas(function) for function in made])
+    return {function.__name__: around_formulas(function) for function in made}
 
 
 def _through(quick: Any, careful: Any, stages: NDArray[np.float64], job: Job) -> Any:
@@ -365,7 +338,7 @@ def _through(quick: Any, careful: Any, stages: NDArray[np.float64], job: Job) ->
 
 
 @lru_cache(maxsize=128)
-def _kept(job: Job) -> _Functions:
+def _kept(job: Job) -> dict[str, Any]:
     """The functions of a job without tables, made once a process."""
     return _functions(job, {})
 

@@ -23,19 +23,11 @@ from fastatt.methods import METHODS
 from fastatt.threads import number_of
 
 
-def integrator(
-    q0: ArrayLike,
-    dt: float | None = None,
-    *,
-    method: str = "previous",
-    increments: bool = False,
-    dtype: DTypeLike | None = None,
-    n_threads: int | None = None,
-    max_gap: float | None = None,
-) -> Integrator:
-    """Attitudes from samples that arrive one by one or in pieces.
+class Integrator:
+    """Attitudes from samples that arrive one by one or in pieces: ``fastatt.integrator``.
 
-    Those of :func:`fastatt.integrate_rates` over the whole log, bit for bit, however it is cut.
+    Those of :func:`fastatt.integrate_rates` over the whole log, bit for bit, however it is cut. It
+    can be pickled and copied, and goes on from there.
 
     Parameters
     ----------
@@ -55,21 +47,17 @@ def integrator(
     >>> [len(flow.push((0.0, 0.0, 1.0))) for _ in range(4)], len(flow.close())
     ([1, 0, 2, 0], 1)
     """
-    return Integrator(q0, dt, method, increments, dtype, n_threads, max_gap)
-
-
-class Integrator:
-    """What :func:`integrator` gives; it can be pickled and copied, and goes on from there."""
 
     def __init__(
         self,
         q0: ArrayLike,
-        dt: float | None,
-        method: str,
-        increments: bool,
-        dtype: DTypeLike | None,
-        n_threads: int | None,
-        max_gap: float | None,
+        dt: float | None = None,
+        *,
+        method: str = "previous",
+        increments: bool = False,
+        dtype: DTypeLike | None = None,
+        n_threads: int | None = None,
+        max_gap: float | None = None,
     ) -> None:
         self._method = method_of(method, increments).name
         check_intervals(method, uneven=dt is None)
@@ -111,9 +99,8 @@ class Integrator:
         """
         self._check_open()
         n_logs, increments = len(self._start), self._increments
-        shapes = [(3,), (-1, 3)] if self._one else [(n_logs, 3), (n_logs, -1, 3)]
         accepted = "(3,) or (n, 3)" if self._one else f"({n_logs}, 3) or ({n_logs}, n, 3)"
-        given = checks.array("rates", rates, accepted, shapes)
+        given = checks.array("rates", rates, accepted)
         precision = self._precision or checks.precision(None, rates)
         samples = given.astype(precision).reshape(n_logs, -1, 3)
         n = samples.shape[1]
@@ -188,7 +175,7 @@ class Integrator:
             raise overflow("rates", samples.dtype)
         own = samples[:, lead : lead + count + (not increments)]
         gaps = spans if self._dt is not None else spans[lead : lead + count]
-        warn_of_turns(seen, own, gaps, record, increments, first=self._done, level=4)
+        warn_of_turns(seen, own, gaps, record, increments, first=self._done)
         found = out[:, self._begun :]
         self._done += count
         # a window's, which the end of a log goes back to
@@ -198,3 +185,6 @@ class Integrator:
         self._spans = spans if self._dt is not None else spans[first:]
         self._q, self._last, self._begun = q, out[:, -1].copy(), True
         return found[0] if self._one else found
+
+
+integrator = Integrator

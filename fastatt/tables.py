@@ -93,7 +93,7 @@ class Table:
         slopes: ArrayLike | None = None,
         outside: str = "nan",
     ) -> None:
-        times = checks.array("t", t, "(T,)", [(-1,)]).astype(np.float64)
+        times = checks.array("t", t, "(T,)").astype(np.float64)
         if len(times) < 2:
             raise ValueError("t: found 1 time; accepted: at least 2")
         gaps = np.diff(times)
@@ -288,8 +288,7 @@ def _between(form: Form, at: Any, f: Any, width: Any, take: Callable[[Any], Any]
 
 def _samples(name: str, value: ArrayLike, n: int) -> Numbers:
     """(rows, T, k)."""
-    accepted = f"({n},), ({n}, k) or (N, {n}, k)"
-    found = checks.array(name, value, accepted, [(n,), (n, -1), (-1, n, -1)])
+    found = checks.array(name, value, f"({n},), ({n}, k) or (N, {n}, k)")
     found = found[:, None] if found.ndim == 1 else found
     return found.reshape((-1, *found.shape[-2:])).astype(np.float64)
 

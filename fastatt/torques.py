@@ -15,28 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks
+from fastatt import checks, models
 from fastatt.arrays import normalised
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.flat.formulas import Vector, as_like, dot, minus, plus, quat, rigid, scale, vec3
 from fastatt.flat.graph import apply
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.user import UserFunction, user_function
-from fastatt.models import (
-    SUM,
-    Field,
-    Law,
-    Model,
-    Packed,
-    Record,
-    Sum,
-    join,
-    no_model,
-    numbers,
-    pack_fields,
-    pack_sum,
-    pack_user,
-)
+from fastatt.models import SUM, Field, Law, Model, Packed, Record, Sum
 from fastatt.tables import Table
 from fastatt.torque_models import (
     AxisDamping,
@@ -318,48 +304,34 @@ def dependence(law: Law, *, turned: bool = False) -> Dependence:
     return found
 
 
-def pack(
-    model: Model,
-    n_bodies: int | None,
-    axes: NDArray[np.float64] | None = None,
-    argument: str = "torque",
-) -> Packed:
-    """Check a model's numbers and lay them out flat, for principal axes that lie at ``axes``.
-
-    Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
-    finite or of the wrong shape.
-    """
-    cls = type(model)
+def pack(model: Model, n_bodies: int | None, axes: NDArray[np.float64] | None = None) -> Packed:
+    """``models.pack`` of a torque, or of none, for principal axes that lie at ``axes``."""
     if model is None:
         return Packed(Law(FREE), np.zeros(0), {})
-    if cls is Sum:
-        return pack_sum(model, lambda term, n, name: pack(term, n, axes, name), n_bodies, argument)
-    if cls is Custom:
-        packed = _pack_custom(model, n_bodies, argument)
-    elif cls is Sampled:
-        packed = _pack_sampled(model, n_bodies, argument)
-    elif cls in RECORDS:
-        _check_range(model, argument)
-        packed = pack_fields(model, RECORDS[cls], n_bodies, argument)
-    else:
-        raise no_model(model, argument, "torques", {*RECORDS, Custom, Sampled, Sum})
-    if axes is None or packed.law.record.axis_free:
-        return packed
-    params = join([axes, packed.params], n_bodies, argument)
-    return packed._replace(law=Law(TURNED, (4,), (packed.law,)), params=params)
+
+    def finish(packed: Packed, n_bodies: int | None, argument: str) -> Packed:
+        law = packed.structure
+        if axes is None or law.record.axis_free:
+            return packed
+        params = models.join([axes, packed.params], n_bodies, argument)
+        return packed._replace(structure=Law(TURNED, (4,), (law,)), params=params)
+
+    return models.pack(model, n_bodies, "torque", RECORDS, _OTHERS, finish)
 
 
-def _check_range(model: Model, argument: str) -> None:
-    """What a formula can't take beside what its fields say."""
-    if isinstance(model, KeplerGravityGradient):
-        e = numbers(f"{argument}: KeplerGravityGradient.eccentricity", model.eccentricity)
-        bad = np.atleast_1d((e < 0.0) | (e > 0.9))
-        if bad.any():
-            found = np.atleast_1d(e)[bad][0]
-            raise ValueError(
-                f"{argument}: KeplerGravityGradient.eccentricity is {found}; accepted: 0 to 0.9"
-            )
-    if isinstance(model, QuaternionPD) and isinstance(model.target, Table):
+def _pack_kepler(model: KeplerGravityGradient, n_bodies: int | None, argument: str) -> Packed:
+    e = models.numbers(f"{argument}: KeplerGravityGradient.eccentricity", model.eccentricity)
+    bad = np.atleast_1d((e < 0.0) | (e > 0.9))
+    if bad.any():
+        found = np.atleast_1d(e)[bad][0]
+        raise ValueError(
+            f"{argument}: KeplerGravityGradient.eccentricity is {found}; accepted: 0 to 0.9"
+        )
+    return models.pack_fields(model, RECORDS[KeplerGravityGradient], n_bodies, argument)
+
+
+def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -> Packed:
+    if isinstance(model.target, Table):
         q = model.target.samples
         turned = np.argwhere((q[:, 1:] * q[:, :-1]).sum(axis=-1) <= 0.0)
         if len(turned):
@@ -368,6 +340,7 @@ def _check_range(model: Model, argument: str) -> None:
                 f"{argument}: QuaternionPD.target of row {row} turns its sign, or by half a turn, "
                 f"behind sample {k}; accepted: quaternions whose signs go on"
             )
+    return models.pack_fields(model, RECORDS[QuaternionPD], n_bodies, argument)
 
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
@@ -394,7 +367,7 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
 def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
     dependence = Dependence.RATE if model.uses_rate else Dependence.POSITION
     record = USER[dependence, bool(model.uses_position)]
-    law, params, tables = pack_user(model.function, "torque", record, model.params, n_bodies)
+    law, params, found = models.pack_user(model.function, "torque", record, model.params, n_bodies)
     # where the scene is made, not at each run of it
     if not model.uses_rate and n_bodies is None and _uses_rate(law.function, params):
         raise ValueError(
@@ -405,12 +378,12 @@ def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
         form = "potential at position" if model.uses_position else "potential"
         energy = user_function(model.potential, form, law.count, params)
         law = replace(law, potential=energy)
-        tables = {**tables, **energy.tables}
-    return Packed(law, params, tables)
+        found = {**found, **models.resources_of(energy)}
+    return Packed(law, params, found)
 
 
 def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed:
-    samples = checks.array(f"{argument}: Sampled.torques", model.torques, "(n, 3)", [(-1, 3)])
+    samples = checks.array(f"{argument}: Sampled.torques", model.torques, "(n, 3)")
     if len(samples) < 2:
         raise ValueError(f"{argument}: Sampled.torques has 1 sample; accepted: at least 2")
     dt = checks.real(f"{argument}: Sampled.dt", model.dt)
@@ -419,8 +392,13 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
     start = checks.real(f"{argument}: Sampled.start", model.start)
     times = start + dt * np.arange(len(samples))
     table = Table(times, samples, kind="linear", outside="hold")
-    return pack_fields(Constant(table), RECORDS[Constant], n_bodies, argument)
+    return models.pack_fields(Constant(table), RECORDS[Constant], n_bodies, argument)
 
+
+_OTHERS: dict[type, Any] = {
+    Custom: _pack_custom, Sampled: _pack_sampled, KeplerGravityGradient: _pack_kepler,
+    QuaternionPD: _pack_controller,
+}  # fmt: skip
 
 __all__ = [
     "AxisDamping", "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",

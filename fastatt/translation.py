@@ -19,24 +19,25 @@ from fastatt.flat.formulas import (
 )
 from fastatt.flat.functions import larger
 from fastatt.forces import squares_of_rates
-from fastatt.motion import Body, Motion, Moving, Turning, motion_of
+from fastatt.motion import Body, Motion, Structure, Turning, motion_of
 
 
 class Translation:
     """What a scene with mass carries beside a motion: velocity, and position if it is asked for."""
 
-    def __init__(self, motion: Turning | Body, structure: Moving, p: Vector) -> None:
-        self.motion, self.structure = motion, structure
+    def __init__(self, motion: Turning | Body, structure: Structure, p: Vector) -> None:
+        assert structure.force is not None
+        self.motion, self._moved, self._force = motion, structure.moved, structure.force
         self._inverse_mass, self._numbers = p[0], p[1:]
 
     def split(self, x: Vector) -> tuple[Vector, Vector, Vector]:
         """State of the motion, velocity (body axes), position (inertial axes) or ()."""
-        n = len(x) - (6 if self.structure.position else 3)
+        n = len(x) - self._moved
         return x[:n], x[n : n + 3], x[n + 3 :]
 
     def acceleration(self, t: Any, q: Vector, w: Vector, v: Vector, r: Vector = ()) -> Vector:
         """F/μ along body axes; r is the position where something reads it."""
-        force = self.structure.law.formula(t, q, w, v, r, self._numbers)
+        force = self._force.formula(t, q, w, v, r, self._numbers)
         return scale(self._inverse_mass, as_like(tuple(force), v[0]))
 
     def moved(self, t: Any, h: Any, x: Vector, turned: Vector) -> Vector:
@@ -69,7 +70,7 @@ class Translation:
 
     def squares_of_rates(self, r: Vector) -> list[Any]:
         """Squares of the rates (rad/s) at which the body falls round centres."""
-        return squares_of_rates(self.structure.law, r, self._numbers)
+        return squares_of_rates(self._force, r, self._numbers)
 
 
 class Coupled(Motion):
@@ -78,12 +79,12 @@ class Coupled(Motion):
     v̇ = F/μ − w×v and ṙ = C v, beside the motion's own equations, in which r and v may stand.
     """
 
-    def __init__(self, attitude: Attitude, structure: Moving, p: Vector, like: Any) -> None:
+    def __init__(self, attitude: Attitude, structure: Structure, p: Vector, like: Any) -> None:
         super().__init__(attitude)
-        n = structure.inner.n_params
-        self.inner = motion_of(structure.inner, attitude, p[:n], like)
+        n = structure.turning.n_params
+        self.inner = motion_of(structure.turning, attitude, p[:n], like)
         # stages have no low parts
-        self._stage = motion_of(structure.inner, attitude.plain, p[:n], like)
+        self._stage = motion_of(structure.turning, attitude.plain, p[:n], like)
         self._moved = Translation(self._stage, structure, p[n:])
         #: of the rates of falling at the stages of the step that is being recorded
         self._squares: list[Any] = []

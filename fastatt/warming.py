@@ -23,9 +23,9 @@ from fastatt.engine.layout import WIDTH
 from fastatt.flat import machine, store
 from fastatt.integrate import integrate_rates
 from fastatt.methods import METHODS
+from fastatt.rounding import StepWarning
 from fastatt.running.choosing import fits, methods_for
 from fastatt.running.drift import drift
-from fastatt.running.limits import StepWarning
 from fastatt.running.propagate import propagate
 from fastatt.scene import Scene
 from fastatt.threads import default_threads, progress_bar

@@ -20,7 +20,7 @@ from exact import EPS, START, generic
 
 import fastatt as fa
 from fastatt.device import kernel, program
-from fastatt.running.choosing import default_method
+from fastatt.running.choosing import method_of
 from fastatt.running.loop import job_of
 
 ROOT = Path(fa.__file__).resolve().parents[1]
@@ -214,8 +214,8 @@ def test_results_stay_on_the_device_where_a_value_lies_there(in_simulator):
 
 
 def test_the_default_method_is_stepped():
-    assert default_method(FREE, "quat") == "exact"
-    assert default_method(FREE, "quat", steps=True) == "rk8"
+    assert method_of(FREE, None, "quat").name == "exact"
+    assert method_of(FREE, None, "quat", need="is_stepped").name == "rk8"
 
 
 # refusals
@@ -224,7 +224,7 @@ def test_the_default_method_is_stepped():
 def test_what_no_kernel_can_run_is_refused(in_simulator):
     opaque, closed = in_simulator["refused"]
     assert opaque.startswith('device: found "cuda" with gamma, a function')
-    assert closed == 'method: found exact; accepted with device "cuda": steps'
+    assert closed.startswith("method with device \"cuda\": found 'exact'; accepted: rk4")
 
 
 def test_a_machine_without_a_gpu_is_told_what_to_do(in_simulator):

@@ -10,7 +10,7 @@ import pytest
 from numpy.polynomial import Polynomial
 
 import fastatt as fa
-from fastatt.running.limits import StepWarning
+from fastatt.rounding import StepWarning
 from fastatt.trade import coning_attitudes, coning_rates, error_budget
 from fastatt.trade.error_budget import _Log
 

@@ -182,7 +182,7 @@ def test_refusals():
         fa.reducer(count, start=(0.0, 0.0))
     with pytest.raises(TypeError, match=r"reduce: found .*; accepted: a fastatt.reducer"):
         fa.propagate(BODY, Q0, W0, reduce=watch, **STEP)
-    with pytest.raises(ValueError, match=r"reduce: found with method exact; accepted with .*rk4"):
+    with pytest.raises(ValueError, match=r"method with reduce: found 'exact'; accepted: .*rk4"):
         fa.propagate(BODY, Q0, W0, reduce=WATCH, dt=0.1, n_steps=1, method="exact")
     with pytest.raises(
         ValueError, match=r"q0: found rows s0 2, q0 70|w0: found rows w0 70, s0 2, q0 70"

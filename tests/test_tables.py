@@ -236,9 +236,9 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
         return rows(formula, inputs, (3,))
 
     at = 1.3, np.array([0.1, 0.7, 0.5, 0.5]), np.array(W0)
-    (expected,) = acting(plain.law)(*at, plain.params)
+    (expected,) = acting(plain.structure)(*at, plain.params)
     params = with_table.params[1] if own else with_table.params
-    (found,) = acting(with_table.law)(*at, params, tables=with_table.tables)
+    (found,) = acting(with_table.structure)(*at, params, tables=with_table.tables)
     assert np.abs(found - expected).max() <= 8 * EPS * np.abs(expected).max()
 
 
@@ -262,7 +262,7 @@ def steady(vector):
 
 def test_which_row_is_a_bodys_is_no_parameter_of_its_model():
     target = fa.Table([0.0, 4.0], [[Q0, Q0]] * 3)
-    law = torques.pack(torques.QuaternionPD(0.4, 0.3, target), None).law
+    law = torques.pack(torques.QuaternionPD(0.4, 0.3, target), None).structure
     assert list(own_numbers(law)) == [True, True, False]
 
 
@@ -327,9 +327,9 @@ def test_a_controller_takes_the_rate_of_its_target_off():
     packed = torques.pack(model, None)
 
     def formula(t, q, w, p):
-        return torque_of(packed.law, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
+        return torque_of(packed.structure, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
 
-    acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": packed.law.count}, (3,))
+    acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": packed.structure.count}, (3,))
     on = fa.rotation_vector_to_quat(1.23 * speed * axis)
     off = fa.rotation_vector_to_quat([0.1, -0.2, 0.3])
     q = np.stack([on, fa.quat_multiply(on, off)])

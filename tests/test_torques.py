@@ -163,7 +163,7 @@ def found_torque(model, representation, t, q, w, axes):
         q = mul(q, axes)
         w = fa.quat_to_dcm(axes).T @ w
     x = {"quat": q, "dcm": fa.quat_to_dcm(q).ravel(), "dcm_rows": fa.quat_to_dcm(q).ravel()[:6]}
-    torque = compiled(packed.law, representation)
+    torque = compiled(packed.structure, representation)
     (found,) = torque(t, x[representation], w, INERTIA, packed.params, tables=packed.tables)
     return found
 
@@ -595,7 +595,7 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
     """No less ever; no more but of a controller, whose damping is no term of its own."""
     model = MODELS[name][0]
     found = observed_dependence(model, axes)
-    said = ft.dependence(ft.pack(model, None, axes).law)
+    said = ft.dependence(ft.pack(model, None, axes).structure)
     assert found == (Dependence.DAMPED if name == "QuaternionPD" else said)
     assert found <= said
 
@@ -618,7 +618,7 @@ def test_damping_that_splittings_take_exactly_is_the_torques(name):
     """All of what depends on w, of a torque that they take."""
     model = MODELS[name][0]
     packed = ft.pack(model, None)
-    rates = ft.damping_rates(packed.law, INERTIA, packed.params)
+    rates = ft.damping_rates(packed.structure, INERTIA, packed.params)
     if DEPENDENCE[name] != Dependence.DAMPED:
         assert rates is None
         return
@@ -703,7 +703,7 @@ def test_a_users_function_that_uses_the_rate_is_seen_where_it_says_it_does_not()
 def test_torques_that_keep_an_energy(names, kept):
     for axes in (None, AXES):
         packed = ft.pack(Sum(tuple(MODELS[n][0] for n in names)), None, axes)
-        assert ft.has_potential(packed.law) is kept
+        assert ft.has_potential(packed.structure) is kept
 
 
 # wrong input

@@ -13,8 +13,8 @@ import fastatt as fa
 from fastatt import trade
 from fastatt.cli import main
 from fastatt.integrate import methods_for_samples
+from fastatt.rounding import StepWarning
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.limits import StepWarning
 from fastatt.trade import motions, run
 from fastatt.trade.measure import Rung, ladder_rows, measure
 

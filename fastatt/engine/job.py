@@ -16,15 +16,10 @@ from fastatt.motion import (
     Body,
     GivenRate,
     Motion,
-    Moving,
     RigidBody,
     Structure,
-    Watched,
     carried,
     motion_of,
-    moving_part,
-    stepped_part,
-    turning_part,
 )
 from fastatt.rates import is_constant
 from fastatt.translation import Coupled, Translation
@@ -77,7 +72,7 @@ class Job:
         witness.
         """
         steps = self.method.steps
-        turning = turning_part(self.structure)
+        turning = self.structure.turning
         if steps is None or not isinstance(turning, GivenRate) or not steps.at_times:
             return False
         if self.method.exponentials:
@@ -87,7 +82,7 @@ class Job:
     @property
     def bounds(self) -> bool:
         """Whether a body's turns are known from its own initial state."""
-        return self.known and not isinstance(turning_part(self.structure), GivenRate)
+        return self.known and not isinstance(self.structure.turning, GivenRate)
 
     @property
     def look(self) -> str:
@@ -127,7 +122,7 @@ class Formulas:
         self.given = self.coordinates + job.structure.tail
         self.handed_out = job.attitude.stored + job.structure.tail
         #: numbers that are carried beside what a method steps
-        self.beside = job.structure.tail - stepped_part(job.structure).tail
+        self.beside = job.structure.beside
 
     def scope(self, *, quick: bool = False, graph: Graph | None = None) -> Scope:
         """Numbers and the motion that a formula works on."""
@@ -272,14 +267,14 @@ class Scope:
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
-        turning, moving = turning_part(structure), moving_part(structure)
+        turning = structure.turning
         self.translation = None
-        if isinstance(moving, Moving) and moving.couples:
-            self.motion: Motion = Coupled(self.attitude, moving, p, like)
+        if structure.couples:
+            self.motion: Motion = Coupled(self.attitude, structure, p, like)
             return
         self.motion = motion = motion_of(turning, self.attitude, p[: turning.n_params], like)
-        if isinstance(moving, Moving):
-            self.translation = Translation(motion, moving, p[turning.n_params :])
+        if structure.force is not None:
+            self.translation = Translation(motion, structure, p[turning.n_params :])
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Numbers of the state's precision."""
@@ -317,7 +312,7 @@ class Scope:
         own, beside = self.parts(x)
         if steps.stage is not None:
             y, z = steps.stage(self.motion, t, h, k, own, e)
-        elif isinstance(turning := turning_part(self.job.structure), RigidBody):
+        elif isinstance(turning := self.job.structure.turning, RigidBody):
             assert steps.body is not None
             y, z = steps.body(self.motion, t, h, own)
         else:
@@ -334,16 +329,16 @@ class Scope:
     def _watched(self, t: Any, x: Vector, beside: Vector) -> Vector:
         """What the user's function makes of a state and of what it made before."""
         structure = self.job.structure
-        if not isinstance(structure, Watched):
+        if structure.watcher is None:
             return ()
         q, w = self.motion.pose(t, x)
-        before = beside[len(beside) - structure.size :]
-        made = structure.function.call(t, quat.renormalise(q), w, before)
+        before = beside[len(beside) - structure.watched :]
+        made = structure.watcher.call(t, quat.renormalise(q), w, before)
         return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
 
     def begin(self, q: Vector, beside: Vector) -> Vector:
         """The state from an attitude as given and what is carried beside it."""
-        n = stepped_part(self.job.structure).tail
+        n = self.job.structure.tail - self.formulas.beside
         return (*self.motion.begin(q, beside[:n]), *beside[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:

@@ -21,8 +21,9 @@ from fastatt.gyro.ends import beyond
 from fastatt.inertia import is_sorted
 from fastatt.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
-from fastatt.running.choosing import method_of, methods_for
-from fastatt.scene import Packed, Scene, as_scene
+from fastatt.models import Packed
+from fastatt.running.choosing import method_of
+from fastatt.scene import Scene, as_scene
 from fastatt.threads import number_of
 
 _TRIPLE = (0.0, 0.0, 0.0)
@@ -96,14 +97,7 @@ def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
             "scene: found one with inertia, mass or rates in inertial axes; accepted: a scene "
             "with a rate in body axes"
         )
-    return _stepped(method_of(scene, method, "quat"), scene), scene.packed(None)
-
-
-def _stepped(record: Method, scene: Scene) -> Method:
-    if not record.is_stepped:
-        fitting = [name for name in methods_for(scene, "quat") if METHODS[name].is_stepped]
-        checks.choice("method", record.name, fitting)
-    return record
+    return method_of(scene, method, "quat", need="is_stepped"), scene.packed(None)
 
 
 @lru_cache(maxsize=64)
@@ -137,7 +131,7 @@ def rate_transition(
     one = packed.params.size == packed.params.shape[-1] and b.ndim == 1
     params = np.atleast_2d(packed.params)
     n = common_number("bodies", params=params, bias=np.atleast_2d(b))
-    turn, attitude, coupling = _rate_rows(record, packed.structure)(
+    turn, attitude, coupling = _rate_rows(record, packed.structure.turning)(
         begin, h, np.atleast_2d(b), params, tables=packed.tables, n_threads=number_of(n_threads)
     )
     found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
@@ -252,7 +246,7 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
     as_scene(scene)
     if scene.kind == "rate" or scene.moves:
         raise ValueError("scene: found no inertia, or mass; accepted: a scene with inertia alone")
-    record = _stepped(method_of(scene, "rk8" if method is None else method, "quat"), scene)
+    record = method_of(scene, method, "quat", need="is_stepped")
     return record, scene.packed(None, sorted_axes=record.sorted_axes)
 
 
@@ -274,7 +268,7 @@ def tangent_rows(
 ) -> tuple[NDArray[Any], ...]:
     """q, w and the rows (..., 6, D) after a step of h s from times and states that broadcast."""
     (t, h), (q, w) = times, state
-    q1, w1, phi, z = _body_rows(record, packed.structure, parameters)(
+    q1, w1, phi, z = _body_rows(record, packed.structure.turning, parameters)(
         t, h, q, w, np.atleast_2d(packed.params), tables=packed.tables,
         n_threads=number_of(n_threads),
     )  # fmt: skip
@@ -341,7 +335,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     of_rate = as_scene(scene).kind == "rate"
     formula: Any = tangent.rate_tangent if of_rate else tangent.body_tangent
     record, packed = _of_rate(scene, method or "magnus4") if of_rate else of_body(scene, method)
-    structure, tables = packed.structure, packed.tables
+    structure, tables = packed.structure.turning, packed.tables
     step = (
         _step_function(formula, record, structure, tables)
         if tables

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt.logs.names import LogError
 from fastatt.logs.reader import Reader
 from fastatt.logs.stamps import Chunk
-from fastatt.running.limits import StepWarning
+from fastatt.rounding import StepWarning
 from fastatt.streaming import Integrator, integrator
 
 _NAMES = ("t", "q0", "q1", "q2", "q3")

@@ -26,12 +26,11 @@ def angular_velocity(
     """
     checks.choice("frame", frame, ("body", "inertial"))
     m = checks.whole("order", order, 1) + 1
-    found = checks.attitudes("q", q, "(S, 4) or (S, N, 4)", [(-1, 4), (-1, -1, 4)])
+    found = checks.attitudes("q", q, "(S, 4) or (S, N, 4)")
     n = found.shape[0]
     if n < m:
         raise ValueError(f"q: has {n} attitudes; accepted with order {m - 1}: at least {m}")
-    accepted = f"a number or ({n - 1},)"
-    spans = checks.array("dt", dt, accepted, [(), (n - 1,)])
+    spans = checks.array("dt", dt, f"a number or ({n - 1},)")
     if spans.ndim == 0:
         scale = checks.real("dt", spans, zero=False)
         t = np.arange(n, dtype=np.float64)

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks, rounding
+from fastatt import checks
 from fastatt.attitudes import Attitude
 from fastatt.device import Device
 from fastatt.engine.ensemble import Span
@@ -20,9 +20,12 @@ from fastatt.methods.method import Method
 from fastatt.running.reducer import Reducer
 from fastatt.running.trajectory import Trajectory
 
-KINDS = {np.dtype(np.float64): "double", np.dtype(np.float32): "single"}
+if TYPE_CHECKING:
+    from fastatt.running.resume import End
+
 #: saves that are kept at a time where all of them are not
 RING = 16
+_EPS = float(np.finfo(np.float64).eps)
 # steps of the fastest body between two times at which bodies wait for each other
 _LEG = 4096
 
@@ -99,9 +102,10 @@ class Clock:
             )
         return self.since + begin
 
-    def is_rounded(self, begin: float) -> bool:
-        """Whether the clock does not tell the run's steps apart well."""
-        return math.ulp(self.longest(begin)) > rounding.SHARE * abs(self.h)
+    @property
+    def steps(self) -> Any:
+        """The step, s, or each body's own."""
+        return self.h
 
     def longest(self, begin: float) -> float:
         """Largest |t| of the run, s."""
@@ -121,9 +125,14 @@ class OwnClock(Clock):
     ``h`` and ``n_steps`` of the base are those of the body with most steps.
     """
 
-    steps: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    own: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     begin: float = 0.0
+
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """Each body's own step, s."""
+        return self.own
 
     @classmethod
     def made(
@@ -135,13 +144,13 @@ class OwnClock(Clock):
 
     def part(self, rows: NDArray[np.intp]) -> OwnClock:
         """That of some bodies."""
-        steps = self.steps[rows]
+        steps = self.own[rows]
         most = self.n_steps * abs(self.h) / float(np.abs(steps).min())
         return OwnClock.made(steps, math.ceil(most), self.at, self.begin)
 
     @cached_property
-    def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Times at which bodies wait for each other, and which of them are saves, else −1."""
+    def stops(self) -> dict[str, NDArray[Any]]:
+        """For the engine: times at which bodies wait for each other, which are saves, else −1."""
         legs = np.diff(self.at, prepend=self.begin)
         most = np.abs(legs / self.h)
         parts = np.maximum(1, np.ceil(most / _LEG)).astype(np.int64)
@@ -151,13 +160,7 @@ class OwnClock(Clock):
         times = last - np.repeat(legs / parts, parts) * left
         slots = np.full(times.size, -1)
         slots[ends] = np.arange(self.at.size)
-        return times, slots
-
-    @property
-    def stops(self) -> dict[str, NDArray[Any]]:
-        """The same for the engine."""
-        times, slots = self._stops
-        return {"times": times, "slots": slots, "dt": self.steps}
+        return {"times": times, "slots": slots, "dt": self.own}
 
     @property
     def saves(self) -> int:
@@ -180,7 +183,7 @@ class OwnClock(Clock):
 
     def span(self, restore: int) -> Span:
         """All of it, for the engine."""
-        n = self._stops[0].size
+        n = self.stops["times"].size
         return Span(0, n, n, 1, 0, restore)
 
 
@@ -194,8 +197,78 @@ class Handling(NamedTuple):
     invalid: str = "raise"
     #: where the run's end is written, again and again
     checkpoint: Path | None = None
+    #: a file that saves go to
+    out: Any = None
+    progress: bool = False
+    #: where the run goes on
+    start: End | None = None
+    #: whether the trajectory holds its end
+    ends: bool = False
 
 
 def few(saves: int) -> list[list[int]]:
     """The initial save with each few that follow it."""
     return [[0, *range(first, min(first + RING, saves))] for first in range(1, max(saves, 2), RING)]
+
+
+def clock_of(
+    dt: Any, n_steps: Any, saves: tuple[Any, Any], begin: float, bodies: int
+) -> Clock | OwnClock:
+    """The clock of a run; ``saves`` are ``save_every`` and ``save_at``.
+
+    Raises ``ValueError`` and ``TypeError`` for what does not fit.
+    """
+    save_every, save_at = saves
+    if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
+        return Clock.of(dt, n_steps, save_every)
+    if save_every is not None:
+        other = "save_at" if save_at is not None else "steps of each body's own"
+        raise ValueError(f"save_every: found with {other}; accepted: save_at alone")
+    steps = checks.array("dt", dt, "a number or (N,)").astype(np.float64)
+    steps = np.ascontiguousarray(np.atleast_1d(steps))
+    if steps.size not in (1, bodies):
+        raise ValueError(f"dt: found {steps.size} steps; accepted: one, or {bodies} of the bodies")
+    if not ((steps > 0.0).all() or (steps < 0.0).all()):
+        raise ValueError("dt: found steps of both signs or 0; accepted: all above 0, or all below")
+    counts = _counts(n_steps, steps.size)
+    ends = counts * steps
+    end = float(ends[0])
+    if np.ptp(ends) > 8.0 * _EPS * (abs(end) + abs(begin)):
+        b = int(np.abs(ends - end).argmax())
+        raise ValueError(
+            f"n_steps: body {b} ends after {ends[b]:.17g} s, body 0 after {end:.17g} s; accepted: "
+            "dt * n_steps the same of all bodies, to rounding"
+        )
+    if not np.isfinite(begin + end):
+        raise ValueError(f"dt: the run overflows at {begin} + {end} s; accepted: shorter")
+    at = np.array([begin + end]) if save_at is None else _times(save_at, begin, begin + end)
+    return OwnClock.made(steps, int(counts.max()), at, begin)
+
+
+def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:
+    if np.ndim(n_steps) == 0:
+        return np.full(n, checks.whole("n_steps", n_steps, 0), dtype=np.int64)
+    found = np.asarray(n_steps)
+    if found.dtype.kind not in "iu" or found.shape != (n,) or (found < 0).any():
+        raise ValueError(
+            f"n_steps: found {checks.brief(n_steps)}; accepted: a whole number, or ({n},) of them, "
+            "at least 0"
+        )
+    return found.astype(np.int64)
+
+
+def _times(save_at: Any, begin: float, end: float) -> NDArray[np.float64]:
+    at = checks.array("save_at", save_at, "(S,) times, s").astype(np.float64)
+    forward = end >= begin
+    slack = 16.0 * _EPS * (abs(begin) + abs(end))
+    first, last = (begin, end) if forward else (end, begin)
+    outside = (at < first - slack) | (at > last + slack)
+    if outside.any():
+        k = int(outside.argmax())
+        raise ValueError(
+            f"save_at[{k}] is {at[k]:.17g}; accepted: from {first:.17g} to {last:.17g}"
+        )
+    steps = np.diff(at)
+    if ((steps < 0.0) if forward else (steps > 0.0)).any():
+        raise ValueError("save_at: found times out of order; accepted: in the order of the run")
+    return np.ascontiguousarray(at)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
 from fastatt.closed_forms import form_of
@@ -20,41 +18,30 @@ DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
 _RESTORE = 64
 
 
-def methods_for(scene: Scene, representation: str | Attitude | None = None) -> list[str]:
+def methods_for(
+    scene: Scene, representation: str | Attitude | None = None, *, need: str = ""
+) -> list[str]:
     """Names of the methods that fit a scene and a representation, by name or one's own.
+
+    ``need`` is what a record has to say besides, such as "is_stepped".
 
     Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
     """
     as_scene(scene)
     if representation is not None:
         representation = attitude_of(representation)
-    return [m.name for m in METHODS.values() if fits(m, scene, representation)]
-
-
-def default_method(scene: Scene, representation: str | Attitude, *, steps: bool = False) -> str:
-    """The first of magnus4, exact, rk8 and rk4 that fits, else of all; with ``steps`` not exact.
-
-    Raises ``ValueError`` where none does.
-    """
-    key = "default", steps, _known_as(attitude_of(representation))
-    if key in scene.memo:
-        return str(scene.memo[key])
-    fitting = methods_for(scene, representation)
-    if not fitting:
-        raise ValueError(
-            f"representation: found {_name_of(representation)}, for which no method takes this "
-            f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
-        )
-    if steps:
-        fitting = [name for name in fitting if not METHODS[name].is_exact]
-    found = scene.memo[key] = next((name for name in DEFAULTS if name in fitting), fitting[0])
-    return found
+    return [
+        m.name
+        for m in METHODS.values()
+        if fits(m, scene, representation) and (not need or getattr(m, need))
+    ]
 
 
 def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
     """Whether a method takes a scene, in a representation, by name or one's own."""
     if isinstance(representation, Attitude):
-        representation = _known_as(representation)
+        name = representation.name
+        representation = name if ATTITUDES.get(name) is representation else representation
     return (
         scene.kind in method.scenes
         and (representation is None or method.stores(representation))
@@ -82,49 +69,68 @@ def attitude_of(representation: str | Attitude) -> Attitude:
     return ATTITUDES[checks.choice("representation", representation, ATTITUDES)]
 
 
-def _known_as(attitude: Attitude) -> str | Attitude:
-    """The name of a representation of the library's; one's own itself."""
-    return attitude.name if ATTITUDES.get(attitude.name) is attitude else attitude
-
-
 def _name_of(representation: str | Attitude) -> str:
     return representation if isinstance(representation, str) else representation.name
 
 
-def method_of(scene: Scene, method: str | Method, representation: str | Attitude) -> Method:
+def method_of(
+    scene: Scene,
+    method: str | Method | None,
+    representation: str | Attitude,
+    *,
+    need: str = "",
+    why: str = "method",
+) -> Method:
     """The method of a name, or one's own, that fits a scene in a representation.
 
-    Raises ``ValueError`` for one that does not, with those that do.
+    None is the first of magnus4, exact, rk8 and rk4 that fits, else of all; ``need`` as of
+    ``methods_for``, and ``why`` what is said to be refused then.
+
+    Raises ``ValueError`` for one that does not fit, with those that do, and where none does.
     """
     if isinstance(method, Method):
-        if fits(method, scene, representation):
-            return method
-        raise ValueError(
-            f"method: found {method.name}, for {', '.join(method.scenes)} in "
-            f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
-            f'"{_name_of(representation)}": {", ".join(methods_for(scene, representation))}'
-        )
+        if not fits(method, scene, representation):
+            able = ", ".join(methods_for(scene, representation, need=need))
+            raise ValueError(
+                f"method: found {method.name}, for {', '.join(method.scenes)} in "
+                f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
+                f'"{_name_of(representation)}": {able}'
+            )
+        found = method
+    else:
+        found = METHODS[_named(scene, method, representation, need)]
+    if need and not getattr(found, need):
+        checks.choice(why, found.name, methods_for(scene, representation, need=need))
+    return found
+
+
+def _named(scene: Scene, method: str | None, representation: str | Attitude, need: str) -> str:
+    """The name of a method that fits, or of the first that does."""
     # anything may come, and a list has no hash
-    found = METHODS.get(method) if isinstance(method, str) else None  # type: ignore[redundant-expr]
-    if found is not None and fits(found, scene, representation):
-        return found
-    if found is not None and found.is_exact and scene.kind == "torqued":
+    known = METHODS.get(method) if isinstance(method, str) else None
+    if known is not None and fits(known, scene, representation):
+        return known.name
+    if known is not None and known.is_exact and scene.kind == "torqued":
         form_of(scene)  # says why there is none
-    checks.choice("method", method, methods_for(scene))
-    checks.choice(
-        f'method for representation "{_name_of(representation)}"',
-        method,
-        methods_for(scene, representation),
-    )
-    return METHODS[method]
+    if method is not None:
+        checks.choice("method", method, methods_for(scene, need=need))
+        name = f'method for representation "{_name_of(representation)}"'
+        return checks.choice(name, method, methods_for(scene, representation, need=need))
+    fitting = methods_for(scene, representation, need=need)
+    if not fitting:
+        raise ValueError(
+            f"representation: found {_name_of(representation)}, for which no method takes this "
+            f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
+        )
+    return next((name for name in DEFAULTS if name in fitting), fitting[0])
 
 
 def chosen(
     scene: Scene,
     method: str | Method | None,
     representation: str | Attitude,
-    compensated: bool,
-    normalise: str | int,
+    compensated: bool = False,
+    normalise: str | int = "output",
     looks: bool = True,
     reducer: Reducer | None = None,
     device: Device | None = None,
@@ -134,39 +140,28 @@ def chosen(
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
     key = ("choice", method, representation, compensated, normalise, looks)
-    of_names = type(method) is type(representation) is str and type(normalise) is str
-    if of_names and reducer is None and device is None and key in scene.memo:
+    of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
+    is_kept = of_names and reducer is None and device is None
+    if is_kept and key in scene.memo:
         return scene.memo[key]  # type: ignore[no-any-return]
+    if not (reducer is None or isinstance(reducer, Reducer)):
+        raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
     attitude = attitude_of(representation)
-    steps = device is not None
-    record = _method(scene, method, attitude, reducer, steps=steps or compensated)
-    if steps and record.is_exact:
-        raise ValueError(f'method: found {record.name}; accepted with device "cuda": steps')
+    need, why = "", "method"
+    if device is not None:
+        need, why = "is_stepped", 'method with device "cuda"'
+    if reducer is not None:
+        need, why = "translates", "method with reduce"
+    if compensated and method is None:
+        need = "is_stepped"
+    record = method_of(scene, method, attitude, need=need, why=why)
     if compensated:
         attitude = _compensated(record, attitude)
     restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
     found = Choice(record, attitude, restore, normalise == "never", looks, reducer, device)
-    if of_names and reducer is None and device is None:
+    if is_kept:
         scene.memo[key] = found
     return found
-
-
-def _method(
-    scene: Scene, method: str | Method | None, attitude: Attitude, reducer: Any, *, steps: bool
-) -> Method:
-    """The method asked for, or the first that fits."""
-    if reducer is None:
-        return method_of(scene, method or default_method(scene, attitude, steps=steps), attitude)
-    if not isinstance(reducer, Reducer):
-        raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
-    able = [name for name in methods_for(scene, attitude) if METHODS[name].translates]
-    first = next((name for name in DEFAULTS if name in able), None)
-    record = method_of(scene, method or first or default_method(scene, attitude), attitude)
-    if not record.translates:
-        raise ValueError(
-            f"reduce: found with method {record.name}; accepted with {', '.join(able)}"
-        )
-    return record
 
 
 def _compensated(method: Method, attitude: Attitude) -> Attitude:

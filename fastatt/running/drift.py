@@ -12,7 +12,7 @@ from fastatt import checks, torques
 from fastatt.arrays import angle_between, rotate
 from fastatt.running.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.running.trajectory import Trajectory
-from fastatt.scene import Scene
+from fastatt.scene import Scene, as_scene
 from fastatt.tables import Table
 
 
@@ -46,8 +46,7 @@ def drift(trajectory: Trajectory, scene: Scene) -> Drift:
     """
     if not isinstance(trajectory, Trajectory):
         raise TypeError(f"trajectory: found {checks.brief(trajectory)}; accepted: a Trajectory")
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
+    as_scene(scene)
     defect = np.abs(trajectory.defect[:, 0] if trajectory.one_body else trajectory.defect)
     C = trajectory.C
     matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))

@@ -14,7 +14,7 @@ from fastatt.attitudes import QUATERNION
 from fastatt.flat.formulas import quat, rigid
 from fastatt.flat.rows import rows
 from fastatt.inertia import is_tensor
-from fastatt.motion import Body, RigidBody, turning_part
+from fastatt.motion import Body, RigidBody
 from fastatt.scene import Scene, as_scene
 
 
@@ -29,9 +29,8 @@ def angular_momentum(
 
     Raises ``ValueError`` for shapes that do not fit.
     """
-    rates = checks.array_any("w", w, "(3,), (N, 3) or (S, N, 3)", [(3,), (-1, 3), (-1, -1, 3)])
-    shapes = [(3,), (3, 3), (-1, 3), (-1, 3, 3)]
-    given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)", shapes)
+    rates = checks.array_any("w", w, "(3,), (N, 3) or (S, N, 3)")
+    given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
     tensor = is_tensor(given)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -67,7 +66,7 @@ def kinetic_energy_symmetric(
     )
     if a.shape != d.shape or a.shape[-1:] != (3,):
         raise ValueError(f"angles, rates: have shapes {a.shape}, {d.shape}; accepted: (..., 3)")
-    moments = checks.array("inertia", inertia, "(2,)", [(2,)])
+    moments = checks.array("inertia", inertia, "(2,)")
     (out,) = rows(_symmetric, {"angles": 3, "rates": 3, "inertia": 2}, (None,))(a, d, moments)
     return np.asarray(out)
 
@@ -89,18 +88,18 @@ def potential_energy(
     ``TypeError`` for other shapes and things.
     """
     as_scene(scene)
-    attitudes = checks.array_any("q", q, "(4,), (N, 4) or (S, N, 4)", [(4,), (-1, 4), (-1, -1, 4)])
+    attitudes = checks.array_any("q", q, "(4,), (N, 4) or (S, N, 4)")
     found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
     packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
-    turning = turning_part(packed.structure)
+    turning = packed.structure.turning
     if not isinstance(turning, RigidBody) or not torques.has_potential(turning.law):
         raise ValueError("scene: its torque has no potential; accepted: one that has, or none")
     if (r is None) == scene.reads_position:
         told, wanted = ("none", "positions") if r is None else ("positions", "none")
         raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
     shape = (*attitudes.shape[:-1], 3)
-    places = np.zeros(shape) if r is None else checks.array_any("r", r, str(shape), [shape])
-    times = checks.array("t", t, f"a number or ({len(found)},)", [(), (len(found),)])
+    places = np.zeros(shape) if r is None else checks.array_any("r", r, str(shape))
+    times = checks.array("t", t, f"a number or ({len(found)},)")
     times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
     p = packed.params[..., : turning.n_params]
     inputs = {"t": None, "q": 4, "r": 3, "p": turning.n_params}

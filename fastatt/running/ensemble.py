@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
-from fastatt.scene import Scene
+from fastatt.running.initial import initial
+from fastatt.scene import Scene, as_scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,17 +34,10 @@ class Ensemble:
     ) -> Ensemble:
         """The same from whatever numbers a user gives.
 
-        Raises ``TypeError`` and ``ValueError`` for what is no scene, no attitude, no vector, and
-        for numbers of bodies that do not fit.
+        Raises ``TypeError`` for what is no scene, else as ``propagate`` does.
         """
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
-        start = checks.attitudes("q0", q0)
-        vectors = [
-            None if x is None else checks.array(name, x, "(3,) or (N, 3)", [(3,), (-1, 3)])
-            for name, x in (("w0", w0), ("v0", v0), ("r0", r0))
-        ]
-        found = cls(scene, start, *vectors)
+        start, beside = initial(as_scene(scene), (q0, w0, v0, r0), flag=False)
+        found = cls(scene, start, *map(beside.get, ("w0", "v0", "r0")))
         scene.packed(found.size)
         return found
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine.status import Status
-from fastatt.motion import turning_part
 
 if TYPE_CHECKING:
     from fastatt.running.plan import Plan
@@ -55,7 +54,7 @@ def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:
 
 def own_numbers(plan: Plan) -> range:
     """Which of the parameters are those of the scene's own function: the last of what turns it."""
-    end = turning_part(plan.packed.structure).n_params
+    end = plan.packed.structure.turning.n_params
     return range(end - np.atleast_1d(np.asarray(plan.scene.params)).shape[-1], end)
 
 

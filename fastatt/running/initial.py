@@ -21,6 +21,11 @@ class Given(NamedTuple):
     rows_y: int
     one_body: bool
 
+    @property
+    def bodies(self) -> int:
+        """How many there are."""
+        return max(self.rows_q, self.rows_y)
+
     @classmethod
     def of(cls, start: NDArray[Any], beside: Mapping[str, NDArray[Any]], kind: Any) -> Given:
         """The same from attitudes (4,) or (N, 4) and vectors (3,) or (N, 3)."""

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.flat.formulas import dot, minus, plus, quat, scale, so3
 from fastatt.flat.rows import kind_of, rows
-from fastatt.running.limits import StepWarning
 
 _NODES = 4
 # rows that are gathered at a time
@@ -70,18 +68,16 @@ def interpolate(
     True
     """
     flag = checks.choice("invalid", invalid, ("raise", "flag")) == "flag"
-    when = checks.array("t", t, "(S,)", [(-1,)]).astype(np.float64)
+    when = checks.array("t", t, "(S,)").astype(np.float64)
     count = when.size
     gaps = np.diff(when)
     if count < 2 or not ((gaps > 0.0).all() or (gaps < 0.0).all()):
         raise ValueError(f"t: found {checks.brief(when)}; accepted: two or more, rising or falling")
     look = checks.array_any if flag else checks.array
-    attitudes = checks.attitudes(
-        "q", q, f"({count}, 4) or ({count}, N, 4)", [(count, 4), (count, -1, 4)], flag=flag
-    )
+    attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
     wanted = (*attitudes.shape[:-1], 3)
-    rates = look("w", w, str(wanted), [wanted])
-    asked = checks.array("times", times, "a number or (T,)", [(), (-1,)]).astype(np.float64)
+    rates = look("w", w, str(wanted))
+    asked = checks.array("times", times, "a number or (T,)").astype(np.float64)
     low, high = sorted((when[0], when[-1]))
     outside = np.flatnonzero((asked < low) | (asked > high))
     if outside.size:
@@ -150,12 +146,10 @@ def _between(
     q_out[:, far], w_out[:, far] = np.nan, np.nan
     poor = np.flatnonzero((doubt > _DOUBT) & ~far)
     if poor.size:
-        warnings.warn(
+        rounding.warn(
             f"t: saves of {poor.size} of {bodies} bodies are too far apart for their motion, up to "
             f"{doubt[poor].max():.2g} rad between the polynomials through four and two of them "
-            f"(body {poor[0]}): save more often",
-            StepWarning,
-            stacklevel=4,
+            f"(body {poor[0]}): save more often"
         )
     return q_out, w_out
 

@@ -10,11 +10,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding, torques
 from fastatt.methods.method import Method
-from fastatt.motion import GivenRate, turning_part
+from fastatt.models import Packed
+from fastatt.motion import GivenRate
 from fastatt.rates import bound, lengths
-from fastatt.rounding import StepWarning
 from fastatt.running.energy import angular_momentum
-from fastatt.scene import Packed, Scene
+from fastatt.scene import Scene
 
 # |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
 NORM_BOUND = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
@@ -75,7 +75,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
         return None
     if method.rate_calls > _STAGES and not method.stages:
         return None
-    turning = turning_part(packed.structure)
+    turning = packed.structure.turning
     if isinstance(turning, GivenRate):
         with np.errstate(over="ignore", invalid="ignore"):
             return bound(turning.law, packed.params[..., : turning.n_params])
@@ -144,14 +144,3 @@ def warn(
     if text:
         rounding.warn(text)
     return bool(text)
-
-
-__all__ = [
-    "StepWarning",
-    "decay",
-    "first_step",
-    "known_turns",
-    "quiet_up_to",
-    "turn_limit",
-    "warn",
-]

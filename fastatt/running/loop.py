@@ -12,8 +12,8 @@ from fastatt.attitudes import Attitude
 from fastatt.engine.job import Job
 from fastatt.engine.layout import WIDTH
 from fastatt.flat import source
+from fastatt.flat.rows import kind_of
 from fastatt.methods import Method
-from fastatt.running.asked import KINDS
 from fastatt.running.choosing import chosen
 from fastatt.running.reducer import Reducer
 from fastatt.scene import Scene, as_scene
@@ -81,13 +81,9 @@ def job_of(
     scene: Scene, method: Any, representation: Any, kind: Any, reduce: Reducer | None = None
 ) -> Job:
     """The job of a scene without its bodies."""
-    choice = chosen(
-        scene, method, representation, compensated=False, normalise="output", reducer=reduce
-    )
+    choice = chosen(scene, method, representation, reducer=reduce)
     packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
     if reduce is not None:
         packed = reduce.watching(packed)
     shared = packed.params.ndim == 1
-    return Job(
-        choice.method, choice.attitude, packed.structure, KINDS[np.dtype(kind)], shared=shared
-    )
+    return Job(choice.method, choice.attitude, packed.structure, kind_of(kind), shared=shared)

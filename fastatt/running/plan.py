@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial, partialmethod
 from typing import Any
 
@@ -16,22 +16,22 @@ from fastatt import checks, rounding
 from fastatt.engine.ensemble import Run, prepare
 from fastatt.engine.job import Job
 from fastatt.engine.tiles import width_for
+from fastatt.flat.rows import kind_of
 from fastatt.motion import carried
 from fastatt.running import limits
-from fastatt.running.asked import KINDS, RING, Choice, Clock, Handling, OwnClock
+from fastatt.running.asked import RING, Choice, Clock, Handling, OwnClock
 from fastatt.running.closed import ClosedForm
 from fastatt.running.fixed import alike, fixed, flags_of, own_numbers
 from fastatt.running.handed import Handed
 from fastatt.running.initial import Given, initial
 from fastatt.running.pieces import go, piecewise
-from fastatt.running.resume import End, about
+from fastatt.running.resume import End
 from fastatt.running.trajectory import Results, Trajectory
 from fastatt.scene import Scene
 
 # body-steps: of a longer run the first steps are looked at before it, and Ctrl-C is answered in it
 LONG = 1_000_000
 _ARRAY = np.ndarray
-_NOTHING = np.zeros((1, 0))
 
 
 def _apart(x: Any, memory: NDArray[np.uint8]) -> Any:
@@ -52,6 +52,16 @@ class _Bench:
         """Other memory in its place."""
         self.x, self.watch = np.empty_like(self.x), np.empty_like(self.watch)
         self.run.put(x=self.x, watch=self.watch)
+
+
+def _rows(n: int, *, has_w: bool) -> dict[Any, tuple[int, int, bool]]:
+    """(rows of q0, rows of w0, whether it is one body) by the shapes of both."""
+    w = {(3,): 1, (n, 3): n} if has_w else {(1, 0): 1}
+    return {
+        (a, b): (rows_a, rows_b, n == 1 and b != (n, 3) and a != (n, 4))
+        for a, rows_a in {(4,): 1, (n, 4): n}.items()
+        for b, rows_b in w.items()
+    }
 
 
 class Plan:
@@ -80,25 +90,21 @@ class Plan:
         method, attitude = choice.method, choice.attitude
         bodies, position = n_bodies // rows_each, position or scene.couples
         self.packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
+        there = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
+        beside = {name: 3 for name, is_there in there.items() if is_there}
+        self._rows = {} if scene.moves else _rows(n_bodies, has_w=there["w"])
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed)
-        body = ["w"] if scene.kind != "rate" else []
-        self.beside = [*body, *(["v"] if scene.moves else []), *(["r"] if position else [])]
-        widths = [3] * len(self.beside)
-        if choice.reducer is not None:
-            self.beside.append("s")
-            widths.append(choice.reducer.start.shape[-1])
-        self._is_plain_body = self.beside == ["w"]
-        self._usual = ((n_bodies, 4), (n_bodies, 3)) if self._is_plain_body else None
+            beside["s"] = choice.reducer.start.shape[-1]
+            self._rows = {}
         self.limit = limits.turn_limit(scene, method, attitude.name, kind)
-        self._h = clock.steps if isinstance(clock, OwnClock) else clock.h
-        self.damped = limits.decay(scene, self._h)
+        self.damped = limits.decay(scene, clock.steps)
         known = limits.known_turns(scene, choice, self.packed)
         self.job = Job(
             method,
             attitude,
             self.packed.structure,
-            KINDS[kind],
+            kind_of(kind),
             shared=self.packed.params.ndim == 1,
             alike=alike(self, asked=bool(asked)),
             known=known is not None,
@@ -106,24 +112,24 @@ class Plan:
             mends=choice.restore > 0,
             looks=choice.looks,
             own_steps=isinstance(clock, OwnClock),
-            width=n_bodies if choice.device else width_for(n_bodies, KINDS[kind]),
+            width=n_bodies if choice.device else width_for(n_bodies, kind_of(kind)),
         )
         if not method.is_exact:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
-        self._fixed = fixed(self, known, self._h, rows_each)
+        self._fixed = fixed(self, known, clock.steps, rows_each)
         self.span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
-        self._shapes = tuple(((k,), (n_bodies, k)) for k in (4, 3))
         told = {
             "method": method.name,
             "representation": attitude.name,
-            "dt": self._h,
+            "dt": clock.steps,
             "packed": self.packed,
             "attitude": attitude,
             "record": method,
             "check": None,
         }
-        self.handed = Handed(n_bodies, kind, attitude.stored, (self.beside, widths), told)
+        self.handed = Handed(n_bodies, kind, attitude.stored, beside, told)
+        self._nothing = np.zeros((1, 0), kind)
         self._saves = clock.saves
         self._offsets = self.handed.layout(self._saves)
         self._closed = ClosedForm(self, self._saves) if method.is_exact else None
@@ -206,65 +212,49 @@ class Plan:
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does; initial values that are not
         finite are refused after the run.
         """
-        begin = t0 if type(t0) is float else checks.real("t0", t0)
+        begin = checks.real("t0", t0)
         raw = None
         if out is not None:
             raw = self._over(out)
             q0, w0, v0, r0 = (_apart(x, raw) for x in (q0, w0, v0, r0))
         given = self.given(q0, w0, v0, r0)
-        if params is None and self._is_quick:
+        if params is not None:
+            made = self._with(params).run(given, begin, self.handling, raw)
+        elif self._is_quick:
             made = self._quickly(given, begin, raw)
-            flagged = made.__dict__["_flagged"]
         else:
-            made = (self if params is None else self._with(params)).run(given, begin, raw=raw)
-            flagged = made.has_flags
-        if flagged and self.handling.invalid == "raise":
+            made = self.run(given, begin, self.handling, raw)
+        if made.__dict__["_flagged"] and self.handling.invalid == "raise":
             initial(self.scene, (q0, w0, v0, r0), flag=False)
         return made
 
     def given(self, q0: Any, w0: Any, v0: Any = None, r0: Any = None) -> Given:
         """Initial states as they were given, checked in all but whether they are finite."""
-        n, kind = self.n_bodies, self.kind
-        if type(q0) is type(w0) is np.ndarray and q0.dtype is w0.dtype is kind:
-            shaped = (q0.shape, w0.shape) == self._usual and v0 is None and r0 is None
-            if shaped and q0.flags.c_contiguous and w0.flags.c_contiguous:
-                return tuple.__new__(Given, (q0, w0, n, n, False))  # without names: a third
-        if self._fits(q0, self._shapes[0]) and v0 is r0 is None:
-            rows = 1 if q0.ndim == 1 else n
-            one = n == 1 == q0.ndim
-            if self._is_plain_body and self._fits(w0, self._shapes[1]):
-                rows_w = 1 if w0.ndim == 1 else n
-                return tuple.__new__(Given, (q0, w0, rows, rows_w, one and w0.ndim == 1))
-            if w0 is None and not self.beside:
-                return tuple.__new__(Given, (q0, _NOTHING, rows, 1, one))
+        y, kind = self._nothing if w0 is None else w0, self.kind
+        usual = type(q0) is type(y) is _ARRAY and q0.dtype is y.dtype is kind
+        if usual and v0 is None and r0 is None:
+            rows = self._rows.get((q0.shape, y.shape))
+            if rows and q0.flags.c_contiguous and y.flags.c_contiguous:
+                return tuple.__new__(Given, (q0, y, *rows))  # without names: a third
         start, beside = initial(self.scene, (q0, w0, v0, r0), flag=True)
-        found = Given.of(start, beside, kind)
-        rows = max(found.rows_q, found.rows_y)
-        if rows not in (1, n):
+        found, n = Given.of(start, beside, kind), self.n_bodies
+        bodies = found.bodies
+        if bodies not in (1, n):
             raise ValueError(
-                f"q0: found {rows} bodies; accepted: {n}, as many as the plan is for, or one"
+                f"q0: found {bodies} bodies; accepted: {n}, as many as the plan is for, or one"
             )
         if n > 1:
             found = found._replace(one_body=False)
-        if ("r0" in beside) != ("r" in self.beside):
+        if ("r0" in beside) != ("r" in self.handed.beside):
             raise ValueError("r0: accepted, and needed, in a plan that was made with position=True")
         return found
-
-    def _fits(self, x: Any, shapes: tuple[tuple[int, ...], ...]) -> bool:
-        """Whether an array can be used as it is."""
-        return (
-            type(x) is _ARRAY
-            and x.dtype is self.kind
-            and x.shape in shapes
-            and x.flags.c_contiguous
-        )
 
     def _with(self, params: Any) -> Plan:
         """The plan of other numbers of the scene's own function."""
         was = self.scene.params
         if was is None:
             raise ValueError("params: found, but the scene has none; accepted: of an own function")
-        now = checks.array("params", params, f"{np.shape(was)}", [np.shape(was)])
+        now = checks.array("params", params, f"{np.shape(was)}")
         numbers = self.packed.params.copy()
         numbers[..., own_numbers(self)] = now
         other = object.__new__(Plan)
@@ -272,7 +262,8 @@ class Plan:
         other.packed = self.packed._replace(params=numbers)
         rows = np.ascontiguousarray(np.atleast_2d(numbers))
         other._fixed = {**self._fixed, "p": rows, "flags": flags_of(other, rows)}
-        other.handed = self.handed.with_packed(other.packed)
+        told = {**self.handed.told, "packed": other.packed}
+        other.handed = replace(self.handed, told=told)
         return other
 
     def _over(self, out: Trajectory) -> NDArray[np.uint8]:
@@ -288,22 +279,11 @@ class Plan:
     def run(
         self,
         given: Given,
-        t0: float = 0.0,
-        *,
-        handling: Handling | None = None,
+        t0: float,
+        handling: Handling,
         raw: NDArray[np.uint8] | None = None,
-        ends: bool = False,
-        start: End | None = None,
     ) -> Trajectory:
-        """The trajectory of initial states that were looked at.
-
-        ``raw`` is memory to write to, ``ends`` says that the trajectory holds its end, ``start``
-        where the run goes on.
-        """
-        if handling is None and self._is_quick and not ends and start is None:
-            return self._quickly(given, t0, raw)
-        handling = handling or self.handling
-        self._refuse_overflow(t0)
+        """The trajectory of initial states that were looked at; ``raw`` is memory to write to."""
         if self._closed is not None:
             return self._closed.run(given, t0, handling, raw)
         in_pieces = handling.sink is not None or handling.checkpoint is not None
@@ -313,8 +293,9 @@ class Plan:
         run = bench.run
         if bench.is_kept:
             bench.renew()
-        bench.is_kept = ends
-        self._load(run, given, t0, (raw, saves))
+        bench.is_kept = handling.ends
+        self._load(run, given, t0, raw, saves)
+        start = handling.start
         if start is not None:
             bench.x[...], bench.watch[...] = start.x, start.watch
         warned = not self.is_short and self._warn_of_first(given)
@@ -329,31 +310,50 @@ class Plan:
             else:
                 go(self, run, self.span, handling, partial(self._found, raw, t0, given.one_body))
             made = self.promised(raw, run.told[1] > 0.0, t0, given.one_body)
-        if ends:
+        if handling.ends:
             made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
         if not warned:
             self._warn_after(run, given, bench.watch)
         return made
 
-    def _refuse_overflow(self, t0: float) -> None:
-        if not -math.inf < t0 + self._length < math.inf:
-            checks.real("t0", t0)
-            self.clock.times(t0)
+    def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
+        """The same of a few steps in this thread, with memory that is there."""
+        if raw is None:
+            raw = np.empty(self._offsets[2], np.uint8)
+        try:
+            bench: _Bench = self._local.bench
+        except AttributeError:
+            bench = self._own_bench()
+        run, told, (least, most) = bench.run, bench.run.told, self.calm
+        if run.is_timed or run.is_plain or not -math.inf < t0 + self._length < math.inf:
+            self._load(run, given, t0, raw, self._saves)
+        else:
+            run.load(given, raw, self._offsets, t0)
+        run(self._tiles)
+        if not least <= told[0] <= most:
+            self._warn_after(run, given, bench.watch)
+        return self.promised(raw, told[1] > 0.0, t0, given[4])
 
-    def _load(self, run: Run, given: Given, t0: float, memory: tuple[Any, int]) -> None:
-        """Tell a run what it works on; memory is told with its number of saves."""
-        raw, saves = memory
+    def _load(self, run: Run, given: Given, t0: float, raw: NDArray[np.uint8], saves: int) -> None:
+        """Tell a run what it works on, and where its saves go."""
+        if not -math.inf < t0 + self._length < math.inf:
+            self.clock.times(t0)  # which refuses it
         offsets = self._offsets if saves == self._saves else self.handed.layout(saves)
         run.load(given, raw, offsets, t0)
         if run.is_plain:
             run.put(q0=given.q, y0=given.y, **self.handed.views(raw, saves)._asdict())
-        self.warn_of_times(t0)
+        if self.by_time:
+            self.warn_of_times(t0)
+
+    @cached_property
+    def by_time(self) -> bool:
+        """Whether the motion or the saves go by the time."""
+        return self.job.own_steps or self.job.formulas.is_timed
 
     def warn_of_times(self, t0: float) -> None:
-        """Warn of times too late to tell steps apart, where the motion or the saves go by them."""
-        by_time = self.job.own_steps or self.job.formulas.is_timed
-        if by_time and self.clock.is_rounded(t0):
-            rounding.warn(rounding.of_times(self.clock.longest(t0), self.clock.h))
+        """Warn of times too late to tell steps apart."""
+        if text := rounding.of_times(self.clock.longest(t0), self.clock.h):
+            rounding.warn(text)
 
     def memory(self, saves: int) -> NDArray[np.uint8]:
         """Memory that a run writes to."""
@@ -372,25 +372,6 @@ class Plan:
         fields["_later"] = (self._found, raw, t0, one_body)
         return made
 
-    def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
-        """The same of a few steps in this thread, with memory that is there."""
-        if not -math.inf < t0 + self._length < math.inf:
-            self._refuse_overflow(t0)
-        offsets, local = self._offsets, self._local
-        if raw is None:
-            raw = np.empty(offsets[2], np.uint8)
-        bench: _Bench = local.bench if hasattr(local, "bench") else self._own_bench()
-        run = bench.run
-        if run.is_timed or run.is_plain:
-            self._load(run, given, t0, (raw, self._saves))
-        else:
-            run.load(given, raw, offsets, t0)
-        run(self._tiles)
-        told = run.told
-        if not self.calm[0] <= told[0] <= self.calm[1]:
-            self._warn_after(run, given, bench.watch)
-        return self.promised(raw, told[1] > 0.0, t0, given[4])
-
     def _warn_after(self, run: Run, given: Given, watch: NDArray[Any]) -> None:
         """Warn of steps as they were; of an iteration that failed the first tells how large."""
         least, limit = self.calm
@@ -405,8 +386,18 @@ class Plan:
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """What must be the same in a run that goes on."""
-        return about(self.choice, self.clock.h, self.kind, "r" in self.beside)
+        """What must be the same in a run that goes on, by the names of arguments."""
+        choice = self.choice
+        return {
+            "dt": float(self.clock.h).hex(),
+            "method": choice.method.name,
+            "representation": choice.attitude.name,
+            "compensated": choice.attitude.compensated,
+            "normalise": "never" if choice.raw else choice.restore,
+            "dtype": self.kind.name,
+            "r0": "r" in self.handed.beside,
+            "reduce": self.handed.beside.get("s", 0),
+        }
 
     @cached_property
     def equations(self) -> str:
@@ -441,7 +432,7 @@ class Plan:
         if self.scene.kind == "rate":
             return np.zeros(1)
         w = np.atleast_2d(given.y)[:, :3]
-        return limits.first_step(self.scene, self.choice.method, w, self._h)
+        return limits.first_step(self.scene, self.choice.method, w, self.clock.steps)
 
     def warn(self, turns: NDArray[Any], damped: NDArray[np.float64], steps: Any = None) -> bool:
         """Warn of steps by what bodies turn in one, rad, and by what damping takes."""
@@ -451,7 +442,7 @@ class Plan:
             damped,
             self.limit,
             choice.method,
-            self._h if steps is None else steps,
+            self.clock.steps if steps is None else steps,
             self.kind,
             compensated=choice.attitude.compensated,
         )

@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks, exact
 from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
-from fastatt.running.asked import Choice, Clock, Handling, OwnClock
-from fastatt.running.carry_out import Wanted, carry_out
-from fastatt.running.choosing import DEFAULTS, chosen, method_of
+from fastatt.running.asked import Choice, Clock, Handling, OwnClock, clock_of
+from fastatt.running.carry_out import carry_out, holds_end
+from fastatt.running.choosing import chosen, method_of
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.grids import clock_of
 from fastatt.running.initial import Given, initial, same_number
 from fastatt.running.plan import LONG, Plan
 from fastatt.running.reducer import Reducer
@@ -159,21 +158,29 @@ def propagate(
             same_number({**beside, "q0": start})
         given = Given.of(start, beside, checks.precision(dtype, *values))
     else:
-        _check_none(values, begin, save_at=save_at, checkpoint=checkpoint)
+        # initial values come from there, and saves are counted from its end
+        given_too = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
+        _check_alone(
+            "resume; accepted: one of them", **given_too, save_at=save_at, checkpoint=checkpoint
+        )
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
         if dtype is not None and checks.precision(dtype) != given.q.dtype:
             raise ValueError(
                 f"dtype: found {checks.brief(dtype)} with resume; accepted: {given.q.dtype}, with "
                 "which the run began, or None"
             )
-    bodies = max(given.rows_q, given.rows_y)
+    bodies = given.bodies
     if end is None:
         clock = clock_of(dt, n_steps, (save_every, save_at), begin, bodies)
     else:
         clock = Clock.of(dt, n_steps, save_every, end.done)
     if isinstance(clock, OwnClock):
-        others = {"sink": sink, "out": out, "checkpoint": checkpoint, "resumable": resumable}
-        _check_own(compensated=compensated, normalise=choice.restore, check=sample, **others)
+        # these go with one step for all bodies, counted from the begin, alone
+        _check_alone(
+            "save_at or steps of each body's own; accepted: without", sink=sink, out=out,
+            checkpoint=checkpoint, resumable=resumable or None, compensated=compensated,
+            normalise=choice.restore or None, check=sample or None,
+        )  # fmt: skip
     _check_sink(sink, out, clock.every)
     if checkpoint is not None and clock.every is not None and sink is None and out is None:
         raise ValueError(
@@ -190,11 +197,12 @@ def propagate(
         sink=sink,
         invalid=invalid,
         checkpoint=None if checkpoint is None else Path(checkpoint),
+        out=out,
+        progress=progress,
+        start=end,
+        ends=holds_end(resumable, bodies, clock),
     )
-    wanted = Wanted(
-        scene, choice, clock, given, begin, handling, position, progress, out, end, resumable
-    )
-    result = carry_out(wanted)
+    result = carry_out(scene, choice, clock, given, begin, handling, position=position)
     if late and not flag and result.has_flags:
         initial(scene, values, flag=False)
     if not sample:
@@ -250,6 +258,7 @@ def plan(
     >>> run.t
     array([0.02])
     """
+    again = dict(locals())  # for one that was pickled
     as_scene(scene)
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
@@ -257,13 +266,8 @@ def plan(
     choice = chosen(scene, method, representation, compensated, normalise, looks)
     clock = Clock.of(dt, n_steps, save_every)
     checks.choice("invalid", invalid, exact.INVALID)
-    known = METHODS.get(choice.method.name) is choice.method
-    options: dict[str, Any] = {
-        "dt": dt, "n_steps": n_steps, "save_every": save_every, "representation": representation,
-        "method": choice.method.name if known else method,
-        "dtype": dtype, "n_threads": n_threads, "compensated": compensated, "invalid": invalid,
-        "normalise": normalise, "position": position, "looks": looks,
-    }  # fmt: skip
+    if METHODS.get(choice.method.name) is choice.method:
+        again["method"] = choice.method.name
     return Plan(
         scene,
         bodies,
@@ -272,7 +276,7 @@ def plan(
         checks.precision(dtype),
         position=position,
         handling=Handling(threads_of(n_threads, bodies, clock.n_steps), invalid=invalid),
-        asked=(partial(plan, scene, bodies, **options), ()),
+        asked=(partial(plan, **again), ()),
     )
 
 
@@ -294,13 +298,11 @@ def check_order(
             save_every=every, **options,
         )  # fmt: skip
 
-    kind = ensemble.scene.kind
     return examine(
         run_with,
         ensemble,
         checks.real("dt", dt, zero=False),
         checks.whole("n_steps", n_steps, 1),
-        lambda found: found.order_of(kind),
         sample=sample,
         at=at,
     )
@@ -314,23 +316,11 @@ def _check_sink(sink: Any, out: Any, every: int | None) -> None:
             raise ValueError(f"{name}: found without save_every; accepted: with it")
 
 
-def _check_own(**asked: Any) -> None:
-    """Refuse what goes with one step for all bodies, counted from the begin, alone."""
+def _check_alone(why: str, **asked: Any) -> None:
+    """Refuse what does not go with something else."""
     for name, value in asked.items():
-        if value:
-            raise ValueError(
-                f"{name}: found with save_at or steps of each body's own; accepted: without"
-            )
-
-
-def _check_none(values: tuple[Any, ...], t0: float, **others: Any) -> None:
-    """Initial values come from the run that is resumed, and saves are counted from its end."""
-    given = {**dict(zip(("q0", "w0", "v0", "r0"), values, strict=True)), **others}
-    for name, value in given.items():
-        if value is not None:
-            raise ValueError(f"{name}: found with resume; accepted: one of them")
-    if t0:
-        raise ValueError(f"t0: found {t0} with resume; accepted: one of them")
+        if value is not None and value is not False:
+            raise ValueError(f"{name}: found with {why}")
 
 
 def propagate_directions(
@@ -355,12 +345,10 @@ def propagate_directions(
 
     Raises ``ValueError`` or ``TypeError`` as :func:`propagate` does.
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
-    if scene.kind != "rate" or scene.moves:
+    if as_scene(scene).kind != "rate" or scene.moves:
         raise ValueError("scene: found inertia or mass; accepted: a scene with a rate alone")
-    record = method_of(scene, method or DEFAULTS[0], "quat")
-    v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)", [(3,), (-1, 3), (-1, -1, 3)])
+    record = method_of(scene, method, "quat")
+    v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)")
     given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
     plan = Plan(
         scene,
@@ -370,5 +358,5 @@ def propagate_directions(
         given.q.dtype,
         rows_each=v.shape[1] if v.ndim == 3 else 1,
     )
-    flat = plan.run(given, checks.real("t0", t0), handling=Handling(number_of(n_threads)))
+    flat = plan.run(given, checks.real("t0", t0), Handling(number_of(n_threads)))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.flat.user import UserFunction, user_function
-from fastatt.motion import Watched
-from fastatt.scene import Packed
+from fastatt.models import Packed, resources_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +26,10 @@ class Reducer:
 
     def watching(self, packed: Packed) -> Packed:
         """What moves, watched."""
-        opaque = (
-            {} if self.function.straight else {("function", self.function): self.function.address}
-        )
-        structure = packed.structure
-        assert not isinstance(structure, Watched)
-        return Packed(
-            Watched(structure, self.function, self.start.shape[-1]),
-            packed.params,
-            {**packed.resources, **opaque},
+        watched = {"watcher": self.function, "watched": self.start.shape[-1]}
+        return packed._replace(
+            structure=packed.structure._replace(**watched),
+            resources={**packed.resources, **resources_of(self.function)},
         )
 
 

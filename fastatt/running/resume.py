@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.running.asked import Choice
 from fastatt.running.initial import Given
 
 if TYPE_CHECKING:
@@ -78,20 +77,6 @@ class End:
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
-
-
-def about(choice: Choice, h: float, kind: np.dtype[Any], position: bool) -> dict[str, Any]:
-    """What must be the same in the run that goes on, by the names of arguments."""
-    return {
-        "dt": float(h).hex(),
-        "method": choice.method.name,
-        "representation": choice.attitude.name,
-        "compensated": choice.attitude.compensated,
-        "normalise": "never" if choice.raw else choice.restore,
-        "dtype": kind.name,
-        "r0": position,
-        "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
-    }
 
 
 def loaded(path: str | os.PathLike[str]) -> End:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
-from fastatt.methods.method import Method
+from fastatt.rounding import StepWarning
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.limits import StepWarning
 from fastatt.running.trajectory import Trajectory
 
 _HALVINGS = 7
@@ -65,7 +64,6 @@ def examine(
     ensemble: Ensemble,
     dt: float,
     n_steps: int,
-    order_of: Callable[[Method], int],
     *,
     sample: int,
     at: str,
@@ -73,7 +71,7 @@ def examine(
     """Halve the step until the order shows, and warn with ``OrderWarning`` where it is too low.
 
     ``run(ensemble, dt, n_steps, save_every)`` propagates a sample, the fastest bodies and others
-    evenly spaced; ``order_of`` gives the order declared of a method by its name.
+    evenly spaced.
     The differences of the results at h, h/2, h/4, … fall by 2^order each; where the first do not
     yet, as large steps have no order, the step is halved further, until rounding ends it.
     """
@@ -89,7 +87,7 @@ def examine(
             ]
 
     first, *early = divided(1)
-    declared = order_of(first.record)
+    declared = first.record.order_of(ensemble.scene.kind)
     floor = _rounding(first, abs(dt) * n_steps)
     before = np.concatenate([x.q[1:] for x in (first, *early)])
     changes: list[NDArray[np.float64]] = []

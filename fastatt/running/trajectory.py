@@ -16,8 +16,9 @@ from fastatt import arrays
 from fastatt.attitudes import Attitude
 from fastatt.engine.status import Status
 from fastatt.flat.rows import rows
-from fastatt.motion import GivenRate, turning_part
-from fastatt.scene import Packed, Scene
+from fastatt.models import Packed
+from fastatt.motion import GivenRate
+from fastatt.scene import Scene
 
 if TYPE_CHECKING:
     from fastatt.methods.method import Method
@@ -124,7 +125,7 @@ class Trajectory:
         packed = self.packed
         if isinstance(packed, Scene):
             packed = packed.packed(self.status.size)
-        turning = turning_part(packed.structure)
+        turning = packed.structure.turning
         assert isinstance(turning, GivenRate)
         w = self._shaped(self._given(turning, packed))
         if turning.inertial:
@@ -212,8 +213,8 @@ class Trajectory:
     @property
     def has_flags(self) -> bool:
         """Whether any body has a status."""
-        found = self.__dict__.get("_flagged")
-        return bool(self.status.any()) if found is None else bool(found)
+        found: bool | None = self.__dict__.get("_flagged")
+        return bool(self.status.any()) if found is None else found
 
     def status_counts(self) -> dict[str, int]:
         """How many bodies carry each flag; empty when all are fine."""

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.engine.layout import WIDTH
-from fastatt.methods import METHODS, Method
+from fastatt.methods import Method
 from fastatt.rates import lengths
-from fastatt.running.choosing import attitude_of, method_of, methods_for
+from fastatt.rounding import StepWarning
+from fastatt.running.choosing import method_of
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.limits import StepWarning
 from fastatt.running.propagate import propagate
+from fastatt.scene import as_scene
 
 # classes of like rates, times that errors are looked at
 _CLASSES, _LOOKS = 12, 16
@@ -100,13 +101,13 @@ def own_steps(
     >>> bool(own.share < 0.3)
     True
     """
-    ensemble = Ensemble.of(scene, q0, w0)
-    if scene.kind == "rate":
+    if as_scene(scene).kind == "rate":
         raise ValueError("scene: found a rate; accepted: with inertia")
+    ensemble = Ensemble.of(scene, q0, w0)
     duration, wanted = checks.real("t_end", t_end), checks.real("tol", tol)
     if not (duration > 0.0 and wanted > 0.0):
         raise ValueError(f"t_end, tol: found {t_end}, {tol}; accepted: above 0")
-    record = _stepped(scene, method)
+    record = method_of(scene, method, "quat", need="is_stepped")
     run = (checks.real("t0", t0), duration, wanted)
     n = ensemble.size
     rates = lengths(np.broadcast_to(np.asarray(ensemble.w0, dtype=np.float64), (n, 3)))
@@ -142,16 +143,6 @@ def share_of(ensemble: Ensemble, order: int) -> float | None:
     most = float(rates.max(initial=0.0))
     share = float(np.mean((rates / most) ** (1.0 + 1.0 / order))) if most > 0.0 else 1.0
     return share if share < _WORTH else None
-
-
-def _stepped(scene: Any, method: str | Method | None) -> Method:
-    if method is None:
-        fitting = [m for m in methods_for(scene, "quat") if METHODS[m].is_stepped]
-        method = "rk8" if "rk8" in fitting else fitting[0]
-    record = method_of(scene, method, attitude_of("quat"))
-    if not record.is_stepped:
-        raise ValueError(f"method: found {record.name}; accepted: one that takes steps")
-    return record
 
 
 class _Classes:

@@ -16,7 +16,7 @@ from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
-from fastatt.running.limits import StepWarning
+from fastatt.rounding import StepWarning
 
 # What integrates a method's polynomials, and from how many values an interval: an error of order 4
 # is 20000 times less then; of picard, which may be better than that, its own polynomial exactly

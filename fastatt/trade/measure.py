@@ -25,11 +25,11 @@ from fastatt.engine.job import Job
 from fastatt.engine.layout import WIDTH
 from fastatt.engine.status import Status
 from fastatt.flat.machine import processor
+from fastatt.flat.rows import kind_of
 from fastatt.methods import METHODS, Method
-from fastatt.running.asked import KINDS
+from fastatt.rounding import StepWarning
 from fastatt.running.drift import drift
 from fastatt.running.ensemble import Ensemble
-from fastatt.running.limits import StepWarning
 from fastatt.running.loop import job_of
 from fastatt.running.propagate import propagate, threads_of
 from fastatt.running.trajectory import Trajectory
@@ -281,7 +281,7 @@ def ladder_rows(
         speed = rung.error.size * rung.n_steps / rung.seconds
         part = None
         if rung.operations is not None:
-            most = rung.threads * peak(KINDS[np.dtype(case.dtype)])
+            most = rung.threads * peak(kind_of(case.dtype))
             part = rung.operations * speed / most
         rows.append(
             Row(
