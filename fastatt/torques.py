@@ -275,8 +275,8 @@ def lever_of(model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]] | 
     record = RECORDS.get(type(model))
     if record is None or record.lever is None:
         return None
-    packed = pack_fields(model, record, None, "torque")
-    if packed.law.look_ups:  # what a table says depends on time
+    packed = models.pack_fields(model, record, None, "torque")
+    if packed.structure.look_ups:  # what a table says depends on time
         return None
     arm, pull = record.lever(np.moveaxis(packed.params, -1, 0))
     return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
