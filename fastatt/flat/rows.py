@@ -254,7 +254,7 @@ def rows(
 
 def kind_of(dtype: Any) -> str:
     """Precision in which arrays of a type are worked on."""
-    return "single" if dtype == np.float32 else "double"
+    return "single" if np.dtype(dtype) == np.float32 else "double"
 
 
 def lanes_of(kind: str) -> int:
