@@ -26,6 +26,7 @@ QUICK_BODIES, QUICK_EXACT = 64, 2
 # a body of matter, and one from the literature
 REAL = (1.2, 1.0, 2.0 / 3.0)
 TRIAXIAL = (2.0, 1.0, 2.0 / 3.0)
+TRIAXIAL_TOP = (1.0, 0.8, 0.5)
 # weight times arm is 1 N·m
 TOP = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.1), 10.0))
 RECORDING = "walking_xsens_lowerLeg.txt"
@@ -275,7 +276,7 @@ def near_separatrix(quick: bool) -> Problem:
     )  # fmt: skip
 
 
-def heavy_top(quick: bool) -> Problem:
+def heavy_top(quick: bool, scene: fa.Scene = TOP) -> Problem:
     """Nutating tops, tilted by 0.3 to 1.2 rad, with a spin of 3 to 6 rad/s."""
     n = _sizes(quick)[0]
     generator = np.random.default_rng(2)
@@ -283,8 +284,14 @@ def heavy_top(quick: bool) -> Problem:
     q0 = fa.euler313_to_quat(np.stack([turn, generator.uniform(0.3, 1.2, n), spin], axis=1))
     across = generator.normal(scale=0.3, size=(n, 2))
     w0 = np.column_stack([across, generator.uniform(3.0, 6.0, n)])
-    m0 = w0 * np.asarray(TOP.inertia)
-    return _bodies("top", "heavy symmetric top, 10 s", TOP, q0, m0, 10.0, quick, equations.TOP)
+    m0 = w0 * np.asarray(scene.inertia)
+    name, title = ("top", "symmetric") if scene is TOP else ("top-triaxial", "triaxial")
+    return _bodies(name, f"heavy {title} top, 10 s", scene, q0, m0, 10.0, quick, equations.TOP)
+
+
+def triaxial_top(quick: bool) -> Problem:
+    """The same of bodies for which no closed form is known."""
+    return heavy_top(quick, fa.Scene(inertia=TRIAXIAL_TOP, torque=TOP.torque))
 
 
 @numba.njit
@@ -374,6 +381,7 @@ PROBLEMS = {
     "dzhanibekov": dzhanibekov,
     "separatrix": near_separatrix,
     "top": heavy_top,
+    "top-triaxial": triaxial_top,
     "sciml": sciml,
     "log": gyro_log,
 }

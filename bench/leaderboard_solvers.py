@@ -23,7 +23,7 @@ QUICK = {
     "methods": {
         equations.CONING: ("magnus6", "trapezoid"),
         equations.FREE: ("exact",),
-        equations.TOP: ("exact",),
+        equations.TOP: ("exact", "rk8"),
         equations.PUSHED: ("rk8",),
     },
 }  # fmt: skip
