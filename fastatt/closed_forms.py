@@ -153,7 +153,7 @@ class _Traced(NamedTuple):
 def _traced(solution: Solution, kind: str, turned: bool, stored: Any = None) -> _Traced:
     """``turned``: the principal axes are not those of the body; ``stored`` as of ``Motion``."""
     quat = formulas.quat
-    graph = Graph()
+    graph = _graph()
     q, w, moments, axes, pull = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
     if turned:
         q, w = quat.mul(q, axes), quat.rotate_inverse(axes, w)
@@ -161,13 +161,19 @@ def _traced(solution: Solution, kind: str, turned: bool, stored: Any = None) -> 
     constants = flattened(solution.prepare(quat.normalise(q), w, moments, *pulls))
     prepare = Flat(graph, constants, kind)
 
-    graph = Graph()
+    graph = _graph()
     moments, axes = (graph.inputs(kind, name, _GIVEN[name]) for name in ("moments", "axes"))
     given = graph.inputs(kind, "constant", len(constants))
     q, w = solution.state(given, moments, graph.input(kind, "t", 0))
     if turned:
         q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
     return _Traced(prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind))
+
+
+def _graph() -> Graph:
+    graph = Graph()
+    graph.native = machine.processor().fuses and not without_compiler()
+    return graph
 
 
 @functools.cache

@@ -40,41 +40,55 @@ def relative(found, true):
     return float(gap / abs(true)) if gap else 0.0
 
 
-@pytest.mark.parametrize("xs", [uniform(-88, 88, 1000), uniform(-1, 1, 1000), powers(-300, 0, 300)])
-def test_sinhcosh(xs):
+@pytest.mark.parametrize("xs", [uniform(-60, 60, 1000), uniform(-1, 1, 1000), powers(-300, 0, 300)])
+def test_waves(xs):
     for x in [0.0, *xs]:
-        s, c = elliptic.sinhcosh(x)
+        s, c = elliptic.waves(x, 1.0)
         assert relative(s, mp.sinh(x)) <= 5e-16
         assert relative(c, mp.cosh(x)) <= 5e-16
+        s, c = elliptic.waves(x, 0.0)
+        assert abs(s - mp.sin(x)) <= 1.4e-16
+        assert abs(c - mp.cos(x)) <= 1.4e-16
+        assert relative(elliptic.exp_minus(abs(x)), mp.exp(-abs(mp.mpf(x)))) <= 5e-16
 
 
-def test_sinhcosh_beyond_its_range():
-    for x in (89.0, 1e10, math.inf):
-        assert elliptic.sinhcosh(x) == elliptic.sinhcosh(88.0)
-        assert elliptic.sinhcosh(-x) == elliptic.sinhcosh(-88.0)
-    assert all(math.isnan(c) for c in elliptic.sinhcosh(math.nan))
+def test_waves_beyond_their_range():
+    for x in (61.0, 1e10, math.inf):
+        assert elliptic.waves(x, 1.0) == elliptic.waves(60.0, 1.0)
+        assert elliptic.waves(-x, 1.0) == elliptic.waves(-60.0, 1.0)
+    assert elliptic.waves(1e6 + 0.1, 0.0) == pytest.approx(
+        (math.sin(1e6 + 0.1), math.cos(1e6 + 0.1))
+    )
+    assert all(math.isnan(c) for wide in (0.0, 1.0) for c in elliptic.waves(math.nan, wide))
 
 
 @pytest.mark.parametrize("kcs", [*MODULI.values(), powers(-150, 0, 100)])
-def test_first_kind(kcs):
-    for kc, y in zip(kcs, [0.0, *powers(-12, 6, len(kcs) - 1)], strict=True):
-        found, whole = elliptic.first_kind(y, kc)
-        assert relative(found, first_kind(y, kc)) <= 8e-16
-        assert relative(whole, complete(kc)) <= 8e-16
-
-
-def test_first_kind_of_less_than_its_least_modulus():
-    assert elliptic.first_kind(1.0, 0.0) == elliptic.first_kind(1.0, 1e-150)
-    assert relative(elliptic.first_kind(1.0, 0.0)[0], mp.asinh(1)) <= 8e-16
-
-
-@pytest.mark.parametrize("kcs", MODULI.values(), ids=MODULI)
 def test_first_kind_pair(kcs):
-    for kc, y, yc in zip(kcs, uniform(0, 3, len(kcs), 1), uniform(0, 3, len(kcs), 2), strict=True):
-        k = modulus(kc)
-        u, whole, c, other = elliptic.first_kind_pair(y, kc, yc, k)
-        assert (u, whole) == pytest.approx(elliptic.first_kind(y, kc), rel=8 * EPS, abs=0)
-        assert (c, other) == pytest.approx(elliptic.first_kind(yc, k), rel=8 * EPS, abs=0)
+    """Of either modulus, from amplitudes of nothing to a quarter turn."""
+    n = len(kcs)
+    cots = zip([0.0, *powers(-12, 6, n - 1)], [*powers(-12, 6, n - 1), 0.0], strict=True)
+    for kc, (y, yc) in zip(kcs, cots, strict=True):
+        # the complement of the larger one to all its digits
+        k = max(float(mp.sqrt(1 - mp.mpf(kc) ** 2)), 1e-150)
+        large = 1 - mp.mpf(min(k, kc)) ** 2
+        of_kc, of_k = (kc, mp.sqrt(large)) if kc <= k else (mp.sqrt(large), k)
+        u, K, c, Kc = elliptic.first_kind_pair(y, kc, yc, k)
+        assert relative(K, complete(of_kc)) <= 4e-16
+        assert relative(Kc, complete(of_k)) <= 4e-16
+        for found, true in ((u, first_kind(y, of_kc)), (c, first_kind(yc, of_k))):
+            assert abs(found - true) <= 4e-16 * max(1, true)
+
+
+@pytest.mark.parametrize("y", [0.0, 1e-300, 0.3, 1.0, 7.0, 1e17, 1e300])
+def test_first_kind_pair_at_its_ends(y):
+    """k' = 0 counts as 1e-150; a circle's angle and what a hyperbola has instead."""
+    u, K, c, Kc = elliptic.first_kind_pair(y, 0.0, y, 1.0)
+    assert elliptic.first_kind_pair(y, 1e-150, y, 1.0) == (u, K, c, Kc)
+    assert elliptic.first_kind_pair(y, 1.0, y, 0.0) == (c, Kc, u, K)
+    assert relative(K, mp.log(4 / mp.mpf("1e-150"))) <= EPS
+    assert Kc == math.pi / 2
+    assert relative(c, mp.atan2(1, y)) <= 4e-16
+    assert abs(u - (mp.asinh(1 / mp.mpf(y)) if y > 1e-150 else K)) <= 4e-16 * max(1.0, u)
 
 
 @pytest.mark.parametrize("kcs", MODULI.values(), ids=MODULI)
@@ -104,7 +118,9 @@ def test_jacobi_differential_equations():
     assert found == pytest.approx(
         (-0.7053978095225717, -0.7088116324671581, 0.8638466903702221), abs=2e-15
     )
-    assert 4.0 * elliptic.first_kind(0.0, kc)[1] == pytest.approx(7.450563209330954, rel=4e-16)
+    assert 4.0 * elliptic.first_kind_pair(0.0, kc, 0.0, math.sqrt(0.51))[1] == pytest.approx(
+        7.450563209330954, rel=4e-16
+    )
 
 
 @pytest.mark.parametrize("kc", [0.999999, 0.7, 0.3, 0.18, 0.16, 1e-3, 1e-8])

@@ -95,6 +95,9 @@ def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) ->
         return composed.called(formula, function, args)
     if function is _reduction() and _is_phase(*args):
         return _quarters(*args)
+    instructions = _instructions().get(function)
+    if instructions is not None and all(isinstance(x, Number) and x.graph.native for x in args):
+        return instructions(*args)
     return formula(*args)
 
 
@@ -103,6 +106,13 @@ def _reduction() -> Any:
     from fastatt.kernels import trig
 
     return trig.reduce_quarters
+
+
+@functools.cache
+def _instructions() -> dict[Any, Callable[..., Any]]:
+    from fastatt.flat.native import INSTRUCTIONS
+
+    return INSTRUCTIONS
 
 
 def _is_phase(x: Any) -> bool:

@@ -28,11 +28,12 @@ class Graph:
     Where numbers of two precisions meet, the result has the wider one; or, if the graph is
     ``narrow``, the narrower, but for sums of what is made of a time (``time``) and a ``span`` of
     it. Sines of what is made of a time are narrow too if the graph is ``many``, for many bodies.
+    A graph for machine code alone may be ``native`` (``fastatt.flat.native``).
     """
 
     def __init__(self, lanes: int = 0) -> None:
         self.lanes = lanes
-        self.narrow = self.many = False
+        self.narrow = self.many = self.native = False
         self.nodes: list[Node] = []
         self._known: dict[Node, int] = {}
         self._times: set[int] = set()

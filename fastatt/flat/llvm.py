@@ -138,8 +138,8 @@ class Emitter:
             to = REALS[kind]
             to = ir.VectorType(to, self.lanes) if has_lanes and self.lanes > 1 else to
             return (code.b.fpext if kind == "double" else code.b.fptrunc)(args[0], to)
-        if op == "larger":
-            return larger(code, *args)
+        if op in _BITS:
+            return _BITS[op](code, *args)
         raise NotImplementedError(op)
 
     def _fused(self, op: str, x: Any, y: Any, z: Any) -> Any:
@@ -208,15 +208,52 @@ class Emitter:
         return results
 
 
+def _whole(kind: Any) -> tuple[Any, float]:
+    """(whole numbers with the bits of a type of floats, 2 to the places of its fraction)."""
+    vector = isinstance(kind, ir.VectorType)
+    double = (kind.element if vector else kind) == REALS["double"]
+    bits: Any = ir.IntType(64 if double else 32)
+    return ir.VectorType(bits, kind.count) if vector else bits, 2.0**52 if double else 2.0**23
+
+
 def larger(code: Code, x: Any, y: Any) -> Any:
     """The larger of two numbers that are not negative, or NaN: compared as whole numbers."""
-    kind = x.type
-    vector = isinstance(kind, ir.VectorType)
-    bits: Any = ir.IntType(64 if (kind.element if vector else kind) == REALS["double"] else 32)
-    bits = ir.VectorType(bits, kind.count) if vector else bits
+    bits, _ = _whole(x.type)
     b = code.b
     a, c = b.bitcast(x, bits), b.bitcast(y, bits)
-    return b.bitcast(b.select(b.icmp_signed(">", a, c), a, c), kind)
+    return b.bitcast(b.select(b.icmp_signed(">", a, c), a, c), x.type)
+
+
+def _power_of_two(code: Code, n: Any) -> Any:
+    """2ⁿ, n whole: what stands last in 1.5·2⁵² + n becomes the exponent."""
+    bits, unit = _whole(n.type)
+    places, bias = (52, 1023) if unit == 2.0**52 else (23, 127)
+    b = code.b
+    ends = b.bitcast(code.of("fadd", n, _alike(n.type, 1.5 * unit + bias)), bits)
+    return b.bitcast(b.shl(ends, _alike(bits, places)), n.type)
+
+
+def _exponent(code: Code, x: Any) -> Any:
+    """The exponent of x > 0, put last in 2⁵²."""
+    bits, unit = _whole(x.type)
+    places, bias = (52, 1023) if unit == 2.0**52 else (23, 127)
+    b = code.b
+    ends = b.lshr(b.bitcast(x, bits), _alike(bits, places))
+    put = b.or_(ends, b.bitcast(_alike(x.type, unit), bits))
+    return code.of("fsub", b.bitcast(put, x.type), _alike(x.type, unit + bias))
+
+
+def _alike(kind: Any, value: Any) -> Any:
+    """A constant of a type, the same in each lane."""
+    vector = isinstance(kind, ir.VectorType)
+    return ir.Constant(kind, [value] * kind.count if vector else value)
+
+
+_BITS: dict[str, Callable[..., Any]] = {
+    "larger": larger,
+    "power_of_two": _power_of_two,
+    "exponent": _exponent,
+}
 
 
 _DOUBLES = REALS["double"].as_pointer()

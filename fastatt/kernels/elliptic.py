@@ -16,90 +16,160 @@ import math
 import numpy as np
 
 from fastatt._jit import kernel
-from fastatt.kernels.trig import atan2, is_odd, power_of_two, reduce_powers, sincos, sinhcosh_short
+from fastatt.kernels.trig import (
+    LN_2_HIGH,
+    LN_2_LOW,
+    TWO_PI_1,
+    TWO_PI_2,
+    TWO_PI_3,
+    atan2,
+    is_odd,
+    log_ratio,
+    powers_of_two,
+    quarter_turns,
+    reduce_powers,
+    sinhcosh_short,
+)
 
 
 @kernel
-def sinhcosh(x):
-    """(sinh x, cosh x) for |x| ≤ 88, beyond which x counts as ±88.
+def exp_minus(x):
+    """exp(−x) for 0 ≤ x ≤ 80: relative error 5e-16 (float64)."""
+    k, r = reduce_powers(-x)
+    s, c = sinhcosh_short(r)
+    p, _ = powers_of_two(k)
+    return p * (c + s)
 
-    Relative error at most 5e-16 of either (float64).
+
+@kernel
+def waves(x, wide):
+    """(sinh x, cosh x) where ``wide`` > 1/2, |x| above 60 counting as 60, else (sin x, cos x).
+
+    One pair of polynomials in x² or −x² is both. Relative error at most 5e-16 of sinh and cosh,
+    absolute error 1.4e-16 of sin and cos (float64) for |x| ≤ 1e6, as of ``trig.sincos``.
     """
     F = type(x)
-    x = F(88.0) if x > F(88.0) else x
-    x = F(-88.0) if x < F(-88.0) else x
-    k, r = reduce_powers(x)
-    s, c = sinhcosh_short(r)
-    p = power_of_two(abs(k))
-    up = F(0.5) * p
-    down = F(0.5) / p
-    sh = up - down
-    sh = -sh if k < F(0.0) else sh
-    ch = up + down
-    return s * ch + c * sh, c * ch + s * sh
+    w = wide > F(0.5)
+    most = F(60.0) if w else F(1e30)
+    x = most if x > most else x
+    x = -most if x < -most else x
+    k = np.rint(x * (F(1.4426950408889634) if w else F(2.0 / math.pi)))
+    r = x - k * (F(LN_2_HIGH) if w else F(0.25 * TWO_PI_1))
+    r = r - k * (F(LN_2_LOW) if w else F(0.25 * TWO_PI_2))
+    r = r if w else r - k * F(0.25 * TWO_PI_3)
+    r = F(0.79) if r > F(0.79) else r
+    r = F(-0.79) if r < F(-0.79) else r
+    z = r * r
+    z = -z if w else z
+    s = F(1.5945514185115612e-10)
+    s = s * z + F(-2.5051560354320427e-08)
+    s = s * z + F(2.755731844280705e-06)
+    s = s * z + F(-0.00019841269841900413)
+    s = s * z + F(0.008333333333334607)
+    s = s * z + F(-0.16666666666666666)
+    s = s * z * r + r
+    c = F(-1.1399760405283362e-11)
+    c = c * z + F(2.087641427989201e-09)
+    c = c * z + F(-2.755731873543572e-07)
+    c = c * z + F(2.4801587301981616e-05)
+    c = c * z + F(-0.0013888888888889685)
+    c = c * z + F(0.041666666666666664)
+    c = c * z + F(-0.5)
+    c = c * z + F(1.0)
+    up, down = powers_of_two(k if w else F(0.0))
+    C, S = quarter_turns(k)
+    C = F(0.5) * (up + down) if w else C
+    S = F(0.5) * (up - down) if w else S
+    turned = s * S
+    return s * C + c * S, c * C + (turned if w else -turned)
 
 
 @kernel
-def landen_step(y, a, b, turns):
-    """One descending Landen transformation of the integral ``first_kind``, all doubled.
+def landen_step(Y, Z, a, b, turns):
+    """One descending Landen transformation of the integral ``first_kind_pair``, all doubled.
 
-    Bulirsch, "Numerical calculation of elliptic integrals", Numer. Math. 7 (1965), el1; ``turns``
-    counts the half turns of the amplitude, whose cotangent is y/a.
+    Bulirsch, "Numerical calculation of elliptic integrals", Numer. Math. 7 (1965), el1, without his
+    division: Y/Z is the cotangent of the amplitude, a times; ``turns`` counts its half turns.
     """
-    F = type(y)
-    p = a * b
+    F = type(Y)
+    product = Y * Z
+    product = product if product != F(0.0) else F(1e-20)
     turns = turns + turns
-    turns = turns + F(1.0) if y < F(0.0) else turns
-    y = y if y != F(0.0) else F(1e-20) * p
-    return y - p / y, a + b, F(2.0) * math.sqrt(p), turns
+    turns = turns + F(1.0) if product < F(0.0) else turns
+    return Y * Y - (a * b) * (Z * Z), product, turns
 
 
 @kernel
-def landen_steps(y, a, b, turns):
-    """Four of ``landen_step``."""
-    y, a, b, turns = landen_step(y, a, b, turns)
-    y, a, b, turns = landen_step(y, a, b, turns)
-    y, a, b, turns = landen_step(y, a, b, turns)
-    return landen_step(y, a, b, turns)
-
-
-@kernel
-def first_kind(y, kc):
-    """(F(φ, k), K(k)) of y = cot φ ≥ 0, 0 ≤ φ ≤ π/2, and the complementary modulus k' ≤ 1.
-
-    Relative error at most 8e-16 (float64) for k' ≥ 1e-150; less counts as 1e-150, where K is 346.
-    """
-    F = type(y)
-    low = F(1e-150)
-    low = low if low > F(0.0) else F(1e-18)
-    y, a, b, turns = landen_steps(y, F(1.0), kc if kc > low else low, F(0.0))
-    y, a, b, turns = landen_steps(y, a, b, turns)
-    y, a, b, turns = landen_steps(y, a, b, turns)
-    return (atan2(a, y) + F(math.pi) * turns) / a, F(2048.0 * math.pi) / a
-
-
-@kernel
-def first_kind_short(y, kc):
-    """``first_kind`` for k' ≥ 0.7."""
-    F = type(y)
-    y, a, _, turns = landen_steps(y, F(1.0), kc, F(0.0))
-    return (atan2(a, y) + F(math.pi) * turns) / a, F(8.0 * math.pi) / a
+def ascending_step(y, b):
+    """One ascending Landen transformation, y/a a cotangent: ``landen_step`` undone, all doubled."""
+    return y + math.sqrt(y * y + b * b)
 
 
 @kernel
 def first_kind_pair(y, kc, yc, k):
-    """(F(φ, k), K, F(ψ, k'), K') of y = cot φ and yc = cot ψ: one of the two series is short.
+    """(F(φ, k), K, F(ψ, k'), K') of y = cot φ and yc = cot ψ, 0 ≤ φ, ψ ≤ π/2.
 
-    Ranges and errors are those of ``first_kind``, for k' and k.
+    Both moduli are given, k' ≥ 1e-150 and k as well; less counts as 1e-150, where the other K is
+    346. Error at most 4e-16 (float64) of K and K' in relation to them, of F to itself or to 1. The
+    integral of the smaller modulus descends to the angle of a circle, that of the larger one
+    ascends to a logarithm, both along one arithmetic-geometric mean.
     """
+    F = type(y)
     swap = k < kc
-    long, whole = first_kind(yc if swap else y, k if swap else kc)
-    short, part = first_kind_short(y if swap else yc, kc if swap else k)
+    b0 = k if swap else kc
+    c0 = kc if swap else k
+    least = F(1e-150)
+    least = least if least > F(0.0) else F(1e-18)
+    b0 = b0 if b0 > least else least
+    far = yc if swap else y
+    near = y if swap else yc
+
+    # (a, c) to their mean, b the root of a² − c²
+    a1 = F(1.0) + c0
+    c1 = F(2.0) * math.sqrt(c0)
+    a2 = a1 + c1
+    c2 = F(2.0) * math.sqrt(a1 * c1)
+    a3 = a2 + c2
+    c3 = F(2.0) * math.sqrt(a2 * c2)
+    a4 = a3 + c3
+    # what is left of b by rounding would be too much beside the least y
+    seen = b0 * b0 > F(1e-14)
+    b1 = F(1.0) - c0 if seen else F(0.0)
+    b2 = a1 - c1 if seen else F(0.0)
+    b3 = a2 - c2 if seen else F(0.0)
+    inverse = F(1.0) / a4
+
+    # ∫ dt/√((t² + a²)(t² + b²)) from y on stays the same, but for the doubling
+    most = F(1e17)
+    x = far if far < most else most
+    x = ascending_step(ascending_step(x, b0), b1)
+    x = ascending_step(ascending_step(x, b2), b3)
+    long = F(16.0) * inverse * log_ratio(a4 + math.sqrt(x * x + a4 * a4), x)
+
+    # the nome of the smaller modulus (DLMF 19.5.5)
+    whole = F(2.0) * a1 * a2
+    part = b0 * b0
+    e = part / whole
+    e4 = (e * e) * (e * e)
+    series = F(1.0) + e4 * (F(2.0) + e4 * (F(15.0) + e4 * F(150.0)))
+    long_whole = F(8.0) * inverse * log_ratio(whole, part * series)
+
+    steep = near > F(1.0)
+    Y = F(1.0) if steep else near
+    Z = F(1.0) / near if steep else F(1.0)
+    Y, Z, turns = landen_step(Y, Z, F(1.0), c0, F(0.0))
+    Y, Z, turns = landen_step(Y, Z, a1, c1, turns)
+    Y, Z, turns = landen_step(Y, Z, a2, c2, turns)
+    Y, Z, turns = landen_step(Y, Z, a3, c3, turns)
+    zero = F(0.0)
+    angle = atan2(a4 * abs(Z), -Y if Z < zero else Y)
+    short = (angle + F(math.pi) * turns) * inverse
+    short_whole = F(8.0 * math.pi) * inverse
     return (
         short if swap else long,
-        part if swap else whole,
+        short_whole if swap else long_whole,
         long if swap else short,
-        whole if swap else part,
+        long_whole if swap else short_whole,
     )
 
 
@@ -159,21 +229,20 @@ def theta_terms(K, Kc, c):
     """
     F = type(K)
     wide = F(2.0) * Kc < K
+    side = F(-1.0) if wide else F(1.0)
+    unit = F(0.5 * math.pi) / (F(2.0) * Kc if wide else K)
     # the nome of the series: the fourth power of e, or e
-    x = F(0.5 * math.pi) * (K / Kc if wide else Kc / K)
-    x = x if x < F(80.0) else F(80.0)
-    sh, ch = sinhcosh(x)
-    e = F(1.0) / (sh + ch)
+    x = (F(2.0) * K if wide else Kc) * unit
+    e = exp_minus(x if x < F(80.0) else F(80.0))
     nome = e if wide else (e * e) * (e * e)
     # cos (2n+1)γ and sin (2n+1)γ, or cosh and sinh of (2n+1)γ over cosh γ, from those of 2γ; each
     # power of the nome goes where it keeps the products in range
-    gamma = F(0.5 * math.pi) * c / (F(2.0) * Kc if wide else K)
-    sc, cc = sincos(gamma)
-    sh, ch = sinhcosh(gamma)
-    d = F(2.0) * nome * (F(1.0) - F(2.0) * sc * sc if wide else F(1.0) + F(2.0) * sh * sh)
-    double_sine = F(4.0) * nome * (sc * cc if wide else sh * ch)
-    c0 = cc if wide else F(1.0)
-    s0 = sc if wide else sh / ch
+    gamma = c * unit
+    S, C = waves(gamma, side)
+    d = F(2.0) * nome * (F(1.0) + F(2.0) * side * S * S)
+    double_sine = F(4.0) * nome * (S * C)
+    c0 = C if wide else F(1.0)
+    s0 = S if wide else S / C
     q1 = nome * nome
     q2 = q1 * q1
     q3 = q2 * q2 * nome
@@ -188,7 +257,6 @@ def theta_terms(K, Kc, c):
     odd_real = sine_sum(c0, -c1, c2, -c3)
     odd_imaginary = cosine_sum(-s0, s1, -s2, s3)
     real = cosine_sum(c0, c1, c2, c3)
-    side = F(-1.0) if wide else F(1.0)
     imaginary = sine_sum(side * s0, side * s1, side * s2, side * s3)
     # cos 2nv, n = 0 to 3
     a2 = q1 * (d * d - F(2.0) * q1)
@@ -197,7 +265,7 @@ def theta_terms(K, Kc, c):
     b2 = side * q1 * d * double_sine
     b3 = -side * q1 * q2 * even * double_sine
     infinite = (F(300.0) if F(1e-150) > F(0.0) else F(40.0)) < K
-    period = F(0.5 * math.pi) * K / Kc if wide else F(math.pi)
+    period = x if wide else F(math.pi)
     inverse = F(1.0) / period if wide else F(0.0)
     return (
         odd_real + odd_imaginary,
@@ -213,10 +281,10 @@ def theta_terms(K, Kc, c):
             F(0.0),
         ),
         (
-            F(0.5 * math.pi) / (F(2.0) * Kc if wide else K),
+            unit,
             period,
             F(0.0) if infinite else inverse,
-            F(0.0) if infinite else (c / K if wide else F(0.0)),
+            F(0.0) if infinite else F(2.0) * gamma * inverse,
             F(1.0) if wide else F(0.0),
             nome,
         ),
@@ -261,17 +329,15 @@ def theta_argument(a, s):
     F = type(s)
     n = np.rint(s * a[2])
     r = s - n * a[1]
-    sine, cosine = sincos(r)
     # where the period is longer, quotients have met their limits (in float32 sooner)
     far = F(40.0) if F(1e-150) > F(0.0) else F(20.0)
     half = F(0.5) * a[1] if a[2] > F(0.0) else far
     far = half if half < far else far
+    wide = a[4] > F(0.5)
+    far = far if wide else F(1e30)
     x = far if r > far else r
     x = -far if r < -far else x
-    sh, ch = sinhcosh(x)
-    wide = a[4] > F(0.5)
-    S = sh if wide else sine
-    C = ch if wide else cosine
+    S, C = waves(x, a[4])
     x = F(2.0) * S * S
     return F(1.0) - F(2.0) * is_odd(n), r, S, C, (F(1.0) + x if wide else F(1.0) - x)
 

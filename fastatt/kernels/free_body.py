@@ -60,17 +60,22 @@ def split_multiply(a, b):
 
 
 @kernel
+def least_scaled(tiny):
+    """1e-290, or in float32, where it is 0, 1e-30."""
+    F = type(tiny)
+    return tiny if tiny > F(0.0) else F(1e-30)
+
+
+@kernel
 def scale(x):
-    """A power of two s with 3/8 ≤ s x < 1, for 1e-290 ≤ x ≤ 1e290; below 1e-290, 1 (float64)."""
+    """A power of two s with 3/8 ≤ s x < 1, and 1/s, for 1e-290 ≤ x ≤ 1e290; below, 1 (float64)."""
     F = type(x)
     tiny = F(1e-290)
-    # in float32, where 1e-290 is 0, the same with its own bounds
-    double = tiny > F(0.0)
-    tiny = tiny if double else F(1e-30)
-    shift = F(2.0**52) if double else F(2.0**23)
+    shift = F(2.0**52) if tiny > F(0.0) else F(2.0**23)
     # x is the last bit of the sum: rounded to one bit. Nothing here changes when fused
     bit = (x * shift + x) - x * shift
-    return F(1.0) if x < tiny else F(0.5) / bit
+    bit = F(0.5) if x < least_scaled(tiny) else bit
+    return F(0.5) / bit, F(2.0) * bit
 
 
 @kernel
@@ -111,7 +116,7 @@ def order(m, low, inertia):
 
     # D = I1 (I3 − I2) m3² − I3 (I2 − I1) m1² keeps its digits near the separatrix; also near the
     # intermediate axis, where both momenta are small: a power of two is taken out
-    s = scale(abs(a[1]) if abs(a[1]) > abs(c[1]) else abs(c[1]))
+    s, unit = scale(abs(a[1]) if abs(a[1]) > abs(c[1]) else abs(c[1]))
     x = (s * c[1], s * c[2])
     y = (s * a[1], s * a[2])
     u = split_multiply(split_difference(c[0], b[0]), (a[0], F(0.0)))
@@ -122,7 +127,7 @@ def order(m, low, inertia):
     # on the separatrix either will do, but for symmetric bodies
     flat = b[0] - a[0] >= c[0] - b[0]
     a, c = exchange(a, c, (F(1.0) if flat else F(-1.0)) if gap == F(0.0) else -gap)
-    return a, b, c, abs(gap) / s / s
+    return a, b, c, abs(gap) * unit * unit
 
 
 @kernel
@@ -190,18 +195,21 @@ def amplitudes(J, m, gap):
     d31 = abs(J[2] - J[0])
     sphere = d32 == zero
     d32 = one if sphere else d32
-    r21 = one if sphere else d31 * J[1] / (J[0] * d32)
-    r32 = zero if sphere else d21 * J[2] / (J[1] * d31)
-    r31 = d21 * J[2] / (J[0] * d32)
-    a1 = math.sqrt(m[0] * m[0] + m[1] * m[1] / r21)
-    a2 = math.sqrt(m[1] * m[1] + m[0] * m[0] * r21)
-    a3 = math.sqrt(m[2] * m[2] + m[1] * m[1] * r32)
-    least = math.sqrt(gap / (J[0] * d32))
+    above = one / (J[0] * d32)
+    below = zero if sphere else one / (J[1] * d31)
+    r21 = one if sphere else d31 * J[1] * above
+    r31 = d21 * J[2] * above
+    square = m[1] * m[1]
+    a1 = math.sqrt(m[0] * m[0] + (square if sphere else J[0] * d32 * below * square))
+    a2 = math.sqrt(square + m[0] * m[0] * r21)
+    a3 = math.sqrt(m[2] * m[2] + d21 * J[2] * below * square)
+    least = math.sqrt(gap * above)
     least = m[2] if d21 == zero else least
     least = least if least < a3 else a3
     circle = a3 == zero if d21 != zero else d21 == zero
-    k = zero if circle else math.sqrt(r31) * a1 / (one if circle else a3)
-    kc = one if circle else least / (one if circle else a3)
+    inverse = one / (one if circle else a3)
+    k = zero if circle else math.sqrt(r31) * a1 * inverse
+    kc = one if circle else least * inverse
     return (a1, a2, a3), least, kc, k if k < one else one, r21, r31
 
 
@@ -234,9 +242,11 @@ def begin(q, m, low, inertia, size, f):
     # the weight of B from a point where m is known: m1 = 0, or m2 = 0 where K may be infinite
     even = cubic(g[0:4], one)
     odd = cubic(g[12:16], one)
-    middle = a[1] * cubic(g[0:4], -one) / ((length + least) * cubic(g[8:12], -one))
-    edge = a[0] * even / ((length + a[2]) * (-odd if odd < zero else one))
-    weight = edge if g[20] > F(0.5) else middle
+    wide = g[20] > F(0.5)
+    above = a[0] * even if wide else a[1] * cubic(g[0:4], -one)
+    below = (length + a[2]) * (-odd if odd < zero else one)
+    below = below if wide else (length + least) * cubic(g[8:12], -one)
+    weight = above / below
     weight = zero if rest else weight
 
     # the phase turns by (2T + L m3/I3)/(L + m3); what the pair does not carry is the same at any
@@ -276,11 +286,11 @@ def setup(q, m, inertia):
     above 0, and both between 1e-290 and 1e290 (float64). A body at rest stays there.
     """
     F = type(m[0])
-    sm = scale(largest(m))
-    si = scale(largest(inertia))
+    sm, unit = scale(largest(m))
+    si, _ = scale(largest(inertia))
     m = (sm * m[0], sm * m[1], sm * m[2])
     inertia = (si * inertia[0], si * inertia[1], si * inertia[2])
-    return begin(q, m, (F(0.0), F(0.0), F(0.0)), inertia, F(1.0) / sm, si / sm)
+    return begin(q, m, (F(0.0), F(0.0), F(0.0)), inertia, unit, si * unit)
 
 
 @kernel
@@ -290,16 +300,15 @@ def setup_rate(q, w, inertia):
     The products I w keep their low parts: within 1e-12 of the separatrix the rounding of m alone
     moves the next flip by 1e-4 of its time.
     """
-    F = type(w[0])
-    sw = scale(largest(w))
-    si = scale(largest(inertia))
+    sw, rate = scale(largest(w))
+    si, unit = scale(largest(inertia))
     inertia = (si * inertia[0], si * inertia[1], si * inertia[2])
     x = split_product(sw * w[0], inertia[0])
     y = split_product(sw * w[1], inertia[1])
     z = split_product(sw * w[2], inertia[2])
     high = (x[0], y[0], z[0])
     low = (x[1], y[1], z[1])
-    return begin(q, high, low, inertia, F(1.0) / sw / si, F(1.0) / sw)
+    return begin(q, high, low, inertia, rate * unit, rate)
 
 
 @kernel

@@ -74,7 +74,7 @@ def slope(p, x):
 def upright(v):
     """A quaternion that turns the third axis to a vector v; of 0, none."""
     F = type(v[0])
-    s = scale(largest(v))
+    s, unit = scale(largest(v))
     x = s * v[0]
     y = s * v[1]
     z = s * v[2]
@@ -88,7 +88,7 @@ def upright(v):
     y = n * y
     down = z < F(0.0)
     turn = (-y if down else far, far if down else -y, F(0.0) if down else x, x if down else F(0.0))
-    return turn, size / s
+    return turn, size * unit
 
 
 @kernel
@@ -254,7 +254,7 @@ def series(r, beta, plus, minus):
     speed = excess + beta * y1
     whole = speed if speed > zero else one
     k = math.sqrt(beta * span / whole)
-    kc = math.sqrt((excess + beta * y2) / whole)
+    kc = math.sqrt((excess + beta * y2) / whole) if speed > zero else one
     k = k if k < one else one
     kc = kc if kc < one else one
     cot = ratio(high, low)
@@ -333,7 +333,7 @@ def setup(q, w, moments, pull):
     root = math.sqrt(F(2.0) * (size / A))
     # a unit of time in which all rates are at most 1
     f = largest((w[0], w[1], a))
-    f = scale(root if root > f else f)
+    f, unit = scale(root if root > f else f)
     W0 = seen((f * w[0], f * w[1]))
     a = f * a
     root = f * root
@@ -364,7 +364,7 @@ def setup(q, w, moments, pull):
     g = cubics_p + cubics_q + argument
     P, Q, W = parts(g, (phase_p, phase_q, rate, start, sum_of), zero)
     P, Q = matched(P0, Q0, W0, P, Q, W)
-    pace = (phase_p / f, phase_q / f, rate / f, start, sum_of / f)
+    pace = (unit * phase_p, unit * phase_q, unit * rate, start, unit * sum_of)
     return up + P + Q + pace + (w[2],) + g
 
 

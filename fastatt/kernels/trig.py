@@ -18,6 +18,8 @@ from fastatt._jit import kernel
 TWO_PI_1 = 6.28125
 TWO_PI_2 = 0.0019350051879882812
 TWO_PI_3 = 3.019915981956753e-07
+LN_2_HIGH = 0.693145751953125
+LN_2_LOW = 1.4286068203094173e-06
 
 
 @kernel
@@ -86,13 +88,17 @@ def sincos_short(r, k):
     c = c * z + F(0.04166666666666664)
     c = c * z + F(-0.5)
     c = c * z + F(1.0)
-    odd = is_odd(k) > F(0.5)
-    half = is_odd(np.floor(F(0.5) * k)) > F(0.5)
-    sin = c if odd else s
-    cos = s if odd else c
-    sin = -sin if half else sin
-    cos = -cos if half != odd else cos
-    return sin, cos
+    C, S = quarter_turns(k)
+    return s * C + c * S, c * C - s * S
+
+
+@kernel
+def quarter_turns(k):
+    """(cos, sin) of a whole number (a float) of quarter turns, exactly."""
+    F = type(k)
+    k = k - F(4.0) * np.rint(F(0.25) * k)
+    size = abs(k)
+    return F(1.0) - size, k * (F(2.0) - size)
 
 
 @kernel
@@ -243,8 +249,8 @@ def reduce_powers(x):
     """
     F = type(x)
     k = np.rint(x * F(1.4426950408889634))
-    r = x - k * F(0.693145751953125)
-    return k, r - k * F(1.4286068203094173e-06)
+    r = x - k * F(LN_2_HIGH)
+    return k, r - k * F(LN_2_LOW)
 
 
 @kernel
@@ -288,3 +294,64 @@ def power_of_two(n):
     n = n - F(2.0) if n >= F(2.0) else n
     p = p * F(2.0) if n >= F(1.0) else p
     return p
+
+
+@kernel
+def powers_of_two(k):
+    """(2ᵏ, 2⁻ᵏ) of a whole number k (a float) in ±126."""
+    F = type(k)
+    p = power_of_two(abs(k))
+    q = F(1.0) / p
+    below = k < F(0.0)
+    return q if below else p, p if below else q
+
+
+@kernel
+def octave(n, a, b, count, power):
+    """(n + ``count``, b ``power``) if that product is no larger than a, else (n, b)."""
+    more = power * b <= a
+    return n + count if more else n, power * b if more else b
+
+
+@kernel
+def octaves(a, b):
+    """A whole number n (a float) and 2ⁿ b, of which a > 0 is more than half and less than twice.
+
+    0 < b ≤ a, and a/b below 2¹⁰²⁴ (float32: 2¹²⁷).
+    """
+    F = type(a)
+    n, b = octave(F(0.0), a, b, F(512.0), F(2.0**512))
+    n, b = octave(n, a, b, F(256.0), F(2.0**256))
+    n, b = octave(n, a, b, F(128.0), F(2.0**128))
+    n, b = octave(n, a, b, F(64.0), F(2.0**64))
+    n, b = octave(n, a, b, F(32.0), F(2.0**32))
+    n, b = octave(n, a, b, F(16.0), F(2.0**16))
+    n, b = octave(n, a, b, F(8.0), F(2.0**8))
+    n, b = octave(n, a, b, F(4.0), F(2.0**4))
+    n, b = octave(n, a, b, F(2.0), F(2.0**2))
+    return octave(n, a, b, F(1.0), F(2.0))
+
+
+@kernel
+def log_ratio(a, b):
+    """ln(a/b), a ≥ b > 0.
+
+    Error at most 3e-16 (1 + ln(a/b)) (float64).
+    """
+    F = type(a)
+    n, b = octaves(a, b)
+    above = a > F(1.4142135623730951) * b
+    below = a < F(0.7071067811865476) * b
+    b = F(2.0) * b if above else (F(0.5) * b if below else b)
+    n = n + F(1.0) if above else (n - F(1.0) if below else n)
+    t = (a - b) / (a + b)
+    z = t * t
+    p = F(0.1461703754879165)
+    p = p * z + F(0.1533167403016786)
+    p = p * z + F(0.18182890556695602)
+    p = p * z + F(0.2222221111514416)
+    p = p * z + F(0.2857142862609589)
+    p = p * z + F(0.3999999999989924)
+    p = p * z + F(0.666666666666667)
+    p = p * z * t + F(2.0) * t
+    return n * F(LN_2_HIGH) + (n * F(LN_2_LOW) + p)
