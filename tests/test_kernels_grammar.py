@@ -233,7 +233,7 @@ ARGUMENTS = {
     "trig.powers_of_two": (-5.0,),
     "trig.octave": (3.0, 5.0, 0.5, 4.0, 16.0),
     "trig.octaves": (5.0, 0.3),
-    "trig.log_ratio": (5.0, 0.3),
+    "trig.log_ratio": (5.0, 0.3, 4.7, 5.3),
     "trig.quarter_turns": (7.0,),
     "trig.reduce_powers": (3.7,),
     "trig.sinhcosh_short": (0.3,),
