@@ -134,7 +134,7 @@ def our_plans(problem: Problem, name: str, dtype: str, numbers: Iterable[int]):
             options.update(dt=problem.t_end / n, n_steps=n)
             if mode == MANY:
                 plan = fa.plan(problem.scene, len(problem.q0), **options)
-                start = [problem.q0] if problem.w0 is None else [problem.q0, problem.w0]
+                start = [x.astype(dtype) for x in (problem.q0, problem.w0) if x is not None]
 
                 def call(plan=plan, start=start) -> np.ndarray:
                     return plan(*start).q[-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -189,7 +190,8 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many times
     fill vectors as well as many bodies do. A last block is filled up with the last lane. The table
     holds N, T, span, the number of lanes; address and stride of what a body is given by; address
-    of t; address and stride of attitudes and of w.
+    of t; address and stride of attitudes and of w; a |w|² (double); and what becomes 1 where a body
+    starts with more, or what is made of it is not finite.
     """
     code = Code(ir.Module("closed_form"), "closed_form", [I64.as_pointer(), *[I64] * 4])
     argument, first, last, step_first, step_last = code.function.args
@@ -199,6 +201,7 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     given = {name: (entries.pointer(real), entries.number()) for name in _GIVEN}
     t = entries.pointer(real)
     out = [(entries.pointer(real), entries.number()) for _ in range(2)]
+    noted = _Noted(code, kind, lanes, entries.number())
     stored = len(traced.state.results) - 3
     used = {name for flat in traced for name, _ in flat.inputs()}
 
@@ -210,7 +213,6 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     made = code.room(real, lanes * (stored + 3))
     body, start = code.room(I64, lanes), code.room(I64, lanes)
     emit = Emitter(code, lanes, machine.processor().fuses)
-
     with code.loop(Int(code, first), Int(code, last)) as block:
         base = block * lanes
         with code.loop(0, lanes) as j:
@@ -222,6 +224,7 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
                 pointer, stride = given[name]
                 row = code.place(pointer, b * stride)
                 copy(code, _GIVEN[name], row, 0, 1, taken, j + at[name, 0], lanes)
+        noted.start([code.vector(taken, at["w", i], lanes) for i in range(3)])
         for k, value in enumerate(emit.wide(traced.prepare, columns(code, taken, at, lanes))):
             code.store_vector(taken, at["constant", k], value)
         valid = (total - base).at_most(lanes)
@@ -229,7 +232,9 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
             with code.loop(0, lanes) as j:
                 number = (Int(code, code.load(start, j)) + step).at_most(times - 1)
                 code.store(taken, j + at["t", 0], code.load(t, number))
-            for k, value in enumerate(emit.wide(traced.state, columns(code, taken, at, lanes))):
+            values = emit.wide(traced.state, columns(code, taken, at, lanes))
+            noted.results(values)
+            for k, value in enumerate(values):
                 code.store_vector(made, k * lanes, value)
             with code.loop(0, valid) as j:
                 number = Int(code, code.load(start, j)) + step
@@ -239,8 +244,50 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
                     copy(code, stored, made, j, lanes, code.place(x, row * x_stride), 0, 1)
                     first = j + stored * lanes
                     copy(code, 3, made, first, lanes, code.place(w, row * w_stride), 0, 1)
+    noted.told(argument, entries.taken)
     code.give(0)
     return code
+
+
+class _Noted:
+    """Whether a body starts with |w|² above a double of these bits, or its results are no numbers.
+
+    What is added up of lanes is 0 as long as there is nothing of this.
+    """
+
+    def __init__(self, code: Code, kind: str, lanes: int, bits: Int) -> None:
+        self._code, self._lanes, real = code, lanes, REALS[kind]
+        most = code.b.bitcast(bits.value, REALS["double"])
+        self._most = code.splat(most if kind == "double" else code.b.fptrunc(most, real), lanes)
+        self._zero, self._infinite = (
+            code.splat(code.real(kind, x), lanes) for x in (0.0, math.inf)
+        )
+        self._sum = code.room(real, lanes)
+        code.store_vector(self._sum, 0, self._zero)
+
+    def start(self, w: Sequence[Any]) -> None:
+        """Note angular velocities."""
+        code = self._code
+        x, y, z = (code.of("fmul", c, c) for c in w)
+        square = code.of("fadd", code.of("fadd", x, y), z)
+        past = code.b.fcmp_ordered(">", square, self._most)
+        self.results([code.b.select(past, self._infinite, self._zero)])
+
+    def results(self, values: Sequence[Any]) -> None:
+        """Note numbers that should be finite."""
+        code = self._code
+        found = code.vector(self._sum, 0, self._lanes)
+        for value in values:
+            found = code.of("fadd", found, code.of("fmul", value, self._zero))
+        code.store_vector(self._sum, 0, found)
+
+    def told(self, pointer: Any, index: int) -> None:
+        """Make a whole number in memory 1 if there was anything."""
+        code = self._code
+        with code.loop(0, self._lanes) as j:
+            one = code.load(self._sum, j)
+            with code.when(code.b.fcmp_unordered("uno", one, one)):
+                code.store(pointer, index, code.raw(1))
 
 
 class Motion:
@@ -267,6 +314,8 @@ class Motion:
         self._head = [n, size, self._span, lanes]
         ordered = [self._bodies.get(name, self._bodies["moments"]) for name in given]
         self._last = [number for x in ordered for number in (address_of(x), _stride(x))]
+        # the numbers of q and w, of t, of the results and of what is noted come with each call
+        self._table = ctypes.c_int64 * (len(self._head) + len(self._last) + 4 + 1 + 4 + 2)
         self._run: Any = None if without_compiler() else _compiled(*self._formulas)
         #: whether there is no machine code
         self.is_plain = self._run is None
@@ -295,18 +344,23 @@ class Motion:
         t: NDArray[Any],
         places: Sequence[tuple[int, int]],
         threads: int,
-    ) -> None:
-        """The same in machine code: where rows lie, and how many numbers apart."""
+        most: int = 0,
+    ) -> bool:
+        """The same in machine code: where rows lie, and how many numbers apart.
+
+        Gives whether results are not finite, or a body begins with |w|² above the double of whose
+        bits ``most`` is the number.
+        """
         q, w = start
-        entries = [
+        table = self._table()
+        table[:] = [
             *self._head, address_of(q), _stride(q), address_of(w), _stride(w), *self._last,
-            address_of(t), *places[0], *places[1],
+            address_of(t), *places[0], *places[1], most, 0,
         ]  # fmt: skip
-        table = (ctypes.c_int64 * len(entries))(*entries)
         span, blocks = self._span, self._blocks
         if self._small:
             self._run(table, 0, blocks, 0, span)
-            return
+            return bool(table[-1])
         together = max(1, _PIECE // (lanes_of(self._formulas[1]) * min(span, _STEPS)))
         together = max(1, min(together, blocks // threads))
         pieces = product(range(0, blocks, together), range(0, span, _STEPS))
@@ -317,6 +371,7 @@ class Motion:
             ),
             threads,
         )
+        return bool(table[-1])
 
     def _in_python(
         self,

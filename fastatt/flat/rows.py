@@ -294,12 +294,12 @@ class Table:
     """Reads the numbers and addresses that a program is given, one after the other."""
 
     def __init__(self, code: Code, pointer: Any) -> None:
-        self._code, self._pointer, self._next = code, pointer, 0
+        self._code, self._pointer, self.taken = code, pointer, 0
 
     def number(self) -> Int:
         """A whole number."""
-        self._next += 1
-        return Int(self._code, self._code.load(self._pointer, self._next - 1))
+        self.taken += 1
+        return Int(self._code, self._code.load(self._pointer, self.taken - 1))
 
     def pointer(self, kind: Any) -> Any:
         """An address of numbers."""

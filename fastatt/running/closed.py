@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+import struct
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class ClosedForm:
-    """What evaluates some saves of a plan."""
+    """What evaluates a plan's saves, or those of some numbers."""
 
-    def __init__(self, plan: Plan, saves: int) -> None:
+    def __init__(self, plan: Plan, saves: int, slots: list[int] | None = None) -> None:
         self._form = closed_forms.form_of(plan.scene)
         attitude, self._handed, self._saves = plan.choice.attitude, plan.handed, saves
-        self._plan = plan
+        self._plan, self._slots = plan, slots
         self._stored, self._offsets = attitude.stored, plan.handed.layout(saves)
         self._motion = closed_forms.Motion(
             self._form,
@@ -33,24 +35,41 @@ class ClosedForm:
             (saves, plan.n_bodies),
             stored=None if attitude.stored == 4 else attitude.start,
         )
-        self._gain = float(self._form.gain.max())
-        # |w| t, rad, beyond which a body's is looked at
-        self._calm = float(np.finfo(plan.kind).eps) ** -0.5
+        self._length = plan.clock.end * plan.clock.h
+        # |w|² up to which no body turns so far that it has to be looked at
+        longest = max(abs(self._length), float(np.finfo(np.float64).tiny))
+        calm = float(np.finfo(plan.kind).eps) ** -0.5 / longest
+        calm = calm * calm - float(self._form.gain.max()) ** 2
+        (self._calm,) = struct.unpack("q", struct.pack("d", calm))
+
+    @cached_property
+    def _since(self) -> NDArray[np.float64]:
+        """Times since the start, s."""
+        since = self._plan.clock.since
+        return since if self._slots is None else since[self._slots]
+
+    @cached_property
+    def _times(self) -> NDArray[Any]:
+        """The same in the precision of the run."""
+        with np.errstate(over="ignore"):
+            return self._since.astype(self._handed.kind)
 
     def run(
         self, given: Given, t0: float, handling: Handling, raw: NDArray[np.uint8] | None
     ) -> Trajectory:
         """The trajectory at all saves, or a few of them at a time."""
         plan, clock = self._plan, self._plan.clock
-        t, since = clock.times(t0), clock.since
+        if not math.isfinite(t0 + self._length):
+            clock.times(t0)  # which refuses it
         if handling.sink is None:
-            raw = plan.memory(len(t)) if raw is None else raw
-            flagged = self.fill(given, since, raw, handling.threads)
+            raw = plan.memory(self._saves) if raw is None else raw
+            flagged = self.fill(given, raw, handling.threads)
             return plan.promised(raw, flagged, t0, given.one_body)
+        t = clock.times(t0)
 
         def part(slots: list[int]) -> Trajectory:
             raw = plan.memory(len(slots))
-            ClosedForm(plan, len(slots)).fill(given, since[slots], raw, handling.threads)
+            ClosedForm(plan, len(slots), slots).fill(given, raw, handling.threads)
             results = plan.handed.views(raw, len(slots))
             return Trajectory(**plan.handed.fields(t[slots], results, given.one_body))
 
@@ -58,40 +77,25 @@ class ClosedForm:
             handling.sink(part(slots[1:] if slots[1:2] > [1] else slots))
         return part([len(t) - 1])
 
-    def fill(
-        self, given: Given, since: NDArray[np.float64], raw: NDArray[np.uint8], threads: int
-    ) -> bool:
-        """Write results at times since the start, s; whether any body has a flag."""
-        kind, w, first = self._handed.kind, given.y.reshape(-1), self._offsets[0]
-        times = since
-        if kind != since.dtype:
-            with np.errstate(over="ignore"):
-                times = since.astype(kind)
-        start = (given.q, given.y)
+    def fill(self, given: Given, raw: NDArray[np.uint8], threads: int) -> bool:
+        """Write results to a run's memory; whether any body has a flag."""
+        raw[self._offsets[0] :] = 0
+        start, stored = (given.q, given.y), self._stored
         if self._motion.is_plain:
             out = self._handed.views(raw, self._saves).out
-            parts = (out[..., : self._stored], out[..., self._stored :])
-            self._motion.fill(start, times, parts, threads)
+            self._motion.fill(start, self._times, (out[..., :stored], out[..., stored:]), threads)
+            odd = True
         else:
             at, width = address_of(raw), self._handed.width
-            places = ((at, width), (at + self._stored * kind.itemsize, width))
-            self._motion.write(start, times, places, threads)
-        raw[first:] = 0
-        flat = raw[:first].view(kind)
-        with np.errstate(over="ignore", invalid="ignore"):
-            # sums of squares: no square is larger, and of what is no number they are none
-            turned, numbers = np.dot(w, w), np.dot(flat, flat)
-        fastest = math.sqrt(turned) + self._gain
-        most = fastest * abs(since.item(-1)) if since.size else 0.0
-        if most <= self._calm and math.isfinite(numbers):
-            return False
-        return self._flagged(given, since, self._handed.views(raw, self._saves))
+            places = ((at, width), (at + stored * self._handed.kind.itemsize, width))
+            odd = self._motion.write(start, self._times, places, threads, self._calm)
+        return odd and self._flagged(given, self._handed.views(raw, self._saves))
 
-    def _flagged(self, given: Given, since: NDArray[np.float64], results: Results) -> bool:
+    def _flagged(self, given: Given, results: Results) -> bool:
         """Flag bodies whose results are no numbers, or that turned too far; warn of that."""
         out, status = results.out, results.status
         kind = out.dtype
-        turned = closed_forms.turned(np.atleast_2d(given.y), since, self._form.gain)
+        turned = closed_forms.turned(np.atleast_2d(given.y), self._since, self._form.gain)
         if text := rounding.of_angles(turned, kind):
             rounding.warn(f"t: found turns of {text}")
         with np.errstate(invalid="ignore"):

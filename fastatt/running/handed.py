@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -31,20 +32,31 @@ class Handed:
         """How many there are."""
         return self.stored + sum(self.beside.values())
 
+    @cached_property
+    def _spans(self) -> list[tuple[str, slice]]:
+        """Where each of what is beside the attitudes lies."""
+        ends = pairwise(accumulate(self.beside.values(), initial=self.stored))
+        return [(x, slice(*each)) for x, each in zip(self.beside, ends, strict=True)]
+
     def layout(self, saves: int) -> tuple[int, int, int]:
         """Where in a run's memory the departures and the flags begin, and where it ends."""
         each = saves * self.n_bodies * self.kind.itemsize
         flags = each * (self.width + 1)
         return each * self.width, flags, flags + self.n_bodies
 
+    def out(self, raw: NDArray[np.uint8], saves: int) -> NDArray[Any]:
+        """What is handed out of each body, in a run's memory."""
+        return np.ndarray((saves, self.n_bodies, self.width), self.kind, raw)
+
     def views(self, raw: NDArray[np.uint8], saves: int) -> Results:
         """The arrays in a run's memory."""
-        first, second, end = self.layout(saves)
+        first, second, _ = self.layout(saves)
         n, kind = self.n_bodies, self.kind
+        # in half the time of slices and views
         return Results(
-            raw[:first].view(kind).reshape(saves, n, self.width),
-            raw[first:second].view(kind).reshape(saves, n),
-            raw[second:end],
+            self.out(raw, saves),
+            np.ndarray((saves, n), kind, raw, first),
+            np.ndarray(n, np.uint8, raw, second),
         )
 
     def fields(self, t: NDArray[np.float64], results: Results, one_body: bool) -> dict[str, Any]:
@@ -52,9 +64,14 @@ class Handed:
         told = {"t": t, "defect": results.defect, "status": results.status, "one_body": one_body}
         return {**self.told, **told, **self.parts(results.out)}
 
+    def some(self, name: str, raw: NDArray[np.uint8], saves: int) -> dict[str, Any]:
+        """Fields that are found along with one, if that is sooner than all of them."""
+        if name in ("state", "carried"):
+            return self.parts(self.out(raw, saves))
+        return self.told if name in self.told else {}
+
     def parts(self, out: NDArray[Any]) -> dict[str, Any]:
         """Attitudes, and what is carried beside them, of what is handed out (S, N, k or more)."""
-        spans = pairwise(accumulate(self.beside.values(), initial=self.stored))
-        carried = {x: out[..., a:b] for x, (a, b) in zip(self.beside, spans, strict=True)}
-        found = {"state": out[..., : self.stored], "carried": carried}
+        carried = {name: out[:, :, span] for name, span in self._spans}
+        found = {"state": out[:, :, : self.stored], "carried": carried}
         return {**found, "defect": out[..., -1]} if out.shape[2] > self.width else found

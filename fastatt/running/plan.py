@@ -368,7 +368,7 @@ class Plan:
         """
         made = object.__new__(Trajectory)
         fields = made.__dict__
-        fields["raw"], fields["_flagged"] = raw, flagged
+        fields["raw"], fields["_flagged"], fields["one_body"] = raw, flagged, one_body
         fields["_later"] = (self._found, raw, t0, one_body)
         return made
 
@@ -419,9 +419,11 @@ class Plan:
     def _fields(self, t0: float, results: Results, one_body: bool = False) -> dict[str, Any]:
         return self.handed.fields(self.clock.times(t0), results, one_body)
 
-    def _found(self, raw: NDArray[np.uint8], t0: float, one_body: bool) -> dict[str, Any]:
-        """The fields of a trajectory."""
-        return self._fields(t0, self.handed.views(raw, self._saves), one_body)
+    def _found(self, raw: Any, t0: float, one_body: bool, name: str = "") -> dict[str, Any]:
+        """The fields of a trajectory, or those that are found along with one of them."""
+        handed, saves = self.handed, self._saves
+        some = handed.some(name, raw, saves)
+        return some or self._fields(t0, handed.views(raw, saves), one_body)
 
     def _warn_of_first(self, given: Given) -> bool:
         """Warn of a body's first step."""

@@ -91,7 +91,7 @@ class Trajectory:
         if later is None or name not in self.__dataclass_fields__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         found, *arguments = later
-        self.__dict__.update(found(*arguments))  # several threads may ask at a time
+        self.__dict__.update(found(*arguments, name))  # several threads may ask at a time
         return self.__dict__[name]
 
     @cached_property
