@@ -33,6 +33,7 @@ from fastatt.inertia import Principal, about_arm
 from fastatt.scene import Scene
 from fastatt.threads import each_in_threads
 
+_SIDE_BY_SIDE = 2  # vectors: while one waits for a root or a quotient the other goes on
 _TOGETHER = 64  # a few bodies go side by side at so many groups of times
 _PIECE = 1 << 20  # attitudes between two looks at Ctrl-C
 _STEPS = 1 << 12  # times that share one preparation of their bodies
@@ -179,7 +180,7 @@ def _graph() -> Graph:
 
 @functools.cache
 def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -> Any:
-    code = _code(_traced(solution, kind, turned, stored), kind, lanes_of(kind))
+    code = _code(_traced(solution, kind, turned, stored), kind, _SIDE_BY_SIDE * lanes_of(kind))
     program = machine.compiled(text_of(code.module))
     return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
@@ -310,7 +311,8 @@ class Motion:
         self._bodies = {name: rows(x, kind) for name, x in given.items() if x is not None}
         self._span = -(-size // max(1, min(size, _TOGETHER // n)))
         lanes = n * -(-size // self._span)
-        self._blocks, self._small = -(-lanes // lanes_of(self._formulas[1])), size * n <= _SMALL
+        self._lanes = _SIDE_BY_SIDE * lanes_of(self._formulas[1])
+        self._blocks, self._small = -(-lanes // self._lanes), size * n <= _SMALL
         self._head = [n, size, self._span, lanes]
         ordered = [self._bodies.get(name, self._bodies["moments"]) for name in given]
         self._last = [number for x in ordered for number in (address_of(x), _stride(x))]
@@ -361,7 +363,7 @@ class Motion:
         if self._small:
             self._run(table, 0, blocks, 0, span)
             return bool(table[-1])
-        together = max(1, _PIECE // (lanes_of(self._formulas[1]) * min(span, _STEPS)))
+        together = max(1, _PIECE // (self._lanes * min(span, _STEPS)))
         together = max(1, min(together, blocks // threads))
         pieces = product(range(0, blocks, together), range(0, span, _STEPS))
         each_in_threads(

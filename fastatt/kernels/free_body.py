@@ -162,22 +162,29 @@ def to_body(v, axes):
 
 
 @kernel
-def relative(g, phase, rate, start, t):
-    """Attitude seen from the axes along L, on the ordered body axes, and (m1, m2)/2L.
+def pair(g, s):
+    """A and B as (Re A, Re B, Im B, Im A), 1/√(|A|² + |B|²) and χ of ``theta_pair_at``.
 
-    ``g`` are the constants of the theta pair, B weighted so that |A|² : |B|² = L + m3 : L − m3;
-    its argument is start + rate t.
+    ``g`` are the constants of the theta pair, B weighted so that |A|² : |B|² = L + m3 : L − m3.
     """
-    F = type(t)
-    ar, ai, br, bi, chi = theta_pair_at(g, start + rate * t)
-    s, c = sincos(phase * t + chi)
+    F = type(s)
+    ar, ai, br, bi, chi = theta_pair_at(g, s)
     square = (ar * ar + ai * ai) + (br * br + bi * bi)
-    n = F(1.0) / math.sqrt(square)
+    return (ar, br, bi, ai), F(1.0) / math.sqrt(square), chi
+
+
+@kernel
+def turned(x, n, angle):
+    """n exp(iθ) A and n exp(iθ) B."""
+    s, c = sincos(angle)
     s = n * s
     c = n * c
-    x = (c * ar - s * ai, c * br - s * bi, c * bi + s * br, c * ai + s * ar)
-    n = n * n
-    return x, n * (br * ai - bi * ar), n * (br * ar + bi * ai)
+    return (
+        c * x[0] - s * x[3],
+        c * x[1] - s * x[2],
+        c * x[2] + s * x[1],
+        c * x[3] + s * x[0],
+    )
 
 
 @kernel
@@ -270,17 +277,17 @@ def begin(q, m, low, inertia, size, f):
         weight * g[15],
     )
     g = g[0:8] + weighted + g[16:21]
-    x, _, _ = relative(g, phase, rate, start, zero)
-    v = to_body((-x[1], -x[2], -x[3]), axes)
-    p = quat.mul(q, (x[0], v[0], v[1], v[2]))
+    x, n, chi = pair(g, start)
+    v = to_body((-n * x[1], -n * x[2], -n * x[3]), axes)
+    p = quat.mul(q, (n * x[0], v[0], v[1], v[2]))
     twice = length + length
     least = zero if rest else least / twice
-    return p + axes + (f * phase, f * rate, start, twice * size, least, r31) + g
+    return p + axes + (f * phase, f * rate, start, chi, twice * size, least, r31) + g
 
 
 @kernel
 def setup(q, m, inertia):
-    """Constants of the motion that starts at attitude q with momentum m = I w, 36 numbers.
+    """Constants of the motion that starts at attitude q with momentum m = I w, 37 numbers.
 
     m is in principal axes of the body, ``inertia`` the three principal moments, in any order: all
     above 0, and both between 1e-290 and 1e290 (float64). A body at rest stays there.
@@ -319,11 +326,15 @@ def evaluate(constants, t):
     the separatrix and on it, and for symmetric bodies. Of m from ``setup``, as given.
     """
     g = constants
-    x, y1, y2 = relative(g[15:36], g[9], g[10], g[11], t)
-    y3 = math.sqrt(g[13] * g[13] + g[14] * y1 * y1)
+    x, n, chi = pair(g[16:37], g[11] + g[10] * t)
+    # (m1, m2, m3)/2L, small ones to their own digits
+    y1 = n * n * (x[1] * x[3] - x[2] * x[0])
+    y2 = n * n * (x[1] * x[0] + x[2] * x[3])
+    x = turned(x, n, g[9] * t + (chi - g[12]))
+    y3 = math.sqrt(g[14] * g[14] + g[15] * y1 * y1)
     v = to_body((x[1], x[2], x[3]), g[4:9])
     q = quat.mul(g[0:4], (x[0], v[0], v[1], v[2]))
-    size = g[12]
+    size = g[13]
     return q, to_body((size * y1, size * y2, size * y3), g[4:9])
 
 
