@@ -216,14 +216,13 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     emit = Emitter(code, lanes, machine.processor().fuses)
     with code.loop(Int(code, first), Int(code, last)) as block:
         base = block * lanes
-        with code.loop(0, lanes) as j:
-            lane = (base + j).at_most(total - 1)
-            b = lane % bodies
-            code.store(body, j, b.value)
-            code.store(start, j, (lane // bodies * span).value)
-            for name in (name for name in given if name in used):
-                pointer, stride = given[name]
-                row = code.place(pointer, b * stride)
+        _number_lanes(base, lanes, (bodies, span, total), (body, start))
+        for name in (name for name in given if name in used):
+            pointer, stride = given[name]
+            # what all have in common stays
+            anew = code.b.or_(stride > 0, block.equals(Int(code, first)))
+            with code.when(anew), code.loop(0, lanes) as j:
+                row = code.place(pointer, Int(code, code.load(body, j)) * stride)
                 copy(code, _GIVEN[name], row, 0, 1, taken, j + at[name, 0], lanes)
         noted.start([code.vector(taken, at["w", i], lanes) for i in range(3)])
         for k, value in enumerate(emit.wide(traced.prepare, columns(code, taken, at, lanes))):
@@ -248,6 +247,20 @@ def _code(traced: _Traced, kind: str, lanes: int) -> Code:
     noted.told(argument, entries.taken)
     code.give(0)
     return code
+
+
+def _number_lanes(base: Int, lanes: int, of: tuple[Int, Int, Int], into: tuple[Any, Any]) -> None:
+    """The body of each lane from number ``base`` on, and the number of its first time."""
+    code, (bodies, span, total), (body, start) = base.code, of, into
+    inner, group = base % bodies, base // bodies * span
+    inside = inner + lanes <= bodies
+    with code.when(inside), code.loop(0, lanes) as j:
+        code.store(body, j, (inner + j).value)
+        code.store(start, j, group.value)
+    with code.when(code.b.not_(inside)), code.loop(0, lanes) as j:
+        lane = (base + j).at_most(total - 1)
+        code.store(body, j, (lane % bodies).value)
+        code.store(start, j, (lane // bodies * span).value)
 
 
 class _Noted:

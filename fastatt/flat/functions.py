@@ -16,6 +16,7 @@ from fastatt.flat.graph import (
     _pair,
     apply,
     choose,
+    flattened,
 )
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.recorded import Composed, Recorded, composed_of
@@ -96,8 +97,10 @@ def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) ->
     if function is _reduction() and _is_phase(*args):
         return _quarters(*args)
     instructions = _instructions().get(function)
-    if instructions is not None and all(isinstance(x, Number) and x.graph.native for x in args):
-        return instructions(*args)
+    if instructions is not None:
+        numbers = flattened(args)
+        if all(isinstance(x, Number) and x.graph.native for x in numbers):
+            return instructions(*args)
     return formula(*args)
 
 

@@ -189,7 +189,7 @@ def turned(x, n, angle):
 
 @kernel
 def amplitudes(J, m, gap):
-    """(a1, a2, a3), the least m3, k', k, and the squares of a2/a1 and k a3/a1.
+    """(a1, a2, a3), the least m3, k', k, a2/a1, and the square of k a3/a1.
 
     Moments and momentum are along ordered axes, ``gap`` is that of ``order``. Equal moments leave a
     circle, k = 0, or rest.
@@ -204,11 +204,10 @@ def amplitudes(J, m, gap):
     d32 = one if sphere else d32
     above = one / (J[0] * d32)
     below = zero if sphere else one / (J[1] * d31)
-    r21 = one if sphere else d31 * J[1] * above
+    r21 = one if sphere else math.sqrt(d31 * J[1] * above)
     r31 = d21 * J[2] * above
     square = m[1] * m[1]
     a1 = math.sqrt(m[0] * m[0] + (square if sphere else J[0] * d32 * below * square))
-    a2 = math.sqrt(square + m[0] * m[0] * r21)
     a3 = math.sqrt(m[2] * m[2] + d21 * J[2] * below * square)
     least = math.sqrt(gap * above)
     least = m[2] if d21 == zero else least
@@ -217,7 +216,7 @@ def amplitudes(J, m, gap):
     inverse = one / (one if circle else a3)
     k = zero if circle else math.sqrt(r31) * a1 * inverse
     kc = one if circle else least * inverse
-    return (a1, a2, a3), least, kc, k if k < one else one, r21, r31
+    return (a1, r21 * a1, a3), least, kc, k if k < one else one, r21, r31
 
 
 @kernel
@@ -239,7 +238,7 @@ def begin(q, m, low, inertia, size, f):
 
     # where the motion starts, cot am u = (a2/a1) m1/m2, and sin am(c, k') = a1/a2
     side = abs(m[1])
-    cot = math.sqrt(r21) * m[0] / (side if side > zero else one)
+    cot = r21 * m[0] / (side if side > zero else one)
     u, K, c, Kc = first_kind_pair(cot, kc, math.sqrt(r31), k)
     u = u if side > zero else zero
     u = -u if m[1] < zero else u
@@ -258,10 +257,11 @@ def begin(q, m, low, inertia, size, f):
 
     # the phase turns by (2T + L m3/I3)/(L + m3); what the pair does not carry is the same at any
     # time, so it is taken where u = 0
-    rate = g[16] * a[2] * math.sqrt((J[2] - J[1]) * (J[2] - J[0]) / (J[0] * J[1])) / J[2]
+    i = (one / J[0], one / J[1], one / J[2])
+    rate = g[16] * a[2] * math.sqrt((J[2] - J[1]) * (J[2] - J[0]) * i[0] * i[1]) * i[2]
     rate = rate if J[2] > J[0] else -rate
-    energy = m[0] * m[0] / J[0] + m[1] * m[1] / J[1] + m[2] * m[2] / J[2]
-    whole = (energy + length * a[2] / J[2]) / (one if rest else length + a[2])
+    energy = m[0] * m[0] * i[0] + m[1] * m[1] * i[1] + m[2] * m[2] * i[2]
+    whole = (energy + length * a[2] * i[2]) / (one if rest else length + a[2])
     phase = F(0.5) * whole - rate * (g[19] + cubic(g[4:8], one) / even)
     # turning about the intermediate axis is an equilibrium
     rate = (zero if m[2] == zero else rate) if m[0] == zero else rate
