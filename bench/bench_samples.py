@@ -12,7 +12,7 @@ from problems import Coning
 
 import fastatt as fa
 from fastatt.integrate import methods_for_samples
-from fastatt.trade import coning_rates
+from fastatt.trade.ensembles import coning_rates
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 N_LOGS, N_SAMPLES = (2_000, 100) if SMOKE else (100_000, 100)

@@ -19,7 +19,9 @@ import numba
 import numpy as np
 
 import fastatt as fa
-from fastatt.trade import coning_attitudes, coning_rates, find_recordings
+from fastatt.trade.ensembles import coning_rates
+from fastatt.trade.recordings import find_recordings
+from fastatt.trade.reference import coning_attitudes
 
 N_BODIES, N_EXACT = 1024, 20
 QUICK_BODIES, QUICK_EXACT = 64, 2

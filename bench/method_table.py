@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from fastatt import METHODS
-from fastatt.trade import BODY_SCENES
+from fastatt.trade.ensembles import BODY_SCENES
 from fastatt.trade.measure import machine_line
 
 # what the rows of an input are called

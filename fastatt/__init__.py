@@ -42,7 +42,7 @@ _HELD_BY = {
     "running.loop": "show_loop",
     "running.plan": "Plan",
     "running.choosing": "methods_for",
-    "running.propagate": "plan propagate propagate_directions",
+    "running.propagate": "plan propagate propagate_directions self_check",
     "running.reducer": "Reducer reducer",
     "running.self_check": "OrderWarning SelfCheck",
     "engine.status": "Status",
@@ -52,10 +52,10 @@ _HELD_BY = {
     "steps": "single_step",
     "streaming": "integrator",
     "tables": "Table",
-    "trade": (
-        "ErrorBudget OwnSteps Recommendation WorkPrecision error_budget own_steps recommend "
-        "self_check work_precision"
-    ),
+    "trade.each": "OwnSteps own_steps",
+    "trade.error_budget": "ErrorBudget error_budget",
+    "trade.advice": "Recommendation recommend",
+    "trade.work_precision": "WorkPrecision work_precision",
 }
 _MODULES = (
     "estimation", "exact", "forces", "interchange", "kernels", "plots", "rates", "steps", "torques",
@@ -122,7 +122,7 @@ if TYPE_CHECKING:
     from fastatt.running.interpolation import interpolate
     from fastatt.running.loop import show_loop
     from fastatt.running.plan import Plan
-    from fastatt.running.propagate import plan, propagate, propagate_directions
+    from fastatt.running.propagate import plan, propagate, propagate_directions, self_check
     from fastatt.running.reducer import Reducer, reducer
     from fastatt.running.self_check import OrderWarning, SelfCheck
     from fastatt.running.trajectory import Trajectory
@@ -131,7 +131,8 @@ if TYPE_CHECKING:
     from fastatt.steps import single_step
     from fastatt.streaming import integrator
     from fastatt.tables import Table
-    from fastatt.trade import OwnSteps, Recommendation, own_steps, recommend, self_check
+    from fastatt.trade.advice import Recommendation, recommend
+    from fastatt.trade.each import OwnSteps, own_steps
     from fastatt.trade.error_budget import ErrorBudget, error_budget
     from fastatt.trade.work_precision import WorkPrecision, work_precision
 

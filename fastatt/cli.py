@@ -25,15 +25,11 @@ from fastatt.logs.reference import against_reference, read_attitudes
 from fastatt.logs.stamps import BAD, Chunk
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
-from fastatt.trade import (
-    DEFAULT_SCENES,
-    SCENES,
-    compare_on_log,
-    recommend,
-    run_trade,
-    work_precision,
-)
+from fastatt.trade.advice import recommend
+from fastatt.trade.recordings import compare_on_log
+from fastatt.trade.run import DEFAULT_SCENES, SCENES, run_trade
 from fastatt.trade.scene_file import from_words, read_rows, read_scene
+from fastatt.trade.work_precision import work_precision
 
 _ALL = "all"
 

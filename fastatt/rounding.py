@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 
 import numpy as np
@@ -31,6 +33,17 @@ def warn(text: str) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("fastatt."):
         frame, level = frame.f_back, level + 1
     warnings.warn(text, StepWarning, stacklevel=level)
+
+
+@contextmanager
+def noted() -> Iterator[list[str]]:
+    """What is warned of within is listed instead."""
+    told: list[str] = []
+    before = heard.set(told)
+    try:
+        yield told
+    finally:
+        heard.reset(before)
 
 
 def most_turned(dtype: DTypeLike) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ from fastatt.engine.layout import WIDTH
 from fastatt.flat import machine, store
 from fastatt.integrate import integrate_rates
 from fastatt.methods import METHODS
-from fastatt.rounding import StepWarning
+from fastatt.rounding import noted
 from fastatt.running.choosing import fits, methods_for
 from fastatt.running.drift import drift
 from fastatt.running.propagate import propagate
@@ -75,8 +74,7 @@ class Task:
 
     def run(self) -> None:
         """Do what compiles it."""
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore", StepWarning)
+        with noted(), np.errstate(all="ignore"):
             if not self.method:
                 _functions(self.dtype)
             elif self.scene is None:

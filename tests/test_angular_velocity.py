@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.trade import coning_attitudes, coning_rates
+from fastatt.trade.ensembles import coning_rates
+from fastatt.trade.reference import coning_attitudes
 
 ANGLE, FREQUENCY = np.array([0.4, 1.1]), np.array([1.0, 1.7])
 

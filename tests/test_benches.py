@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.trade import Case, body_scene, body_trade, coning_trade
-from fastatt.trade.measure import write_csv
+from fastatt.trade.ensembles import study
+from fastatt.trade.measure import Case, write_csv
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
 
@@ -71,7 +71,7 @@ def test_the_method_table(tmp_path, capsys):
     """A line a method and input: errors, speed, operations, part of the peak."""
     steps = (50, 400)
     cases = [Case("rk4"), Case("exact"), Case("rk4", "dcm")]
-    rows = body_trade("free", body_scene("free", 8), steps, 1, bar=False, cases=cases)
+    rows = study("free", 8).rows({"free": cases}, steps, 1)["free"]
     write_csv(tmp_path / "bodies.csv", rows)
     method_table.main(tmp_path / "bodies.csv")
     head, _, rk4, exact = capsys.readouterr().out.splitlines()
@@ -86,13 +86,15 @@ def test_the_method_table(tmp_path, capsys):
 
 
 def test_the_method_table_of_given_rates(tmp_path, capsys):
+    cones = study("coning", 8)
     cases = {"rate function": [Case("magnus4")], "samples": [Case("previous")]}
-    write_csv(tmp_path / "trade.csv", coning_trade(8, (100, 800), 1, bar=False, cases=cases))
+    found = cones.rows(cases, (100, 800), 1)
+    write_csv(tmp_path / "trade.csv", [row for rows in found.values() for row in rows])
     method_table.main(tmp_path / "trade.csv")
     lines = capsys.readouterr().out.splitlines()[2:]
     assert [line.split("|")[1].strip() for line in lines] == ["`magnus4`", "`previous`"]
     cases = {"samples": [Case("previous")]}
-    write_csv(tmp_path / "quick.csv", coning_trade(8, (10, 20), 1, bar=False, cases=cases))
+    write_csv(tmp_path / "quick.csv", cones.rows(cases, (10, 20), 1)["samples"])
     with pytest.raises(SystemExit, match=r"previous has no step of 0\.2 or 0\.025 s"):
         method_table.main(tmp_path / "quick.csv")
 

@@ -13,7 +13,7 @@ import fastatt as fa
 from fastatt import cli
 from fastatt.cli import main
 from fastatt.running.loop import show_loop
-from fastatt.trade import compare_on_log
+from fastatt.trade.recordings import compare_on_log
 from fastatt.trade.scene_file import read_scene
 
 

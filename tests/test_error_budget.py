@@ -11,8 +11,9 @@ from numpy.polynomial import Polynomial
 
 import fastatt as fa
 from fastatt.rounding import StepWarning
-from fastatt.trade import coning_attitudes, coning_rates, error_budget
-from fastatt.trade.error_budget import _Log
+from fastatt.trade.ensembles import coning_rates
+from fastatt.trade.error_budget import _Log, error_budget
+from fastatt.trade.reference import coning_attitudes
 
 H = 0.02
 T = H * np.arange(601)

@@ -11,8 +11,10 @@ import fastatt as fa
 from fastatt.arrays import normalised
 from fastatt.cli import main
 from fastatt.running.ensemble import Ensemble
-from fastatt.trade import Case, Problem, advice, reference, sample, search
+from fastatt.trade import advice, sample
+from fastatt.trade.measure import Case, Problem
 from fastatt.trade.recommendation import Point
+from fastatt.trade.reference import reference
 
 RNG = np.random.default_rng(6)
 N = 700
@@ -129,7 +131,7 @@ def test_saves_and_threads_are_the_callers_own():
 
 def test_a_busy_machine_does_not_bring_up_what_was_not_made_sure_of(monkeypatch):
     """Though every timing of the last round is a thousand times as long as the guess."""
-    monkeypatch.setattr(search.Search, "_clock", lambda self, look, n: 1e3 * look.seconds(n))
+    monkeypatch.setattr(advice.Search, "_clock", lambda self, look, n: 1e3 * look.seconds(n))
     chosen = fa.recommend(CONING, Q0, t_end=T_END, tol=1e-3, methods=RATES, **DOUBLE)
     assert found_error(CONING, None, chosen, coning_at) <= chosen.expected_error <= 1e-3
 
@@ -181,7 +183,7 @@ def test_saves_fall_on_the_times_asked_for():
 def test_a_budget_is_kept_and_used(monkeypatch):
     # by a clock of its own: 0.1 ms a call and 5 µs a step, whatever else runs here
     monkeypatch.setattr(sample.Sample, "_run_steps", lambda self, case, dt, n: 1e-4 + 5e-6 * n)
-    monkeypatch.setattr(search.Search, "_clock", lambda self, look, n: look.seconds(n))
+    monkeypatch.setattr(advice.Search, "_clock", lambda self, look, n: look.seconds(n))
     # of order 2, which no time here brings down to round-off
     small, middle = (
         fa.recommend(CONING, Q0, t_end=T_END, budget=t, methods=["lie_midpoint"], **DOUBLE)

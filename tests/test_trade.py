@@ -10,26 +10,41 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt import trade
 from fastatt.cli import main
 from fastatt.integrate import methods_for_samples
 from fastatt.rounding import StepWarning
 from fastatt.running.ensemble import Ensemble
-from fastatt.trade import motions, run
-from fastatt.trade.measure import Rung, ladder_rows, measure
+from fastatt.trade import ensembles, motions, recordings, run
+from fastatt.trade.ensembles import BODY_SCENES, coning_rates
+from fastatt.trade.measure import (
+    Case,
+    Problem,
+    Rung,
+    State,
+    frontier,
+    ladder_rows,
+    measure,
+    trade_table,
+)
+from fastatt.trade.reference import coning_attitudes
 
 # few, as compiling is what takes the time: a step that turns, one that does not, one for samples
 CONING = {
-    "rate function": [trade.Case("lie_midpoint"), trade.Case("rk4")],
-    "samples": [trade.Case("previous")],
+    "rate function": [Case("lie_midpoint"), Case("rk4")],
+    "samples": [Case("previous")],
 }
 # those of the reference and of what confirms it
 BODIES = {"free": ("dmv10", "exact"), "top": ("rk8", "suzuki4"), "torqued": ("rk8", "rkmk4")}
 
 
 @pytest.fixture(scope="module")
-def coning():
-    return trade.coning_trade(32, (120, 240), repeats=1, bar=False, cases=CONING)
+def by_input():
+    return ensembles.study("coning", 32).rows(CONING, (120, 240), repeats=1)
+
+
+@pytest.fixture(scope="module")
+def coning(by_input):
+    return [row for rows in by_input.values() for row in rows]
 
 
 @pytest.fixture(scope="module", params=BODIES)
@@ -39,17 +54,17 @@ def name(request):
 
 @pytest.fixture(scope="module")
 def bodies(name):
-    return trade.body_scene(name, 6)
+    return ensembles.study(name, 6)
 
 
 @pytest.fixture(scope="module")
 def body_rows(name, bodies):
-    cases = [trade.Case(method) for method in BODIES[name]]
-    return trade.body_trade(name, bodies, (50, 100), repeats=1, bar=False, cases=cases)
+    cases = {name: [Case(method) for method in BODIES[name]]}
+    return bodies.rows(cases, (50, 100), repeats=1)[name]
 
 
 def test_all_of_coning_is_planned():
-    cases = trade.coning_cases()
+    cases = ensembles.cases("coning")
     found = [(c.method, c.representation) for c in cases["rate function"] if c.dtype == "float64"]
     scene = fa.Scene(rate=fa.rates.Coning(1.0, 1.0))
     fitting = [(m, r) for m in fa.methods_for(scene) for r in fa.METHODS[m].representations]
@@ -59,11 +74,11 @@ def test_all_of_coning_is_planned():
     assert [c.method for c in cases["samples"]] == methods_for_samples()
 
 
-@pytest.mark.parametrize("scene", trade.BODY_SCENES.values(), ids=list(trade.BODY_SCENES))
+@pytest.mark.parametrize("scene", BODY_SCENES)
 def test_every_method_of_a_body_scene_is_planned(scene):
-    cases = trade.body_cases(scene)
-    plain = [c.method for c in cases if c == trade.Case(c.method)]
-    assert plain == fa.methods_for(scene)
+    cases = ensembles.cases(scene)[scene]
+    plain = [c.method for c in cases if c == Case(c.method)]
+    assert plain == fa.methods_for(BODY_SCENES[scene])
     for case in cases:
         assert case.representation in fa.METHODS[case.method].representations
     assert {(c.representation, c.dtype) for c in cases} == {
@@ -74,7 +89,7 @@ def test_every_method_of_a_body_scene_is_planned(scene):
 
 
 def test_only_general_methods_take_the_torqued_scene():
-    assert {fa.METHODS[m].takes for m in fa.methods_for(trade.BODY_SCENES["torqued"])} == {
+    assert {fa.METHODS[m].takes for m in fa.methods_for(BODY_SCENES["torqued"])} == {
         fa.torques.Dependence.RATE
     }
 
@@ -100,7 +115,7 @@ def test_reference_is_confirmed(bodies):
     assert bodies.check.apart.shape == (6,)
     assert bodies.check.apart.max() < 2e-12
     assert bodies.known.own_error.max() < 1e-12
-    text = bodies.describe()
+    text = bodies.heading
     assert "6 bodies over 10 s" in text
     assert f"{bodies.check.apart.max():.1e} rad (worst)" in text
 
@@ -143,9 +158,9 @@ def test_measured_errors_are_those_of_the_library():
     """A problem whose answer is off by a known angle and rate is measured so."""
     start = np.array([[1.0, 0.0, 0.0, 0.0]])
     off = np.array([[np.cos(0.05), np.sin(0.05), 0.0, 0.0]])
-    still = trade.Problem(Ensemble(trade.BODY_SCENES["free"], start, np.zeros((1, 3))), 1.0)
-    end = trade.State(off, np.array([[0.0, 3.0, 4.0]]))
-    rung = measure(still, end, trade.Case("dmv10"), 2, repeats=1)
+    still = Problem(Ensemble(BODY_SCENES["free"], start, np.zeros((1, 3))), 1.0)
+    end = State(off, np.array([[0.0, 3.0, 4.0]]))
+    rung = measure(still, end, Case("dmv10"), 2, repeats=1)
     assert rung.error == pytest.approx([0.1])
     assert rung.rate_error == pytest.approx([5.0])
     assert (rung.defect, rung.energy, rung.momentum, rung.status) == (0.0, 0.0, 0.0, "")
@@ -156,24 +171,24 @@ def rungs(*errors):
 
 
 def test_orders_stop_at_round_off():
-    rows = ladder_rows("", trade.Case("rk4"), 1.0, rungs(1.6e-3, 1e-4, 1e-15, 2e-15, np.nan))
+    rows = ladder_rows("", Case("rk4"), 1.0, rungs(1.6e-3, 1e-4, 1e-15, 2e-15, np.nan))
     assert [r.order for r in rows[2:4]] == [None, None]
     assert [r.plateau for r in rows[:4]] == ["", "", "round-off", "round-off"]
     assert rows[1].order == pytest.approx(4.0)
-    single = ladder_rows("", trade.Case("rk4", dtype="float32"), 1.0, rungs(1.6e-5, 1.2e-5, 2e-5))
+    single = ladder_rows("", Case("rk4", dtype="float32"), 1.0, rungs(1.6e-5, 1.2e-5, 2e-5))
     assert [r.plateau for r in single] == ["round-off"] * 3
-    assert trade.frontier(rows[4:]) == []
+    assert frontier(rows[4:]) == []
 
 
 def test_a_low_order_is_no_plateau():
     """Of a broken method the error falls too slowly, far above what rounding makes."""
-    rows = ladder_rows("", trade.Case("rk4"), 1.0, rungs(1e-3, 5e-4, 2.5e-4))
+    rows = ladder_rows("", Case("rk4"), 1.0, rungs(1e-3, 5e-4, 2.5e-4))
     assert [r.plateau for r in rows] == ["", "", ""]
     assert rows[2].order == pytest.approx(1.0)
 
 
 def test_frontier_falls(coning):
-    best = trade.frontier(coning)
+    best = frontier(coning)
     times = [r.seconds_per_body for r in best]
     errors = [r.error_median for r in best]
     assert times == sorted(times)
@@ -187,11 +202,11 @@ def test_frontier_falls(coning):
 
 
 def test_table_leaves_out_what_no_row_has(coning, body_rows):
-    head = trade.trade_table(coning).splitlines()[0]
+    head = trade_table(coning).splitlines()[0]
     assert "order" in head
     for absent in ("energy", "momentum", "w, rad/s", "status"):
         assert absent not in head
-    head, first, *_ = trade.trade_table(body_rows).splitlines()
+    head, first, *_ = trade_table(body_rows).splitlines()
     assert "w, rad/s" in head
     assert ("energy" in head) == (body_rows[0].energy_drift_max is not None)
     assert f"{body_rows[0].error_median:.2e}" in first
@@ -200,18 +215,18 @@ def test_table_leaves_out_what_no_row_has(coning, body_rows):
 def test_exact_attitudes_obey_the_rates():
     """The closed form, differentiated, gives the rates that the scene is made of."""
     angle, frequency, t = np.array([0.3, 1.2]), np.array([0.7, 1.9]), np.linspace(0.0, 1.0, 401)
-    q = trade.coning_attitudes(angle, frequency, t)
+    q = coning_attitudes(angle, frequency, t)
     w = fa.angular_velocity(q, t[1], order=8)
-    assert np.abs(w - trade.coning_rates(angle, frequency, t).swapaxes(0, 1)).max() < 1e-11
+    assert np.abs(w - coning_rates(angle, frequency, t).swapaxes(0, 1)).max() < 1e-11
 
 
 def test_recordings_are_found_and_agree_with_their_maker():
-    paths = trade.find_recordings()
-    assert len(paths) == len(trade.RECORDINGS)
+    paths = recordings.find_recordings()
+    assert len(paths) == len(recordings.RECORDINGS)
     log = fa.read_log(paths[0], unit="rad/s")
     assert (len(log.rates), log.rate) == (953, 50.0)
     names = ("hold", "previous", "coning3")
-    rows = {r.method: r for r in trade.log_rows(log, repeats=1, methods=names)}
+    rows = {r.method: r for r in recordings.log_rows(log, repeats=1, methods=names)}
     # the maker's filter corrects the gyro's bias by gravity and north: some degrees in 19 s
     assert 0.5 < rows["coning3"].maker_difference_max < 10.0
     assert rows["coning3"].difference_max == 0.0
@@ -219,16 +234,17 @@ def test_recordings_are_found_and_agree_with_their_maker():
 
 
 def test_a_log_is_compared_with_every_method(monkeypatch):
-    log = fa.read_log(trade.find_recordings()[0], unit="rad/s")
-    monkeypatch.setattr(trade.recordings, "integrate_rates", still)
-    assert [r.method for r in trade.log_rows(log, 1)] == methods_for_samples()
-    monkeypatch.setattr(trade.recordings, "error_budget", lambda *a, **k: k["rivals"])
-    _head, *lines, budget = trade.compare_on_log(log, "hold", methods=["trapezoid"]).splitlines()
+    log = fa.read_log(recordings.find_recordings()[0], unit="rad/s")
+    monkeypatch.setattr(recordings, "integrate_rates", still)
+    assert [r.method for r in recordings.log_rows(log, 1)] == methods_for_samples()
+    monkeypatch.setattr(recordings, "error_budget", lambda *a, **k: k["rivals"])
+    table = recordings.compare_on_log(log, "hold", methods=["trapezoid"])
+    _head, *lines, budget = table.splitlines()
     compared = ["trapezoid", "hold", "previous", "coning2"]
     assert [line.split()[1] for line in lines] == compared
     assert budget == str(compared)
     short = replace(log, rates=log.rates[:20], t=log.t[:20], attitudes=None)
-    assert "20 samples: too few to tell" in trade.compare_on_log(short, "hold")
+    assert "20 samples: too few to tell" in recordings.compare_on_log(short, "hold")
 
 
 def still(rates, dt, q0, **options):
@@ -236,7 +252,7 @@ def still(rates, dt, q0, **options):
 
 
 def test_polhodes_keep_energy_and_length():
-    inertia = trade.BODY_SCENES["free"].inertia
+    inertia = BODY_SCENES["free"].inertia
     found = motions.polhodes()
     energies = [p.energy for p in found]
     assert energies == sorted(energies)
@@ -253,7 +269,7 @@ def test_polhodes_keep_energy_and_length():
 
 def test_herpolhodes_keep_the_part_along_the_momentum():
     """|w|² less the part along the momentum, 2E/|m|, is the distance in the plane."""
-    inertia = np.array(trade.BODY_SCENES["free"].inertia)
+    inertia = np.array(BODY_SCENES["free"].inertia)
     for energy, curve in motions.herpolhodes().items():
         distance = np.linalg.norm(curve[0])
         m = next(p.curves[0] for p in motions.polhodes() if p.energy == energy)[1000]
@@ -278,13 +294,13 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-def test_run_leaves_its_files(tmp_path, capsys, coning, monkeypatch):
-    monkeypatch.setattr(run, "coning_trade", lambda *a, **k: coning)
-    logs, methods = trade.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
+def test_run_leaves_its_files(tmp_path, capsys, by_input, coning, monkeypatch):
+    monkeypatch.setattr(ensembles.Study, "rows", lambda *a, **k: by_input)
+    logs, methods = recordings.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
     with warnings.catch_warnings():
         warnings.simplefilter("error", StepWarning)
         warnings.simplefilter("ignore", fa.LogWarning)  # the recording names no unit
-        trade.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
+        run.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
     names = {"recordings.csv", "recordings.png", "trade.csv", "trade.png"}
     assert {p.name for p in tmp_path.iterdir()} == names
     found = table(tmp_path / "trade.csv")
@@ -318,6 +334,6 @@ def test_command_runs_body_scenes(tmp_path, capsys, scene, pictures):
 
 
 def test_missing_recordings(monkeypatch):
-    monkeypatch.setattr(trade.recordings.metadata, "files", lambda name: [])
+    monkeypatch.setattr(recordings.metadata, "files", lambda name: [])
     with pytest.raises(ImportError, match=r"fastatt\[trade\]"):
-        trade.find_recordings()
+        recordings.find_recordings()

@@ -15,9 +15,9 @@ from fastatt.attitudes import ATTITUDES
 from fastatt.flat.rows import lanes_of
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.loop import show_loop
-from fastatt.trade import Case, Problem, confirm, reference
-from fastatt.trade.measure import measure
+from fastatt.trade.measure import Case, Problem, measure
 from fastatt.trade.peak import peak, program
+from fastatt.trade.reference import confirm, reference
 from fastatt.trade.work_precision import cases_of, spread
 
 N = 48

@@ -25,7 +25,6 @@ from fastatt.estimation.derivatives import (
     sample_transitions,
     step_tangent,
 )
-from fastatt.estimation.directions import attitude_from_vectors
 from fastatt.estimation.filters import (
     Motion,
     attitude_error,
@@ -44,14 +43,15 @@ from fastatt.estimation.mekf import (
 from fastatt.estimation.noise import (
     AllanDeviation,
     NoiseFit,
+    SimulatedGyro,
     allan_deviation,
     from_data_sheet,
+    simulate_gyro,
     to_data_sheet,
 )
 from fastatt.estimation.particle import ParticleFilter
 from fastatt.estimation.runs import RunTangent, run_tangent
-from fastatt.estimation.simulation import SimulatedGyro, simulate_gyro
-from fastatt.estimation.start import StaticStart, static_start
+from fastatt.estimation.start import StaticStart, attitude_from_vectors, static_start
 from fastatt.estimation.ukf import UKF
 
 __all__ = [

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate, combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,9 @@ from fastatt.integrate import intervals
 from fastatt.threads import number_of
 
 _TRIPLE = (0.0, 0.0, 0.0)
-_SIZE = 101  # numbers of a state
-_ROTATION = (*range(5), *range(11, 20), *range(56, 62))  # those of its rotation
+# numbers of a state's parts, those of its rotation first
+_WIDTHS = (1, 4, 9, 6, 3, 3, 9, 9, 9, 9, 9, 9, 6, 9, 6)
+_SIZE, _ROTATION = sum(_WIDTHS), sum(_WIDTHS[:4])
 _ADD: dict[str, Any] = {
     "held": pre.add_sample, "white": pre.add_sample_white, "forster": pre.add_sample_forster
 }  # fmt: skip
@@ -31,19 +33,8 @@ _ADD: dict[str, Any] = {
 
 def nested(x: Vector) -> pre.Preintegrated:
     """The state of 101 numbers."""
-    r = pre.PreintegratedRotation(x[0], x[1:5], x[11:20], x[56:62])
-    return pre.Preintegrated(
-        r, x[5:8], x[8:11], x[20:29], x[29:38], x[38:47], x[47:56], x[62:71], x[71:80], x[80:86],
-        x[86:95], x[95:101],
-    )  # fmt: skip
-
-
-def flat(s: pre.Preintegrated) -> Vector:
-    """All 101 numbers of a state."""
-    r = s.rotation
-    means = (r.t, *r.q, *s.v, *s.p)
-    slopes = (*r.jacobian, *s.vg, *s.va, *s.pg, *s.pa)
-    return (*means, *slopes, *r.covariance, *s.rv, *s.rp, *s.vv, *s.vp, *s.pp)
+    t, *parts = (x[end - n : end] for n, end in zip(_WIDTHS, accumulate(_WIDTHS), strict=True))
+    return pre.Preintegrated(pre.PreintegratedRotation(*t, *parts[:3]), *parts[3:])
 
 
 @lru_cache
@@ -52,8 +43,8 @@ def _logs(model: str) -> Fold:
 
     def step(
         x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, variances: Vector
-    ) -> Vector:
-        return flat(add(nested(x), minus(w, bg), minus(a, ba), *h, *variances))
+    ) -> Any:
+        return add(nested(x), minus(w, bg), minus(a, ba), *h, *variances)
 
     return Fold(step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
 
@@ -64,10 +55,9 @@ def _rotations(white: bool) -> Fold:
 
     def step(x: Vector, w: Vector, h: Vector, bg: Vector, variances: Vector) -> Any:
         s = pre.PreintegratedRotation(x[0], x[1:5], x[5:14], x[14:])
-        r = add(s, minus(w, bg), *h, variances[0])
-        return r.t, r.q, r.jacobian, r.covariance
+        return add(s, minus(w, bg), *h, variances[0])
 
-    return Fold(step, len(_ROTATION), {"w": 3, "h": 1}, {"bg": 3, "variances": 2})
+    return Fold(step, _ROTATION, {"w": 3, "h": 1}, {"bg": 3, "variances": 2})
 
 
 @lru_cache
@@ -76,7 +66,7 @@ def _sample(model: str) -> InPlace:
 
     def step(x: Vector, own: Vector, known: Vector) -> Any:
         w, a = minus(own[:3], known[:3]), minus(own[3:6], known[3:6])
-        return (flat(add(nested(x), w, a, own[6], *known[6:])),)
+        return add(nested(x), w, a, own[6], *known[6:])
 
     return InPlace(step, {"x": _SIZE, "own": 7, "known": 8}, (_SIZE,))
 
@@ -162,25 +152,21 @@ class Preintegration:
         return _unless(self._one and n == 1, found)
 
 
-# first column of each block of the covariance
-_BLOCKS = {(0, 0): 56, (0, 1): 62, (0, 2): 71, (1, 1): 80, (1, 2): 86, (2, 2): 95}
-_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]
-_SHAPES: tuple[tuple[int, ...], ...] = ((), (4,), (3,), (3,), *((3, 3),) * 5)
+_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # of a symmetric block, as of ``sym3``
 
 
 def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
     n = len(rows)
-    ends = np.cumsum([math.prod(shape) for shape in _SHAPES])
-    pieces = zip(np.split(rows, ends, axis=1), _SHAPES, strict=False)
-    parts = [piece.reshape(n, *shape) for piece, shape in pieces]
+    t, q, slopes, rr, v, p, *parts = np.split(rows, np.cumsum(_WIDTHS[:-1]), axis=1)
     covariance = np.empty((n, 3, 3, 3, 3))
-    for (i, j), first in _BLOCKS.items():
-        block = rows[:, first : first + (6 if i == j else 9)]
-        block = (block[:, _UPPER] if i == j else block).reshape(n, 3, 3)
+    blocks = zip(combinations_with_replacement(range(3), 2), (rr, *parts[4:]), strict=True)
+    for (i, j), numbers in blocks:
+        block = (numbers[:, _UPPER] if i == j else numbers).reshape(n, 3, 3)
         covariance[:, i, :, j] = block
         covariance[:, j, :, i] = np.swapaxes(block, 1, 2)
-    parts.append(covariance.reshape(n, 9, 9))
-    return Preintegration(*[*(part[0] if one else part for part in parts), rows])
+    matrices = [x.reshape(n, 3, 3) for x in (slopes, *parts[:4])]
+    found = t[:, 0], q, v, p, *matrices, covariance.reshape(n, 9, 9)
+    return Preintegration(*(x[0] if one else x for x in found), rows)
 
 
 def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
@@ -232,7 +218,8 @@ def preintegrate(
     h, threads = spans[None, :, None], number_of(n_threads)
     if accel is None:
         fold = _rotations(model == "white")
-        start[:, _ROTATION] = fold(start[:, _ROTATION], (w, h), (bg, variances), threads)
+        turned = slice(_ROTATION)
+        start[:, turned] = fold(start[:, turned], (w, h), (bg, variances), threads)
         return _unpacked(start, one)
     a = checks.array("accel", accel, "the shape of gyro", [(-1, 3), (-1, -1, 3)])
     if a.shape != np.shape(gyro):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
-from fastatt.rounding import StepWarning
+from fastatt.rounding import noted
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.trajectory import Trajectory
 
@@ -80,8 +80,7 @@ def examine(
     looks = _LOOKS if checks.choice("at", at, ("run", "end")) == "run" else 1
 
     def divided(by: int) -> list[Trajectory]:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StepWarning)
+        with noted():
             return [
                 run(some, dt / by, n * by, -(-n // looks) * by) for n in beginnings(n_steps, looks)
             ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +13,7 @@ from fastatt.arrays import angle_between
 from fastatt.engine.layout import WIDTH
 from fastatt.methods import Method
 from fastatt.rates import lengths
-from fastatt.rounding import StepWarning
+from fastatt.rounding import noted
 from fastatt.running.choosing import method_of
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.propagate import propagate
@@ -188,8 +187,7 @@ def _counts(
 
     def attitudes(steps: NDArray[np.float64]) -> NDArray[Any]:
         n = steps.astype(np.int64)[of]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StepWarning)  # of steps that are still too large
+        with noted():  # steps are still too large
             return propagate(
                 bodies.scene, bodies.q0, bodies.w0, dt=duration / n, n_steps=n, method=method,
                 t0=t0, save_at=at, invalid="flag",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -16,7 +15,7 @@ from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
-from fastatt.rounding import StepWarning
+from fastatt.rounding import noted
 
 # What integrates a method's polynomials, and from how many values an interval: an error of order 4
 # is 20000 times less then; of picard, which may be better than that, its own polynomial exactly
@@ -144,8 +143,7 @@ def error_budget(
         raise ValueError(f"rates: found {len(data)} samples; accepted: at least {LEAST}")
     log = _Log(data.astype(np.float64), dt, checks.attitudes("q0", q0), max_gap)
     others = [m for m in (fitting if rivals is None else rivals) if m != method]
-    with warnings.catch_warnings():  # samples are left out on purpose
-        warnings.simplefilter("ignore", StepWarning)
+    with noted():  # samples are left out on purpose
         truncation = log.truncation(method)
         density = log.noise_density()
         sampling = log.extrapolated(log.exact, method, density)

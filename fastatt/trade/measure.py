@@ -6,9 +6,7 @@ import csv
 import math
 import os
 import platform
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from importlib import metadata
@@ -27,7 +25,7 @@ from fastatt.engine.status import Status
 from fastatt.flat.machine import processor
 from fastatt.flat.rows import kind_of
 from fastatt.methods import METHODS, Method
-from fastatt.rounding import StepWarning
+from fastatt.rounding import noted
 from fastatt.running.drift import drift
 from fastatt.running.ensemble import Ensemble
 from fastatt.running.loop import job_of
@@ -97,8 +95,7 @@ class Problem:
     def run(self, case: Case, n_steps: int, save_every: int | None = None) -> Trajectory:
         """Propagate it in ``n_steps`` equal steps, be they too large."""
         e = self.ensemble
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StepWarning)
+        with noted():
             return propagate(
                 e.scene, e.q0, e.w0, v0=e.v0, r0=e.r0, dt=self.t_end / n_steps, n_steps=n_steps,
                 method=case.method, representation=case.representation, dtype=case.dtype,
@@ -181,14 +178,6 @@ class Row:
     order: float | None
     plateau: str
     status: str
-
-
-@contextmanager
-def noted() -> Iterator[list[warnings.WarningMessage]]:
-    """Steps beyond a method's limit are noted rather than warned of."""
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", StepWarning)
-        yield said
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:

@@ -12,7 +12,7 @@ from fastatt import exact
 from fastatt.arrays import euler313_to_quat, rotate, rotate_inverse
 from fastatt.running.energy import angular_momentum, kinetic_energy
 from fastatt.running.propagate import propagate
-from fastatt.trade.bodies import TOP, TRIAXIAL
+from fastatt.trade.ensembles import TOP, TRIAXIAL
 
 if TYPE_CHECKING:
     from fastatt import plots

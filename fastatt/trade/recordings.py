@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from fastatt.arrays import angle_between
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.logs import Log
+from fastatt.rounding import noted
 from fastatt.trade.error_budget import LEAST, error_budget
-from fastatt.trade.measure import best_time, noted
+from fastatt.trade.measure import best_time
 
 if TYPE_CHECKING:
     from fastatt import plots
@@ -115,7 +116,7 @@ def log_rows(log: Log, repeats: int, methods: Sequence[str] | None = None) -> li
                 difference_end=float(away[-1]),
                 half_rate_difference_max=float(angle_between(half, q[::2]).max() * DEGREES),
                 maker_difference_max=maker,
-                warning=str(said[0].message) if said else "",
+                warning=said[0] if said else "",
             )
         )
     return rows

@@ -8,20 +8,16 @@ from pathlib import Path
 from fastatt import checks
 from fastatt.integrate import methods_for_samples
 from fastatt.logs import Log, read_log
-from fastatt.trade import recordings
-from fastatt.trade.bodies import BODY_SCENES, body_cases, body_scene, body_trade
-from fastatt.trade.bodies import T_END as BODY_T_END
-from fastatt.trade.coning import RATE, SAMPLES, coning_cases, coning_trade
-from fastatt.trade.coning import T_END as CONING_T_END
+from fastatt.trade import ensembles, recordings
+from fastatt.trade.ensembles import BODY_SCENES, CONING, RATE, SAMPLES
 from fastatt.trade.measure import Case, Row, frontier, machine_line, panel, trade_table, write_csv
 from fastatt.trade.motions import herpolhodes, nutations, polhodes
 
-RECORDED, CONING = "recordings", "coning"
+RECORDED = "recordings"
 SCENES = (RECORDED, CONING, *BODY_SCENES)
 DEFAULT_SCENES = (RECORDED, CONING)
-_CONING_STEPS = (50, 100, 200, 400, 800, 1600)
-_BODY_STEPS = (25, 50, 100, 200, 400, 800)
 _QUICK_STEPS = (50, 100)
+_COARSEST, _RUNGS = 2.5, 6  # steps a second, and how many ladders of halved steps have
 _DRAWN = ("quat", "dcm")
 _TITLES = {
     RATE: "rate as a function of time",
@@ -60,7 +56,7 @@ def run_trade(
             f"--log: found with --scene {' '.join(scenes)}; accepted: with --scene {RECORDED}"
         )
     try:
-        import matplotlib as mpl  # noqa: F401
+        from fastatt import plots
     except ImportError:
         raise ImportError("trade: needs matplotlib; pip install 'fastatt[plot]'") from None
     read = []
@@ -75,13 +71,19 @@ def run_trade(
     files = []
     if RECORDED in plan:
         files += _run_recordings(out, read, plan[RECORDED], repeats)
-    if CONING in plan:
-        steps = _QUICK_STEPS if quick else _CONING_STEPS
-        files += _run_coning(out, plan[CONING], n_bodies, steps, repeats, progress)
-    bodies = {name: cases[name] for name, cases in plan.items() if name in BODY_SCENES}
-    if bodies:
-        steps = _QUICK_STEPS if quick else _BODY_STEPS
-        files += _run_bodies(out, bodies, n_bodies, steps, repeats, progress)
+    for stem, title, names in (
+        ("trade", "Ensemble of coning bodies", [CONING]),
+        ("bodies", "Ensembles of rigid bodies", BODY_SCENES),
+    ):
+        own = {name: plan[name] for name in names if name in plan}
+        if own:
+            files += _run_ensembles(out / stem, title, own, n_bodies, quick, progress)
+    if "free" in plan:
+        plots.polhodes(polhodes(), herpolhodes(), out / "polhodes.png")
+        files.append("polhodes.png")
+    if "top" in plan:
+        plots.axis_traces(nutations(), out / "tops.png")
+        files.append("tops.png")
     print(f"\n{out}: {', '.join(files)}")
 
 
@@ -91,12 +93,12 @@ def _plan(
     """The cases of each scene that has any, in the order of ``SCENES``."""
     for name in scenes:
         checks.choice("--scene", name, SCENES)
-    every: dict[str, _Cases] = {
-        RECORDED: {RECORDED: [Case(name) for name in methods_for_samples()]},
-        CONING: coning_cases(),
-        **{name: {name: body_cases(scene)} for name, scene in BODY_SCENES.items()},
+    recorded = {RECORDED: [Case(name) for name in methods_for_samples()]}
+    every = {
+        name: recorded if name == RECORDED else ensembles.cases(name)
+        for name in SCENES
+        if name in scenes
     }
-    every = {name: cases for name, cases in every.items() if name in scenes}
     fitting = dict.fromkeys(
         case.name for of_scene in every.values() for cases in of_scene.values() for case in cases
     )
@@ -127,44 +129,22 @@ def _run_recordings(out: Path, logs: Sequence[Log], cases: _Cases, repeats: int)
     return ["recordings.csv", "recordings.png"]
 
 
-def _run_coning(
-    out: Path, cases: _Cases, n_bodies: int, steps: Sequence[int], repeats: int, progress: bool
+def _run_ensembles(
+    path: Path, title: str, plan: Mapping[str, _Cases], n_bodies: int, quick: bool, progress: bool
 ) -> list[str]:
-    over = f"over {CONING_T_END:g} s, against the exact attitude"
-    print(f"\nEnsemble of {n_bodies} coning bodies {over}")
-    rows = coning_trade(n_bodies, steps, repeats, progress, cases)
-    print(trade_table(rows))
-    by_input = {source: [r for r in rows if r.input == source] for source in cases}
-    return _report(out / "trade", by_input, CONING_T_END, "Ensemble of coning bodies")
-
-
-def _run_bodies(
-    out: Path, cases: _Cases, n_bodies: int, steps: Sequence[int], repeats: int, progress: bool
-) -> list[str]:
+    """Tables and frontiers to the screen, rows as CSV and a picture beside each other."""
     from fastatt import plots
 
-    by_input = {}
-    for name, of_scene in cases.items():
-        bodies = body_scene(name, n_bodies)
-        print(f"\n{bodies.describe()}", flush=True)
-        by_input[name] = body_trade(name, bodies, steps, repeats, progress, of_scene)
-        print(trade_table(by_input[name]))
-    files = _report(out / "bodies", by_input, BODY_T_END, "Ensembles of rigid bodies")
-    if "free" in cases:
-        plots.polhodes(polhodes(), herpolhodes(), out / "polhodes.png")
-        files.append("polhodes.png")
-    if "top" in cases:
-        plots.axis_traces(nutations(), out / "tops.png")
-        files.append("tops.png")
-    return files
-
-
-def _report(
-    path: Path, by_input: Mapping[str, Sequence[Row]], t_end: float, bodies: str
-) -> list[str]:
-    """Frontiers to the screen, rows as CSV and a picture beside each other."""
-    from fastatt import plots
-
+    by_input: dict[str, list[Row]] = {}
+    for name, cases in plan.items():
+        study = ensembles.study(name, n_bodies)
+        print(f"\n{study.heading}", flush=True)
+        t_end = study.problem.t_end
+        ladder = [round(_COARSEST * t_end) * 2**k for k in range(_RUNGS)]
+        steps, repeats = (_QUICK_STEPS, 1) if quick else (ladder, 3)
+        found = study.rows(cases, steps, repeats, progress=progress)
+        print(trade_table([row for rows in found.values() for row in rows]))
+        by_input |= found
     panels = []
     for source, rows in by_input.items():
         print(f"\nFrontier, {_TITLES[source]}: the cheapest way to each error")
@@ -172,5 +152,5 @@ def _report(
         panels.append(panel(_TITLES[source], t_end, rows, _DRAWN))
     table, picture = path.with_suffix(".csv"), path.with_suffix(".png")
     write_csv(table, [row for rows in by_input.values() for row in rows])
-    plots.work_precision(panels, f"{bodies}: what accuracy costs", picture)
+    plots.work_precision(panels, f"{title}: what accuracy costs", picture)
     return [table.name, picture.name]
