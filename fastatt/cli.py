@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fastatt import __version__, listing, warming
-from fastatt.checks import attitudes, real, whole
+from fastatt.checks import attitudes, choice, real, whole
 from fastatt.flat import store
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.logs.attitudes import integrate_chunks, writing
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("always")
-            warnings.showwarning = _Told()
+            warnings.showwarning = _teller()
             result: int = arguments.run(arguments)
     except (ValueError, TypeError, OSError, ImportError) as error:
         text = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else str(error)
@@ -53,17 +53,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     return result
 
 
-class _Told:
-    """Warnings as lines, each once and without our source."""
+def _teller() -> Callable[..., None]:
+    """What prints warnings as lines, each once and without our source."""
+    told: set[str] = set()
 
-    def __init__(self) -> None:
-        self.lines: set[str] = set()
-
-    def __call__(self, message: Warning | str, *about: object, **more: object) -> None:
+    def tell(message: Warning | str, *about: object, **more: object) -> None:
         line = " ".join(str(message).split())
-        if line not in self.lines:
-            self.lines.add(line)
+        if line not in told:
+            told.add(line)
             print(f"fastatt: warning: {line}", file=sys.stderr)
+
+    return tell
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -273,10 +273,7 @@ def _methods(arguments: argparse.Namespace) -> int:
 
 def _integrate(arguments: argparse.Namespace) -> int:
     q0 = attitudes("--q0", np.array(arguments.q0))
-    if arguments.method not in methods_for_samples():
-        raise ValueError(
-            f"--method: found {arguments.method!r}; accepted: {', '.join(methods_for_samples())}"
-        )
+    choice("--method", arguments.method, methods_for_samples())
     if Path(arguments.log).is_dir():
         raise ValueError(f"LOG: found the directory {arguments.log}; accepted: a file")
     piped = arguments.log == "-"

@@ -352,26 +352,19 @@ def panel(
     """A curve for each method and kind of ``DRAWN``, and the frontier of all that is drawn."""
     from fastatt import plots
 
-    drawn = [r for r in rows if _curve(r) in kinds]
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for r in drawn:
-        groups.setdefault((r.method, _curve(r)), []).append(r)
-    ladders = [_ladder(*key, own) for key, own in groups.items()]
-    return plots.Panel(title, t_end, ladders, _ladder("", "", frontier(drawn)))
+    drawn: dict[tuple[str, str], list[Row]] = {}
+    for r in rows:
+        kind = r.representation + " in float32" * (r.dtype == "float32")
+        if kind in kinds:
+            drawn.setdefault((r.method, kind), []).append(r)
 
+    def ladder(method: str, kind: str, own: Sequence[Row]) -> plots.Ladder:
+        times, errors = [r.seconds_per_body for r in own], [r.error_median for r in own]
+        return plots.Ladder(method, kind, times, errors)
 
-def _curve(row: Row) -> str:
-    """What sort of line a row is on."""
-    single = row.dtype == "float32"
-    return f"{row.representation} in {row.dtype}" if single else row.representation
-
-
-def _ladder(method: str, kind: str, rows: Sequence[Row]) -> plots.Ladder:
-    from fastatt import plots
-
-    return plots.Ladder(
-        method, kind, [r.seconds_per_body for r in rows], [r.error_median for r in rows]
-    )
+    best = frontier(r for own in drawn.values() for r in own)
+    curves = [ladder(*key, own) for key, own in drawn.items()]
+    return plots.Panel(title, t_end, curves, ladder("", "", best))
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
