@@ -54,7 +54,8 @@ _HELD_BY = {
     "tables": "Table",
     "trade.each": "OwnSteps own_steps",
     "trade.error_budget": "ErrorBudget error_budget",
-    "trade.advice": "Recommendation recommend",
+    "trade.advice": "recommend",
+    "trade.recommendation": "Recommendation",
     "trade.work_precision": "WorkPrecision work_precision",
 }
 _MODULES = (
@@ -131,9 +132,10 @@ if TYPE_CHECKING:
     from fastatt.steps import single_step
     from fastatt.streaming import integrator
     from fastatt.tables import Table
-    from fastatt.trade.advice import Recommendation, recommend
+    from fastatt.trade.advice import recommend
     from fastatt.trade.each import OwnSteps, own_steps
     from fastatt.trade.error_budget import ErrorBudget, error_budget
+    from fastatt.trade.recommendation import Recommendation
     from fastatt.trade.work_precision import WorkPrecision, work_precision
 
 

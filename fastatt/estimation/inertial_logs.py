@@ -166,7 +166,7 @@ def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
         covariance[:, j, :, i] = np.swapaxes(block, 1, 2)
     matrices = [x.reshape(n, 3, 3) for x in (slopes, *parts[:4])]
     found = t[:, 0], q, v, p, *matrices, covariance.reshape(n, 9, 9)
-    return Preintegration(*(x[0] if one else x for x in found), rows)
+    return Preintegration(*[*(x[0] if one else x for x in found), rows])
 
 
 def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
