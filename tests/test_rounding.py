@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
+from fastatt import rounding
 
 INERTIA = (2.0, 1.0, 0.7)
 Q = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
@@ -116,3 +117,15 @@ def test_a_closed_form_does_not_depend_on_when_it_begins():
         for t0 in (0.0, 1.7e9)
     )
     assert early.q.tobytes() == late.q.tobytes()
+
+
+def test_what_is_noted_is_listed_and_warned_of_afterwards_again():
+    def integrate():
+        fa.integrate_rates(np.full((3, 3), 5.0), 1.0)
+
+    with rounding.noted() as said:
+        integrate()
+    (text,) = said
+    assert "turns by 8.66 rad" in text
+    with pytest.warns(fa.StepWarning, match=r"turns by 8\.66 rad"):
+        integrate()
