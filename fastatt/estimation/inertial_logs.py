@@ -221,9 +221,7 @@ def preintegrate(
         turned = slice(_ROTATION)
         start[:, turned] = fold(start[:, turned], (w, h), (bg, variances), threads)
         return _unpacked(start, one)
-    a = checks.array("accel", accel, "the shape of gyro", [(-1, 3), (-1, -1, 3)])
-    if a.shape != np.shape(gyro):
-        raise ValueError(f"accel: has shape {a.shape}; accepted: {np.shape(gyro)}, as gyro")
+    a = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
     a = np.asarray(a.reshape(w.shape), dtype=np.float64)
     return _unpacked(_logs(model)(start, (w, a, h), (bg, ba, variances), threads), one)
 

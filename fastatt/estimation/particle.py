@@ -94,11 +94,7 @@ class ParticleFilter:
 
         Raises ``ValueError`` where no particle has a finite one.
         """
-        given = np.asarray(log_likelihood, dtype=np.float64)
-        if given.shape != self.weights.shape:
-            raise ValueError(
-                f"log_likelihood: has shape {given.shape}; accepted: {self.weights.shape}"
-            )
+        given = checks.array_any("log_likelihood", log_likelihood, f"({len(self.weights)},)")
         with np.errstate(divide="ignore"):
             logs = np.log(self.weights) + given
         top = logs.max()

@@ -159,13 +159,8 @@ class UKF(Estimates):
         return self._correct(error, P, P[:, :3] + attitude_covariance(sigma), gate)
 
     def _noise(self, noise: ArrayLike, size: int) -> Floats:
-        found = np.asarray(noise, dtype=np.float64)
-        accepted = (size, size), (len(self._q), size, size)
-        if found.shape not in accepted:
-            raise ValueError(
-                f"noise: has shape {found.shape}; accepted: {accepted[0]} or {accepted[1]}"
-            )
-        return found
+        shapes = f"({size}, {size}) or ({len(self._q)}, {size}, {size})"
+        return checks.array_any("noise", noise, shapes).astype(np.float64)
 
     def _correct(
         self, innovation: Floats, cross: Floats, spread: Floats, gate: float | None
