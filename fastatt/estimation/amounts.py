@@ -44,9 +44,5 @@ def triples(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 def of_logs(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
     """Vectors in rows, one for all logs or one a log."""
-    found = triples(name, value)
-    if len(found) not in (1, n_logs):
-        raise ValueError(
-            f"{name}: has shape {found.shape}; accepted: (3,) or ({n_logs}, 3), one a log"
-        )
-    return found
+    accepted, tails = f"(3,) or ({n_logs}, 3), one a log", [(3,), (1, 3), (n_logs, 3)]
+    return np.atleast_2d(checks.array(name, value, accepted, tails).astype(np.float64))

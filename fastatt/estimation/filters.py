@@ -184,7 +184,8 @@ class Estimates:
         """Covariances of the errors, (D, D) or (N, D, D)."""
         return self._each(self._P)
 
-    def _nees(self, q: ArrayLike, y: ArrayLike) -> Any:
+    def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
+        """Normalised estimation error squared against the truth, χ² with D degrees of freedom."""
         beside = np.broadcast_to(y, self._y.shape) - self._y
         d = np.concatenate([attitude_error(self._q, q), beside], axis=-1)
         return self._figures(normalised_square(d, self._P))

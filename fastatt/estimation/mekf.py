@@ -323,7 +323,7 @@ class MEKF(Estimates):
 
     def nees(self, q: ArrayLike, bias: ArrayLike) -> Any:
         """Normalised estimation error squared against the truth, χ² with 6 degrees of freedom."""
-        return self._nees(q, bias)
+        return super().nees(q, bias)
 
     def _vectors(self, name: str, value: ArrayLike) -> tuple[NDArray[np.float64], bool]:
         """Rows, and whether all are finite."""

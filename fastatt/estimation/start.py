@@ -54,10 +54,7 @@ def attitude_from_vectors(
             f"measured: has shape {b.shape}, reference {r.shape}; accepted: as many of each, at "
             "least two"
         )
-    deviations = checks.array("sigma", sigma, f"a number or ({m},)")
-    if not (deviations > 0.0).all():
-        raise ValueError(f"sigma: found {deviations.min()}; accepted: above 0")
-    s = np.broadcast_to(deviations.astype(np.float64), (m,))[:, None]
+    s = _deviations(sigma, m)[:, None]
     weighted = r * (s.min() / s) ** 2
     B = np.swapaxes(weighted, -1, -2) @ b
     trace = np.trace(B, axis1=-2, axis2=-1)
@@ -94,6 +91,13 @@ def _directions(name: str, value: ArrayLike) -> Floats:
         k = [int(i) for i in np.argwhere(zero)[0]]
         raise ValueError(f"{name}{k} is the zero vector; accepted: any other, unit or not")
     return normalised(rows.astype(np.float64))
+
+
+def _deviations(sigma: ArrayLike, n: int) -> Floats:
+    found = checks.array("sigma", sigma, f"a number or ({n},)")
+    if not (found > 0.0).all():
+        raise ValueError(f"sigma: found {found.min()}; accepted: above 0")
+    return np.broadcast_to(found.astype(np.float64), (n,))
 
 
 class StaticStart(NamedTuple):
@@ -163,11 +167,9 @@ def static_start(
         raise ValueError("field: found without mag, or mag without it; accepted: both or none")
     if mag is not None and field is not None:
         seen["mag"], known["field"] = _samples("mag", mag), field
-    extra = checks.array("sigma", sigma, "a number or (2,)")
-    if not (extra > 0.0).all():
-        raise ValueError(f"sigma: found {extra.min()}; accepted: above 0")
+    extra = _deviations(sigma, 2)
     means, deviations = [], []
-    for (name, data), further in zip(seen.items(), np.broadcast_to(extra, (2,)), strict=False):
+    for (name, data), further in zip(seen.items(), extra, strict=False):
         if len(data) != len(rates):
             raise ValueError(f"{name}: found {len(data)} samples; accepted: {len(rates)}, as gyro")
         mean = data.mean(axis=0)

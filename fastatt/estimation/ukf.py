@@ -176,7 +176,3 @@ class UKF(Estimates):
         P = self._P - gain @ np.swapaxes(cross, 1, 2)
         self._P = 0.5 * (P + np.swapaxes(P, 1, 2))
         return self._figures(found)
-
-    def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
-        """Normalised estimation error squared against the truth, χ² with D degrees of freedom."""
-        return self._nees(q, y)

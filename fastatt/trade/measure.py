@@ -221,20 +221,14 @@ def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int
     )
 
 
-def round_off(dtype: str, n_steps: int) -> float:
-    """An angle, rad, that rounding may well sum up to: errors below need not be the method's."""
-    return 100.0 * _eps(dtype) * (50.0 + n_steps)
-
-
-def _eps(dtype: str) -> float:
-    return float(np.finfo(dtype).eps)
-
-
 def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int, float]) -> bool:
     """Whether rounding is what keeps the error from falling; each is (steps, error in rad)."""
     (n, before), (m, after) = coarse, fine
+    eps = float(np.finfo(case.dtype).eps)
     steep = after < before * (n / m) ** (0.75 * order)
-    return (not steep and after < round_off(case.dtype, m)) or after < _ROUNDED * _eps(case.dtype)
+    # rad that rounding may well sum up to: errors below need not be the method's
+    summed = 100.0 * eps * (50.0 + m)
+    return (not steep and after < summed) or after < _ROUNDED * eps
 
 
 def _plateau(case: Case, order: int, ladder: Sequence[Rung]) -> list[bool]:
