@@ -21,13 +21,7 @@ from fastatt.running.ensemble import Ensemble
 from fastatt.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, Rung, State, best_time, ladder_rows
-from fastatt.trade.reference import (
-    Confirmation,
-    Reference,
-    confirm,
-    coning_attitudes,
-    reference,
-)
+from fastatt.trade.reference import Confirmation, Reference, confirm, coning_attitudes, reference
 from fastatt.trade.work_precision import DTYPES, case_rows, cases_of
 
 CONING_T_END, BODY_T_END = 20.0, 10.0

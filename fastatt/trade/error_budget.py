@@ -17,10 +17,6 @@ from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
 
-# What integrates a method's polynomials, and from how many values an interval: an error of order 4
-# is 20000 times less then; of picard, which may be better than that, its own polynomial exactly
-_TIGHT: dict[str, tuple[str, int]] = {"picard": ("picard", 6)}
-_USUAL = ("coning3", 12)
 _PIECE = 30_000  # intervals at a time
 LEAST = 27  # samples: a piece of differences
 # Orders of the differences that tell white noise from a smooth motion, and which part of the noise
@@ -275,7 +271,9 @@ def _integrated(
 
     Their values are handed to a method so finely that it integrates them exactly.
     """
-    tight, fineness = _TIGHT.get(method, _USUAL)
+    # an error of order 4 is 20000 times less then; picard's may be less than that, but its own
+    # polynomial it integrates exactly
+    tight, fineness = ("picard", 6) if method == "picard" else ("coning3", 12)
     window = METHODS[method].window
     degree = window.samples(False) - 1
     spans = np.broadcast_to(dt, len(rates) - 1)

@@ -185,8 +185,6 @@ class Sample:
         Bodies not looked at continue the tail of those that were (Hill, Ann. Stat. 3 (1975) 1163),
         but where those by chance change half as much as the hardest at most.
         """
-        if self.sampled == self.whole.ensemble.size:
-            return self.unseen
         steps = n // self.divide
         better = look.case._replace(dtype="float64")
         more = 2 * steps if look.order else steps
