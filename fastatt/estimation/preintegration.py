@@ -135,7 +135,7 @@ def _halves(x: Any) -> Any:
     return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
 
 
-def _euler(w: Any, a: Any, h: Any) -> Any:
+def _euler(a: Any, h: Any) -> Any:
     """The same by Forster's eqs. 36 and 37."""
     F = type(h)
     o = F(0.0)
@@ -191,7 +191,7 @@ def _less(a: Any, b: Any) -> Any:
     return dcm.add(a, dcm.scale(type(a[0])(-1.0), b))
 
 
-def _added(s: Any, w: Any, a: Any, h: Any, parts: Any, noise: Any) -> Any:
+def _added(s: Any, w: Any, h: Any, parts: Any, noise: Any) -> Any:
     """The state a sample later, from its increments, their derivatives and its noise."""
     F = type(h)
     v, p, (vw, va, pw, pa) = parts
@@ -231,28 +231,28 @@ def _added(s: Any, w: Any, a: Any, h: Any, parts: Any, noise: Any) -> Any:
     )
 
 
-def _added_held(s: Any, w: Any, a: Any, h: Any, parts: Any, gyro: Any, accel: Any) -> Any:
+def _added_held(s: Any, w: Any, h: Any, parts: Any, gyro: Any, accel: Any) -> Any:
     noise = _held_noise(dcm.from_quat(s.rotation.q), scale(h, w), h, parts[2], gyro, accel)
-    return _added(s, w, a, h, parts, noise)
+    return _added(s, w, h, parts, noise)
 
 
 @_formula
 def add_sample(s, w, a, h, gyro, accel):
     """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
-    return _added_held(s, w, a, h, _exact(w, a, h), gyro, accel)
+    return _added_held(s, w, h, _exact(w, a, h), gyro, accel)
 
 
 @_formula
 def add_sample_white(s, w, a, h, gyro, accel):
     """The same with white noise."""
     noise = _white_noise(dcm.from_quat(s.rotation.q), a, h, gyro, accel)
-    return _added(s, w, a, h, _exact(w, a, h), noise)
+    return _added(s, w, h, _exact(w, a, h), noise)
 
 
 @_formula
 def add_sample_forster(s, w, a, h, gyro, accel):
     """The same by Forster's eqs. 35 to 37: Euler's step in velocity and position, noise held."""
-    return _added_held(s, w, a, h, _euler(w, a, h), gyro, accel)
+    return _added_held(s, w, h, _euler(a, h), gyro, accel)
 
 
 @_formula

@@ -116,7 +116,7 @@ def error_budget(
 
     Parameters
     ----------
-    rates, dt, q0, dtype, max_gap : as of :func:`fastatt.integrate_rates`, of one log of at least 25
+    rates, dt, q0, dtype, max_gap : as of :func:`fastatt.integrate_rates`, of one log of at least 27
         samples, (n, 3) rad/s.
     method : the method whose error it is.
     rivals : methods to compare with; None takes all.
