@@ -189,3 +189,13 @@ def test_a_sample_of_one_misses_harder_bodies():
         errors.append(angle(run.q[-1], exact.q[-1]).max())
     assert errors[1] < 1e-5
     assert errors[0] > 1.02 * errors[1]
+
+
+@pytest.mark.parametrize(
+    ("tol", "message"), [(1e-16, "tol: found 1e-16; accepted: at least 1e-15"), (3e-15, "can meet")]
+)
+def test_a_tolerance_that_rounding_hides_is_refused(tol, message):
+    """Without steps by the thousand million."""
+    options = {"t_end": 10.0, "tol": tol, "method": "rk4"}
+    with pytest.raises(ValueError, match=message):
+        fa.own_steps(SCENES["free"], Q0[:1], W0[:2], **options)
