@@ -4,11 +4,9 @@ Lurie, *Analytical Mechanics* (2002), §2.12; w in inertial axes, rad/s; for bod
 the sign of φ and of w.
 """
 
-from __future__ import annotations
-
 from fastatt._jit import kernel
 from fastatt.kernels.trig import sincos
-from fastatt.kernels.vec3 import cross, dot
+from fastatt.kernels.vec3 import add, axpy, cross, dot, scale, sub
 
 
 @kernel
@@ -18,12 +16,7 @@ def rate(e, edot, phi, phidot):
     s, c = sincos(F(0.5) * phi)
     a = F(2.0) * s * c
     b = F(2.0) * s * s
-    n = cross(e, edot)
-    return (
-        e[0] * phidot + a * edot[0] + b * n[0],
-        e[1] * phidot + a * edot[1] + b * n[1],
-        e[2] * phidot + a * edot[2] + b * n[2],
-    )
+    return add(axpy(phidot, e, scale(a, edot)), scale(b, cross(e, edot)))
 
 
 @kernel
@@ -33,10 +26,5 @@ def derivative(e, phi, w):
     s, c = sincos(F(0.5) * phi)
     cot = c / s
     f = dot(e, w)
-    n = cross(e, w)
-    h = F(0.5)
-    return (
-        h * (cot * (w[0] - f * e[0]) - n[0]),
-        h * (cot * (w[1] - f * e[1]) - n[1]),
-        h * (cot * (w[2] - f * e[2]) - n[2]),
-    ), f
+    across = sub(w, scale(f, e))
+    return scale(F(0.5), sub(scale(cot, across), cross(e, w))), f

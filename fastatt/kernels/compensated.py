@@ -5,14 +5,12 @@ as small as the step, and u/2 itself is exact. Møller, BIT 5 (1965) 37; Knuth, 
 Programming* 2, §4.2.2; of integrators Hairer, McLachlan, Razakarivony, BIT 48 (2008) 231.
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel
 from fastatt.kernels.quat import mul, mul_vector
 from fastatt.kernels.trig import half_sinc_cos, half_sinc_cos_wide, sin_remainder
-from fastatt.kernels.vec3 import dot
+from fastatt.kernels.vec3 import dot, scale
 
 
 @kernel
@@ -53,8 +51,8 @@ def cosine_less_one(c, v):
 @kernel
 def compose(x, r):
     """x∘r, r a unit quaternion."""
-    w = cosine_less_one(r[0], (r[1], r[2], r[3]))
-    return add_quat(x, mul((x[0], x[1], x[2], x[3]), (w, r[1], r[2], r[3])))
+    w = cosine_less_one(r[0], r[1:])
+    return add_quat(x, mul(x[:4], (w, r[1], r[2], r[3])))
 
 
 @kernel
@@ -82,8 +80,8 @@ def turn_short(x, u):
 def turn_parts(x, u, s, c, f):
     """x∘(c, s u); f is s − ½, so that a small turn's s u is the exact u/2 and little more."""
     F = type(c)
-    q = (x[0], x[1], x[2], x[3])
-    a = mul_vector(q, (F(0.5) * u[0], F(0.5) * u[1], F(0.5) * u[2]))
-    w = cosine_less_one(c, (s * u[0], s * u[1], s * u[2]))
+    q = x[:4]
+    a = mul_vector(q, scale(F(0.5), u))
+    w = cosine_less_one(c, scale(s, u))
     b = mul(q, (w, f * u[0], f * u[1], f * u[2]))
     return add_quat(x, (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]))

@@ -7,8 +7,6 @@ increments give the known coefficients: 1/12 for one increment and the one befor
 33/80 and 57/80 for three.
 """
 
-from __future__ import annotations
-
 from fastatt._jit import kernel
 from fastatt.kernels.vec3 import add, axpy, cross, scale, sub
 

@@ -4,45 +4,24 @@ The rows of C are the inertial axes seen from the body; each obeys Poisson's equ
 ṙ = r×w. Shuster, "A survey of attitude representations", J. Astronaut. Sci. 41 (1993).
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel
-from fastatt.kernels import quat
+from fastatt.kernels import quat, so3, vec3
 from fastatt.kernels.vec3 import cross, dot
 
 
 @kernel
 def mul(a, b):
     """Matrix product a b."""
-    return (
-        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
-        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
-        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
-        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
-        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
-        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
-        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
-        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
-        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
-    )
+    columns = transpose(b)
+    return rotate(columns, a[:3]) + rotate(columns, a[3:6]) + rotate(columns, a[6:])
 
 
 @kernel
 def add(a, b):
     """Sum a + b of any two matrices."""
-    return (
-        a[0] + b[0],
-        a[1] + b[1],
-        a[2] + b[2],
-        a[3] + b[3],
-        a[4] + b[4],
-        a[5] + b[5],
-        a[6] + b[6],
-        a[7] + b[7],
-        a[8] + b[8],
-    )
+    return vec3.add(a[:3], b[:3]) + vec3.add(a[3:6], b[3:6]) + vec3.add(a[6:], b[6:])
 
 
 @kernel
@@ -60,11 +39,7 @@ def transpose(a):
 @kernel
 def rotate(c, v):
     """v_i = C v: body components v to inertial ones."""
-    return (
-        c[0] * v[0] + c[1] * v[1] + c[2] * v[2],
-        c[3] * v[0] + c[4] * v[1] + c[5] * v[2],
-        c[6] * v[0] + c[7] * v[1] + c[8] * v[2],
-    )
+    return dot(c[:3], v), dot(c[3:6], v), dot(c[6:], v)
 
 
 @kernel
@@ -207,25 +182,19 @@ def derivative_row(r, w):
 @kernel
 def derivative(c, w):
     """Ċ = C [w×] (Poisson), w the angular velocity in body axes, rad/s."""
-    a = derivative_row((c[0], c[1], c[2]), w)
-    b = derivative_row((c[3], c[4], c[5]), w)
-    d = derivative_row((c[6], c[7], c[8]), w)
-    return a[0], a[1], a[2], b[0], b[1], b[2], d[0], d[1], d[2]
+    return derivative_row(c[:3], w) + derivative_row(c[3:6], w) + derivative_row(c[6:], w)
 
 
 @kernel
 def rate(c, cdot):
     """Angular velocity in body axes of a rotation and its derivative, from [w×] = CᵀĊ."""
-    F = type(c[0])
-    s = mul(transpose(c), cdot)
-    return F(0.5) * (s[7] - s[5]), F(0.5) * (s[2] - s[6]), F(0.5) * (s[3] - s[1])
+    return so3.vee(mul(transpose(c), cdot))
 
 
 @kernel
 def close_rows(a, b):
     """Matrix of two orthonormal rows, the third their cross product (the Darboux problem)."""
-    c = cross(a, b)
-    return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+    return a + b + cross(a, b)
 
 
 @kernel
@@ -240,15 +209,13 @@ def orthonormalise_rows(a, b):
     r = (b[0] - e * a[0], b[1] - e * a[1], b[2] - e * a[2])
     f = F(1.5) - F(0.5) * dot(p, p)
     g = F(1.5) - F(0.5) * dot(r, r)
-    return (f * p[0], f * p[1], f * p[2]), (g * r[0], g * r[1], g * r[2])
+    return vec3.scale(f, p), vec3.scale(g, r)
 
 
 @kernel
 def gram(c):
     """Upper triangle of C Cᵀ: (11, 12, 13, 22, 23, 33)."""
-    a = (c[0], c[1], c[2])
-    b = (c[3], c[4], c[5])
-    d = (c[6], c[7], c[8])
+    a, b, d = c[:3], c[3:6], c[6:]
     return dot(a, a), dot(a, b), dot(a, d), dot(b, b), dot(b, d), dot(d, d)
 
 

@@ -16,8 +16,6 @@ Guidance 5 (1982) 417; Farrenkopf, J. Guidance 1 (1978) 282; Markley and Crassid
 Spacecraft Attitude Determination and Control* (2014), §6.2.
 """
 
-from __future__ import annotations
-
 from fastatt._jit import kernel
 from fastatt.kernels import dcm, quat, so3, sym3
 from fastatt.kernels.vec3 import dot

@@ -4,8 +4,6 @@ Singular at θ = 0 and π, where φ and ψ turn about one axis. Goldstein, *Clas
 §4.4 and §4.9; Whittaker, *Analytical Dynamics* (1937), §10.
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel

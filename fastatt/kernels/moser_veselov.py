@@ -6,12 +6,10 @@ and H = ½ Σ m̂²/I with m̂ = h m over the largest moment. The modified momen
 13225, eqs. 3.5 to 3.8; Moser and Veselov, Commun. Math. Phys. 139 (1991) 217.
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel
-from fastatt.kernels.vec3 import cross, dot
+from fastatt.kernels.vec3 import add, axpy, cross, dot, scale, sub
 
 
 @kernel
@@ -232,11 +230,7 @@ def newton(c, u, kappa):
     # columns of the matrix's adjoint are products of its rows
     da = cross(d, a)
     ab = cross(a, b)
-    return (
-        c[0] + e * (bd[0] * r[0] + da[0] * r[1] + ab[0] * r[2]),
-        c[1] + e * (bd[1] * r[0] + da[1] * r[1] + ab[1] * r[2]),
-        c[2] + e * (bd[2] * r[0] + da[2] * r[1] + ab[2] * r[2]),
-    )
+    return axpy(e, add(axpy(r[0], bd, scale(r[1], da)), scale(r[2], ab)), c)
 
 
 @kernel
@@ -248,7 +242,7 @@ def solve(u, kappa):
     c = sweep(sweep(sweep(u, u, kappa), u, kappa), u, kappa)
     c = newton(c, u, kappa)
     b = newton(c, u, kappa)
-    e = (b[0] - c[0], b[1] - c[1], b[2] - c[2])
+    e = sub(b, c)
     return b, dot(e, e)
 
 

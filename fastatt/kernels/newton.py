@@ -6,11 +6,9 @@ V follows from it by the classical Runge-Kutta weights, corrected by what those 
 constant turn under a constant force, for which the step is exact: v1 = exp(−u) v0 + (h/μ) Jr(u) F.
 """
 
-from __future__ import annotations
-
 from fastatt._jit import kernel
 from fastatt.kernels import quat, so3
-from fastatt.kernels.vec3 import add, axpy, dot, scale
+from fastatt.kernels.vec3 import add, axpy, dot, scale, sub
 
 
 @kernel
@@ -18,7 +16,7 @@ def middle(u, h, w0, w1):
     """(σ, w) halfway through a step of turn u that starts at rate w0 and ends at w1."""
     F = type(h)
     end = so3.dexpinv(u, w1)
-    turn = axpy(F(0.125) * h, (w0[0] - end[0], w0[1] - end[1], w0[2] - end[2]), scale(F(0.5), u))
+    turn = axpy(F(0.125) * h, sub(w0, end), scale(F(0.5), u))
     rate = axpy(F(-0.25), add(w0, end), scale(F(1.5) / h, u))
     return turn, so3.dexp(turn, rate)
 

@@ -4,8 +4,6 @@
 (1937), §9; Shuster, "A survey of attitude representations", J. Astronaut. Sci. 41 (1993).
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel

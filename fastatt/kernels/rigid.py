@@ -5,14 +5,12 @@ axes; ``inertia`` the three principal moments (kg·m²). Goldstein, *Classical M
 Hughes, *Spacecraft Attitude Dynamics* (1986), ch. 4 and 8.
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel
 from fastatt.kernels import quat
 from fastatt.kernels.trig import power_of_two, reduce_powers, sincos, sinhcosh_short
-from fastatt.kernels.vec3 import cross, dot
+from fastatt.kernels.vec3 import add, cross, dot, scale
 
 
 @kernel
@@ -76,8 +74,7 @@ def damping(w, coefficients):
 @kernel
 def quadratic_damping(w, coefficient):
     """Quadratic damping τ = −c |w| w; c in N·m·s²."""
-    k = -coefficient * math.sqrt(dot(w, w))
-    return k * w[0], k * w[1], k * w[2]
+    return scale(-coefficient * math.sqrt(dot(w, w)), w)
 
 
 @kernel
@@ -88,8 +85,7 @@ def gravity_gradient(o, inertia, mean_motion):
     """
     F = type(o[0])
     k = F(3.0) * mean_motion * mean_motion
-    c = cross(o, momentum(o, inertia))
-    return k * c[0], k * c[1], k * c[2]
+    return scale(k, cross(o, momentum(o, inertia)))
 
 
 @kernel
@@ -97,13 +93,7 @@ def orbit_direction(t, mean_motion, radial, along):
     """cos(nt) radial + sin(nt) along: the direction out from the planet, inertial axes."""
     s, c = sincos(mean_motion * t)
     F = type(radial[0])
-    s = F(s)
-    c = F(c)
-    return (
-        c * radial[0] + s * along[0],
-        c * radial[1] + s * along[1],
-        c * radial[2] + s * along[2],
-    )
+    return add(scale(F(c), radial), scale(F(s), along))
 
 
 @kernel
@@ -144,12 +134,7 @@ def kepler_direction(mean_anomaly, eccentricity, periapsis, along):
     near = F(1.0) / (F(1.0) - e * cosine)
     u = near * (cosine - e)
     v = near * math.sqrt(F(1.0) - e * e) * sine
-    o = (
-        u * periapsis[0] + v * along[0],
-        u * periapsis[1] + v * along[1],
-        u * periapsis[2] + v * along[2],
-    )
-    return o, near
+    return add(scale(u, periapsis), scale(v, along)), near
 
 
 @kernel

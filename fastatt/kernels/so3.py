@@ -5,8 +5,6 @@ row. Bortz, IEEE Trans. AES 7 (1971) 61; Chirikjian, *Stochastic Models* II (201
 Iserles et al., "Lie-group methods", Acta Numerica 9 (2000).
 """
 
-from __future__ import annotations
-
 import math
 
 from fastatt._jit import kernel

@@ -1,7 +1,5 @@
 """3-vectors as tuples."""
 
-from __future__ import annotations
-
 from fastatt._jit import kernel
 
 
