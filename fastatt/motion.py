@@ -131,7 +131,6 @@ class Motion:
 
     def turned(self, x: Vector, u: Vector) -> Any:
         """An attitude turned by a rotation vector."""
-        assert self.attitude.turn is not None
         return self.attitude.turn(x, u)
 
     def at(self, t: Any) -> Any:
@@ -188,7 +187,6 @@ class Turning(Motion):
         return self.rate(t)
 
     def field(self, g: Vector, x: Vector, place: Vector = ()) -> Any:
-        assert self.plain.derivative is not None
         return self.plain.derivative(x, g)
 
     def base(self, x: Vector) -> Vector:
@@ -208,7 +206,6 @@ class Turning(Motion):
         return finish(self.attitude.flip(x) if self.structure.inertial else x)
 
     def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
-        assert self.attitude.quaternion is not None
         if not self.structure.inertial:
             return self.attitude.quaternion(x), self.rate(t)
         q = self.attitude.quaternion(self.attitude.flip(x))
@@ -263,7 +260,7 @@ class Body(Motion):
         n = self.plain.size
         a, m = x[:n], x[n:]
         v = tuple(k * u for k, u in zip(self.half_inverse, m, strict=True))
-        return (*self.plain.half_rate_derivative(a, v), *self.momentum_rate(g, a, m, place))
+        return (*self.plain.half_derivative(a, v), *self.momentum_rate(g, a, m, place))
 
     def base(self, x: Vector) -> Vector:
         a, m = self.attitude_of(x), self.momentum_of(x)
@@ -295,7 +292,6 @@ class Body(Motion):
             # by the matrix, whose zeros are exact for a permutation of axes: a needle's spin that
             # leaks into the other axes would be multiplied by their moments
             w = dcm.rotate_inverse(dcm.from_quat(self.axes), w)
-            assert self.attitude.compose is not None
             a = self.attitude.compose(a, self.axes)
         return (*a, *self.attitude.carry(rigid.momentum(w, self.moments)))
 
@@ -303,7 +299,6 @@ class Body(Motion):
         a, w = self.attitude_of(x), self.angular_velocity(self.momentum_of(x)[:3])
         if self.axes is not None:
             w = dcm.rotate(dcm.from_quat(self.axes), w)
-            assert self.attitude.compose is not None
             a = self.attitude.compose(a, quat.conj(self.axes))
         y, d = finish(a)
         return (*y, *w), d
@@ -316,7 +311,6 @@ class Body(Motion):
         return dot(m, m), dot(m, self.angular_velocity(m))
 
     def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
-        assert self.attitude.quaternion is not None
         q = self.attitude.quaternion(self.attitude_of(x))
         w = self.angular_velocity(self.momentum_of(x)[:3])
         if self.axes is None:

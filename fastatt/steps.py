@@ -265,7 +265,6 @@ class _Pieces:
     def quaternion(self, y: Vector) -> Vector:
         """The attitude of what a trajectory holds."""
         attitude = self._formulas.job.attitude
-        assert attitude.quaternion is not None
         return tuple(attitude.quaternion(y[: attitude.size]))
 
 

@@ -67,12 +67,11 @@ class Pose:
     @cached_property
     def quaternion(self) -> Any:
         """The attitude as a quaternion, unit as far as the state is."""
-        assert self._attitude.quaternion is not None
         return self._attitude.quaternion(self._x)
 
     def to_body(self, v: Vector) -> Any:
         """Components of an inertial vector along the axes of the pose."""
-        return self._attitude.seen_from(self._x, v)
+        return self._attitude.to_body(self._x, v)
 
 
 @dataclass(frozen=True, eq=False)

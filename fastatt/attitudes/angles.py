@@ -20,11 +20,9 @@ ANGLES = Attitude(
     start=lambda q: euler313.from_quat(quat.normalise(q)),
     compose=lambda x, q: euler313.from_quat(quat.mul(euler313.to_quat(x), q)),
     quaternion=euler313.to_quat,
-    to_body=lambda x, v: quat.rotate_inverse(euler313.to_quat(x), v),
     derivative=euler313.derivative,
     speed_squared=coordinate_speed,
     flip=flip,
-    finish=lambda x: (x, 0.0),
     to_quat_array=arrays.euler313_to_quat,
     summary="3-1-3 Euler angles, 3 numbers",
 )

@@ -45,6 +45,15 @@ def _is_own(formula: Any) -> bool:
     return code is None or not code.co_filename.startswith(_PACKAGE)
 
 
+def composed(compose: Formula) -> dict[str, Formula]:
+    """x∘q of one's own, and turns made of it."""
+    return {
+        "compose": compose,
+        "turn": lambda x, u: compose(x, quat.exp(u)),
+        "turn_short": lambda x, u: compose(x, quat.exp_short(u)),
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class Attitude:
     """How an attitude is stored while it is propagated.
@@ -140,12 +149,12 @@ class Attitude:
 
     def _complete(self) -> None:
         """What follows from ``start`` and ``quaternion``, where it is not said."""
-        start, quaternion = self.start, self.quaternion
-        assert quaternion is not None
+        start, quaternion, derivative = self.start, self.quaternion, self.derivative
         made: dict[str, Formula] = {
             "compose": lambda x, q: start(quat.mul(quaternion(x), q)),
             "to_body": lambda x, v: quat.rotate_inverse(quaternion(x), v),
             "flip": lambda x: start(quat.conj(quaternion(x))),
+            "half_derivative": lambda x, v: derivative(x, plus(v, v)),
         }
         for name, formula in made.items():
             if getattr(self, name) is None:
@@ -226,15 +235,3 @@ class Attitude:
     def value(self, x: Vector) -> Vector:
         """The state without its low parts."""
         return x[: len(x) // 2] if self.compensated else x
-
-    def half_rate_derivative(self, x: Vector, v: Vector) -> Any:
-        """ẋ at the rate 2v."""
-        if self.half_derivative is not None:
-            return self.half_derivative(x, v)
-        assert self.derivative is not None
-        return self.derivative(x, plus(v, v))
-
-    def seen_from(self, x: Vector, v: Vector) -> Any:
-        """Cᵀ v of an inertial vector v."""
-        assert self.to_body is not None
-        return self.to_body(x, v)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fastatt.attitudes.attitude import Attitude
+from fastatt.attitudes.attitude import Attitude, composed
 from fastatt.flat.formulas import dcm, dot, quat
 from fastatt.flat.graph import apply
 
@@ -12,9 +12,7 @@ DIRECTION = Attitude(
     stored=3,
     coordinates=3,
     start=lambda v: v,
-    turn=lambda x, u: quat.rotate_inverse(quat.exp(u), x),
-    compose=lambda x, q: quat.rotate_inverse(q, x),
-    turn_short=lambda x, u: quat.rotate_inverse(quat.exp_short(u), x),
+    **composed(lambda x, q: quat.rotate_inverse(q, x)),
     derivative=dcm.derivative_row,
     flip=lambda x: x,
     finish=lambda x: (x, apply("sqrt", dot(x, x))),

@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.attitudes.attitude import Attitude
+from fastatt.attitudes.attitude import Attitude, composed
 from fastatt.flat.formulas import Vector, dcm, quat
-
-
-def turn(x: Vector, u: Vector) -> Any:
-    return dcm.mul(x, dcm.exp(u))
-
-
-def turn_short(x: Vector, u: Vector) -> Any:
-    return dcm.mul(x, dcm.exp_short(u))
 
 
 def finish(x: Vector) -> Any:
@@ -25,9 +17,7 @@ MATRIX = Attitude(
     size=9,
     stored=9,
     start=lambda q: dcm.from_quat(quat.normalise(q)),
-    turn=turn,
-    turn_short=turn_short,
-    compose=lambda x, q: dcm.mul(x, dcm.from_quat(q)),
+    **composed(lambda x, q: dcm.mul(x, dcm.from_quat(q))),
     quaternion=dcm.to_quat,
     to_body=dcm.rotate_inverse,
     derivative=dcm.derivative,

@@ -4,17 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.attitudes.attitude import Attitude
+from fastatt.attitudes.attitude import Attitude, composed
 from fastatt.flat.formulas import Vector, compensated, quat
 from fastatt.flat.graph import apply, choose
-
-
-def turn(x: Vector, u: Vector) -> Any:
-    return quat.mul(x, quat.exp(u))
-
-
-def turn_short(x: Vector, u: Vector) -> Any:
-    return quat.mul(x, quat.exp_short(u))
 
 
 def finish(x: Vector) -> Any:
@@ -30,9 +22,7 @@ QUATERNION = Attitude(
     size=4,
     stored=4,
     start=quat.normalise,
-    turn=turn,
-    turn_short=turn_short,
-    compose=quat.mul,
+    **composed(quat.mul),
     quaternion=lambda x: x,
     to_body=quat.rotate_inverse,
     derivative=quat.derivative,
@@ -80,7 +70,6 @@ COMPENSATED = Attitude(
     turn_short=compensated.turn_short,
     compose=compensated.compose,
     quaternion=lambda x: x[:4],
-    to_body=lambda x, v: quat.rotate_inverse(x[:4], v),
     flip=low_flip,
     finish=low_finish,
     restore=low_restore,

@@ -11,13 +11,10 @@ ROTATION_VECTOR = Attitude(
     size=3,
     stored=3,
     start=quat.log,
-    compose=lambda x, q: quat.log(quat.mul(quat.exp(x), q)),
     quaternion=quat.exp,
-    to_body=lambda x, v: quat.rotate_inverse(quat.exp(x), v),
     derivative=so3.dexpinv,
     speed_squared=coordinate_speed,
     flip=opposite,
-    finish=lambda x: (x, 0.0),
     to_quat_array=arrays.rotation_vector_to_quat,
     summary="rotation vector, 3 numbers",
 )

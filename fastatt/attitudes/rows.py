@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.attitudes.attitude import Attitude
-from fastatt.flat.formulas import Vector, dcm, opposite, quat
+from fastatt.attitudes.attitude import Attitude, composed
+from fastatt.flat.formulas import Vector, dcm, quat
 
 
-def turned(x: Vector, r: Vector) -> Vector:
+def compose(x: Vector, q: Vector) -> Vector:
+    r = dcm.from_quat(quat.conj(q))
     return (*dcm.rotate(r, x[:3]), *dcm.rotate(r, x[3:]))
 
 
@@ -35,9 +36,7 @@ ROWS = Attitude(
     size=6,
     stored=9,
     start=lambda q: dcm.from_quat(quat.normalise(q))[:6],
-    turn=lambda x, u: turned(x, dcm.exp(opposite(u))),
-    turn_short=lambda x, u: turned(x, dcm.exp_short(opposite(u))),
-    compose=lambda x, q: turned(x, dcm.from_quat(quat.conj(q))),
+    **composed(compose),
     quaternion=lambda x: dcm.to_quat(to_dcm(x)),
     to_body=lambda x, v: dcm.rotate_inverse(to_dcm(x), v),
     derivative=derivative,

@@ -70,7 +70,7 @@ def _angles(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) -
     for k in range(1, n):
         y = plus(base, now)
         a, v = y[:size], y[size:]
-        slope = (*motion.plain.half_rate_derivative(a, v), *rigid.gyroscopic(v, coupling))
+        slope = (*motion.plain.half_derivative(a, v), *rigid.gyroscopic(v, coupling))
         after = onto(before, slope)
         if not motion.is_free:
             torque = motion.torque(t + (k / n) * h, a, scale(n * frequency, v))
