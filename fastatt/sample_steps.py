@@ -15,7 +15,7 @@ from fastatt._jit import helper, kernel
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.traced import Recurrence
 from fastatt.gyro.turns import products
-from fastatt.gyro.windows import Iteration, Window
+from fastatt.gyro.windows import Iteration
 from fastatt.integrate import method_of
 from fastatt.kernels import quat
 from fastatt.methods import coning2 as _coning2
@@ -158,36 +158,25 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
     Raises ``ValueError`` for a method that does not take such samples.
     """
     window = method_of(method, increments).window
-    step, step_into = _functions(window, increments)
+    sizes = 3 * window.samples(increments), window.intervals, 4 * window.span
+    if window.iteration is not None:
+        step = scalar_function(_passes(window.iteration, increments))
+        step_into = kernel(_into(step, *sizes), cache=False)
+    else:
+        # it closes over plain functions alone, which Numba's disk cache knows again
+        plain = _stepped(_TURNED[window.span], window.formula(increments))
+        step, step_into = kernel(plain), kernel(_into(helper(plain), *sizes))
     return SampleStepper(
         method=method, history=window.history, span=window.span, samples=window.samples(increments),
         work=0, step=step, step_into=step_into,
     )  # fmt: skip
 
 
-def _functions(window: Window, increments: bool) -> tuple[Any, Any]:
-    """``step`` and ``step_into``."""
-    if window.iteration is not None:
-        step = scalar_function(_passes(window.iteration, increments))
-        into = _into(step, 3 * window.samples(increments), window.intervals, 4 * window.span)
-        return step, kernel(into, cache=False)
-    # they close over plain functions and numbers alone, which Numba's disk cache knows again
-    functions = _stepped(_TURNED[window.span], window.formula(increments), 4 * window.span)
-    return kernel(functions[0]), kernel(functions[1])
-
-
-def _stepped(apply: Any, formula: Any, size: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def _stepped(apply: Any, formula: Any) -> Callable[..., Any]:
     def step(q, v, h):
         return apply(q, formula(v, h))
 
-    def step_into(samples, intervals, out, work):
-        q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
-        d = apply(q, formula(samples.reshape(-1), intervals))
-        flat = out.reshape(-1)
-        for i in range(size):
-            flat[4 + i] = d[i]
-
-    return step, step_into
+    return step
 
 
 def _passes(iteration: Iteration, increments: bool) -> Recurrence:

@@ -7,16 +7,14 @@ from types import MappingProxyType
 
 from fastatt.methods import (
     cf4,
-    cg3,
     closed_form,
     coning2,
     coning3,
+    crouch_grossman,
     dmv,
     gauss12,
     gbs16,
     hold,
-    lie_euler,
-    lie_midpoint,
     magnus4,
     magnus6,
     magnus8,
@@ -33,8 +31,8 @@ from fastatt.methods import (
 from fastatt.methods.method import Method
 
 _ALL = (
-    lie_euler.METHOD,
-    lie_midpoint.METHOD,
+    crouch_grossman.LIE_EULER,
+    crouch_grossman.LIE_MIDPOINT,
     rk4.METHOD,
     magnus4.METHOD,
     magnus6.METHOD,
@@ -42,7 +40,7 @@ _ALL = (
     gauss12.METHOD,
     cf4.METHOD,
     rkmk4.METHOD,
-    cg3.METHOD,
+    crouch_grossman.CG3,
     rk8.METHOD,
     rk9.METHOD,
     gbs16.METHOD,

@@ -1,7 +1,5 @@
 """Closed forms of bodies: one evaluation for each save, whatever the number of steps."""
 
-from __future__ import annotations
-
 from fastatt.methods.method import BODIES, Method
 
 METHOD = Method(

@@ -1,7 +1,5 @@
 """Coning-2: two intervals at a time."""
 
-from __future__ import annotations
-
 from fastatt._jit import helper
 from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
@@ -10,21 +8,22 @@ from fastatt.kernels.coning import (
     rotation_vector_linear,
     rotation_vector_quadratic,
 )
+from fastatt.kernels.vec3 import scale, sub
 from fastatt.methods.sampled import sampled_method
 
 
 @helper
 def rates(v, h):
     t = h[0] + h[1]
-    a, b, c = rates_quadratic((v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), h[0], t)
+    a, b, c = rates_quadratic(v[:3], v[3:6], v[6:9], h[0], t)
     return rotation_vector_quadratic(a, b, c, h[0]) + rotation_vector_quadratic(a, b, c, t)
 
 
 @helper
 def increments(v, h):
     # a line whose time 0 lies between the two intervals, moved to the start of the first
-    a, b = increments_linear((v[0], v[1], v[2]), (v[3], v[4], v[5]), h[0], h[1])
-    a = (a[0] - h[0] * b[0], a[1] - h[0] * b[1], a[2] - h[0] * b[2])
+    a, b = increments_linear(v[:3], v[3:6], h[0], h[1])
+    a = sub(a, scale(h[0], b))
     return rotation_vector_linear(a, b, h[0]) + rotation_vector_linear(a, b, h[0] + h[1])
 
 

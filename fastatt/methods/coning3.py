@@ -1,7 +1,5 @@
 """Coning-3: three intervals at a time, polynomial or optimal for pure coning."""
 
-from __future__ import annotations
-
 from fastatt._jit import helper
 from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
@@ -18,9 +16,7 @@ from fastatt.methods.sampled import sampled_method
 def rates(v, h):
     s = h[0] + h[1]
     t = s + h[2]
-    a, b, c, d = rates_cubic(
-        (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), (v[9], v[10], v[11]), h[0], s, t
-    )
+    a, b, c, d = rates_cubic(v[:3], v[3:6], v[6:9], v[9:12], h[0], s, t)
     return (
         rotation_vector(a, b, c, d, h[0])
         + rotation_vector(a, b, c, d, s)
@@ -30,9 +26,7 @@ def rates(v, h):
 
 @helper
 def increments(v, h):
-    a, b, c = increments_quadratic(
-        (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), h[0], h[1], h[2]
-    )
+    a, b, c = increments_quadratic(v[:3], v[3:6], v[6:9], h[0], h[1], h[2])
     s = h[0] + h[1]
     return (
         rotation_vector_quadratic(a, b, c, h[0])
@@ -43,7 +37,7 @@ def increments(v, h):
 
 @helper
 def increments_optimal(v, h):
-    last = miller((v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]))
+    last = miller(v[:3], v[3:6], v[6:9])
     return increments(v, h)[:6] + last
 
 

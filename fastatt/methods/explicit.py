@@ -7,14 +7,16 @@ its order. Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from fastatt import checks
 from fastatt.flat.formulas import Vector, axpy, largest, scale, weighted
+from fastatt.methods.lie import named
 from fastatt.methods.method import BODIES, Method, Steps
 
 #: representations whose numbers obey a differential equation
@@ -163,13 +165,17 @@ def _added(weight: float, slope: Vector, total: Vector | None) -> Vector:
 def explicit_method(
     name: str,
     tableau: Tableau,
-    limits: Mapping[str, float],
+    of_quaternions: float,
+    of_matrices: float,
     *,
     scenes: tuple[str, ...] = ("rate", *BODIES),
     first_turn: bool = False,
     **fields: Any,
 ) -> Method:
-    """Record of a tableau."""
+    """Record of a tableau, with its limits."""
+    # the angles' rates grow without bound near their poles
+    limits = {"quat": of_quaternions, "euler313": 0.3, "rotation_vector": 0.3}
+    limits |= dict.fromkeys(("dcm", "dcm_rows", "direction"), of_matrices)
     step = stepped(tableau, first_turn=first_turn)
     return Method(
         name=name,
@@ -222,8 +228,6 @@ def explicit(
     >>> fa.propagate(scene, [1, 0, 0, 0], [0.1, 0.2, 0.3], dt=0.01, n_steps=10, method=rk3).method
     'ralston3'
     """
-    from fastatt.methods.lie import _named, _ordered
-
     try:
         numbers = (
             tuple(map(float, c)),
@@ -232,14 +236,12 @@ def explicit(
         )
     except (TypeError, ValueError) as error:
         raise TypeError(f"c, a, b: {error}; accepted: sequences of numbers") from error
-    tableau = Tableau(_ordered(order), *numbers)
-    turn = {k: _trusted(tableau, k) for k in (0.5, 1.0)}
-    limits = {"quat": turn[0.5], **dict.fromkeys(("dcm", "dcm_rows", "direction"), turn[1.0])}
-    limits |= dict.fromkeys(("euler313", "rotation_vector"), 0.3)
+    tableau = Tableau(checks.whole("order", order, 1), *numbers)
     return explicit_method(
-        _named(name),
+        named(name),
         tableau,
-        limits,
+        _trusted(tableau, 0.5),
+        _trusted(tableau, 1.0),
         damping_limit=_damping(tableau),
         summary="a user's own",
         source="a user's own",

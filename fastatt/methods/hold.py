@@ -1,7 +1,5 @@
 """Hold: each sample's rate kept over the interval that follows; increments taken as they are."""
 
-from __future__ import annotations
-
 from fastatt._jit import helper
 from fastatt.gyro.windows import Window
 from fastatt.kernels.vec3 import scale
@@ -10,12 +8,12 @@ from fastatt.methods.sampled import sampled_method
 
 @helper
 def rates(v, h):
-    return scale(h[0], (v[0], v[1], v[2]))
+    return scale(h[0], v[:3])
 
 
 @helper
 def increments(v, h):
-    return v[0], v[1], v[2]
+    return v[:3]
 
 
 METHOD = sampled_method(

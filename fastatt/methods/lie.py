@@ -70,11 +70,6 @@ def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
     return reduce(larger, [*turns, h * h * dot(rates[0], rates[0])])
 
 
-def turn_of_exponents(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
-    """Squared turn of the largest exponential, of exponents that are plain rates times a span."""
-    return reduce(larger, [dot(u, u) for u in exponents])
-
-
 def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callable[..., Any]:
     """The step of ``exponents(w, t, h) -> (u1, u2, …)``, w(t) the rate."""
 
@@ -97,20 +92,18 @@ def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callab
 def lie_method(
     name: str,
     order: int,
-    exponents: Callable[..., Any] | None,
+    exponents: Callable[..., Any],
     *,
     turns: Callable[..., Any] = turn_of_sum,
-    rate: Callable[..., Any] | None = None,
     body: Callable[..., Any] | None = None,
     limit: float = math.pi,
     body_limit: float = math.inf,
     exact_for_constant: bool = True,
     **fields: Any,
 ) -> Method:
-    """Record of a method that turns the state by its exponents, or by a step of its own."""
-    step = rate if exponents is None else lie_step(exponents, turns)
+    """Record of a method that turns the state by its exponents, a body's by a step of its own."""
     steps = Steps(
-        rate=step,
+        rate=lie_step(exponents, turns),
         constant=one_exponential if exact_for_constant else None,
         body=body,
         at_times=True,
@@ -168,8 +161,8 @@ def lie(name: str, *, order: int, exponents: Callable[..., Any], limit: float = 
     except NotStraight as error:
         raise TypeError(f"exponents: {error}; accepted: f(w, t, h) -> (u1, u2, …)") from error
     return lie_method(
-        _named(name),
-        _ordered(order),
+        named(name),
+        checks.whole("order", order, 1),
         formula,
         rate_calls=asked,
         exponentials=found,
@@ -219,13 +212,8 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
     return asked, len(found)
 
 
-def _named(name: Any) -> str:
+def named(name: Any) -> str:
+    """A name, and nothing else."""
     if not isinstance(name, str) or not name:
         raise TypeError(f"name: found {name!r}; accepted: a name")
     return name
-
-
-def _ordered(order: Any) -> int:
-    if not isinstance(order, int) or isinstance(order, bool) or order < 1:
-        raise ValueError(f"order: found {order!r}; accepted: a whole number from 1 on")
-    return order

@@ -1,7 +1,5 @@
 """Previous: an interval and the one before it, the causal coning correction."""
 
-from __future__ import annotations
-
 from fastatt._jit import helper
 from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
@@ -15,14 +13,14 @@ from fastatt.methods.sampled import sampled_method
 
 @helper
 def rates(v, h):
-    now = (v[3], v[4], v[5])
-    a, b, c = rates_quadratic(now, (v[6], v[7], v[8]), (v[0], v[1], v[2]), h[1], -h[0])
+    now = v[3:6]
+    a, b, c = rates_quadratic(now, v[6:9], v[:3], h[1], -h[0])
     return rotation_vector_quadratic(a, b, c, h[1])
 
 
 @helper
 def increments(v, h):
-    a, b = increments_linear((v[0], v[1], v[2]), (v[3], v[4], v[5]), h[0], h[1])
+    a, b = increments_linear(v[:3], v[3:6], h[0], h[1])
     return rotation_vector_linear(a, b, h[1])
 
 

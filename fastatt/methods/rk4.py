@@ -1,7 +1,5 @@
 """RK4: the classical method on the numbers of the representation."""
 
-from __future__ import annotations
-
 from fastatt.methods.explicit import Tableau, explicit_method
 
 TABLEAU = Tableau(
@@ -13,16 +11,9 @@ TABLEAU = Tableau(
 METHOD = explicit_method(
     "rk4",
     TABLEAU,
-    # stable up to 4√2 on quaternions and 2√2 on matrices, but wrong long before; the angles' rates
-    # grow without bound near their poles
-    limits={
-        "quat": 1.7,
-        "dcm": 1.5,
-        "dcm_rows": 1.5,
-        "direction": 1.5,
-        "euler313": 0.3,
-        "rotation_vector": 0.3,
-    },
+    # stable up to 4√2 on quaternions and 2√2 on matrices, but wrong long before
+    of_quaternions=1.7,
+    of_matrices=1.5,
     first_turn=True,
     damping_limit=1.7,
     summary="the baseline; the norm drifts, the attitude's direction does not",

@@ -8,13 +8,13 @@ of higher order than the splitting, so that it adds nothing that can be seen.
 from __future__ import annotations
 
 import math
-from itertools import accumulate
 from typing import Any
 
 from fastatt.flat.formulas import Vector
 from fastatt.flat.formulas import moser_veselov as mv
 from fastatt.methods import dmv
 from fastatt.methods.method import Method, Steps
+from fastatt.methods.strang import stages
 from fastatt.torques import Dependence
 
 _LEVEL = 3
@@ -52,16 +52,7 @@ STEPS = Steps(
 )
 
 
-def _stages(
-    kicks: tuple[float, ...], drifts: tuple[float, ...]
-) -> tuple[tuple[float, float, float], ...]:
-    """A drift and the kick after it; the first kick is done with the last of the step before."""
-    at = accumulate(drifts)
-    after = (*kicks[1:-1], 2.0 * kicks[0])
-    return tuple((b, k, c) for b, k, c in zip(drifts, after, at, strict=True))
-
-
-def _method(order: int, stages: tuple[tuple[float, float, float], ...]) -> Method:
+def _method(order: int, kicks: tuple[float, ...], drifts: tuple[float, ...]) -> Method:
     return Method(
         name=f"srkn{order}",
         order=order,
@@ -69,12 +60,12 @@ def _method(order: int, stages: tuple[tuple[float, float, float], ...]) -> Metho
         representations=("quat", "dcm"),
         uses=("compose",),
         conserves=("norm",),
-        rate_calls=len(stages),
+        rate_calls=len(drifts),
         exponentials=0,
         measure="momentum",
         limits=dict.fromkeys(("quat", "dcm"), 1.0),
         steps=STEPS,
-        stages=stages,
+        stages=stages(kicks, drifts),
         reversible=("torqued",),
         summary="kicks between steps of free motion; torques that do not depend on w",
         source="Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313, table 3",
@@ -100,7 +91,7 @@ _D6 = (
 )
 _D4_HALF = (*_D4, 0.5 - math.fsum(_D4))
 _K6_HALF = (*_K6, 0.5 - math.fsum(_K6))
-_FOUR = _stages((*_K4, 1.0 - 2.0 * math.fsum(_K4), *_K4[::-1]), (*_D4_HALF, *_D4_HALF[::-1]))
-_SIX = _stages((*_K6_HALF, *_K6_HALF[::-1]), (*_D6, 1.0 - 2.0 * math.fsum(_D6), *_D6[::-1]))
-
-METHODS = (_method(4, _FOUR), _method(6, _SIX))
+METHODS = (
+    _method(4, (*_K4, 1.0 - 2.0 * math.fsum(_K4), *_K4[::-1]), (*_D4_HALF, *_D4_HALF[::-1])),
+    _method(6, (*_K6_HALF, *_K6_HALF[::-1]), (*_D6, 1.0 - 2.0 * math.fsum(_D6), *_D6[::-1])),
+)

@@ -12,7 +12,7 @@ three. Under a torque a stage is all of the free motion and a kick, and half a k
 from __future__ import annotations
 
 import math
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Any
 
 from fastatt.flat.formulas import Vector, dot, scale, trig
@@ -82,14 +82,19 @@ STEPS = Steps(
 )
 
 
+def stages(
+    kicks: tuple[float, ...], drifts: tuple[float, ...]
+) -> tuple[tuple[float, float, float], ...]:
+    """A drift and the kick after it; the first kick is done with the last of the step before."""
+    after = (*kicks[1:-1], 2.0 * kicks[0])
+    return tuple(zip(drifts, after, accumulate(drifts), strict=True))
+
+
 def composition(half: tuple[float, ...]) -> tuple[tuple[float, float, float], ...]:
     """Stages of a palindromic composition, from the first half of its steps and the middle one."""
     steps = (*half, *half[-2::-1])
-    following = (*steps[1:], steps[0])
-    at = accumulate(steps)
-    return tuple(
-        (b, 0.5 * (b + after), c) for b, after, c in zip(steps, following, at, strict=True)
-    )
+    around = pairwise((0.0, *steps, 0.0))
+    return stages(tuple(0.5 * (before + after) for before, after in around), steps)
 
 
 def _centre(outer: tuple[float, ...]) -> tuple[float, ...]:
@@ -108,8 +113,8 @@ def _method(
     summary: str,
     source: str,
 ) -> Method:
-    stages = composition(half)
-    backwards = max((abs(k) for _, k, _ in stages if k < 0.0), default=0.0)
+    found = composition(half)
+    backwards = max((abs(k) for _, k, _ in found if k < 0.0), default=0.0)
     return Method(
         name=name,
         order=order,
@@ -125,7 +130,7 @@ def _method(
         damping_limit=_DECAY / backwards if backwards else 3.3,
         summary=summary,
         source=source,
-        stages=stages,
+        stages=found,
         sorted_axes=True,
         takes=Dependence.DAMPED,
         steps=STEPS,

@@ -1,7 +1,5 @@
 """Trapezoid: the mean of the rates at both ends of an interval."""
 
-from __future__ import annotations
-
 from fastatt._jit import helper
 from fastatt.gyro.windows import Window
 from fastatt.kernels.vec3 import add, scale
@@ -11,7 +9,7 @@ from fastatt.methods.sampled import sampled_method
 @helper
 def rates(v, h):
     F = type(v[0])
-    return scale(F(0.5) * h[0], add((v[0], v[1], v[2]), (v[3], v[4], v[5])))
+    return scale(F(0.5) * h[0], add(v[:3], v[3:6]))
 
 
 METHOD = sampled_method(

@@ -1,0 +1,58 @@
+"""Crouch-Grossman methods: exponentials of the rate as it is at a few instants of the step.
+
+Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import Any
+
+from fastatt.flat.formulas import Vector, dot, scale
+from fastatt.flat.functions import larger
+from fastatt.methods.lie import lie_method
+from fastatt.methods.method import Method
+
+
+def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
+    # exponents are plain rates times a span
+    return reduce(larger, [dot(u, u) for u in exponents])
+
+
+def _method(
+    name: str, order: int, frozen: tuple[tuple[float, float], ...], **fields: Any
+) -> Method:
+    """``frozen`` has (share of the step, when in it) of each exponential's rate."""
+
+    def exponents(w: Any, t: Any, h: Any) -> Any:
+        return tuple(scale(share * h, w(t + at * h)) for share, at in frozen)
+
+    n = len(frozen)
+    return lie_method(name, order, exponents, turns=turns, rate_calls=n, exponentials=n, **fields)
+
+
+LIE_EULER = _method(
+    "lie_euler",
+    1,
+    ((1.0, 0.0),),
+    limit=0.1,
+    summary="exponential of the rate at the start; exact for a constant rate",
+    source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), eq. 2.4",
+)
+LIE_MIDPOINT = _method(
+    "lie_midpoint",
+    2,
+    ((1.0, 0.5),),
+    limit=0.7,
+    reversible=("rate",),
+    summary="exponential of the rate at the middle; exact for a constant rate, reversible",
+    source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), §5",
+)
+CG3 = _method(
+    "cg3",
+    3,
+    ((13.0 / 51.0, 0.0), (-2.0 / 3.0, 0.75), (24.0 / 17.0, 17.0 / 24.0)),
+    limit=1.8,  # of the last turn, 24/17 |w|h
+    summary="exponentials of frozen rates, the historical alternative; magnus4 beats it in both",
+    source="Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1",
+)
