@@ -13,55 +13,11 @@ w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ 
 
 from __future__ import annotations
 
+import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-
-# module: what it holds for users; imported when it is first asked for, so that a process pays for
-# what it uses
-_HELD_BY = {
-    "arrays": (
-        "angle_between dcm_to_quat euler313_to_quat quat_multiply quat_to_dcm "
-        "quat_to_euler313 quat_to_rotation_vector rotate rotate_inverse "
-        "rotation_vector_to_quat"
-    ),
-    "attitudes": "Attitude",
-    "estimation.filters": "mean_attitude",
-    "integrate": "integrate_rates",
-    "interchange": "from_scipy to_scipy",
-    "logs": "Log LogError LogWarning read_log",
-    "methods": "METHODS Method",
-    "methods.explicit": "explicit",
-    "methods.lie": "lie",
-    "running.angular_velocity": "angular_velocity",
-    "running.drift": "Drift drift",
-    "running.energy": "angular_momentum kinetic_energy kinetic_energy_symmetric potential_energy",
-    "running.interpolation": "interpolate",
-    "rounding": "StepWarning",
-    "running.loop": "show_loop",
-    "running.plan": "Plan",
-    "running.choosing": "methods_for",
-    "running.propagate": "plan propagate propagate_directions self_check",
-    "running.reducer": "Reducer reducer",
-    "running.self_check": "OrderWarning SelfCheck",
-    "engine.status": "Status",
-    "running.trajectory": "Trajectory",
-    "running.watch": "DriftStatistics watch_drift",
-    "scene": "Scene",
-    "steps": "single_step",
-    "streaming": "integrator",
-    "tables": "Table",
-    "trade.each": "OwnSteps own_steps",
-    "trade.error_budget": "ErrorBudget error_budget",
-    "trade.advice": "recommend",
-    "trade.recommendation": "Recommendation",
-    "trade.work_precision": "WorkPrecision work_precision",
-}
-_MODULES = (
-    "estimation", "exact", "forces", "interchange", "kernels", "plots", "rates", "steps", "torques",
-)  # fmt: skip
-_FOUND_IN = {name: module for module, names in _HELD_BY.items() for name in names.split()}
 
 __all__ = [
     "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Log", "LogError",
@@ -77,6 +33,7 @@ __all__ = [
     "steps", "to_scipy", "torques", "watch_drift", "work_precision",
 ]  # fmt: skip
 
+# imported when it is first asked for, so that a process pays for what it uses
 if TYPE_CHECKING:
     from fastatt import (
         estimation,
@@ -139,14 +96,24 @@ if TYPE_CHECKING:
     from fastatt.trade.work_precision import WorkPrecision, work_precision
 
 
+@functools.cache
+def _held_by() -> dict[str, str]:
+    """The module of each name, as the imports above say, which a type checker alone runs."""
+    import ast
+    import inspect
+    import sys
+
+    lines = ast.walk(ast.parse(inspect.getsource(sys.modules[__name__])))
+    found = [x for x in lines if isinstance(x, ast.ImportFrom) and x.module]
+    return {name.name: line.module or "" for line in found for name in line.names}
+
+
 def __getattr__(name: str) -> Any:
-    if name in _FOUND_IN:
-        value = getattr(importlib.import_module(f"fastatt.{_FOUND_IN[name]}"), name)
-    elif name in _MODULES:
-        value = importlib.import_module(f"fastatt.{name}")
-    else:
+    if name not in __all__:
         raise AttributeError(f"module 'fastatt' has no attribute {name!r}")
-    globals()[name] = value
+    module = _held_by()[name]
+    found = importlib.import_module(f"fastatt.{name}" if module == "fastatt" else module)
+    globals()[name] = value = found if module == "fastatt" else getattr(found, name)
     return value
 
 

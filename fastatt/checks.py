@@ -136,11 +136,16 @@ def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
 
 def finite(name: str, value: Floats) -> None:
     """Refuse the first number that is not finite."""
-    if all_finite(value):
-        return
-    where = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
-    place = list(where) if where else ""
-    raise ValueError(f"{name}{place} is {value[where]}; accepted: finite numbers")
+    if not all_finite(value):
+        refuse(name, value, ~np.isfinite(value), "finite numbers")
+
+
+def refuse(name: str, value: Floats, bad: Any, accepted: str) -> None:
+    """Refuse the first bad number of an array, if there is one."""
+    if np.any(bad):
+        where = tuple(map(int, np.argwhere(bad)[0]))
+        place = list(where) if where else ""
+        raise ValueError(f"{name}{place} is {value[where]}; accepted: {accepted}")
 
 
 def all_finite(*values: Floats) -> bool:

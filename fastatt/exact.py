@@ -18,7 +18,7 @@ from fastatt.closed_forms import (
     rows,
     turned,
 )
-from fastatt.inertia import EQUAL, is_symmetric, principal
+from fastatt.inertia import EQUAL, is_symmetric, principal, refuse
 from fastatt.threads import number_of
 
 #: what is done with numbers of a body that are not finite
@@ -95,7 +95,12 @@ def symmetric_top(
     options = dtype, n_threads, invalid
     body = principal(inertia, allow_unphysical=allow_unphysical)
     check_above_zero(body)
-    _check_symmetric(body.moments)
+    refuse(
+        body.moments,
+        ~is_symmetric(body.moments),
+        f"no two moments are equal to {EQUAL:g} of the largest",
+        "a symmetric body, or free_body for any other",
+    )
     return _at_times(Form(SYMMETRIC_TOP, body), q0, w0, t, options)
 
 
@@ -181,15 +186,3 @@ def _at_times(
     motion.fill((rows(start, precision), rows(rates, precision)), flat, (q, w), threads)
     shape = times.shape if n is None else (*times.shape, n)
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))
-
-
-def _check_symmetric(moments: NDArray[np.float64]) -> None:
-    symmetric = is_symmetric(moments)
-    if not symmetric.all():
-        b = int(np.argmin(symmetric))
-        where = f"[{b}]" if moments.ndim == 2 else ""
-        found = ", ".join(f"{x:.6g}" for x in np.atleast_2d(moments)[b])
-        raise ValueError(
-            f"inertia{where} is ({found}): no two moments are equal to {EQUAL:g} of the largest; "
-            "accepted: a symmetric body, or free_body for any other"
-        )

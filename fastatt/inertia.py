@@ -185,16 +185,16 @@ def _past_triangle(a: Any, b: Any, c: Any) -> Any:
 def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
     a, b, c = moments.reshape(-1, 3).T  # by columns: numpy reduces short rows slowly
     tiny = [(x != 0.0) & (np.abs(x) < _SMALLEST) for x in (a, b, c)]
-    _refuse(moments, tiny[0] | tiny[1] | tiny[2], "too small", f"from {_SMALLEST:g} kg·m² on")
+    refuse(moments, tiny[0] | tiny[1] | tiny[2], "too small", f"from {_SMALLEST:g} kg·m² on")
     if allow_unphysical:
         bad = (a == 0.0) | (b == 0.0) | (c == 0.0)
-        _refuse(moments, bad, "a principal moment is 0", "any other")
+        refuse(moments, bad, "a principal moment is 0", "any other")
         return
     smallest = np.minimum(np.minimum(a, b), c)
     insist = "or allow_unphysical=True"
     reason = "a principal moment is not above 0"
-    _refuse(moments, smallest <= 0.0, reason, f"moments above 0, {insist}")
-    _refuse(
+    refuse(moments, smallest <= 0.0, reason, f"moments above 0, {insist}")
+    refuse(
         moments,
         _past_triangle(a, b, c),
         f"no body has one moment above the sum of the others, here by more than {TRIANGLE - 1:.0%}",
@@ -202,7 +202,9 @@ def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
     )
 
 
-def _refuse(moments: NDArray[Any], bad: NDArray[np.bool_], reason: str, accepted: str) -> None:
+def refuse(moments: NDArray[Any], bad: Any, reason: str, accepted: str) -> None:
+    """Refuse the first bad body, (...) of moments (..., 3)."""
+    bad = np.atleast_1d(bad)
     if bad.any():
         b = int(np.argmax(bad))
         where = f"[{b}]" if moments.ndim == 2 else ""

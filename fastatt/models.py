@@ -247,11 +247,8 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
             sizes_ = ["K" if n == -1 else str(n) for n in shape]
             accepted = f"{_tuple(sizes_)} and {_tuple(['N', *sizes_])}"
             raise ValueError(f"{label} {checks.shape(array)}; accepted are {accepted}")
-        if above_zero and (array <= 0.0).any():
-            first = np.argwhere(np.atleast_1d(array) <= 0.0)[0, 0]
-            where = f"[{first}]" if array.ndim else ""
-            found = np.atleast_1d(array)[first]
-            raise ValueError(f"{label}{where} is {found}; accepted: above 0")
+        if above_zero:
+            checks.refuse(label, array, array <= 0.0, "above 0")
         sizes.append(int(np.prod(tail, dtype=int)))
         columns.append(array.reshape((*array.shape[: array.ndim - len(shape)], -1)))
     params = join(columns, n_bodies, f"{argument}: {cls.__name__}")

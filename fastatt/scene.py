@@ -337,8 +337,5 @@ def _masses(value: ArrayLike) -> NDArray[np.float64]:
     if mass.ndim > 1 or not mass.size:
         raise ValueError(f"mass: {checks.shape(mass)}; accepted: a number or (N,), kg")
     with np.errstate(divide="ignore", over="ignore"):
-        bad = (np.atleast_1d(mass) <= 0.0) | np.isinf(1.0 / np.atleast_1d(mass))
-    if bad.any():
-        where = f"[{int(np.argmax(bad))}]" if mass.ndim else ""
-        raise ValueError(f"mass{where} is {np.atleast_1d(mass)[bad][0]}; accepted: above 0, kg")
+        checks.refuse("mass", mass, (mass <= 0.0) | np.isinf(1.0 / mass), "above 0, kg")
     return mass

@@ -319,13 +319,9 @@ def pack(model: Model, n_bodies: int | None, axes: NDArray[np.float64] | None = 
 
 
 def _pack_kepler(model: KeplerGravityGradient, n_bodies: int | None, argument: str) -> Packed:
-    e = models.numbers(f"{argument}: KeplerGravityGradient.eccentricity", model.eccentricity)
-    bad = np.atleast_1d((e < 0.0) | (e > 0.9))
-    if bad.any():
-        found = np.atleast_1d(e)[bad][0]
-        raise ValueError(
-            f"{argument}: KeplerGravityGradient.eccentricity is {found}; accepted: 0 to 0.9"
-        )
+    name = f"{argument}: KeplerGravityGradient.eccentricity"
+    e = models.numbers(name, model.eccentricity)
+    checks.refuse(name, e, (e < 0.0) | (e > 0.9), "0 to 0.9")
     return models.pack_fields(model, RECORDS[KeplerGravityGradient], n_bodies, argument)
 
 
@@ -385,9 +381,7 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
     samples = checks.array(f"{argument}: Sampled.torques", model.torques, "(n, 3)")
     if len(samples) < 2:
         raise ValueError(f"{argument}: Sampled.torques has 1 sample; accepted: at least 2")
-    dt = checks.real(f"{argument}: Sampled.dt", model.dt)
-    if dt <= 0.0:
-        raise ValueError(f"{argument}: Sampled.dt is {dt}; accepted: above 0")
+    dt = checks.above_zero(f"{argument}: Sampled.dt", model.dt, "above 0")
     start = checks.real(f"{argument}: Sampled.start", model.start)
     times = start + dt * np.arange(len(samples))
     table = Table(times, samples, kind="linear", outside="hold")

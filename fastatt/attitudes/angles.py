@@ -6,12 +6,7 @@ import math
 
 from fastatt import arrays
 from fastatt.attitudes.attitude import Attitude, coordinate_speed
-from fastatt.flat.formulas import Vector, euler313, quat
-
-
-def flip(x: Vector) -> Vector:
-    return (math.pi - x[2], x[1], math.pi - x[0])
-
+from fastatt.flat.formulas import euler313, quat
 
 ANGLES = Attitude(
     name="euler313",
@@ -22,7 +17,7 @@ ANGLES = Attitude(
     quaternion=euler313.to_quat,
     derivative=euler313.derivative,
     speed_squared=coordinate_speed,
-    flip=flip,
+    flip=lambda x: (math.pi - x[2], x[1], math.pi - x[0]),
     to_quat_array=arrays.euler313_to_quat,
     summary="3-1-3 Euler angles, 3 numbers",
 )

@@ -37,14 +37,6 @@ QUATERNION = Attitude(
 )
 
 
-def low_start(q: Vector) -> Vector:
-    return (*quat.normalise(q), 0.0, 0.0, 0.0, 0.0)
-
-
-def low_flip(x: Vector) -> Vector:
-    return (x[0], -x[1], -x[2], -x[3], x[4], -x[5], -x[6], -x[7])
-
-
 def low_finish(x: Vector) -> Any:
     q = x[:4]
     # |q|² − 1 of both parts: the squares' own rounding would hide a defect of an ulp
@@ -65,12 +57,12 @@ COMPENSATED = Attitude(
     name="quat",
     size=8,
     stored=4,
-    start=low_start,
+    start=lambda q: (*quat.normalise(q), 0.0, 0.0, 0.0, 0.0),
     turn=compensated.turn,
     turn_short=compensated.turn_short,
     compose=compensated.compose,
     quaternion=lambda x: x[:4],
-    flip=low_flip,
+    flip=lambda x: (*quat.conj(x[:4]), *quat.conj(x[4:])),
     finish=low_finish,
     restore=low_restore,
     raw=lambda x: x[:4],

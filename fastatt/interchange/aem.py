@@ -184,9 +184,6 @@ def read_aem(path: str | Path) -> Aem:
 
 def _segment(lines: _Lines, version: str) -> AemSegment:
     metadata, comments = lines.assignments("META_STOP")
-    missing = [name for name in _REQUIRED if name not in metadata]
-    if missing:
-        raise lines.wrong(f"metadata without {', '.join(missing)}")
     code = _Code(metadata, version, lines.wrong)
     lines.expect("DATA_START")
     more, tags, rows = [], [], []
@@ -232,9 +229,6 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     def wrong(text: str) -> ValueError:
         return ValueError(f"{name}.metadata: {text}")
 
-    missing = [key for key in _REQUIRED if key not in metadata]
-    if missing:
-        raise wrong(f"without {', '.join(missing)}")
     code = _Code(metadata, version, wrong)
     w = None
     if code.count > 4:
@@ -270,6 +264,9 @@ class _Code:
                 raise wrong(f"{said}; accepted: {', '.join(accepted)}")
             return found
 
+        missing = [key for key in _REQUIRED if key not in metadata]
+        if missing:
+            raise wrong(f"metadata without {', '.join(missing)}")
         self.kind = choice("ATTITUDE_TYPE", _TYPES[version])
         self.count = _TYPES[version][self.kind]
         old = version == "1.0"

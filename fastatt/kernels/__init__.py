@@ -30,24 +30,10 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "axis_angle",
-    "compensated",
-    "coning",
-    "dcm",
-    "elliptic",
-    "error_state",
-    "euler313",
-    "free_body",
-    "heavy_top",
-    "moser_veselov",
-    "newton",
-    "quat",
-    "rigid",
-    "so3",
-    "sym3",
-    "trig",
+    "axis_angle", "compensated", "coning", "dcm", "elliptic", "error_state", "euler313",
+    "free_body", "heavy_top", "moser_veselov", "newton", "quat", "rigid", "so3", "sym3", "trig",
     "vec3",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -9,6 +9,7 @@ the energy and the momentum in space.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 from fastatt.flat.formulas import Vector, dot, plus, scale
@@ -81,14 +82,11 @@ def turned(motion: Any, a: Vector, u: Vector, kappa: Vector, z: Any) -> Any:
     return motion.attitude.compose(a, r), c, inverse, z
 
 
-def _prepared(level: int) -> Any:
-    def prepare(motion: Any, h: Any, x: Vector) -> Vector:
-        m = motion.momentum_of(x)[:3]
-        scaled = scaled_inertia(motion)
-        a, kappa = modified(level, h, m, scaled, coefficients(level, scaled[0]))
-        return (*a, *kappa, squared_turn(motion, h, m))
-
-    return prepare
+def prepare(level: int, motion: Any, h: Any, x: Vector) -> Vector:
+    m = motion.momentum_of(x)[:3]
+    scaled = scaled_inertia(motion)
+    a, kappa = modified(level, h, m, scaled, coefficients(level, scaled[0]))
+    return (*a, *kappa, squared_turn(motion, h, m))
 
 
 def enter(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
@@ -97,8 +95,7 @@ def enter(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
 
 
 def leave(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
-    u = motion.momentum_of(x)
-    m = (u[0] / e[0], u[1] / e[1], u[2] / e[2])
+    m = tuple(u / a for u, a in zip(motion.momentum_of(x)[:3], e[:3], strict=True))
     return (*motion.attitude_of(x), *motion.attitude.carry(m))
 
 
@@ -130,7 +127,7 @@ def _method(level: int) -> Method:
         compensates=True,
         measure="momentum",
         limits=dict.fromkeys(("quat", "dcm"), 0.7 if order == 2 else 1.0),
-        steps=Steps(stage=stage, prepare=_prepared(level), enter=enter, leave=leave),
+        steps=Steps(stage=stage, prepare=partial(prepare, level), enter=enter, leave=leave),
         reversible=FREE,
         symplectic=level == 0,
         summary=f"{summary}; near machine precision at moderate steps" if order == 10 else summary,

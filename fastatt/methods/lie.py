@@ -152,9 +152,7 @@ def lie(name: str, *, order: int, exponents: Callable[..., Any], limit: float = 
     """
     if not callable(exponents):
         raise TypeError(f"exponents: found {checks.brief(exponents)}; accepted: a function")
-    found_limit = checks.real("limit", limit)
-    if found_limit <= 0.0:
-        raise ValueError(f"limit: found {found_limit}; accepted: above 0, rad")
+    found_limit = checks.above_zero("limit", limit, "above 0, rad")
     try:
         formula = traceable(exponents)
         asked, found = _recorded(formula)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import quat_to_dcm
-from fastatt.plots.drawing import COLOURS, check_run, direction
+from fastatt.plots.drawing import COLOURS, check_run, space_on
 from fastatt.running.interpolation import interpolate
 from fastatt.running.trajectory import Trajectory
 
@@ -77,12 +77,7 @@ class _Stage:
 
     def __init__(self, figure: Any) -> None:
         self.axes = figure.add_axes((0.0, 0.0, 1.0, 0.94), projection="3d", computed_zorder=False)
-        self.axes.set_proj_type("ortho")
-        self.axes.view_init(*_SEEN_FROM)
-        self.view = direction(*_SEEN_FROM)
-        self.axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.25)
-        self.axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), zlim=(-1.2, 1.2))
-        self.axes.set_axis_off()
+        self.view = space_on(self.axes, *_SEEN_FROM, zoom=1.25, reach=1.2)
         for axis, name in zip(np.eye(3), "XYZ", strict=True):
             self.axes.plot(*np.stack([0 * axis, 1.3 * axis], axis=1), color="0.6", lw=1.0, ls=":")
             self.axes.text(*(1.4 * axis), name, color="0.4", ha="center", va="center")

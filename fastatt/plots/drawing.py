@@ -36,24 +36,27 @@ def tints_of(values: Sequence[float]) -> dict[float, Any]:
     return dict(zip(order, colormaps["viridis"](np.linspace(0.0, 0.9, len(order))), strict=True))
 
 
-def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
-    """Draw a faint unit sphere and give the direction from which it is seen."""
+def space_on(
+    axes: Any, elevation: float, azimuth: float, zoom: float, reach: float = 1.0
+) -> NDArray[np.float64]:
+    """Show space without its axes, and give the direction from which it is seen, angles in deg."""
     axes.view_init(elev=elevation, azim=azimuth)
     axes.set_proj_type("ortho")
     axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
-    axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
     axes.set_axis_off()
+    e, a = np.radians([elevation, azimuth])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
+    """Draw a faint unit sphere and give the direction from which it is seen."""
+    view = space_on(axes, elevation, azimuth, zoom)
     around = np.linspace(0.0, 2.0 * np.pi, 73)
     up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
     x, y, z = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0.0 * around
     axes.plot_wireframe(x, y, z, rstride=3, cstride=6, color="0.6", lw=0.3)
-    return direction(elevation, azimuth)
-
-
-def direction(elevation: float, azimuth: float) -> NDArray[np.float64]:
-    """The unit vector of a direction, deg."""
-    e, a = np.radians([elevation, azimuth])
-    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    return view
 
 
 def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:

@@ -35,9 +35,7 @@ def angular_velocity(
         scale = checks.real("dt", spans, zero=False)
         t = np.arange(n, dtype=np.float64)
     else:
-        if (spans <= 0.0).any():
-            k = int(np.argmax(spans <= 0.0))
-            raise ValueError(f"dt[{k}] is {spans[k]}; accepted: intervals above 0")
+        checks.refuse("dt", spans, spans <= 0.0, "intervals above 0")
         scale = float(spans.max())
         t = np.concatenate([[0.0], np.cumsum(spans / scale)])
 
