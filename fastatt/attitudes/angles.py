@@ -1,7 +1,5 @@
 """3-1-3 Euler angles, three numbers, singular at θ = 0 and π."""
 
-from __future__ import annotations
-
 import math
 
 from fastatt import arrays

@@ -1,7 +1,5 @@
 """One inertial direction in body axes, three numbers: Poisson's equation in vector form."""
 
-from __future__ import annotations
-
 from fastatt.attitudes.attitude import Attitude, composed
 from fastatt.flat.formulas import dcm, dot, quat
 from fastatt.flat.graph import apply

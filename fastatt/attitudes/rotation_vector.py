@@ -1,7 +1,5 @@
 """Rotation vector from the reference attitude, three numbers, singular at whole turns (Bortz)."""
 
-from __future__ import annotations
-
 from fastatt import arrays
 from fastatt.attitudes.attitude import Attitude, coordinate_speed
 from fastatt.flat.formulas import opposite, quat, so3

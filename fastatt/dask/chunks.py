@@ -45,17 +45,15 @@ class Work:
         scene = self.scene if part.scene is None else part.scene
         computed = iter(lazy)
         states = [next(computed) if isinstance(x, str) else x for x in part.states]
-        told: list[str] = []
-        before = rounding.heard.set(told)
-        try:
-            return self.function(scene, states)
-        except Exception as error:
-            error.add_note(f"in the chunk of bodies {part.first} to {part.last - 1}")
-            raise
-        finally:
-            rounding.heard.reset(before)
-            for text in told:
-                _warn(f"bodies {part.first} to {part.last - 1}: {text}")
+        with rounding.hearing() as told:
+            try:
+                return self.function(scene, states)
+            except Exception as error:
+                error.add_note(f"in the chunk of bodies {part.first} to {part.last - 1}")
+                raise
+            finally:
+                for text in told:
+                    _warn(f"bodies {part.first} to {part.last - 1}: {text}")
 
 
 def _warn(text: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -14,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fastatt import rounding
 from fastatt.logs.names import LogError
 from fastatt.logs.reader import Reader
 from fastatt.logs.stamps import Chunk
-from fastatt.rounding import StepWarning
 from fastatt.streaming import Integrator, integrator
 
 _NAMES = ("t", "q0", "q1", "q2", "q3")
@@ -34,17 +33,18 @@ def integrate_chunks(
     which begins at ``q0``. ``keep`` gets the chunks.
     """
     pieces = _Pieces(reader, q0, method)
-    for chunk in reader.chunks():
-        if keep is not None:
-            keep.append(chunk)
-        bounds = [0, *(k for k in chunk.cuts if k), len(chunk.t)]
-        for first, last in pairwise(bounds):
-            if first in chunk.cuts:
-                write(pieces.close())
-            write(pieces.push(chunk.t[first:last], chunk.values[first:last, :3]))
-    write(pieces.close())
-    if pieces.warned:
-        warnings.warn(pieces.warned, stacklevel=2)
+    with rounding.hearing() as told:
+        for chunk in reader.chunks():
+            if keep is not None:
+                keep.append(chunk)
+            bounds = [0, *(k for k in chunk.cuts if k), len(chunk.t)]
+            for first, last in pairwise(bounds):
+                if first in chunk.cuts:
+                    write(pieces.close())
+                write(pieces.push(chunk.t[first:last], chunk.values[first:last, :3]))
+        write(pieces.close())
+    if told:
+        rounding.warn(told[0])
 
 
 class _Pieces:
@@ -53,7 +53,6 @@ class _Pieces:
     def __init__(self, reader: Reader, q0: ArrayLike, method: str) -> None:
         self.reader, self.q0, self.method = reader, q0, method
         self.number = 0
-        self.warned: Warning | str = ""
         self._begin()
 
     def _begin(self) -> None:
@@ -69,26 +68,16 @@ class _Pieces:
             self.q0, gaps if isinstance(gaps, float) else None, method=self.method, n_threads=1
         )
         equal = isinstance(gaps, float) or (not begun and len(t) == 1)
-        q = self._with_one_warning(lambda flow: flow.push(rates, None if equal else gaps))
+        q = self.flow.push(rates, None if equal else gaps)
         self.waiting, self.last = np.concatenate([self.waiting, t]), t[-1:]
         return self._rows(q)
 
     def close(self) -> NDArray[np.float64]:
         """The rows left; what comes next is another piece."""
-        rows = self._rows(self._with_one_warning(lambda flow: flow.close()))
+        rows = self._rows(np.empty((0, 4)) if self.flow is None else self.flow.close())
         self._begin()
         self.number += 1
         return rows
-
-    def _with_one_warning(self, act: Callable[[Integrator], NDArray[Any]]) -> NDArray[Any]:
-        if self.flow is None:
-            return np.empty((0, 4))
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", StepWarning)
-            q = act(self.flow)
-        if said and not self.warned:
-            self.warned = said[0].message
-        return q
 
     def _rows(self, q: NDArray[Any]) -> NDArray[np.float64]:
         n = len(q)
