@@ -33,35 +33,28 @@ class Principal(NamedTuple):
     axes: NDArray[np.float64] | None
 
 
-def principal(
-    inertia: ArrayLike, n_bodies: int | None = None, *, allow_unphysical: bool = False
-) -> Principal:
+def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principal:
     """Principal moments and axes of inertia given as moments or tensors, for all bodies or each.
 
     Raises ``ValueError`` for shapes other than (3,), (3, 3), (N, 3), (N, 3, 3), as ``is_tensor``,
-    for a number of bodies other than ``n_bodies``, and for bodies that can't exist: moments not
-    above 0, the largest more than 1.25 times the sum of the others, tensors not symmetric.
-    ``allow_unphysical`` lets those pass, but for moments of 0; of a tensor it takes the symmetric
-    part.
+    and for bodies that can't exist: moments not above 0, the largest more than 1.25 times the sum
+    of the others, tensors not symmetric. ``allow_unphysical`` lets those pass, but for moments of
+    0; of a tensor it takes the symmetric part.
     """
     given = checks.array("inertia", inertia, _SHAPES)
     found = given.astype(np.float64)
     if (np.abs(found) > _LARGEST).any():
         raise ValueError(f"inertia: found {np.abs(found).max():.6g}; accepted: up to {_LARGEST:g}")
-    tensor = is_tensor(found)
-    rows = None if found.ndim == 1 + tensor else len(found)
-    if rows is not None and n_bodies not in (None, rows):
-        raise ValueError(f"inertia: found {rows} bodies; accepted: one, or {n_bodies}")
-    if not tensor:
+    if not is_tensor(found):
         _check_moments(found, allow_unphysical)
         return Principal(found, None)
     gap = np.atleast_1d(_asymmetry(found))
     if gap.any() and not allow_unphysical:
         b = int(np.argmax(gap > 0.0))
         raise ValueError(
-            f"inertia{'' if rows is None else [b]}: the tensor is not symmetric, elements differ "
-            f"by {gap[b]:.3g}; accepted: a symmetric tensor, or allow_unphysical=True for its "
-            "symmetric part"
+            f"inertia{[b] if found.ndim == 3 else ''}: the tensor is not symmetric, elements "
+            f"differ by {gap[b]:.3g}; accepted: a symmetric tensor, or allow_unphysical=True for "
+            "its symmetric part"
         )
     found = 0.5 * (found + np.swapaxes(found, -1, -2))
     if not found[..., [0, 0, 1], [1, 2, 2]].any():

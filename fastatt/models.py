@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.flat.trace import traceable
 from fastatt.flat.user import FORMS, UserFunction, user_function
 from fastatt.tables import Form, Table, recorded
 
@@ -51,11 +50,6 @@ class Record:
     _: KW_ONLY
     #: of a torque or a force: whether it takes the position that the scene carries
     reads_position: bool = False
-
-    @cached_property
-    def traced(self) -> Callable[..., Any]:
-        """The formula for recorded numbers."""
-        return traceable(self.formula)
 
 
 class LookUp(NamedTuple):

@@ -283,12 +283,11 @@ def lever_of(model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]] | 
 
 def has_potential(law: Law) -> bool:
     """Whether kinetic plus potential energy stays constant under a law."""
-    if law.record in (SUM, TURNED):
-        return all(has_potential(part) for part in law.parts)
     # what a table says depends on time
-    if law.look_ups:
-        return False
-    return law.potential is not None or law.record.potential is not None
+    return all(
+        not leaf.look_ups and (leaf.potential or leaf.record.potential) is not None
+        for leaf in law.leaves()
+    )
 
 
 def dependence(law: Law, *, turned: bool = False) -> Dependence:

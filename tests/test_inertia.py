@@ -227,9 +227,8 @@ def test_no_tensor_of_a_body_reads_as_three_bodies():
 
 def test_number_of_bodies():
     with pytest.raises(ValueError, match="inertia: found 4 bodies; accepted: one, or 5"):
-        principal(np.ones((4, 3)), 5)
-    assert principal(np.ones((4, 3)), 4).moments.shape == (4, 3)
-    assert principal(np.ones(3), 5).moments.shape == (3,)
+        fa.Scene(inertia=np.ones((4, 3))).packed(5)
+    assert len(fa.Scene(inertia=np.ones((4, 3))).packed(4).params) == 4
 
 
 # kinds

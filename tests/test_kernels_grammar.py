@@ -256,6 +256,8 @@ ARGUMENTS = {
     "vec3.scale": (0.5, U),
     "vec3.axpy": (0.5, U, V),
     "vec3.neg": (U,),
+    "vec3.turn_first": (U, 0.8, 0.6),
+    "vec3.turn_third": (U, 0.8, 0.6),
 }
 
 every_kernel = pytest.mark.parametrize("name", sorted(KERNELS.keys() & ARGUMENTS))

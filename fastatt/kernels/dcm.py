@@ -120,17 +120,8 @@ def turn_first(a, c, s):
     F = type(c)
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
-    return (
-        a[0],
-        C * a[1] + S * a[2],
-        C * a[2] - S * a[1],
-        a[3],
-        C * a[4] + S * a[5],
-        C * a[5] - S * a[4],
-        a[6],
-        C * a[7] + S * a[8],
-        C * a[8] - S * a[7],
-    )
+    x, y, z = a[:3], a[3:6], a[6:]
+    return vec3.turn_first(x, C, S) + vec3.turn_first(y, C, S) + vec3.turn_first(z, C, S)
 
 
 @kernel
@@ -139,17 +130,8 @@ def turn_third(a, c, s):
     F = type(c)
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
-    return (
-        C * a[0] + S * a[1],
-        C * a[1] - S * a[0],
-        a[2],
-        C * a[3] + S * a[4],
-        C * a[4] - S * a[3],
-        a[5],
-        C * a[6] + S * a[7],
-        C * a[7] - S * a[6],
-        a[8],
-    )
+    x, y, z = a[:3], a[3:6], a[6:]
+    return vec3.turn_third(x, C, S) + vec3.turn_third(y, C, S) + vec3.turn_third(z, C, S)
 
 
 @kernel

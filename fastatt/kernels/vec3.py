@@ -47,3 +47,15 @@ def axpy(k, a, b):
 def neg(a):
     """Opposite −a."""
     return -a[0], -a[1], -a[2]
+
+
+@kernel
+def turn_first(v, c, s):
+    """v seen from axes turned about axis 1, c and s cosine and sine of the angle."""
+    return v[0], c * v[1] + s * v[2], c * v[2] - s * v[1]
+
+
+@kernel
+def turn_third(v, c, s):
+    """v seen from axes turned about axis 3, c and s cosine and sine of the angle."""
+    return c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]

@@ -31,7 +31,6 @@ METHOD = sampled_method(
     Window(history=0, span=2, rates=rates, increments=increments),
     name="coning2",
     order=4,
-    exponentials=1,
     of_rates=0.9,
     of_increments=1.0,
     summary="two intervals at a time, (2/3) θ1×θ2 of increments",

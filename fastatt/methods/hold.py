@@ -21,7 +21,6 @@ METHOD = sampled_method(
     name="hold",
     order=1,
     orders={"increments": 2},
-    exponentials=1,
     of_rates=0.1,
     of_increments=0.8,
     summary="the rate held, or one increment a turn (then order 2); no coning correction",

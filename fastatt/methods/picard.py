@@ -152,7 +152,6 @@ METHOD = sampled_method(
     ),
     name="picard",
     order=8,
-    exponentials=1,
     of_rates=1.0,
     of_increments=0.5,
     summary="six intervals at a time, iterated to round-off; for clean data and large turns",

@@ -28,7 +28,6 @@ METHOD = sampled_method(
     Window(history=1, span=1, rates=rates, increments=increments),
     name="previous",
     order=3,
-    exponentials=1,
     of_rates=1.0,
     of_increments=1.1,
     summary="one interval and the one before: causal, an attitude with every sample",

@@ -26,6 +26,7 @@ def sampled_method(
         representations=("quat",),
         conserves=("norm",),
         rate_calls=1,
+        exponentials=1,
         limits={"rates": of_rates, "increments": of_increments},
         **others,
     )

@@ -15,7 +15,7 @@ import math
 from itertools import accumulate, pairwise
 from typing import Any
 
-from fastatt.flat.formulas import Vector, dot, scale, trig
+from fastatt.flat.formulas import Vector, dot, scale, trig, vec3
 from fastatt.methods.method import BODIES, Method, Steps
 from fastatt.torques import Dependence
 
@@ -29,13 +29,13 @@ def _rotor(turn: Any, half: Any, a: Vector) -> Any:
 def first(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """h s of the rotor about axis 1."""
     a, C, S = _rotor(motion.attitude.turn_first, -0.5 * h * motion.gyroscopic[2] * m[0], a)
-    return a, (m[0], C * m[1] + S * m[2], C * m[2] - S * m[1])
+    return a, vec3.turn_first(m, C, S)
 
 
 def third(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """h s of the rotor about axis 3."""
     a, C, S = _rotor(motion.attitude.turn_third, 0.5 * h * motion.gyroscopic[0] * m[2], a)
-    return a, (C * m[0] + S * m[1], C * m[1] - S * m[0], m[2])
+    return a, vec3.turn_third(m, C, S)
 
 
 def spherical(motion: Any, h: Any, a: Vector, m: Vector) -> Any:

@@ -16,7 +16,6 @@ METHOD = sampled_method(
     Window(history=0, span=1, rates=rates),
     name="trapezoid",
     order=2,
-    exponentials=1,
     of_rates=0.6,
     summary="the mean of two samples; what most loggers' software does",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), §5",
