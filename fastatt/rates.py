@@ -86,8 +86,6 @@ class RateRecord(Record):
 
     #: ``bound(p)``, rad/s, at any time; None where there is none
     bound: Callable[[Numbers], Any] | None = None
-    #: whether the rate never changes along its axes
-    constant: bool = False
 
 
 def _sinusoidal(t: Any, p: Any) -> Any:
@@ -130,7 +128,7 @@ def lengths(v: NDArray[Any]) -> Numbers:
 
 
 _ALL = (
-    RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lengths, constant=True),
+    RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lengths),
     RateRecord(Polynomial, (Field((-1, 3)),), _polynomial),
     RateRecord(
         Sinusoidal, (_VECTOR,) * 4, _sinusoidal,
@@ -168,7 +166,7 @@ def bound(law: Law, params: Numbers) -> Numbers | None:
 
 def is_constant(law: Law) -> bool:
     """Whether a rate never changes along its axes."""
-    return law.record is not SUM and law.record.constant
+    return law.record.model is Constant
 
 
 __all__ = ["Coning", "Constant", "Polynomial", "Precession", "Sinusoidal", "Slew", "Sum"]

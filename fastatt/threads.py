@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from threading import Event
 
 from fastatt import checks
@@ -50,14 +51,11 @@ def progress_bar(wanted: bool, total: int, unit: str) -> Iterator[Callable[[int]
 def each_in_threads(calls: Iterable[Callable[[], object]], n_threads: int) -> None:
     """Make calls, in their order; where one raises, those that were not begun are dropped."""
 
-    def task(call: Callable[[], object]) -> Callable[[Event], None]:
-        def work(stop: Event) -> None:
-            if not stop.is_set():
-                call()
+    def task(call: Callable[[], object], stop: Event) -> None:
+        if not stop.is_set():
+            call()
 
-        return work
-
-    in_threads([task(call) for call in calls], n_threads)
+    in_threads([partial(task, call) for call in calls], n_threads)
 
 
 def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:

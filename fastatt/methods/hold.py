@@ -13,7 +13,7 @@ def rates(v, h):
 
 @helper
 def increments(v, h):
-    return v[:3]
+    return v[0], v[1], v[2]
 
 
 METHOD = sampled_method(
