@@ -32,7 +32,7 @@ def integrate_chunks(
     ``write`` gets rows t (s), q0 ... q3, and with ``bad="split"`` the number of the piece, each of
     which begins at ``q0``. ``keep`` gets the chunks.
     """
-    pieces = _Pieces(reader, q0, method)
+    piece = _Piece(reader, q0, method, 0)
     with rounding.hearing() as told:
         for chunk in reader.chunks():
             if keep is not None:
@@ -40,22 +40,19 @@ def integrate_chunks(
             bounds = [0, *(k for k in chunk.cuts if k), len(chunk.t)]
             for first, last in pairwise(bounds):
                 if first in chunk.cuts:
-                    write(pieces.close())
-                write(pieces.push(chunk.t[first:last], chunk.values[first:last, :3]))
-        write(pieces.close())
+                    write(piece.close())
+                    piece = _Piece(reader, q0, method, piece.number + 1)
+                write(piece.push(chunk.t[first:last], chunk.values[first:last, :3]))
+        write(piece.close())
     if told:
         rounding.warn(told[0])
 
 
-class _Pieces:
-    """Stretches of a log without a break, one after the other."""
+class _Piece:
+    """A stretch of a log without a break."""
 
-    def __init__(self, reader: Reader, q0: ArrayLike, method: str) -> None:
-        self.reader, self.q0, self.method = reader, q0, method
-        self.number = 0
-        self._begin()
-
-    def _begin(self) -> None:
+    def __init__(self, reader: Reader, q0: ArrayLike, method: str, number: int) -> None:
+        self.reader, self.q0, self.method, self.number = reader, q0, method, number
         self.flow: Integrator | None = None
         # times that wait for their attitudes, and the latest of all
         self.waiting = self.last = np.empty(0)
@@ -73,11 +70,8 @@ class _Pieces:
         return self._rows(q)
 
     def close(self) -> NDArray[np.float64]:
-        """The rows left; what comes next is another piece."""
-        rows = self._rows(np.empty((0, 4)) if self.flow is None else self.flow.close())
-        self._begin()
-        self.number += 1
-        return rows
+        """The rows left."""
+        return self._rows(np.empty((0, 4)) if self.flow is None else self.flow.close())
 
     def _rows(self, q: NDArray[Any]) -> NDArray[np.float64]:
         n = len(q)
