@@ -30,13 +30,22 @@ def curves(axes):
     return {line.get_label(): line for line in axes.lines}
 
 
+def drawn(draw, run, **options):
+    """The figure that is drawn to a file."""
+    with pytest.MonkeyPatch.context() as patch:
+        figures = []
+        patch.setattr(runs, "save", lambda figure, path: figures.append(figure))
+        draw(run, path="", **options)
+    return figures[0]
+
+
 def labels(figure):
     return [axes.get_ylabel() for axes in figure.axes]
 
 
 def test_one_body():
     run = run_of()
-    figure = runs._history(run, BODY, "angles")
+    figure = drawn(fa.plots.history, run, scene=BODY)
     turned, rates, drifts = figure.axes
     assert labels(figure) == ["3-1-3 angles, deg", "w along body axes, rad/s", "relative drift"]
     assert drifts.get_xlabel() == "time, s"
@@ -47,7 +56,7 @@ def test_one_body():
     assert np.array_equal(curves(rates)["|w|"].get_ydata(), np.linalg.norm(run.w, axis=1))
     energy = curves(drifts)["energy"].get_ydata()
     assert np.array_equal(energy[1:], fa.drift(run, BODY).energy[1:])
-    axis = runs._history(run, None, "axis").axes
+    axis = drawn(fa.plots.history, run, scene=None, attitude="axis").axes
     assert np.array_equal(curves(axis[0])["Z"].get_ydata(), run.C[:, 2, 2])
     assert set(curves(axis[2])) == {"from the group"}
 
@@ -55,7 +64,7 @@ def test_one_body():
 def test_angles_break_where_they_wrap():
     """A spin about the third axis: φ + ψ passes 180° and goes on from −180°."""
     run = fa.propagate(RATE, [1, 0, 0, 0], dt=0.1, n_steps=100, save_every=1)
-    lines = runs._history(run, None, "angles").axes[0].lines
+    lines = drawn(fa.plots.history, run, scene=None).axes[0].lines
     values = np.stack([line.get_ydata() for line in lines])
     with np.errstate(invalid="ignore"):
         assert np.nanmax(np.abs(np.diff(values))) <= 120.0
@@ -65,7 +74,7 @@ def test_angles_break_where_they_wrap():
 
 def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     run = run_of(9)
-    figure = runs._history(run, BODY, "angles")
+    figure = drawn(fa.plots.history, run, scene=BODY)
     assert labels(figure) == ["angle from the first save, deg", "|w|, rad/s", "relative drift"]
     middle = curves(figure.axes[1])["median of the bodies"].get_ydata()
     assert np.allclose(middle, np.median(np.linalg.norm(run.w, axis=-1), axis=1), rtol=1e-15)
@@ -75,17 +84,17 @@ def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     run = fa.propagate(
         BODY, run.q[0], w0, dt=0.1, n_steps=40, save_every=1, method="rk4", invalid="flag"
     )
-    figure = runs._history(run, BODY, "angles")
+    figure = drawn(fa.plots.history, run, scene=BODY)
     assert "1 flagged" in figure.get_suptitle()
     assert np.isfinite(curves(figure.axes[2])["momentum"].get_ydata()[1:]).all()
-    assert len(runs._polhode(run, BODY, None).axes[1].lines) == 2 * 4
+    assert len(drawn(fa.plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 4
     assert np.isfinite(curves(figure.axes[1])["median of the bodies"].get_ydata()).all()
 
 
 def test_of_long_histories_of_many_some_saves_are_drawn(monkeypatch):
     monkeypatch.setattr(runs, "_SAVES", 11)
     run = run_of(3)
-    t = curves(runs._history(run, None, "angles").axes[1])["median of the bodies"].get_xdata()
+    t = curves(drawn(fa.plots.history, run, scene=None).axes[1])["median of the bodies"].get_xdata()
     assert t.size == 11
     assert (t[0], t[-1]) == (run.t[0], run.t[-1])
 
@@ -93,7 +102,7 @@ def test_of_long_histories_of_many_some_saves_are_drawn(monkeypatch):
 def test_polhode_is_poinsots():
     """The momentum keeps its size and its energy; the herpolhode stays between two circles."""
     run = run_of()
-    ball, plane = runs._polhode(run, BODY, None).axes
+    ball, plane = drawn(fa.plots.polhode, run, scene=BODY).axes
     m = np.stack([line.get_data_3d() for line in ball.lines[:2]])
     m = np.where(np.isfinite(m[0]), m[0], m[1]).T
     assert np.abs(np.linalg.norm(m, axis=1) - 1.0).max() < 1e-12
@@ -110,14 +119,14 @@ def test_polhode_is_poinsots():
 
 def test_polhodes_of_some_bodies():
     run = run_of(9)
-    figure = runs._polhode(run, BODY, [2, 5])
+    figure = drawn(fa.plots.polhode, run, scene=BODY, bodies=[2, 5])
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["body 2", "body 5"]
 
 
 def test_colours_are_apart_in_grey():
     """Lines that are told apart by colour have a style besides, or shades of their own."""
-    figure = runs._history(run_of(), BODY, "angles")
+    figure = drawn(fa.plots.history, run_of(), scene=BODY)
     for axes in figure.axes:
         seen = {(to_hex(line.get_color()), line.get_linestyle()) for line in axes.lines}
         assert len({style for _, style in seen}) >= min(3, len(axes.lines))

@@ -58,10 +58,7 @@ def history(
     ------
     ValueError : a run with one save.
     """
-    save(_history(run, scene, checks.choice("attitude", attitude, ("angles", "axis"))), path)
-
-
-def _history(run: Trajectory, scene: Scene | None, attitude: str) -> Figure:
+    checks.choice("attitude", attitude, ("angles", "axis"))
     check_run(run)
     many = run.status.size > 1
     if many:
@@ -81,7 +78,7 @@ def _history(run: Trajectory, scene: Scene | None, attitude: str) -> Figure:
     for axes in (turned, rates, drifts):
         axes.grid(visible=True, alpha=0.3)
     figure.suptitle(_title(run))
-    return figure
+    save(figure, path)
 
 
 def polhode(
@@ -104,10 +101,6 @@ def polhode(
     ------
     ValueError : a scene without inertia, a run with one save, bodies that are not there.
     """
-    save(_polhode(run, scene, bodies), path)
-
-
-def _polhode(run: Trajectory, scene: Scene, bodies: Sequence[int] | None) -> Figure:
     check_run(run)
     if as_scene(scene).inertia is None:
         raise ValueError("scene: found a rate; accepted: a scene with inertia")
@@ -140,7 +133,7 @@ def _polhode(run: Trajectory, scene: Scene, bodies: Sequence[int] | None) -> Fig
         names = [f"body {k}" for k in chosen]
         figure.legend(entries, names, loc="outside lower center", ncols=len(names))
     figure.suptitle(_title(run))
-    return figure
+    save(figure, path)
 
 
 def _title(run: Trajectory) -> str:
