@@ -1,16 +1,7 @@
 """Direction cosine matrices: nine numbers."""
 
-from __future__ import annotations
-
-from typing import Any
-
 from fastatt.attitudes.attitude import Attitude, composed
-from fastatt.flat.formulas import Vector, dcm, quat
-
-
-def finish(x: Vector) -> Any:
-    return dcm.orthonormalise(dcm.orthonormalise(x)), dcm.defect(x)
-
+from fastatt.flat.formulas import dcm, quat
 
 MATRIX = Attitude(
     name="dcm",
@@ -22,7 +13,7 @@ MATRIX = Attitude(
     to_body=dcm.rotate_inverse,
     derivative=dcm.derivative,
     flip=dcm.transpose,
-    finish=finish,
+    finish=lambda x: (dcm.orthonormalise(dcm.orthonormalise(x)), dcm.defect(x)),
     restore=lambda x: (dcm.orthonormalise(x), dcm.defect(x)),
     turn_first=dcm.turn_first,
     turn_third=dcm.turn_third,

@@ -9,12 +9,8 @@ from fastatt.flat.formulas import Vector, compensated, quat
 from fastatt.flat.graph import apply, choose
 
 
-def finish(x: Vector) -> Any:
-    return quat.normalise(x), apply("sqrt", quat.dot(x, x)) - 1.0
-
-
-def restore(x: Vector) -> Any:
-    return quat.renormalise(x), apply("sqrt", quat.dot(x, x)) - 1.0
+def defect(x: Vector) -> Any:
+    return apply("sqrt", quat.dot(x, x)) - 1.0
 
 
 QUATERNION = Attitude(
@@ -28,8 +24,8 @@ QUATERNION = Attitude(
     derivative=quat.derivative,
     half_derivative=quat.mul_vector,
     flip=quat.conj,
-    finish=finish,
-    restore=restore,
+    finish=lambda x: (quat.normalise(x), defect(x)),
+    restore=lambda x: (quat.renormalise(x), defect(x)),
     turn_first=quat.turn_first,
     turn_third=quat.turn_third,
     bears_witness=True,
