@@ -69,7 +69,7 @@ def integrate_rates(
     count = n if increments else n - 1
     spans = intervals(dt, count, max_gap, precision)
     if isinstance(spans, np.ndarray):
-        check_intervals(method, uneven=True)
+        check_intervals(record, uneven=True)
     threads = None if n_threads is None else number_of(n_threads)
     start = NO_TURN if q0 is _UNTURNED else unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
@@ -179,12 +179,12 @@ def method_of(name: str, increments: bool) -> Method:
     return named[name]
 
 
-def check_intervals(method: str, *, uneven: bool) -> None:
+def check_intervals(method: Method, *, uneven: bool) -> None:
     """Refuse a method for equal intervals where they may differ."""
-    if method == "coning3_optimal" and uneven:
+    if uneven and method.window is not None and method.window.even:
         raise ValueError(
-            'dt: found intervals; accepted with "coning3_optimal": one number, its coefficients '
-            'hold for equal intervals ("coning3" takes any)'
+            f'dt: found intervals; accepted with "{method.name}": one number, its coefficients '
+            "hold for equal intervals alone"
         )
 
 

@@ -59,8 +59,9 @@ class Integrator:
         n_threads: int | None = None,
         max_gap: float | None = None,
     ) -> None:
-        self._method = method_of(method, increments).name
-        check_intervals(method, uneven=dt is None)
+        record = method_of(method, increments)
+        self._method = record.name
+        check_intervals(record, uneven=dt is None)
         self._increments = increments
         start = unit_quaternions("q0", q0)
         self._one = start.ndim == 1

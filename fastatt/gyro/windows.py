@@ -69,7 +69,8 @@ class Window:
     ``rates(v, h)`` and ``increments(v, h)`` give the rotation vectors (rad) from the window's start
     to the end of each interval, flat: v are its samples, flat (rad/s or rad), h its intervals (s),
     the oldest first. They are plain functions, called with numbers, with recorded ones and from
-    ``@njit`` code. A method that is no such formula has an ``iteration``.
+    ``@njit`` code. A method that is no such formula has an ``iteration``; one whose coefficients
+    hold for equal intervals alone is ``even``.
 
     Raises ``ValueError`` for a shape that the engine's chunks do not hold.
     """
@@ -79,6 +80,7 @@ class Window:
     rates: Callable[..., Any] | None = None
     increments: Callable[..., Any] | None = None
     iteration: Iteration | None = None
+    even: bool = False
 
     def __post_init__(self) -> None:
         if self.span < 1 or CHUNK % self.span:

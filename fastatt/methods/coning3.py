@@ -51,7 +51,7 @@ POLYNOMIAL = sampled_method(
     source="Savage, J. Guidance 21 (1998) 19; coefficients by a parabola through three increments",
 )
 OPTIMAL = sampled_method(
-    Window(history=0, span=3, increments=increments_optimal),
+    Window(history=0, span=3, increments=increments_optimal, even=True),
     name="coning3_optimal",
     order=4,
     of_increments=0.7,
