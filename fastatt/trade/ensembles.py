@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -79,15 +80,20 @@ class Study:
 
     def _of_samples(self, case: Case, n: int, repeats: int) -> Rung:
         """What a method makes of samples of the coning rates."""
-        e, t_end = self.problem.ensemble, self.problem.t_end
-        angle, frequency = e.scene.rate
-        data = coning_rates(angle, frequency, np.linspace(0.0, t_end, n + 1))
+        e, t_end, data = self.problem.ensemble, self.problem.t_end, self._samples(n)
         with noted() as said:
             seconds, q = best_time(
                 lambda: integrate_rates(data, t_end / n, e.q0, method=case.name), repeats
             )
         status = "past the method's limit" if said else ""
         return Rung(n, seconds, angle_between(q[:, -1], self.known.end.q), status=status)
+
+    @cached_property
+    def _samples(self) -> Callable[[int], NDArray[np.float64]]:
+        """The coning rates at both ends of n intervals, which all methods share."""
+        angle, frequency = self.problem.ensemble.scene.rate
+        t_end = self.problem.t_end
+        return cache(lambda n: coning_rates(angle, frequency, np.linspace(0.0, t_end, n + 1)))
 
 
 # coning

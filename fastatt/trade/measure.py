@@ -43,7 +43,7 @@ PLATEAU = "round-off"
 # units of rounding that any attitude may be off by
 _ROUNDED = 20.0
 # s of runs, among which one is not disturbed; and beyond which more are not worth their time
-_ENOUGH, _AMPLE = 0.02, 0.1
+_ENOUGH, _AMPLE = 0.02, 0.05
 
 
 class Case(NamedTuple):
