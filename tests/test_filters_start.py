@@ -239,7 +239,7 @@ def test_measurements_that_are_not_finite_are_refused(kind):
         f.update_vector([np.inf, 0.0, 0.0], DOWN, 0.01)
     with pytest.raises(ValueError, match=r"measured\[1, 2\] is nan"):
         f.update_attitude(np.where(np.arange(16).reshape(4, 4) == 6, np.nan, MANY), 0.01)
-    with pytest.raises(ValueError, match=r"sigma: found -0\.1; accepted: at least 0"):
+    with pytest.raises(ValueError, match=r"sigma: found -0\.1; accepted: a number above 0"):
         f.update_vector(DOWN, DOWN, -0.1)
     with pytest.raises(ValueError, match="invalid: found 'flag'; accepted: raise, skip"):
         filters(kind, invalid="flag")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sized
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +36,30 @@ def common_number(of: str, **arrays: Sized) -> int:
         found = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of {of}")
     return max(rows.values(), default=1)
+
+
+def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
+    """Covariances, symmetric and, but for rounding, without a negative variance in any direction.
+
+    ``shapes`` are as of ``checks.array``.
+    """
+    found = checks.array(name, value, shapes)
+    unit = np.eye(found.shape[-1])
+    rounding = 1e3 * np.finfo(found.dtype).eps * np.abs(found).max(axis=(-2, -1))[..., None, None]
+    bad = (np.abs(found - np.swapaxes(found, -1, -2)) > rounding).any(axis=(-2, -1))
+    what = "is not symmetric"
+    if not bad.any():
+        bad = (np.diagonal(found, axis1=-2, axis2=-1) < 0.0).any(axis=-1)
+        what = "has a negative variance"
+    if not bad.any():
+        try:
+            np.linalg.cholesky(found + rounding * unit)  # in a third of the time
+        except np.linalg.LinAlgError:
+            bad = np.linalg.eigvalsh(found)[..., 0] < -rounding[..., 0, 0]
+    if bad.any():
+        where = f"[{int(np.argmax(bad))}]" if found.ndim == 3 else ""
+        raise ValueError(f"{name}{where}: {what}; accepted: a covariance")
+    return found
 
 
 def triples(name: str, value: ArrayLike) -> NDArray[np.float64]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, kernels
-from fastatt.arrays import quat_to_dcm
-from fastatt.estimation.amounts import at_least_zero, common_number, interval
+from fastatt.arrays import normalised, quat_to_dcm
+from fastatt.estimation.amounts import at_least_zero, common_number, covariances, interval
 from fastatt.flat.formulas import Vector, scale
 from fastatt.flat.rows import kind_of, rows
 from fastatt.flat.trace import stand_in
@@ -23,8 +23,6 @@ Formula = Callable[..., Any]
 
 so3: Any = stand_in(kernels.so3)
 error_state: Any = stand_in(kernels.error_state)
-
-_COVARIANCE = "(6, 6) or (N, 6, 6)"
 
 
 # formulas on the numbers of a row
@@ -69,13 +67,7 @@ def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
 
 
 def _covariances(P: ArrayLike) -> NDArray[Any]:
-    found = checks.array("P", P, _COVARIANCE)
-    gap = np.abs(found - np.swapaxes(found, -1, -2)).max(axis=(-2, -1))
-    scale = np.abs(found).max(axis=(-2, -1))
-    bad = np.atleast_1d(gap > 1e3 * np.finfo(found.dtype).eps * scale)
-    if bad.any():
-        where = f"[{int(np.argmax(bad))}]" if found.ndim == 3 else ""
-        raise ValueError(f"P{where}: is not symmetric; accepted: a covariance")
+    found = covariances("P", P, "(6, 6) or (N, 6, 6)")
     return found.reshape(*found.shape[:-2], 36)
 
 
@@ -151,7 +143,7 @@ def predict_covariance(
 ) -> NDArray[Any]:
     """Φ P Φᵀ + Q, (6, 6) or (N, 6, 6), with Φ and Q of the two functions above.
 
-    Raises ``ValueError`` for a P that is not symmetric, and as they do.
+    Raises ``ValueError`` for a P that is no covariance, and as they do.
     """
     return _over(_predict, w, dt, P, angle_noise=angle_noise, bias_noise=bias_noise)
 
@@ -159,7 +151,7 @@ def predict_covariance(
 def covariance_to_inertial(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """P (6, 6) or (N, 6, 6) of the error in inertial axes, C_true = exp [δθ] C, from body axes.
 
-    ``q`` (4,) or (N, 4) are unit attitudes, body to inertial. Raises ``ValueError`` or
+    ``q`` (4,) or (N, 4) are attitudes, body to inertial, of any length but zero. Raises ``ValueError`` or
     ``TypeError`` for other shapes.
     """
     return _turned(_to_inertial, P, q)
@@ -173,5 +165,5 @@ def covariance_to_body(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 def _turned(formula: Formula, P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     p, attitudes = _covariances(P), checks.attitudes("q", q)
     _same_rows(P=p, q=attitudes)
-    c = quat_to_dcm(attitudes)
+    c = quat_to_dcm(normalised(attitudes))
     return _apply(formula, 6, c=c.reshape(*c.shape[:-2], 9), p=p)

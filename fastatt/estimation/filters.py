@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rates
 from fastatt.arrays import normalised, quat_multiply, quat_to_rotation_vector
-from fastatt.estimation.amounts import common_number
+from fastatt.estimation.amounts import common_number, covariances
 from fastatt.running.propagate import propagate
 from fastatt.scene import Scene
 
@@ -33,6 +33,10 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
     sample = checks.array("gyro", gyro, "(3,) or (N, 3)")
 
     def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
+        if y.shape[1] < 3:
+            raise ValueError(
+                f"y: has shape {y.shape}; accepted: a bias of three numbers in each row"
+            )
         each = np.repeat(sample, len(q) // len(sample), axis=0) if sample.ndim == 2 else sample
         scene = Scene(rate=rates.Constant(each - y[:, :3]))
         moved = propagate(scene, q, dt=dt, n_steps=1, method="lie_euler", n_threads=n_threads)
@@ -82,7 +86,9 @@ def attitude_covariance(sigma: ArrayLike) -> Floats:
     """(3, 3), rad², of a standard deviation, of three about body axes, or itself."""
     found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
     if found.ndim == 2:
-        return np.ascontiguousarray(found, dtype=np.float64)
+        return np.ascontiguousarray(covariances("sigma", found, "(3, 3)"), dtype=np.float64)
+    if not (found >= 0.0).all():
+        raise ValueError(f"sigma: found {found.min()}; accepted: at least 0")
     return np.diag(np.broadcast_to(np.square(found, dtype=np.float64), (3,)))
 
 
@@ -94,9 +100,9 @@ def largest_square(gate: float | None) -> float:
     return min(found, sys.float_info.max)
 
 
-def measured_attitudes(value: ArrayLike, *, skips: bool) -> Floats:
-    """Attitudes (4,) or (N, 4); what is none is refused, or NaN where it is skipped."""
-    rows = checks.attitudes("measured", value, flag=skips)
+def measured_attitudes(value: ArrayLike, n: int, *, skips: bool) -> Floats:
+    """Attitudes (4,) or (n, 4); what is none is refused, or NaN where it is skipped."""
+    rows = checks.attitudes("measured", value, f"(4,) or ({n}, 4)", flag=skips)
     none = (rows == 0.0).all(axis=-1, keepdims=True)
     return np.where(none, np.nan, rows).astype(np.float64)
 
@@ -158,7 +164,7 @@ class Estimates:
         """``name`` is what the numbers y, (K,) or (N, K), are called."""
         start, size = checks.attitudes("q", q), 3 + y.shape[-1]
         shapes = f"({size}, {size}) or (N, {size}, {size})"
-        P = checks.array("covariance", covariance, shapes)
+        P = covariances("covariance", covariance, shapes)
         given = {"q": (start, 1), name: (y, 1), "covariance": (P, 2)}
         many = {name: x for name, (x, one) in given.items() if x.ndim > one}
         n = common_number("filters", **many) if many else 1

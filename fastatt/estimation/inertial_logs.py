@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.arrays import normalised
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
 from fastatt.flat.fold import Fold
@@ -143,7 +144,7 @@ class Preintegration:
         """
         change = self._corrected(gyro_bias, accel_bias)
         g = checks.array("gravity", gravity, "(3,)").astype(np.float64)
-        q = np.atleast_2d(checks.attitudes("q", q)).astype(np.float64)
+        q = normalised(np.atleast_2d(checks.attitudes("q", q)).astype(np.float64))
         v, p = triples("v", v), triples("p", p)
         n = common_number("logs", preintegrated=change[0], q=q, v=v, p=p)
         widths = {"change": 10, "t": None, "q": 4, "v": 3, "p": 3, "g": 3}

@@ -31,7 +31,7 @@ from fastatt.flat.formulas import Vector
 from fastatt.flat.repeated import InPlace
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.trace import stand_in
-from fastatt.kernels import dcm, error_state, quat, so3, sym3
+from fastatt.kernels import dcm, error_state, quat, sym3
 from fastatt.kernels.vec3 import add, axpy, dot, scale, sub
 
 _formula = partial(scalar_function, rewritten=True)
@@ -114,8 +114,15 @@ def mekf_update(q, b, P, z, H, R):
     P, d, n0 = joseph(P, (o, o, o, o, o, o), z[0], h0, R[0])
     P, d, n1 = joseph(P, d, z1, h1, r1)
     P, d, n2 = joseph(P, d, z2, h2, r2)
+    q, b = corrected(q, b, d)
+    return q, b, P, n0 + n1 + n2
+
+
+@_formula
+def corrected(q, b, d):
+    """(q, b) with an error d = (δθ, δb), flat, taken in."""
     q = quat.renormalise(quat.mul(q, quat.exp((d[0], d[1], d[2]))))
-    return q, add(b, (d[3], d[4], d[5])), P, n0 + n1 + n2
+    return q, add(b, (d[3], d[4], d[5]))
 
 
 @_formula
@@ -129,13 +136,27 @@ def mekf_update_vector(q, b, P, measured, reference, variance):
     """The same by a vector: ``measured`` in body axes, ``reference`` along inertial ones.
 
     A direction to a star or the Sun, the magnetic field, gravity. ``variance`` is that of each
-    component, in the vector's unit squared.
+    component, in the vector's unit squared. The two components across the vector are used: that
+    along it, of which rounding would make an angle where the others are precise, counts in NIS.
     """
     F = type(q[0])
     o = F(0.0)
+    one = F(1.0)
     expected = quat.rotate_inverse(q, reference)
-    R = (variance, o, o, variance, o, variance)
-    return mekf_update(q, b, P, sub(measured, expected), so3.hat(expected), R)
+    length = math.sqrt(dot(expected, expected))
+    n = scale(one / length if length > o else o, expected)
+    z = sub(measured, expected)
+    # two axes across: Duff et al., J. Computer Graphics Techniques 6 (2017) 1
+    s = one if n[2] >= o else -one
+    a = -one / (s + n[2])
+    m = n[0] * n[1] * a
+    x = one + s * n[0] * n[0] * a, s * m, -s * n[0]
+    y = m, s + n[1] * n[1] * a, -n[1]
+    P, d, n0 = joseph(P, (o, o, o, o, o, o), dot(x, z), scale(-length, y), variance)
+    P, d, n1 = joseph(P, d, dot(y, z), scale(length, x), variance)
+    along = dot(n, z)
+    q, b = corrected(q, b, d)
+    return q, b, P, n0 + n1 + along * along / variance
 
 
 @_formula
@@ -290,8 +311,8 @@ class MEKF(Estimates):
     ) -> Any:
         """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
 
-        ``sigma`` is the standard deviation of each component, in the vectors' unit. Gives NIS, and
-        does not use vectors for which it is beyond ``gate``.
+        ``sigma`` is the standard deviation of each component, in the vectors' unit, above 0. Gives
+        NIS, and does not use vectors for which it is beyond ``gate``.
 
         Raises ``ValueError`` for another shape, and as ``invalid`` says.
         """
@@ -299,7 +320,7 @@ class MEKF(Estimates):
         seen, fixed = (
             self._vectors(*x)[0] for x in (("measured", measured), ("reference", reference))
         )
-        known = largest_square(gate), at_least_zero("sigma", sigma) ** 2
+        known = largest_square(gate), checks.above_zero("sigma", sigma) ** 2
         call.own[:, :3], call.own[:, 3:], call.known[:] = seen, fixed, known
         return self._normalised(call)
 
@@ -313,9 +334,7 @@ class MEKF(Estimates):
 
         Raises ``ValueError`` for another shape, and as ``invalid`` says.
         """
-        rows = measured_attitudes(measured, skips=self._skips)
-        if rows.ndim == 2 and len(rows) != len(self._q):
-            self._refuse("measured", rows)
+        rows = measured_attitudes(measured, len(self._q), skips=self._skips)
         call = self._call("attitude")
         known = largest_square(gate), *attitude_covariance(sigma).ravel()[_UPPER]
         call.own[:], call.known[:] = rows, known
@@ -329,16 +348,11 @@ class MEKF(Estimates):
         """Rows, and whether all are finite."""
         rows = np.asarray(value, dtype=np.float64)
         if rows.shape not in self._shapes:
-            self._refuse(name, rows)
+            accepted = f"(3,) or ({len(self._q)}, 3)"
+            raise ValueError(f"{name}: has shape {rows.shape}; accepted: {accepted}")
         # of one filter the sum in Python takes a sixth of the time of numpy's look at each
         finite = rows.ndim == 1 and math.isfinite(sum(rows.tolist()))
         finite = finite or bool(np.isfinite(rows).all())
         if not (finite or self._skips):
             checks.finite(name, rows)
         return rows, finite
-
-    def _refuse(self, name: str, found: NDArray[Any]) -> None:
-        k = 4 if found.shape[-1:] == (4,) else 3
-        raise ValueError(
-            f"{name}: has shape {found.shape}; accepted: ({k},) or ({len(self._q)}, {k})"
-        )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fastatt import checks
 from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
+from fastatt.estimation.amounts import covariances
 from fastatt.estimation.filters import (
     Floats,
     Motion,
@@ -63,19 +64,18 @@ class ParticleFilter:
         centre = checks.attitudes("q", q, "(4,)")
         beside = checks.array("y", y, "(K,)")
         size = 3 + len(beside)
-        P = checks.array("covariance", covariance, f"({size}, {size})")
         made = cls(
             np.broadcast_to(centre, (particles, 4)),
             np.broadcast_to(beside, (particles, size - 3)),
             rng=generator,
         )
-        made.scatter(P)
+        made.scatter(covariance)
         return made
 
     def scatter(self, covariance: ArrayLike) -> None:
         """Move each particle by a random error (δθ, δy) of a covariance (D, D)."""
         size = 3 + self.y.shape[1]
-        P = checks.array("covariance", covariance, f"({size}, {size})")
+        P = covariances("covariance", covariance, f"({size}, {size})")
         # a covariance may have no spread in some direction, which a Cholesky factor refuses
         values, vectors = np.linalg.eigh(P)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -109,13 +109,19 @@ class ParticleFilter:
         """Use a vector (3,), measured in body axes, its reference along inertial ones."""
         seen = checks.array("measured", measured, "(3,)")
         fixed = checks.array("reference", reference, "(3,)")
+        deviation = checks.above_zero("sigma", sigma)
         away = rotate_inverse(self.q, fixed) - seen
-        self.update(np.einsum("ij,ij->i", away, away) * (-0.5 / float(sigma) ** 2))
+        self.update(np.einsum("ij,ij->i", away, away) * (-0.5 / deviation**2))
 
     def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> None:
         """Use an attitude (4,); ``sigma`` as for :meth:`MEKF.update_attitude`."""
         error = attitude_error(self.q, checks.attitudes("measured", measured, "(4,)"))
-        inverse = np.linalg.inv(attitude_covariance(sigma))
+        covariance = attitude_covariance(sigma)
+        if not np.linalg.det(covariance) > 0.0:
+            raise ValueError(
+                f"sigma: found {checks.brief(sigma)}; accepted: above 0 about all axes"
+            )
+        inverse = np.linalg.inv(covariance)
         self.update(-0.5 * np.einsum("ij,ij->i", error @ inverse, error))
 
     @property

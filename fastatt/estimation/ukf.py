@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from fastatt import checks
 from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
-from fastatt.estimation.amounts import at_least_zero
+from fastatt.estimation.amounts import covariances
 from fastatt.estimation.filters import (
     Estimates,
     Floats,
@@ -115,12 +115,13 @@ class UKF(Estimates):
         ``observe(q, y)`` gives what the points, (M, 4) and (M, K), would measure, (M, m). Gives the
         normalised innovation squared, χ² with m degrees of freedom, a number or (N,).
         """
-        seen = np.asarray(measured, dtype=np.float64)
+        q, y = self.sigma_points()
+        n, points, size = *q.shape[:2], self._P.shape[1]
+        z = observe(q.reshape(-1, 4), y.reshape(-1, size - 3)).reshape(n, points, -1)
+        m = z.shape[-1]
+        seen = checks.array_any("measured", measured, f"({m},) or ({n}, {m})")
         if not self._skips:
             checks.finite("measured", seen)
-        q, y = self.sigma_points()
-        n, points, size = len(q), q.shape[1], self._P.shape[1]
-        z = observe(q.reshape(-1, 4), y.reshape(-1, size - 3)).reshape(n, points, -1)
         expected = self._weights @ z
         away = z - expected[:, None]
         d = np.concatenate([attitude_error(self._q[:, None], q), y - self._y[:, None]], axis=-1)
@@ -128,7 +129,7 @@ class UKF(Estimates):
         return self._correct(
             seen - expected,
             np.swapaxes(d, 1, 2) @ weighted,
-            np.swapaxes(away, 1, 2) @ weighted + self._noise(noise, z.shape[-1]),
+            np.swapaxes(away, 1, 2) @ weighted + self._noise(noise, m),
             gate,
         )
 
@@ -137,9 +138,9 @@ class UKF(Estimates):
     ) -> Any:
         """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
 
-        ``sigma`` is the standard deviation of each component, in the vectors' unit.
+        ``sigma`` is the standard deviation of each component, in the vectors' unit, above 0.
         """
-        fixed = checks.array("reference", reference, "(3,) or (N, 3)")
+        fixed = checks.array("reference", reference, f"(3,) or ({len(self._q)}, 3)")
         points = len(self._weights)
         each = np.repeat(fixed, points, axis=0) if fixed.ndim == 2 else fixed
 
@@ -147,20 +148,20 @@ class UKF(Estimates):
             return np.asarray(rotate_inverse(q, each))
 
         return self.update(
-            observe, measured, at_least_zero("sigma", sigma) ** 2 * np.eye(3), gate=gate
+            observe, measured, checks.above_zero("sigma", sigma) ** 2 * np.eye(3), gate=gate
         )
 
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
     ) -> Any:
         """Use attitudes, (4,) or (N, 4), unit; ``sigma`` as for :meth:`MEKF.update_attitude`."""
-        error = attitude_error(self._q, measured_attitudes(measured, skips=self._skips))
+        rows = measured_attitudes(measured, len(self._q), skips=self._skips)
+        error = attitude_error(self._q, rows)
         P = self._P[:, :, :3]
         return self._correct(error, P, P[:, :3] + attitude_covariance(sigma), gate)
 
     def _noise(self, noise: ArrayLike, size: int) -> Floats:
-        shapes = f"({size}, {size}) or ({len(self._q)}, {size}, {size})"
-        return checks.array_any("noise", noise, shapes).astype(np.float64)
+        return covariances("noise", noise, f"({size}, {size}) or ({len(self._q)}, {size}, {size})")
 
     def _correct(
         self, innovation: Floats, cross: Floats, spread: Floats, gate: float | None
