@@ -199,14 +199,25 @@ def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any])
     return out
 
 
+def largest_gap(max_gap: float | None) -> float:
+    """The longest interval that is no gap, s; None: any."""
+    if max_gap is None:
+        return math.inf
+    return checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
+
+
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
     """One number of the precision, or an array of ``count`` intervals."""
     given: Any = dt
-    if isinstance(given, float) and 0.0 < given < math.inf:
+    longest = largest_gap(max_gap)
+    if isinstance(given, float) and 0.0 < given <= longest and given < math.inf:
         return precision.type(given)
     spans = checks.array("dt", dt, f"a number or ({count},)")
     if spans.ndim == 0:
-        return precision.type(checks.above_zero("dt", spans, "an interval above 0"))
+        found = checks.above_zero("dt", spans, "an interval above 0")
+        if found > longest:
+            raise ValueError(f"dt: found {found}; accepted: at most {longest:.6g} s, max_gap")
+        return precision.type(found)
     if not count:
         return spans.astype(precision)
     bad = spans <= 0.0
@@ -217,8 +228,6 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
     if max_gap is None:
         with np.errstate(over="ignore"):
             longest = _GAP * float(np.median(spans))
-    else:
-        longest = checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
     if spans.max() > longest:
         k = int(np.argmax(spans))
         raise ValueError(

@@ -14,6 +14,7 @@ from fastatt.gyro.windows import CHUNK
 from fastatt.integrate import (
     check_intervals,
     intervals,
+    largest_gap,
     method_of,
     overflow,
     unit_quaternions,
@@ -66,8 +67,10 @@ class Integrator:
         start = unit_quaternions("q0", q0)
         self._one = start.ndim == 1
         self._start = np.atleast_2d(start)
-        self._dt = None if dt is None else intervals(checks.real("dt", dt), 0, None, np.dtype("f8"))
-        self._max_gap = math.inf if max_gap is None else max_gap
+        self._max_gap = largest_gap(max_gap)
+        self._dt = dt
+        if dt is not None:
+            self._dt = intervals(checks.real("dt", dt), 0, max_gap, np.dtype("f8"))
         self._precision = None if dtype is None else checks.precision(dtype)
         self._threads = None if n_threads is None else number_of(n_threads)
         self._begun = self._closed = False

@@ -151,8 +151,8 @@ def predict_covariance(
 def covariance_to_inertial(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """P (6, 6) or (N, 6, 6) of the error in inertial axes, C_true = exp [δθ] C, from body axes.
 
-    ``q`` (4,) or (N, 4) are attitudes, body to inertial, of any length but zero. Raises ``ValueError`` or
-    ``TypeError`` for other shapes.
+    ``q`` (4,) or (N, 4) are attitudes, body to inertial, of any length but zero. Raises
+    ``ValueError`` or ``TypeError`` for other shapes, ``ValueError`` for a P that is no covariance.
     """
     return _turned(_to_inertial, P, q)
 
