@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import sys
+from datetime import UTC, datetime, timedelta, timezone
 from decimal import Decimal
 
 import numpy as np
@@ -278,3 +279,37 @@ def test_references_are_read(tmp_path, head, capsys):
     assert np.abs(read_attitudes(out).q - written[:, 1:]).max() < 1e-15
     assert main([*arguments, "-r", "50", "--reference", str(out)]) == 0
     assert "at the end" in capsys.readouterr().out
+
+
+def test_masks_and_what_is_no_real_number_in_tables():
+    """Of masked numbers those beneath the mask were read; truths and complex numbers as floats."""
+    hidden = np.arange(5) == 2
+    names = [f"gyro_{a} (rad/s)" for a in "xyz"]
+    for t in (
+        0.01 * np.arange(5),
+        10_000_000 * np.arange(5),
+        np.arange(5) * np.timedelta64(1, "s"),
+    ):
+        masked = {"t": np.ma.masked_array(t, hidden), **dict.fromkeys(names, np.ones(5))}
+        options = {"time_unit": "ns" if t.dtype.kind == "i" else None, "bad": "drop"}
+        found = fa.read_log(masked, **options).t
+        assert np.array_equal(found, fa.read_log({**masked, "t": t}, **options).t[~hidden])
+    time = {"t": 0.01 * np.arange(5)}
+    for bad in (np.ma.masked_array(np.ones(5), hidden), np.ones(5) > 0.0, np.ones(5) * 1j):
+        with pytest.raises(LogError, match=r"row [02]: gyro_x \(rad/s\) is no finite number"):
+            fa.read_log({**time, **dict.fromkeys(names, bad)})
+
+
+def test_dates_in_zones():
+    """A clock that goes from one zone to another, as text and in a table."""
+    moments = [datetime(2024, 10, 27, 0, 59, 59, 950_000 + 20_000 * k, UTC) for k in range(3)]
+    moments += [datetime(2024, 10, 27, 1, 0, 0, 10_000 + 20_000 * k, UTC) for k in range(3)]
+    zones = [timezone(timedelta(hours=2))] * 3 + [timezone(timedelta(hours=1))] * 3
+    local = [m.astimezone(z) for m, z in zip(moments, zones, strict=True)]
+    expected = 0.02 * np.arange(6)
+    for text in (datetime.isoformat, lambda m: m.strftime("%Y-%m-%d %H:%M:%S.%f%z")):
+        log = fa.read_log(io.StringIO(HEAD + "".join(f"{text(m)},1,2,3\n" for m in local)))
+        assert np.array_equal(log.t, expected)
+        assert log.start == moments[0].timestamp()
+    table = {"t": local, **dict.fromkeys(("wx [rad/s]", "wy [rad/s]", "wz [rad/s]"), np.ones(6))}
+    assert np.array_equal(fa.read_log(table).t, expected)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 import numpy as np
@@ -314,6 +315,18 @@ def test_sample_rates_in_comments(tmp_path, said, rate):
             read_log(path)
     else:
         assert read_log(path).rate == rate
+
+
+def test_sample_rates_of_others():
+    """Of two rates none is the gyro's for certain; that of a filter or a magnetometer is none."""
+    table = f"# gyro sample rate: 100 Hz\n# {{}}\ngx (rad/s),gy (rad/s),gz (rad/s)\n{rows(',')}"
+    for other in ("mag sample rate: 20 Hz", "Accelerometer sampling rate = 20", "sample rate: 100"):
+        assert read_log(io.StringIO(table.format(other))).rate == pytest.approx(100.0)
+    with pytest.raises(LogError, match="found the sample rates 100 and 20 Hz; accepted: one"):
+        read_log(io.StringIO(table.format("sample rate: 20 Hz")))
+    only = table.format("cutoff frequency: 20 Hz").split("\n", 1)[1]
+    with pytest.raises(LogError, match="no time column and no sample rate"):
+        read_log(io.StringIO(only))
 
 
 @pytest.mark.parametrize(

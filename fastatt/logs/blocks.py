@@ -8,6 +8,7 @@ from __future__ import annotations
 import gzip
 import io
 import math
+import re
 import sys
 import zlib
 from collections import deque
@@ -29,6 +30,11 @@ from fastatt.threads import default_threads
 
 BYTES = 1 << 21  # read at a time
 _HEAD = 1000  # lines within which the numbers have to begin
+# years that 64 bits of ns hold; what is left to NumPy has no zone, of which it would warn
+_ZONE = re.compile(
+    r"(?P<local>(19|20)\d\d-[\d:T .-]*?)(Z|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d))?",
+    re.ASCII,
+)
 NO_STAMP = np.iinfo(np.int64).min  # of whole numbers and dates
 
 
@@ -241,18 +247,21 @@ class _Reading:
 
 
 def dates(cells: Sequence[str]) -> NDArray[np.int64]:
-    """ISO 8601 dates and times as ns from 1970 in their own time zone; what is none is NO_STAMP."""
+    """ISO 8601 dates and times as ns from 1970, UTC; what is none is NO_STAMP.
+
+    Times without a zone are taken as they stand.
+    """
     found = np.array([_date(cell) for cell in cells], dtype="datetime64[ns]")
     return found.view(np.int64)
 
 
 def _date(cell: str) -> np.datetime64:
-    text = cell.strip().removesuffix("Z")
-    if len(text) > 6 and text[-6] in "+-" and text[-3] == ":":
-        text = text[:-6]
+    zone = _ZONE.fullmatch(cell.strip())
+    if zone is None:
+        return np.datetime64("NaT", "ns")
+    minutes = 60 * int(zone["hours"] or 0) + int(zone["minutes"] or 0)
+    ahead = np.timedelta64(-minutes if zone["sign"] == "-" else minutes, "m")
     try:
-        # years that 64 bits of ns hold
-        ok = text[:2] in ("19", "20") and text[2:4].isdigit()
-        return np.datetime64(text if ok else "NaT", "ns")
+        return np.datetime64(zone["local"], "ns") - ahead
     except ValueError:
         return np.datetime64("NaT", "ns")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ class Frame:
         columns: dict[str, NDArray[Any]] = {}
         for key, found in _columns(source):
             label = ".".join(map(str, key)) if isinstance(key, tuple) else str(key)
-            array = np.asarray(found)
+            array = _array(found)
             if array.ndim == 2 and array.shape[1] in (3, 4):  # axes along the second dimension
                 axes = "xyz" if array.shape[1] == 3 else "wxyz"
                 columns |= {f"{label}.{a}": x for a, x in zip(axes, array.T, strict=True)}
@@ -59,6 +61,19 @@ class Frame:
         yield Block(range(len(values)), stamps, values)
 
 
+def _array(found: Any) -> NDArray[Any]:
+    """An array without masks and time zones: what is masked is no number, times are in UTC."""
+    array = np.asarray(found)
+    if np.ma.is_masked(found) and array.dtype.kind in "fiumM":
+        array = array.astype(np.float64) if array.dtype.kind in "iu" else array.copy()
+        array[np.ma.getmaskarray(found)] = "NaT" if array.dtype.kind in "mM" else np.nan
+    if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], datetime):
+        with warnings.catch_warnings():  # NumPy says that zones are gone
+            warnings.simplefilter("ignore", UserWarning)
+            return np.asarray(found, dtype="datetime64[ns]")
+    return array
+
+
 def tabular(source: Any) -> bool:
     """Whether a source is a table in memory."""
     return isinstance(source, Mapping) or hasattr(source, "columns")
@@ -76,12 +91,14 @@ def _columns(source: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """float64, or int64 of whole numbers, dates and durations in ns."""
+    """float64, or int64 of whole numbers, dates and durations in ns; NaN of what is neither."""
     if array.dtype.kind in "mM":
         unit = "datetime64[ns]" if array.dtype.kind == "M" else "timedelta64[ns]"
         return array.astype(unit).view(np.int64)
     if array.dtype.kind in "iu" and (not array.size or int(np.abs(array).max()) < 2**63):
         return array.astype(np.int64)
+    if array.dtype.kind in "bc":
+        return np.full(array.shape, np.nan)
     try:
         return array.astype(np.float64)
     except (TypeError, ValueError):

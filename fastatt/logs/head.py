@@ -18,6 +18,10 @@ _RATE = re.compile(
     r"(?P<rate>\d+\.?\d*(e[+-]?\d+)?)\s*(hz)?(?!\s*[\w.,])",
     re.IGNORECASE,
 )
+# what else a line may say the rate of
+_OTHER_RATE = re.compile(
+    r"(?!.*(gyr|imu|ang))(?=.*(mag|acc|baro|gps|gnss|cut|filter|corner))", re.I
+)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 _WHOLE = re.compile(r"\d{16,19}")  # that a double does not hold
 _DATE = re.compile(r"(19|20)\d\d-\d\d-\d\d[T ]\d\d:\d\d")
@@ -32,7 +36,7 @@ class Layout:
     names: list[str]  # of the columns; none where they are not known
     n_columns: int
     about: str = ""  # the file's name and its comments: what the table holds
-    rate: float | None = None
+    rates: tuple[float, ...] = ()  # Hz, that lines before the numbers say
     n_names: int = 0
     delimiter: str | None = None
     decimal: str = "."
@@ -109,11 +113,12 @@ def layout(name: str, lines: Iterable[str]) -> Layout:
     """
     head: list[tuple[int, str]] = []
     comments: list[str] = []
-    rate = None
+    rates: list[float] = []
     for number, line in enumerate(lines, start=1):
         text = _text(line)
         match = _RATE.search(text)
-        rate = float(match["rate"]) if match else rate
+        if match and not _OTHER_RATE.match(text[: match.start()]):
+            rates.append(float(match["rate"]))
         if not text.strip() or text.startswith(COMMENTS):
             comments.append(text.lstrip("#/% "))
             continue
@@ -130,7 +135,7 @@ def layout(name: str, lines: Iterable[str]) -> Layout:
             names=header if _fits(header, cells) else [],
             n_columns=len(cells),
             about=" ".join([name, *comments]),
-            rate=rate,
+            rates=tuple(dict.fromkeys(rates)),
             n_names=len(header),
             delimiter=delimiter,
             decimal=decimal,

@@ -284,7 +284,7 @@ def _columns(layout: Layout, options: Options) -> Columns:
         if options.rate is None:
             said = options.time_column
             clock = names.clock(layout.names) if said is None else layout.index(said, "time column")
-            if clock is None and layout.rate is None:
+            if clock is None and not layout.rates:
                 raise LogError(
                     f"found no time column and no sample rate among {layout.shown()}; give a rate "
                     "in Hz or a time column"
@@ -307,7 +307,10 @@ def _rate(layout: Layout, options: Options) -> float:
     """The sample rate that is said, or the file's."""
     if options.rate is not None:
         return float(options.rate)
-    rate = layout.rate or 0.0
+    if len(layout.rates) > 1:
+        found = " and ".join(f"{x:g}" for x in layout.rates)
+        raise layout.error(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
+    (rate,) = layout.rates
     if not stamps.SLOWEST < rate <= stamps.FASTEST:
         raise layout.error(
             f"the sample rate: found {rate:g} Hz; {stamps.PLAUSIBLE}, or any, given as rate"
