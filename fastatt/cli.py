@@ -272,13 +272,17 @@ def _methods(arguments: argparse.Namespace) -> int:
 
 
 def _integrate(arguments: argparse.Namespace) -> int:
-    q0 = attitudes("--q0", np.array(arguments.q0))
+    q0 = attitudes("--q0", np.array(arguments.q0), "(4,)")
     choice("--method", arguments.method, methods_for_samples())
     if Path(arguments.log).is_dir():
         raise ValueError(f"LOG: found the directory {arguments.log}; accepted: a file")
     piped = arguments.log == "-"
     name = "log" if piped else arguments.log.removesuffix(".gz")
     out = arguments.out or Path(name).with_suffix(".attitudes.csv")
+    read = {"LOG": None if piped else arguments.log, "--reference": arguments.reference}
+    for what, path in read.items():
+        if path is not None and out.exists() and out.samefile(path):
+            raise ValueError(f"--out: found {out}, which is {what}; accepted: another file")
     size = 0 if piped else Path(arguments.log).stat().st_size
     said: dict[str, Any] = {f.name: vars(arguments).get(f.name) for f in fields(Options)}
     said["beside"] = ("quat",) if arguments.compare else ()

@@ -313,3 +313,18 @@ def test_dates_in_zones():
         assert log.start == moments[0].timestamp()
     table = {"t": local, **dict.fromkeys(("wx [rad/s]", "wy [rad/s]", "wz [rad/s]"), np.ones(6))}
     assert np.array_equal(fa.read_log(table).t, expected)
+
+
+def test_rows_before_the_first_that_can_be_held(size):
+    """Their stamps are none of samples: a row of the same time, or an earlier one, is the first."""
+    rows = "0.1,nan,2,3\n0.2,nan,2,3\n0.1,1,2,3\n0.2,nan,2,3\n0.3,4,5,6\n"
+    log = fa.read_log(io.StringIO(HEAD + rows), bad="hold")
+    assert np.allclose(log.t, [0.0, 0.1, 0.2], rtol=0.0, atol=1e-15)
+    assert np.array_equal(log.rates, [[1, 2, 3], [1, 2, 3], [4, 5, 6]])
+
+
+def test_a_row_without_the_empty_cell_at_its_end():
+    text = HEAD + "0.0,1,2,\n0.1,1,2\n0.2,1,2,3\n0.3,1,2,3\n"
+    with pytest.raises(LogError, match=r"line 2: wz \[rad/s\] is ''"):
+        fa.read_log(io.StringIO(text))
+    assert len(fa.read_log(io.StringIO(text), bad="drop").t) == 2

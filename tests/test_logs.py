@@ -429,6 +429,20 @@ def test_unknown_ending(tmp_path):
         pass
 
 
+@pytest.mark.parametrize("name", ["a.csv", "a.npy", "a.zarr"])
+def test_a_directory_is_not_replaced(tmp_path, name):
+    """But for an array of Zarr: a group holds more than what is written."""
+    kept = tmp_path / name / "kept"
+    kept.parent.mkdir()
+    write(kept, "mine")
+    with (
+        pytest.raises(LogError, match=rf"--out: found the directory .*{name}; accepted: a file"),
+        writing(kept.parent),
+    ):
+        pass
+    assert kept.read_text(encoding="utf-8") == "mine"
+
+
 @settings(
     max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,11 @@ def writing(path: Path, pieces: bool = False) -> Iterator[Write]:
     kinds = {".npy": _npy, ".csv": _csv, ".zarr": _zarr}
     if path.suffix not in kinds:
         raise LogError(f"--out: found the ending {path.suffix!r}; accepted: .csv, .npy and .zarr")
+    if path.is_dir() and not _replaceable(path):
+        raise LogError(
+            f"--out: found the directory {path}; accepted: a file, or one array of Zarr, which is "
+            "replaced"
+        )
     part = path.with_name(f"{path.name}.part")
     try:
         with kinds[path.suffix](part, names) as write, ThreadPoolExecutor(1) as pool:
@@ -113,6 +119,16 @@ def writing(path: Path, pieces: bool = False) -> Iterator[Write]:
         if part.is_dir():
             shutil.rmtree(part)
         part.unlink(missing_ok=True)
+
+
+def _replaceable(path: Path) -> bool:
+    """Whether a directory is an array of Zarr and nothing besides."""
+    if path.suffix != ".zarr":
+        return False
+    with suppress(OSError, ValueError):
+        node = json.loads((path / "zarr.json").read_text("utf-8"))
+        return isinstance(node, dict) and node.get("node_type") == "array"
+    return (path / ".zarray").is_file()
 
 
 @contextmanager

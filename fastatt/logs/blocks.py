@@ -216,6 +216,8 @@ class _Reading:
                     f"{known.first_line}"
                 )
             return [math.nan] * len(self.floats)
+        # empty ones at the end need not be there
+        cells += [""] * (known.n_columns - len(cells))
         values = [number(cells[i]) for i in self.floats]
         for i, value in zip(self.floats, values, strict=True):
             if not self.mend and not math.isfinite(value):

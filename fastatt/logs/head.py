@@ -20,7 +20,7 @@ _RATE = re.compile(
 )
 # what else a line may say the rate of
 _OTHER_RATE = re.compile(
-    r"(?!.*(gyr|imu|ang))(?=.*(mag|acc|baro|gps|gnss|cut|filter|corner))", re.I
+    r"(?!.*(gyr|imu|ang))(?=.*(mag|acc|baro|gps|gnss|cut|filter|corner))", re.IGNORECASE
 )
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 _WHOLE = re.compile(r"\d{16,19}")  # that a double does not hold

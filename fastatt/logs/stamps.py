@@ -173,10 +173,10 @@ class Mending:
     ) -> Chunk:
         numbers = np.asarray(np.isfinite(values).all(axis=1))
         usable = np.isfinite(t) & (numbers | (self.bad == "hold"))
+        if self.bad == "hold" and self.last is None:  # nothing to hold before the first
+            usable &= np.logical_or.accumulate(usable & numbers)
         known = np.maximum.accumulate(np.concatenate([[start], np.where(usable, t, -math.inf)]))
         keep = usable & (t > known[:-1])
-        if self.bad == "hold" and self.last is None:
-            keep &= np.logical_or.accumulate(numbers & keep)  # nothing to hold before the first
         self.dropped += int((~keep).sum())
         at = np.flatnonzero(keep)
         chunk = Chunk(t[at], values[at], [])
