@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -23,6 +24,9 @@ from fastatt.running import carry_out, histories, resume
 
 UNFINISHED = fa.Status.UNFINISHED
 MANY = 200  # bodies, three tiles and a part of one
+RALSTON3 = fa.explicit(
+    "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
+)
 RK4 = {"dt": 0.05, "method": "rk4"}
 Q, W = RNG.normal(size=(MANY, 4)), RNG.normal(size=(MANY, 3))
 
@@ -70,6 +74,45 @@ def test_every_option(options):
     whole, begun, second = in_two(SCENES["torqued"], Q0, W0, **{**RK4, **options})
     assert bits(second) == bits(whole)
     assert bits(begun) != bits(whole)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("torqued", {"compensated": True}),
+        ("torqued", {"representation": "dcm_rows", "save_every": 2}),
+        ("own rate", {}),
+        ("own rate", {"method": RALSTON3}),
+        ("free", {"method": "exact"}),
+    ],
+)
+def test_a_pickled_run_is_the_run(kind, options):
+    """What a process pool sends back, and what goes on from there; of a function of one's own too.
+
+    Methods and representations of the library are themselves again.
+    """
+    own = kind == "own rate"
+    scene = fa.Scene(rate=lambda t, p: (p[0], t, 0.1), params=(2.0,)) if own else SCENES[kind]
+    options = {**RK4, **options}
+    values = (Q0, *rates_of(scene))
+    run = fa.propagate(scene, *values, n_steps=4, **options)
+    for protocol in (2, pickle.HIGHEST_PROTOCOL):
+        other = pickle.loads(pickle.dumps(run, protocol))
+        assert other.summary() == run.summary()
+        for name in ("t", "q", "w", "C", "status", "defect"):
+            assert np.array_equal(getattr(other, name), getattr(run, name))
+        assert other.attitude is run.attitude
+        if options["method"] is not RALSTON3:
+            assert other.record is run.record
+        if options["method"] != "exact":
+            ends = [
+                fa.propagate(
+                    scene, resume=x, n_steps=5,
+                    **{k: v for k, v in options.items() if k != "save_every"},
+                )
+                for x in (run, other)
+            ]  # fmt: skip
+            assert bits(ends[0]) == bits(ends[1])
 
 
 def test_further_than_a_block():

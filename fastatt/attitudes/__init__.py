@@ -16,4 +16,7 @@ from fastatt.attitudes.rows import ROWS
 _ALL = (QUATERNION, MATRIX, ROWS, ANGLES, ROTATION_VECTOR)
 ATTITUDES: Mapping[str, Attitude] = MappingProxyType({a.name: a for a in _ALL})
 
-__all__ = ["ATTITUDES", "COMPENSATED", "DIRECTION", "QUATERNION", "Attitude"]
+#: all that the library has; the names of some are those of others
+KNOWN = {**ATTITUDES, "compensated": COMPENSATED, "direction": DIRECTION}
+
+__all__ = ["ATTITUDES", "COMPENSATED", "DIRECTION", "KNOWN", "QUATERNION", "Attitude"]

@@ -147,6 +147,13 @@ class Attitude:
         if own:
             self._read()
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """The library's own by their names: they are made of functions within functions."""
+        from fastatt import attitudes
+
+        known = next((k for k, x in attitudes.KNOWN.items() if x is self), None)
+        return (_known, (known,)) if known else super().__reduce_ex__(protocol)
+
     def _complete(self) -> None:
         """What follows from ``start`` and ``quaternion``, where it is not said."""
         start, quaternion, derivative = self.start, self.quaternion, self.derivative
@@ -235,3 +242,10 @@ class Attitude:
     def value(self, x: Vector) -> Vector:
         """The state without its low parts."""
         return x[: len(x) // 2] if self.compensated else x
+
+
+def _known(name: str) -> Attitude:
+    """The library's representation of a name."""
+    from fastatt import attitudes
+
+    return attitudes.KNOWN[name]

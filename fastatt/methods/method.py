@@ -97,6 +97,11 @@ class Method:
     #: whether velocity and position can be part of what it steps, as what reads them needs
     couples: bool = False
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """The library's own by their names: they are made of functions within functions."""
+        listed = _listed(self.name) is self
+        return (_listed, (self.name,)) if listed else super().__reduce_ex__(protocol)
+
     @property
     def is_stepped(self) -> bool:
         """Whether it takes steps of a scene: neither the closed form nor a method for samples."""
@@ -128,3 +133,10 @@ class Method:
         """Largest |w|h, rad; of a representation of one's own the least that there is."""
         own = self.limits.get(representation, min(self.limits.values(), default=math.inf))
         return min(own, self.limits.get(BODY, math.inf)) if body else own
+
+
+def _listed(name: str) -> Method | None:
+    """The library's method of a name."""
+    from fastatt.methods import METHODS
+
+    return METHODS.get(name)

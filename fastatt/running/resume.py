@@ -42,6 +42,10 @@ class End:
     #: whose ``equations`` it goes by, or they themselves
     by: Plan | str
 
+    def __getstate__(self) -> dict[str, Any]:
+        # a plan of propagate's own holds addresses, and is another one elsewhere
+        return {**self.__dict__, "by": self.equations}
+
     @property
     def equations(self) -> str:
         """A hash of what a step computes."""

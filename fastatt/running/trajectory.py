@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +16,7 @@ from fastatt import arrays
 from fastatt.attitudes import Attitude
 from fastatt.engine.status import Status
 from fastatt.flat.rows import rows
+from fastatt.methods import METHODS
 from fastatt.models import Packed
 from fastatt.motion import GivenRate
 from fastatt.scene import Scene
@@ -73,8 +74,8 @@ class Trajectory:
     #: the step, s, or each body's own
     dt: Any
     one_body: bool
-    #: numbers of what acts, or the scene to find them from
-    packed: Packed | Scene = field(repr=False)
+    #: numbers of what acts, or the scene to find them from; none where w is carried
+    packed: Packed | Scene | None = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
     #: w, v and r where the scene carries them, each (S, N, 3)
@@ -93,6 +94,16 @@ class Trajectory:
         found, *arguments = later
         self.__dict__.update(found(*arguments, name))  # several threads may ask at a time
         return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All fields, for a copy elsewhere: a given rate as numbers, neither plan nor memory."""
+        state = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        rates = self.w.reshape(*self.state.shape[:2], 3)
+        state["carried"] = {"w": rates, **self.carried}
+        record = self.record
+        if METHODS.get(record.name) is not record:  # one's own, of functions within functions
+            record = replace(record, steps=None)
+        return {**state, "packed": None, "raw": None, "record": record}
 
     @cached_property
     def q(self) -> NDArray[Any]:
@@ -125,6 +136,7 @@ class Trajectory:
         packed = self.packed
         if isinstance(packed, Scene):
             packed = packed.packed(self.status.size)
+        assert packed is not None
         turning = packed.structure.turning
         assert isinstance(turning, GivenRate)
         w = self._shaped(self._given(turning, packed))
