@@ -13,6 +13,7 @@ import pytest
 from llvmlite import ir
 from numba import njit
 
+import fastatt as fa
 from fastatt.flat import machine, source, user
 from fastatt.flat.code import I64, REALS, Code
 from fastatt.flat.finished import Flat
@@ -434,3 +435,60 @@ def test_without_numbas_compiler(tmp_path):
     )
     assert second.startswith("rate: beyond(t, p) raises IndexError: tuple index out of range; ")
     assert third == "rate: found 3.0; accepted: a function rate(t, p)"
+
+
+class Settings:
+    gain = 1.0
+
+
+def gain_of_a_global(t, p):
+    return GAIN * p[0], 0.0, 0.0
+
+
+def gain_of_an_array(t, p):
+    return GAINS[0] * p[0], 0.0, 0.0
+
+
+def gain_of_an_object(t, p):
+    return SETTINGS.gain * p[0], 0.0, 0.0
+
+
+def gain_of_another(t, p):
+    return gain_of_a_global(t, p)
+
+
+def gain_while(t, p):  # no straight line
+    x = 0.0
+    while x < GAIN * p[0]:
+        x += 0.5
+    return x, 0.0, 0.0
+
+
+GAIN, GAINS, SETTINGS = 1.0, np.ones(1), Settings()
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [gain_of_a_global, gain_of_an_array, gain_of_an_object, gain_of_another, gain_while],
+)
+def test_a_new_scene_sees_new_globals(rate, monkeypatch):
+    """That of before keeps those with which it was made."""
+
+    def turned(scene):
+        run = fa.propagate(scene, [1, 0, 0, 0], dt=0.1, n_steps=10, method="lie_euler")
+        return 2.0 * math.atan2(run.q[-1, 1], run.q[-1, 0])
+
+    GAINS[0] = 1.0
+    before = fa.Scene(rate=rate, params=(0.5,))
+    assert turned(before) == pytest.approx(0.5, abs=1e-14)
+    monkeypatch.setitem(globals(), "GAIN", 2.0)
+    GAINS[0] = 2.0
+    monkeypatch.setattr(SETTINGS, "gain", 2.0)
+    assert turned(fa.Scene(rate=rate, params=(0.5,))) == pytest.approx(1.0, abs=1e-14)
+    assert turned(before) == pytest.approx(0.5, abs=1e-14)
+    assert user_function(rate, "rate", 1) is user_function(rate, "rate", 1)
+
+
+def test_complex_numbers_are_refused():
+    with pytest.raises(TypeError, match=r"returns .*complex128.*; accepted is a tuple of three fl"):
+        fa.Scene(rate=lambda t, p: (1j * t, 0.0, 0.0))

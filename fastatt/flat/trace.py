@@ -346,14 +346,20 @@ def _located(error: Exception, message: str, at: tuple[str, int]) -> NotStraight
     return located(message, *at)
 
 
-def referred_to(plain: types.FunctionType) -> dict[str, Any]:
-    """What a function's names stand for, apart from its own variables: globals, then closures."""
+def names_of(plain: types.FunctionType) -> set[str]:
+    """Names of globals and of attributes that stand in a function."""
     names: set[str] = set()
     todo = [plain.__code__]
     while todo:
         code = todo.pop()
         names.update(code.co_names)
         todo += [x for x in code.co_consts if isinstance(x, types.CodeType)]
+    return names
+
+
+def referred_to(plain: types.FunctionType) -> dict[str, Any]:
+    """What a function's names stand for, apart from its own variables: globals, then closures."""
+    names = names_of(plain)
     found = {name: plain.__globals__[name] for name in names if name in plain.__globals__}
     for name, cell in zip(plain.__code__.co_freevars, plain.__closure__ or (), strict=True):
         try:
@@ -363,4 +369,4 @@ def referred_to(plain: types.FunctionType) -> dict[str, Any]:
     return found
 
 
-__all__ = ["each_way", "kind_of", "referred_to", "stand_in", "traceable"]
+__all__ = ["each_way", "kind_of", "names_of", "referred_to", "stand_in", "traceable"]

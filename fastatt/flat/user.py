@@ -25,6 +25,7 @@ from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, Number
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.recorded import Recorded
+from fastatt.flat.standing import standing
 from fastatt.flat.trace import Standing, referred_to, traceable
 
 POINTS = 8
@@ -55,7 +56,10 @@ FORMS = {
     "reducer": Form("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
 }
 
-_KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int], UserFunction]] = WeakKeyDictionary()
+# what a function was made of, and for which values of its names
+_KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int], tuple[Any, UserFunction]]] = (
+    WeakKeyDictionary()
+)
 
 
 def user_function(
@@ -64,7 +68,7 @@ def user_function(
     n_params: int,
     params: NDArray[np.float64] | None = None,
 ) -> UserFunction:
-    """A user's function, made once for a number of parameters.
+    """A user's function, made once for a number of parameters and what its names stand for.
 
     Parameters
     ----------
@@ -84,10 +88,12 @@ def user_function(
             f"{FORMS[form].call}"
         )
     made = _KNOWN.setdefault(function, {})
-    key = (form, n_params)
-    if key not in made:
-        made[key] = UserFunction(function, form, n_params, params)
-    return made[key]
+    key, now = (form, n_params), standing(function)
+    before, found = made.get(key, (None, None))
+    if found is None or before != now:
+        found = UserFunction(function, form, n_params, params)
+        made[key] = now, found
+    return found
 
 
 class UserFunction:
@@ -308,6 +314,7 @@ def _in_python(value: Any) -> Any:
 
 # what is no straight line
 
+_REAL = types.Float, types.Integer
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 _ENTRY = ctypes.CFUNCTYPE(None, _DOUBLES, _DOUBLES)
 
@@ -374,10 +381,10 @@ def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     returned = inner.overloads[signature].signature.return_type
     n = user.form.results
     if n == 1:
-        fits = isinstance(returned, types.Number)
+        fits = isinstance(returned, _REAL)
     else:
         fits = isinstance(returned, types.BaseTuple) and len(returned) == n
-        fits = fits and all(isinstance(t, types.Number) for t in returned)
+        fits = fits and all(isinstance(t, _REAL) for t in returned)
     if not fits:
         raise _wrong(user, str(returned))
     pointer = types.CPointer(f8)

@@ -1,0 +1,61 @@
+"""What a function's names stand for at some time: it is traced again where that has changed."""
+
+from __future__ import annotations
+
+import math
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from fastatt.flat.trace import names_of, referred_to
+
+_LIBRARIES = ("fastatt", "numba", "numpy")
+_NUMBERS = (bool, int, float, complex, np.generic)
+_COMPARED = (*_NUMBERS, np.ndarray, tuple, list)
+
+
+class _Itself:
+    """An object that is compared by identity, and kept so that none takes its place."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self.value is other.value
+
+    def __hash__(self) -> int:
+        return id(self.value)
+
+
+def standing(function: Any, seen: set[Any] | None = None) -> Any:
+    """Values to compare: numbers and arrays among globals and closures, of functions called too.
+
+    Of objects and modules those are the attributes whose names stand in the function.
+    """
+    plain = getattr(function, "py_func", function)
+    seen = set() if seen is None else seen
+    if not isinstance(plain, FunctionType):
+        return _Itself(function)
+    if plain in seen or (plain.__module__ or "").partition(".")[0] in _LIBRARIES:
+        return _Itself(plain)
+    seen.add(plain)
+    names = names_of(plain)
+    return plain.__code__, [(k, _value(x, names, seen)) for k, x in referred_to(plain).items()]
+
+
+def _value(value: Any, names: set[str], seen: set[Any]) -> Any:
+    if isinstance(value, _NUMBERS):
+        return repr(value)  # NaN is itself
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, (tuple, list)):
+        return type(value), [_value(x, names, seen) for x in value]
+    if callable(value):
+        return standing(value, seen)
+    held = {} if value in (math, np) else getattr(value, "__dict__", {})
+    known = {k: held[k] for k in sorted(names & held.keys())}
+    kept = (*_NUMBERS, np.ndarray, tuple, list)
+    return _Itself(value), [
+        (k, _value(x, set(), seen)) for k, x in known.items() if type(x) in kept
+    ]
