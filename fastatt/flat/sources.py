@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from types import FunctionType
 from typing import Any
 
-from fastatt.flat.trace import referred_to
+from fastatt.flat.standing import referred_to
 
 
 def sources(functions: Iterable[Callable[..., Any]]) -> dict[str, str]:

@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 import math
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import Any
 
 import numpy as np
 
-from fastatt.flat.trace import names_of, referred_to
-
 _LIBRARIES = ("fastatt", "numba", "numpy")
 _NUMBERS = (bool, int, float, complex, np.generic)
 _COMPARED = (*_NUMBERS, np.ndarray, tuple, list)
+
+
+def names_of(plain: FunctionType) -> set[str]:
+    """Names of globals and of attributes that stand in a function."""
+    names: set[str] = set()
+    todo = [plain.__code__]
+    while todo:
+        code = todo.pop()
+        names.update(code.co_names)
+        todo += [x for x in code.co_consts if isinstance(x, CodeType)]
+    return names
+
+
+def referred_to(plain: FunctionType) -> dict[str, Any]:
+    """What a function's names stand for, apart from its own variables: globals, then closures."""
+    names = names_of(plain)
+    found = {name: plain.__globals__[name] for name in names if name in plain.__globals__}
+    for name, cell in zip(plain.__code__.co_freevars, plain.__closure__ or (), strict=True):
+        try:
+            found[name] = cell.cell_contents
+        except ValueError:  # it has no value yet
+            continue
+    return found
 
 
 class _Itself:
@@ -38,7 +59,7 @@ def standing(function: Any, seen: set[Any] | None = None) -> Any:
     if not isinstance(plain, FunctionType):
         return _Itself(function)
     if plain in seen or (plain.__module__ or "").partition(".")[0] in _LIBRARIES:
-        return _Itself(plain)
+        return plain.__qualname__
     seen.add(plain)
     names = names_of(plain)
     return plain.__code__, [(k, _value(x, names, seen)) for k, x in referred_to(plain).items()]

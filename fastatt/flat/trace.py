@@ -25,6 +25,7 @@ from fastatt.flat.mathematics import BUILTINS, Mathematics, kind_of, refused
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.recorded import Recorded
 from fastatt.flat.rewriting import UNSET, located, name_of, rewritten
+from fastatt.flat.standing import referred_to, standing
 
 LONGEST = 64  # answers on one way through a function
 WAYS = 256  # ways through it
@@ -282,16 +283,20 @@ def _is_formula(function: types.FunctionType) -> bool:
 
 
 def _lazily(function: Any) -> Callable[..., Any]:
+    formula: Callable[..., Any] | None = None
+
     def call(*args: Any, **named: Any) -> Any:
         # a list that was handed over would be changed once for each way through the function
         args = tuple(tuple(x) if isinstance(x, list) else x for x in args)
-        formula = traceable(function)
+        nonlocal formula  # as it was when it was first called
+        formula = formula or traceable(function)
         return formula(*args, **named) if named else functions.called(formula, function, args)
 
     return call
 
 
-_TRACED: WeakKeyDictionary[Any, Callable[..., Any]] = WeakKeyDictionary()
+# formulas, and the values of a function's names for which they were made
+_TRACED: WeakKeyDictionary[Any, tuple[Any, Callable[..., Any]]] = WeakKeyDictionary()
 
 
 def traceable(function: Any) -> Callable[..., Any]:
@@ -303,9 +308,11 @@ def traceable(function: Any) -> Callable[..., Any]:
     plain = getattr(function, "py_func", function)
     if not isinstance(plain, types.FunctionType):
         raise NotStraight(f"{plain!r}, which is no Python function")
-    found = _TRACED.get(plain)
-    if found is None:
-        found = _TRACED[plain] = _traced(plain)
+    now = standing(plain)
+    before, found = _TRACED.get(plain, (None, None))
+    if found is None or before != now:
+        found = _traced(plain)
+        _TRACED[plain] = now, found
     return found
 
 
@@ -346,27 +353,4 @@ def _located(error: Exception, message: str, at: tuple[str, int]) -> NotStraight
     return located(message, *at)
 
 
-def names_of(plain: types.FunctionType) -> set[str]:
-    """Names of globals and of attributes that stand in a function."""
-    names: set[str] = set()
-    todo = [plain.__code__]
-    while todo:
-        code = todo.pop()
-        names.update(code.co_names)
-        todo += [x for x in code.co_consts if isinstance(x, types.CodeType)]
-    return names
-
-
-def referred_to(plain: types.FunctionType) -> dict[str, Any]:
-    """What a function's names stand for, apart from its own variables: globals, then closures."""
-    names = names_of(plain)
-    found = {name: plain.__globals__[name] for name in names if name in plain.__globals__}
-    for name, cell in zip(plain.__code__.co_freevars, plain.__closure__ or (), strict=True):
-        try:
-            found[name] = cell.cell_contents
-        except ValueError:  # it has no value yet
-            continue
-    return found
-
-
-__all__ = ["each_way", "kind_of", "names_of", "referred_to", "stand_in", "traceable"]
+__all__ = ["each_way", "kind_of", "stand_in", "traceable"]

@@ -25,8 +25,8 @@ from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, Number
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.recorded import Recorded
-from fastatt.flat.standing import standing
-from fastatt.flat.trace import Standing, referred_to, traceable
+from fastatt.flat.standing import referred_to, standing
+from fastatt.flat.trace import Standing, traceable
 
 POINTS = 8
 # of a component beside its largest over the points; a wrong formula is off by far more
