@@ -487,6 +487,14 @@ WRONG_ATTITUDES = [
     ({"derivative": 3}, TypeError, "derivative: 3, which is no Python function; accepted"),
     ({"derivative": lambda x, w: np.linalg.norm(x)}, TypeError, "derivative: "),
     ({"start": lambda q, p: q}, TypeError, "start: "),
+    ({"start": lambda q: q[1:]}, ValueError, "start, quaternion: of q = (0.969531,"),
+    ({"quaternion": lambda x: (1.0, 0.0, 0.0, 0.0)}, ValueError, "start, quaternion: of q"),
+    ({"derivative": lambda x, w: mrp_derivative(w, x)}, ValueError, "accepted: q∘exp(h w), to h²"),
+    ({"turn": lambda x, u: x}, ValueError, "turn: of q"),
+    ({"compose": lambda x, q: x}, ValueError, "compose: of q"),
+    ({"flip": lambda x: x}, ValueError, "flip: of q"),
+    ({"to_body": lambda x, v: v}, ValueError, "to_body: of q"),
+    ({"restore": lambda x: ((0.1, 0.2, 0.3), 0.0)}, ValueError, "restore: of q"),
 ]
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fastatt.flat.formulas import Vector, dot, plus, quat
+from fastatt.flat.formulas import Vector, dot, plus, quat, scale
 from fastatt.flat.graph import Graph, flattened
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.rows import kind_of, rows
@@ -21,6 +21,14 @@ _FORMULAS = (
     "start", "finish", "derivative", "turn", "turn_short", "compose", "quaternion", "to_body",
     "flip", "restore", "raw", "half_derivative", "turn_first", "turn_third", "speed_squared",
 )  # fmt: skip
+
+
+# a step, s, of a derivative that is compared; numbers of the same meaning are so near
+_SMALL, _ALIKE = 1e-4, 1e-9
+
+
+def _told(x: Any) -> str:
+    return f"({', '.join(f'{y:.6g}' for y in x)})"
 
 
 def _same(x: Any) -> Any:
@@ -74,7 +82,7 @@ class Attitude:
     record them. The steps' limits are the least that a method has in any representation.
 
     Raises ``TypeError`` or ``ValueError`` for formulas of one's own that cannot be recorded or do
-    not give what they should, by name.
+    not give what they should at one attitude and rate, by name.
 
     Examples
     --------
@@ -145,6 +153,7 @@ class Attitude:
         if self.quaternion is not None:
             self._complete()
         if own:
+            self._compare(own)
             self._read()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -215,6 +224,41 @@ class Attitude:
             wanted = sizes.get(name, self.size)
             if len(found) != wanted:
                 raise ValueError(f"{name}: gives {len(found)} numbers; accepted: {wanted}")
+
+    def _compare(self, own: Sequence[str]) -> None:
+        """Whether one's own formulas mean the same, at an attitude and a rate of no symmetry."""
+        q, w = quat.exp((0.25, -0.15, 0.4)), (0.3, -0.5, 0.7)
+        x: Any = self.start(q)
+        turned, after = quat.mul(q, quat.exp(w)), quat.mul(q, quat.exp(scale(_SMALL, w)))
+
+        def moved() -> Any:
+            return plus(x, scale(_SMALL, self.derivative(x, w)))
+
+        cases: dict[str, tuple[Any, str, Any, bool]] = {
+            "start": (lambda: x, "q", q, True),
+            "derivative": (moved, "q∘exp(h w), to h²", after, True),
+            "turn": (lambda: self.turn(x, w), "q∘exp(u)", turned, True),
+            "turn_short": (lambda: self.turn_short(x, w), "q∘exp(u)", turned, True),
+            "compose": (lambda: self.compose(x, after), "x∘q", quat.mul(q, after), True),
+            "flip": (lambda: self.flip(x), "the inverse of q", quat.conj(q), True),
+            "restore": (lambda: self.restore(x)[0], "q", q, True),
+            "to_body": (lambda: self.to_body(x, w), "q*∘v∘q", quat.rotate_inverse(q, w), False),
+        }  # fmt: skip
+        for name, (find, wanted, value, is_state) in cases.items():
+            if name not in own and name != "start":
+                continue
+            found = find()
+            found = self.quaternion(found) if is_state else found
+            apart = min(
+                max(abs(a - sign * b) for a, b in zip(found, value, strict=True))
+                for sign in ((1.0, -1.0) if is_state else (1.0,))
+            )
+            if not apart < (_SMALL**1.5 if name == "derivative" else _ALIKE):
+                both = "start, quaternion" if name == "start" else name
+                raise ValueError(
+                    f"{both}: of q = {_told(q)} and w = u = v = {_told(w)} comes {_told(found)}; "
+                    f"accepted: {wanted}, {_told(value)}"
+                )
 
     @property
     def compensated(self) -> bool:
