@@ -38,8 +38,22 @@ def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
-    """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method."""
+    """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method.
+
+    Raises ``ValueError`` for matrices of no rotation: of axes that are left-handed or in a plane.
+    """
     found = floats("C", C, (3, 3))
+    size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
+    if (size <= 0.0).any():
+        where = [int(i) for i in np.argwhere(size <= 0.0)[0]] or ""
+        raise ValueError(
+            f"C{where}: has the determinant {np.min(size):.3g}; accepted: rotations, of 1"
+        )
+    return quaternions_of(found)
+
+
+def quaternions_of(found: NDArray[Any]) -> NDArray[Any]:
+    """The same of what is propagated, which may have become no rotation."""
     return _on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
 
 

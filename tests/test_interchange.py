@@ -133,6 +133,12 @@ def test_gibbs():
     assert np.array_equal(ic.to_gibbs((0.0, 1.0, 0.0, 0.0))[:1], [math.inf])
 
 
+def test_parameters_of_numbers_whose_squares_overflow():
+    large = 1e200 * np.array([0.5, 0.5, -0.5, 0.5])
+    assert ic.to_mrp(large) == pytest.approx(ic.to_mrp(large / 1e200), abs=EPS)
+    assert ic.from_gibbs([0.0, 3e200, 4e200]) == pytest.approx([0.0, 0.0, 0.6, 0.8], abs=EPS)
+
+
 def test_rates_in_inertial_axes():
     """The same motion by either rate."""
     w = np.array([0.3, -0.2, 0.5])

@@ -370,7 +370,14 @@ class _Lines:
 
 
 def _comments(comments: tuple[str, ...]) -> list[str]:
-    return [f"COMMENT {x}" for x in comments]
+    return [f"COMMENT {_line('comments', x)}" for x in comments]
+
+
+def _line(name: str, value: Any) -> str:
+    """A value, which stands in one line of ASCII and is there."""
+    if isinstance(value, str) and value.strip() and value.isascii() and value.isprintable():
+        return value
+    raise ValueError(f"{name}: found {checks.brief(value)}; accepted: a line of ASCII text")
 
 
 def _assigned(name: str, values: Mapping[str, str], known: tuple[str, ...]) -> Iterator[str]:
@@ -380,7 +387,7 @@ def _assigned(name: str, values: Mapping[str, str], known: tuple[str, ...]) -> I
         raise ValueError(f"{name}: found {', '.join(unknown)}; accepted: {', '.join(known)}")
     for key in known:
         if key in values:
-            yield f"{key} = {values[key]}"
+            yield f"{key} = {_line(f'{name} {key}', values[key])}"
 
 
 def _number(x: float) -> str:

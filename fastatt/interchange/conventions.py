@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.arrays import floats, rotate, rotate_inverse
+from fastatt.arrays import floats, normalised, rotate, rotate_inverse
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -86,9 +86,9 @@ def to_mrp(q: ArrayLike) -> NDArray[Any]:
 
     Basilisk's ``sigma_BN``. Schaub and Junkins, J. Astronaut. Sci. 44 (1996) 1, eq. 4.
     """
-    p = floats("q", q, (4,))
+    p = normalised(floats("q", q, (4,)))
     shorter = np.where(p[..., :1] < 0.0, -p, p)
-    return np.asarray(shorter[..., 1:] / (_length(p) + shorter[..., :1]))
+    return np.asarray(shorter[..., 1:] / (1.0 + shorter[..., :1]))
 
 
 def from_mrp(sigma: ArrayLike) -> NDArray[Any]:
@@ -108,8 +108,7 @@ def to_gibbs(q: ArrayLike) -> NDArray[Any]:
 def from_gibbs(g: ArrayLike) -> NDArray[Any]:
     """Unit q (..., 4) of Gibbs's vectors (..., 3)."""
     v = floats("g", g, (3,))
-    p = np.concatenate([np.ones_like(v[..., :1]), v], axis=-1)
-    return np.asarray(p / _length(p))
+    return normalised(np.concatenate([np.ones_like(v[..., :1]), v], axis=-1))
 
 
 def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
@@ -120,7 +119,3 @@ def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
 def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
     """Inertial-axes angular velocity (..., 3) of one along body axes, at unit q (..., 4)."""
     return rotate(q, w)
-
-
-def _length(q: NDArray[Any]) -> NDArray[Any]:
-    return np.asarray(np.linalg.norm(q, axis=-1, keepdims=True))

@@ -111,7 +111,7 @@ class Trajectory:
         if self.attitude.to_quat_array is not None:
             return self._shaped(self.attitude.to_quat_array(self.state))
         if self.attitude.to_dcm_array is not None:
-            return arrays.dcm_to_quat(self.C)
+            return arrays.quaternions_of(self.C)
         return self._shaped(self.state)
 
     @cached_property
