@@ -278,8 +278,8 @@ def test_a_run_as_a_message(tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", **options)
-    for wrong in ("", "A\nB", "é", None):
+    for wrong in ("", "A\nB", "é"):
         with pytest.raises(ValueError, match=r"REF_FRAME_A: found .*; accepted: a line of ASCII"):
             run.to_aem(path, epoch="2026-01-01T00:00:00", frame=wrong)
-    with pytest.raises(ValueError, match="time: found 5; accepted: YYYY"):
+    with pytest.raises(ValueError, match="epoch: found 5; accepted: a line of ASCII"):
         run.to_aem(path, epoch=5, frame="ICRF")

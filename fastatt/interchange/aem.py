@@ -157,7 +157,7 @@ def aem_of(
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
     first = {"CREATION_DATE": now, "ORIGINATOR": "FASTATT", **(header or {})}
     q, w = (np.asarray(x, dtype=np.float64) for x in (q, w))
-    return Aem(version, first, (AemSegment(epoch, run.t, q, w, said),))
+    return Aem(version, first, (AemSegment(_line("epoch", epoch), run.t, q, w, said),))
 
 
 def read_aem(path: str | Path) -> Aem:

@@ -65,7 +65,7 @@ def _length(day: int, *, leaps: bool) -> int:
 
 def _count(tag: str, *, leaps: bool) -> Decimal:
     """Seconds since the calendar's beginning."""
-    found = _TAG.fullmatch(tag) if isinstance(tag, str) else None
+    found = _TAG.fullmatch(tag)
     try:
         if found is None:
             raise ValueError
