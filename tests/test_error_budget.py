@@ -204,3 +204,7 @@ def test_samples_left_out_on_purpose_are_not_warned_of():
         error_budget(w, H, method="hold", rivals=[])
     with pytest.warns(StepWarning):
         fa.integrate_rates(w[::2], 2.0 * H, method="hold")
+
+
+def test_a_log_that_does_not_turn():
+    assert "does not turn" in str(fa.error_budget(np.zeros((100, 3)), 0.01))

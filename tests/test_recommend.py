@@ -303,3 +303,24 @@ def test_cases_far_from_the_tolerance_are_not_looked_at():
 def test_bad_input(change, message):
     with pytest.raises(ValueError, match=message):
         fa.recommend(CONING, Q0, **{"t_end": T_END, **change})
+
+
+def jet(t, q, w, p):
+    return (p[0] if 1.03 < t < 1.31 else 0.0), 0.0, -p[1] * w[2]
+
+
+def test_a_torque_that_jumps_is_not_taken_for_smooth():
+    """Of high order is what changes with the step by chance: the declared order says nothing."""
+    scene = fa.Scene(inertia=(2.0, 1.0, 1.4), torque=jet, params=(3.0, 0.1))
+    rng = np.random.default_rng(5)
+    q0, w0 = rng.normal(size=(128, 4)), rng.normal(0.0, 1.0, (128, 3))
+    q, w = q0, w0
+    for push, duration in ((0.0, 1.03), (3.0, 0.28), (0.0, 3.69)):  # from jump to jump
+        part = fa.Scene(
+            inertia=(2.0, 1.0, 1.4),
+            torque=fa.torques.Custom(lambda t, q, w, p: (p[0], 0.0, -0.1 * w[2]), (push,)),
+        )
+        run = fa.propagate(part, q, w, dt=duration / 400, n_steps=400, method="rk8")
+        q, w = run.q[-1], run.w[-1]
+    known = reference(Problem(Ensemble(scene, q0, w0), 5.0), goal=1e-3)
+    assert (fa.angle_between(known.end.q, q) <= 2.0 * known.own_error).all()

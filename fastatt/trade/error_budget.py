@@ -69,6 +69,8 @@ class ErrorBudget:
     @property
     def verdict(self) -> str:
         """What limits, and what would help."""
+        if not self.total:
+            return "no error is seen: the log does not turn"
         gain = self.total / self.with_twice_the_rate
         faster = f"a sensor twice as fast would cut the error {gain:.1f} times"
         if self.limited_by == "noise":

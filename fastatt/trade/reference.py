@@ -32,10 +32,11 @@ _BESIDE_CLOSED = ("dmv10", "rk9", *_CONFIRMING)
 _HIGH = 6
 _EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
 _EPS = float(np.finfo(np.float64).eps)
-_LEAST = 8  # steps
+_LEAST = 4  # steps
 # body-steps that a tight run may take, about 4 s of the slowest of them on one core
 _WORK = 5e7
 _SETTLED = 1e-6  # rad: nothing above is rounding
+_LARGE = 0.3  # rad: a change above is none of an order yet
 _INSTANTS = 16  # at which a given rate is looked at
 _FINER = 4  # times as many steps as are needed: beside kinks, so that more times are steps
 
@@ -193,12 +194,12 @@ def _ladder(problem: Problem, method: str, looks: int) -> Iterator[tuple[int, li
     Beside the whole there are its beginnings, of which the shortest was saved after each step. Each
     are saved at the times of those before, and between them where that is not too many.
     """
-    n = max(_LEAST, math.ceil(turns(problem) * 2.0))
+    n = max(_LEAST, math.ceil(turns(problem)))
     parts = [EARLY**k for k in range(len(beginnings(n, looks)))]
     unit = math.lcm(intervals(problem), parts[-1])
     n = -(-n // unit) * unit
     every = [-(-n // (part * looks)) for part in parts]
-    most = max(4 * n, _WORK / max(problem.ensemble.size, 64))
+    most = max(8 * n, _WORK / max(problem.ensemble.size, 64))
     while n <= most:
         yield (
             n,
@@ -238,19 +239,28 @@ def _tight(problem: Problem, method: str, looks: int, goal: float) -> Reference:
     order = METHODS[method].order
     best: tuple[int, State, NDArray[np.float64]] | None = None
     before: list[Trajectory] = []
-    change = math.inf
+    last: NDArray[np.float64] | None = None
+    change, smooth = math.inf, True
     for n, runs in _ladder(problem, method, looks):
         if before:
             pairs = zip(before, runs, strict=True)
             apart = np.max([_apart(*pair) for pair in pairs], axis=0)
             worst = float(apart.max())
-            truncated = apart / (2.0**order - 1.0)
             rounded = worst > 0.25 * change and worst < _SETTLED
+            if last is not None and 2.0 * worst > last.max() and _SETTLED < worst < _LARGE:
+                smooth = False
+            if rounded or last is None:
+                left = apart
+            elif smooth and worst < change * 2.0 ** (-0.5 * order):
+                left = apart / (2.0**order - 1.0)
+            else:  # a change may be small by chance
+                left = np.maximum(apart, last)
             if best is None or worst < change:
-                best = n, _saved(runs[0]), np.where(rounded, apart, truncated) + _EPS
+                best = n, _saved(runs[0]), left + _EPS
                 change = worst
-            if rounded or float(truncated.max()) <= goal:
+            if rounded or (last is not None and float(left.max()) <= goal):
                 break
+            last = apart
         before = runs
     assert best is not None
     steps, states, own = best
