@@ -73,10 +73,12 @@ class ErrorBudget:
             return "no error is seen: the log does not turn"
         gain = self.total / self.with_twice_the_rate
         faster = f"a sensor twice as fast would cut the error {gain:.1f} times"
-        if self.limited_by == "noise":
-            return "noise limits, or motion as rough as noise: another method will not help"
-        if self.limited_by == "round-off":
-            return "round-off limits: float64 is what helps, if anything"
+        no_method = {
+            "noise": "noise limits, or motion as rough as noise: another method will not help",
+            "round-off": "round-off limits: float64 is what helps, if anything",
+        }
+        if self.limited_by in no_method:
+            return no_method[self.limited_by]
         if not _resolves(self.method, self.order) and self.limited_by == "interpolation":
             return f"the sample rate limits: a better integrator will not help; {faster}"
         best = min(self.rivals, key=lambda name: self.rivals[name], default=self.method)
