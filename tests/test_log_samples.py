@@ -277,8 +277,11 @@ def test_references_are_read(tmp_path, head, capsys):
     # attitudes written here are a reference too
     written = np.loadtxt(out, delimiter=",", skiprows=1)
     assert np.abs(read_attitudes(out).q - written[:, 1:]).max() < 1e-15
-    assert main([*arguments, "-r", "50", "--reference", str(out)]) == 0
+    again = [*arguments, "-r", "50", "--reference", str(out)]
+    assert main([*again, "-o", str(tmp_path / "again.csv")]) == 0
     assert "at the end" in capsys.readouterr().out
+    assert main(again) == 2
+    assert "q.csv, which is --reference; accepted: another file" in capsys.readouterr().err
 
 
 def test_masks_and_what_is_no_real_number_in_tables():
