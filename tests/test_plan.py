@@ -13,6 +13,7 @@ import pytest
 
 import fastatt as fa
 from fastatt.engine import ensemble
+from fastatt.engine.job import Formulas
 
 BODY = (2.0, 1.0, 2.0 / 3.0)
 SCENES = {
@@ -145,6 +146,15 @@ def test_new_numbers_compile_nothing(monkeypatch, inertia):
     ensemble.program.cache_clear()
     assert bits(plan(Q0, W0, params=other)) == bits(wanted)
     assert bits(plan(Q0, W0)) == before != bits(wanted)
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_other_steps_trace_nothing(monkeypatch, kind):
+    scene, options = SCENES[kind], {"method": "magnus4" if kind == "rate" else "rk4"}
+    fa.propagate(scene, Q0, *rates_of(scene), dt=0.05, n_steps=3, **options)
+    monkeypatch.setattr(Formulas, "scope", lambda *_, **__: pytest.fail("traced"))
+    run = fa.propagate(scene, Q0, *rates_of(scene), t0=1.0, dt=0.025, n_steps=4, **options)
+    assert run.t[-1] == 1.1
 
 
 def test_numbers_beyond_the_precision_are_flagged():

@@ -348,7 +348,7 @@ class Plan:
     @cached_property
     def by_time(self) -> bool:
         """Whether the motion or the saves go by the time."""
-        return self.job.own_steps or self.job.formulas.is_timed
+        return self.job.own_steps or self._program.formulas.is_timed
 
     def warn_of_times(self, t0: float) -> None:
         """Warn of times too late to tell steps apart."""
@@ -402,7 +402,7 @@ class Plan:
     @cached_property
     def equations(self) -> str:
         """A hash of what a step computes and of the tables that it reads."""
-        read = hashlib.sha256(repr(self.job.formulas.quick.plain.nodes).encode())
+        read = hashlib.sha256(repr(self._program.formulas.quick.plain.nodes).encode())
         for table in self.packed.tables.values():
             read.update(table.tobytes())
         return read.hexdigest()
