@@ -199,7 +199,8 @@ def test_made_once_and_let_go():
     assert user_function(function, "rate", 2) is not made
     alive = weakref.ref(function)
     del function
-    gc.collect()
+    if alive() is not None:  # all that the process ever made is looked through
+        gc.collect()
     assert alive() is None
     assert made.straight
 

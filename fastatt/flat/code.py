@@ -262,7 +262,7 @@ class Code:
     def splat(self, value: Any, n: int) -> Any:
         """A vector of n times the same."""
         if isinstance(value, ir.Constant):
-            return ir.Constant(ir.VectorType(value.type, n), [value.constant] * n)
+            return ir.Constant(ir.VectorType(value.type, n), [value] * n)
         to = ir.VectorType(value.type, n)
         one = self.b.insert_element(ir.Constant(to, ir.Undefined), value, ir.Constant(I32, 0))
         mask = ir.Constant(ir.VectorType(I32, n), [0] * n)

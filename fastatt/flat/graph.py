@@ -35,20 +35,19 @@ class Graph:
         self.lanes = lanes
         self.narrow = self.many = self.native = False
         self.nodes: list[Node] = []
-        self._known: dict[Node, int] = {}
+        self._known: dict[tuple[Any, ...], int] = {}
         self._times: set[int] = set()
         self._spans: set[int] = set()
         self._of_time: list[tuple[bool, bool]] = []
 
     def add(self, op: str, kind: str, *args: Any) -> int:
         """Number of the operation, made if it was not there."""
-        node = Node(op, kind, args)
         # 0.0 and -0.0 are equal as keys, and NaN is not itself
-        key = Node(op, kind, tuple(map(float.hex, args))) if op == "const" else node
+        key = (op, kind, tuple(map(float.hex, args)) if op == "const" else args)
         found = self._known.get(key)
         if found is None:
             found = self._known[key] = len(self.nodes)
-            self.nodes.append(node)
+            self.nodes.append(Node(op, kind, args))
         return found
 
     def input(self, kind: str, *name: Any) -> Number:
@@ -117,9 +116,10 @@ def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
 
 
 def _binary(op: str, a: Any, b: Any) -> Any:
-    if isinstance(b, Composed):
-        return NotImplemented
-    a, b = _pair(a, b, op)
+    if type(a) is not type(b):
+        if isinstance(b, Composed):
+            return NotImplemented
+        a, b = _pair(a, b, op)
     return _made(a.graph, op, a.kind, a.at, b.at)
 
 
@@ -158,14 +158,15 @@ def _difference(a: Any, b: Any) -> Any:
 
 def _product(a: Any, b: Any) -> Any:
     for x, y in ((a, b), (b, a)):
-        if _is(x, 0.0):
-            return 0.0
-        if _is(x, 1.0):
-            return y
-        if _is(x, -1.0):
-            return -y
+        if not isinstance(x, Recorded):
+            if _is(x, 0.0):
+                return 0.0
+            if _is(x, 1.0):
+                return y
+            if _is(x, -1.0):
+                return -y
         # a sign goes outwards, where a sum takes it up: −k b beside k b is one product
-        if (positive := _negative(x)) is not None and not isinstance(y, Composed):
+        elif (positive := _negative(x)) is not None and not isinstance(y, Composed):
             return -_product(positive, y)
     return _binary("*", a, b)
 

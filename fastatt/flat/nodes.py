@@ -45,6 +45,8 @@ def operands(node: Node) -> tuple[int, ...]:
 
 def renamed(node: Node, taken: Sequence[int]) -> Node:
     """The same operation of others."""
+    if not taken:
+        return node
     if node.op == "item":
         return Node(node.op, node.kind, (*taken, node.args[1]))
     rest = node.args[: len(node.args) - len(taken)] if node.op in SPECIAL else ()
