@@ -78,23 +78,18 @@ def given(flat, name, scale=1.0):
 @every_precision
 @every_kernel
 def test_text_is_the_kernel_to_the_bit(name, kind):
+    """Of numbers, and of arrays."""
     flat = recorded(name, kind)
     F = FLOATS[kind]
     assert {n.kind for n in flat.nodes} <= {kind, ""}
-    found = source.function(flat)(*map(F, given(flat, name)))
-    np.testing.assert_array_equal(found, kernel_values(name, kind))
-    assert {np.asarray(x).dtype for x in kernel_values(name, kind)} == {np.dtype(F)}
+    run = source.function(flat)
+    found, values = run(*map(F, given(flat, name))), kernel_values(name, kind)
+    np.testing.assert_array_equal(found, values)
+    assert {np.asarray(x).dtype for x in values} == {np.dtype(F)}
     double = kernel_values(name, "double")
     size = max(1.0, *np.abs(double))
     assert np.abs(np.subtract(found, double)).max() <= 16 * np.finfo(F).eps * size
 
-
-@every_precision
-@every_kernel
-def test_text_takes_arrays(name, kind):
-    flat = recorded(name, kind)
-    F = FLOATS[kind]
-    run = source.function(flat)
     rows = [list(map(F, given(flat, name, scale))) for scale in (1.0, 0.5, -0.75, 1.25)]
     columns = [np.array(column, F) for column in zip(*rows, strict=True)]
     found = run(*columns)

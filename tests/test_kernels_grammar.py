@@ -4,6 +4,7 @@ import ast
 import importlib
 import inspect
 import pkgutil
+import re
 
 import numpy as np
 import pytest
@@ -321,13 +322,20 @@ def test_from_jitted_code(name):
         assert set(leaves(user.nopython_signatures[-1].return_type)) == {kind}
 
 
-@every_kernel
+def refusal(kernel, arguments):
+    try:
+        kernel(*arguments)
+    except TypingError as error:
+        return str(error)
+    return ""
+
+
 @pytest.mark.parametrize("place", [0, -1])
-def test_integers_are_refused(name, place):
-    arguments = one_integer(ARGUMENTS[name], place)
-    short = name.split(".")[1]
-    with pytest.raises(TypingError, match=f"{short}: found an integer .* write 1.0 instead of 1"):
-        KERNELS[name](*arguments)
+def test_integers_are_refused(place):
+    found = {n: refusal(k, one_integer(ARGUMENTS[n], place)) for n, k in KERNELS.items()}
+    asked = "{}: found an integer .* write 1.0 instead of 1"
+    others = {n: x for n, x in found.items() if not re.search(asked.format(n.split(".")[1]), x)}
+    assert others == {}
 
 
 @pytest.mark.parametrize("bad", [1, np.int32(1), True])
@@ -349,7 +357,7 @@ def functions():
         short = module.__name__.removeprefix(PREFIX)
         for node in ast.parse(inspect.getsource(module)).body:
             if isinstance(node, ast.FunctionDef):
-                yield pytest.param(short, node, id=f"{short}.{node.name}")
+                yield f"{short}.{node.name}", node
 
 
 class Unrounded(ast.NodeVisitor):
@@ -381,30 +389,39 @@ class Unrounded(ast.NodeVisitor):
 
 
 def test_every_function_is_a_kernel():
-    assert {p.id for p in functions()} == set(KERNELS)
+    assert {name for name, _ in functions()} == set(KERNELS)
 
 
-@pytest.mark.parametrize(("module", "function"), list(functions()))
-def test_form(module, function):
-    """A docstring, assignments of expressions and one return: what vectorises."""
-    assert ast.get_docstring(function)
+def faults(module, function):
+    """What is not a docstring, assignments of expressions and one return: what vectorises."""
+    if not ast.get_docstring(function):
+        yield "no docstring"
     _, *steps, last = function.body
-    assert all(isinstance(s, ast.Assign) for s in steps)
-    assert isinstance(last, ast.Return)
+    for statement, kind in (*((s, ast.Assign) for s in steps), (last, ast.Return)):
+        if not isinstance(statement, kind):
+            yield ast.unparse(statement)
+            return
     allowed = (
         *(ast.Name, ast.Constant, ast.Attribute, ast.Slice, ast.Subscript, ast.Tuple, ast.Call),
         *(ast.BinOp, ast.UnaryOp, ast.Compare, ast.IfExp, ast.Assign, ast.Return),
         *(ast.expr_context, ast.operator, ast.unaryop, ast.cmpop),
     )
     for node in (n for s in (*steps, last) for n in ast.walk(s)):
-        assert isinstance(node, allowed), ast.unparse(node)
+        is_allowed = isinstance(node, allowed)
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             allowed_of = {"np": NUMPY.get(module, ()), "math": MATH}
-            assert node.attr in allowed_of.get(node.value.id, (node.attr,)), ast.unparse(node)
+            is_allowed &= node.attr in allowed_of.get(node.value.id, (node.attr,))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             called = getattr(fastatt.kernels, module).__dict__.get(node.func.id)
-            assert node.func.id in CALLS or isinstance(called, Dispatcher), ast.unparse(node)
+            is_allowed &= node.func.id in CALLS or isinstance(called, Dispatcher)
+        if not is_allowed:
+            yield ast.unparse(node)
     unrounded = Unrounded(function)
     for step in (*steps, last):
         unrounded.visit(step.value)
-    assert unrounded.found == []
+    yield from unrounded.found
+
+
+def test_form():
+    found = {name: list(faults(name.split(".")[0], node)) for name, node in functions()}
+    assert {name: each for name, each in found.items() if each} == {}
