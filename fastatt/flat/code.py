@@ -39,7 +39,8 @@ def text_of(module: ir.Module) -> str:
 class Line:
     """An operation, put into words at once; to llvmlite it is an instruction like its own.
 
-    A compiler whose function it stands in finds nothing to change about it.
+    A compiler whose function it stands in finds nothing to change about it. Without a ``kind`` it
+    has no result.
     """
 
     __slots__ = ("_name", "_text", "type")
@@ -47,7 +48,7 @@ class Line:
 
     def __init__(self, code: Code, kind: Any, text: str) -> None:
         self.type, self._name = kind, f"%-{next(code.numbers)}"
-        self._text = f"{self._name} = {text}"
+        self._text = text if kind is None else f"{self._name} = {text}"
         code.b._insert(self)  # noqa: SLF001
 
     def get_reference(self) -> str:
@@ -85,11 +86,11 @@ class Int:
 
     def at_most(self, other: Any) -> Int:
         """The smaller of two."""
-        return Int(self.code, self.code.b.select(self < other, self.value, self.code.raw(other)))
+        return Int(self.code, self.code.select(self < other, self.value, self.code.raw(other)))
 
     def at_least(self, other: Any) -> Int:
         """The larger of two."""
-        return Int(self.code, self.code.b.select(self > other, self.value, self.code.raw(other)))
+        return Int(self.code, self.code.select(self > other, self.value, self.code.raw(other)))
 
 
 class Code:
@@ -129,6 +130,10 @@ class Code:
         of = function.function_type.return_type
         given = ", ".join(map(_typed, args))
         return Line(self, of, f"call {of} {function.get_reference()}({given})")
+
+    def select(self, test: Any, a: Any, b: Any) -> Line:
+        """a where the test holds, else b."""
+        return Line(self, a.type, f"select {_typed(test)}, {_typed(a)}, {_typed(b)}")
 
     def raw(self, x: Any) -> Any:
         """LLVM's value of an Int or of a Python number."""
@@ -172,7 +177,7 @@ class Code:
 
     def store(self, pointer: Any, index: Any, value: Any) -> None:
         """Change an element."""
-        self.b.store(value, self.place(pointer, index))
+        self._stored(value, self.place(pointer, index))
 
     def vector(self, pointer: Any, index: Any, n: int) -> Any:
         """n elements in a row."""
@@ -182,7 +187,7 @@ class Code:
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change n elements in a row."""
         at = self._as_vector(pointer, index, value.type.count)
-        self.b.store(value, at, align=_aligned(at))
+        self._stored(value, at, f", align {_aligned(at)}")
 
     def _as_vector(self, pointer: Any, index: Any, n: int) -> Any:
         to = ir.VectorType(pointer.type.pointee, n).as_pointer()
@@ -191,6 +196,9 @@ class Code:
     def _loaded(self, pointer: Any, how: str = "") -> Line:
         kind = pointer.type.pointee
         return Line(self, kind, f"load {kind}, {_typed(pointer)}{how}")
+
+    def _stored(self, value: Any, pointer: Any, how: str = "") -> None:
+        Line(self, None, f"store {_typed(value)}, {_typed(pointer)}{how}")
 
     @contextmanager
     def loop(self, first: Any, last: Any, step: int = 1) -> Iterator[Int]:
@@ -264,9 +272,9 @@ class Code:
         if isinstance(value, ir.Constant):
             return ir.Constant(ir.VectorType(value.type, n), [value] * n)
         to = ir.VectorType(value.type, n)
-        one = self.b.insert_element(ir.Constant(to, ir.Undefined), value, ir.Constant(I32, 0))
-        mask = ir.Constant(ir.VectorType(I32, n), [0] * n)
-        return self.b.shuffle_vector(one, ir.Constant(to, ir.Undefined), mask)
+        one = Line(self, to, f"insertelement {to} undef, {_typed(value)}, i32 0")
+        first = f"<{n} x i32> zeroinitializer"
+        return Line(self, to, f"shufflevector {_typed(one)}, {to} undef, {first}")
 
     def declared(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
         """A function of that name that is found elsewhere."""

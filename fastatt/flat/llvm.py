@@ -126,7 +126,7 @@ class Emitter:
         if op in LIBRARY:
             return self._library(op, args[0], has_lanes)
         if op == "select":
-            return code.b.select(*args)
+            return code.select(*args)
         if op in COMPARISONS:
             bits = ir.VectorType(BIT, of.count) if isinstance(of, ir.VectorType) else BIT
             if of == bits:
