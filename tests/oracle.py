@@ -19,9 +19,17 @@ EPS = 2.0**-52
 # comparison
 
 
+def numbers(x):
+    """The numbers of x, exactly."""
+    return [
+        c if isinstance(c, mp.mpf) else mp.mpf(float(c) if isinstance(c, np.generic) else c)
+        for c in x
+    ]
+
+
 def vec(x):
-    """The numbers of x, exactly, as an mpmath column."""
-    return mp.matrix([mp.mpf(float(c)) if isinstance(c, np.generic) else mp.mpf(c) for c in x])
+    """The same as an mpmath column."""
+    return mp.matrix(numbers(x))
 
 
 def floats(x):
@@ -31,17 +39,21 @@ def floats(x):
 
 def norm(x):
     """Euclidean (Frobenius) length; mpmath numbers neither overflow nor underflow."""
-    return mp.sqrt(mp.fsum(c**2 for c in vec(x)))
+    return mp.sqrt(mp.fsum(numbers(x), squared=True))
+
+
+def _gap(a, b):
+    return norm([x - y for x, y in zip(numbers(a), numbers(b), strict=True)])
 
 
 def distance(a, b):
     """|a − b| of two sequences of numbers."""
-    return float(norm(vec(a) - vec(b)))
+    return float(_gap(a, b))
 
 
 def error(a, b):
     """|a − b| / |b| of two sequences of numbers, 0 for equal zeros."""
-    gap = norm(vec(a) - vec(b))
+    gap = _gap(a, b)
     return float(gap / norm(b)) if gap else 0.0
 
 
