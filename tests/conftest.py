@@ -24,7 +24,7 @@ settings.load_profile("fastatt")
 
 # the compiler's short-lived objects: collecting them on the way takes an eighth of the time
 gc.disable()
-_MANY = 9_000_000  # of them, about 3 GB
+_MANY = 14_000_000  # of them, about 4 GB: two processes that share the suite stay below
 
 
 @pytest.fixture(scope="module", autouse=True)
