@@ -152,10 +152,12 @@ class _Traced(NamedTuple):
 
 
 @functools.cache
-def _traced(solution: Solution, kind: str, turned: bool, stored: Any = None) -> _Traced:
+def _traced(
+    solution: Solution, kind: str, turned: bool, stored: Any = None, *, native: bool = False
+) -> _Traced:
     """``turned``: the principal axes are not those of the body; ``stored`` as of ``Motion``."""
     quat = formulas.quat
-    graph = _graph()
+    graph = Graph(native=native)
     q, w, moments, axes, pull = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
     if turned:
         q, w = quat.mul(q, axes), quat.rotate_inverse(axes, w)
@@ -163,7 +165,7 @@ def _traced(solution: Solution, kind: str, turned: bool, stored: Any = None) -> 
     constants = flattened(solution.prepare(quat.normalise(q), w, moments, *pulls))
     prepare = Flat(graph, constants, kind)
 
-    graph = _graph()
+    graph = Graph(native=native)
     moments, axes = (graph.inputs(kind, name, _GIVEN[name]) for name in ("moments", "axes"))
     given = graph.inputs(kind, "constant", len(constants))
     q, w = solution.state(given, moments, graph.input(kind, "t", 0))
@@ -172,15 +174,10 @@ def _traced(solution: Solution, kind: str, turned: bool, stored: Any = None) -> 
     return _Traced(prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind))
 
 
-def _graph() -> Graph:
-    graph = Graph()
-    graph.native = machine.processor().fuses and not without_compiler()
-    return graph
-
-
 @functools.cache
 def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -> Any:
-    code = _code(_traced(solution, kind, turned, stored), kind, _SIDE_BY_SIDE * lanes_of(kind))
+    traced = _traced(solution, kind, turned, stored, native=machine.processor().fuses)
+    code = _code(traced, kind, _SIDE_BY_SIDE * lanes_of(kind))
     program = machine.compiled(text_of(code.module))
     return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
 

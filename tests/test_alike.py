@@ -87,7 +87,7 @@ def test_what_is_alike_is_worked_on_once(monkeypatch):
     for many in (64, N + 1):
         monkeypatch.setattr(fixed, "_MANY", many)
         sizes[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).job)
-    assert sizes[64] < 0.8 * sizes[N + 1]
+    assert sizes[64] < sizes[N + 1] - 100  # a sine and a cosine, and what turns by them
 
 
 def vectors_of(job):

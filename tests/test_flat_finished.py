@@ -37,7 +37,8 @@ def test_a_sine_of_a_parameter_is_taken_once_a_run():
         fa.Scene(rate=fa.rates.Coning(np.linspace(0.3, 1.4, 5), 1.0)), "lie_midpoint"
     )
     before, step = shown.split("for n in range(first, last):")
-    assert before.count("rint") == step.count("rint") == 1
+    # of the quarters of a turn, and of the turns
+    assert before.count("rint") == step.count("rint") == 2
 
 
 # results that wait take registers

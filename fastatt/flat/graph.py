@@ -31,9 +31,9 @@ class Graph:
     A graph for machine code alone may be ``native`` (``fastatt.flat.native``).
     """
 
-    def __init__(self, lanes: int = 0) -> None:
-        self.lanes = lanes
-        self.narrow = self.many = self.native = False
+    def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
+        self.lanes, self.native = lanes, native
+        self.narrow = self.many = False
         self.nodes: list[Node] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._times: set[int] = set()
