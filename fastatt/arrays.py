@@ -42,14 +42,19 @@ def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
 
     Raises ``ValueError`` for matrices of no rotation: of axes that are left-handed or in a plane.
     """
-    found = floats("C", C, (3, 3))
-    size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
+    return quaternions_of(_right_handed("C", C))
+
+
+def _right_handed(name: str, C: Any) -> NDArray[Any]:
+    found = floats(name, C, (3, 3))
+    with np.errstate(all="ignore"):  # of what is not finite the quaternion is not either
+        size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
     if (size <= 0.0).any():
         where = [int(i) for i in np.argwhere(size <= 0.0)[0]] or ""
         raise ValueError(
-            f"C{where}: has the determinant {np.min(size):.3g}; accepted: rotations, of 1"
+            f"{name}{where}: found the determinant {np.min(size):.3g}; accepted: rotations, of 1"
         )
-    return quaternions_of(found)
+    return found
 
 
 def quaternions_of(found: NDArray[Any]) -> NDArray[Any]:
@@ -124,7 +129,8 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
     matrices the entries' own rounding, some 2e-16, counts on top. Gives (...), or a float for one
     pair.
 
-    Raises ``ValueError`` for other shapes, ``TypeError`` for something that is not numbers.
+    Raises ``ValueError`` for other shapes and for matrices of no rotation, ``TypeError`` for
+    something that is not numbers.
     """
     p, q = _as_quat("a", a), _as_quat("b", b)
     _check_broadcast("a", p, "b", q)
@@ -139,7 +145,7 @@ def _angle(p: Any, q: Any) -> Any:
 def _as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
     found = checks.numbers(name, value, "real numbers")
     if found.shape[-2:] == (3, 3):
-        return dcm_to_quat(found)
+        return quaternions_of(_right_handed(name, found))
     if found.shape[-1:] != (4,):
         raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., 4) and (..., 3, 3)")
     return found

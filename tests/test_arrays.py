@@ -187,9 +187,9 @@ def test_float32_angles():
         (
             lambda: fa.dcm_to_quat(np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])])),
             ValueError,
-            r"C\[1\]: has the determinant -1; accepted: rotations",
+            r"C\[1\]: found the determinant -1; accepted: rotations",
         ),
-        (lambda: fa.dcm_to_quat(np.zeros((3, 3))), ValueError, "C: has the determinant 0"),
+        (lambda: fa.dcm_to_quat(np.zeros((3, 3))), ValueError, "C: found the determinant 0"),
         (lambda: fa.euler313_to_quat([1, 2]), ValueError, r"angles: has shape \(2,\)"),
         (lambda: fa.rotation_vector_to_quat(1.0), ValueError, r"u: has shape \(\)"),
         (lambda: fa.quat_to_euler313([1j, 0, 0, 0]), TypeError, "q: found"),
