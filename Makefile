@@ -2,6 +2,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 RESULTS := results
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 # the newest Python that works: it may be a stub, too old, or without venv and pip
 PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
@@ -22,24 +23,32 @@ help:  ## this list
 $(VENV)/.made:
 	@test -n "$(PYTHON)" || { echo "needs Python >= 3.11 with venv and ensurepip" >&2; exit 1; }
 	$(PYTHON) -m venv --clear $(VENV)
+	@# a later pip looks through the lists of releases in half the time; without one it goes on
+	-$(INSTALL) --upgrade pip
 	@touch $@
 
 $(VENV)/.trade: $(VENV)/.made pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[trade]'
+	$(INSTALL) --editable '.[trade]'
 	@touch $@
 
 $(VENV)/.leaderboard: $(VENV)/.made pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[leaderboard]'
+	$(INSTALL) --editable '.[leaderboard]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.made pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[test]'
+	$(INSTALL) --editable '.[test]'
 	@touch $@ $(VENV)/.trade
 
-venv: $(VENV)/.test  ## the environment of all other targets, in .venv
+$(VENV)/.lint: $(VENV)/.test
+	$(INSTALL) --editable '.[lint]'
+	@touch $@
+
+venv: $(VENV)/.lint  ## the environment of all other targets, in .venv
 
 test: $(VENV)/.test  ## the tests, the README's examples among them
-	$(BIN)/pytest -n auto --dist worksteal -p no:benchmark
+	@# to rewrite all assertions takes ten seconds: what fails runs again, and tells its values
+	$(BIN)/pytest -n auto --dist worksteal -p no:benchmark --assert=plain \
+		|| { $(BIN)/pytest --last-failed --last-failed-no-failures none -p no:benchmark; exit 1; }
 
 readme: $(VENV)/.test  ## the README's examples only
 	$(BIN)/pytest tests/test_readme.py
@@ -67,21 +76,21 @@ bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
 	then FASTATT_SMOKE=1 $(BIN)/pytest bench --benchmark-disable; \
 	else echo "bench-smoke: bench/ has no bench_*.py"; fi
 
-lint: $(VENV)/.test  ## ruff: rules and format
+lint: $(VENV)/.lint  ## ruff: rules and format
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 
-format: $(VENV)/.test  ## rewrite files as lint wants them
+format: $(VENV)/.lint  ## rewrite files as lint wants them
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-types: $(VENV)/.test  ## mypy
+types: $(VENV)/.lint  ## mypy
 	$(BIN)/mypy
 
-layers: $(VENV)/.test  ## which module may import which
+layers: $(VENV)/.lint  ## which module may import which
 	$(BIN)/lint-imports
 
-docs: $(VENV)/.test  ## the reference of all public names, from their docstrings: results/reference
+docs: $(VENV)/.lint  ## the reference of all public names, from their docstrings: results/reference
 	$(BIN)/python -W error::UserWarning -W "ignore:Error parsing type annotation" -m pdoc -d numpy -o $(RESULTS)/reference fastatt
 
 clean:  ## remove the environment, caches and results
