@@ -24,17 +24,6 @@ class StepWarning(UserWarning):
     """A step beyond what the method can do, or too small for the precision."""
 
 
-@contextmanager
-def hearing() -> Iterator[list[str]]:
-    """What would be warned of."""
-    told: list[str] = []
-    before = heard.set(told)
-    try:
-        yield told
-    finally:
-        heard.reset(before)
-
-
 def warn(text: str) -> None:
     """Warn of something, in the first line outside this package."""
     if (told := heard.get()) is not None:

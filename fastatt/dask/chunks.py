@@ -45,7 +45,7 @@ class Work:
         scene = self.scene if part.scene is None else part.scene
         computed = iter(lazy)
         states = [next(computed) if isinstance(x, str) else x for x in part.states]
-        with rounding.hearing() as told:
+        with rounding.noted() as told:
             try:
                 return self.function(scene, states)
             except Exception as error:

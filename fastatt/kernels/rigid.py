@@ -9,7 +9,7 @@ import math
 
 from fastatt._jit import kernel
 from fastatt.kernels import quat
-from fastatt.kernels.trig import power_of_two, reduce_powers, sincos, sinhcosh_short
+from fastatt.kernels.trig import powers_of_two, reduce_powers, sincos, sinhcosh_short
 from fastatt.kernels.vec3 import add, cross, dot, scale
 
 
@@ -166,10 +166,9 @@ def exp_decay(x):
     y = F(-88.0) if y < F(-88.0) else y
     k, r = reduce_powers(y)
     s, c = sinhcosh_short(r)
-    p = power_of_two(abs(k))
-    inverse = F(1.0) / p
-    up = (c + s) * (p if k > F(0.0) else inverse)
-    down = (c - s) * (inverse if k > F(0.0) else p)
+    p, inverse = powers_of_two(k)
+    up = (c + s) * p
+    down = (c - s) * inverse
     tiny = abs(y) < F(1e-30)
     safe = F(1.0) if tiny else y
     numerator = s if k == F(0.0) else F(0.5) * (up - down)

@@ -298,7 +298,7 @@ def power_of_two(n):
 
 @kernel
 def powers_of_two(k):
-    """(2ᵏ, 2⁻ᵏ) of a whole number k (a float) in ±126."""
+    """(2ᵏ, 2⁻ᵏ) of a whole number k (a float) in ±127."""
     F = type(k)
     p = power_of_two(abs(k))
     q = F(1.0) / p

@@ -34,7 +34,7 @@ def integrate_chunks(
     which begins at ``q0``. ``keep`` gets the chunks.
     """
     piece = _Piece(reader, q0, method, 0)
-    with rounding.hearing() as told:
+    with rounding.noted() as told:
         for chunk in reader.chunks():
             if keep is not None:
                 keep.append(chunk)
