@@ -156,7 +156,7 @@ CHAINS = {
     "dexpinv": (lambda *x: so3.dexpinv(x[:3], x[3:]), [(*U, 0.3, -0.2, 0.5)]),
     "second_integral": (lambda *x: newton.turned_second_integral(x[:3], x[3:]), [(*U, *PAST)]),
     "normalise": (lambda *q: quat.normalise(q), [(3e150, -1e150, 2e150, 1e150), Q]),
-    "sinhcosh": (trig.sinhcosh_short, [(0.2,), (-0.3,)]),
+    "sinhcosh": (lambda r: trig.short_waves(r, -r * r), [(0.2,), (-0.3,)]),
     "decay": (rigid.exp_decay, [(0.3,), (-2.0,), (30.0,)]),
     "symmetric": (symmetric, [(*U, 0.3, -0.2, 0.5, 2.0)]),
     "triaxial": (triaxial, [(*U, 0.3, -0.2, 0.5, 2.0), (*U, 1.0, 1e-3, 1e-4, 10.0)]),

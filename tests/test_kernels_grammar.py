@@ -238,7 +238,7 @@ ARGUMENTS = {
     "trig.log_ratio": (5.0, 0.3, 4.7, 5.3),
     "trig.quarter_turns": (7.0,),
     "trig.reduce_powers": (3.7,),
-    "trig.sinhcosh_short": (0.3,),
+    "trig.short_waves": (0.3, 0.09),
     "trig.reduce_quarters": (8.0,),
     "trig.reduce_turns": (8.0,),
     "trig.is_odd": (3.0,),

@@ -28,7 +28,7 @@ from fastatt.kernels.trig import (
     powers_of_two,
     quarter_turns,
     reduce_powers,
-    sinhcosh_short,
+    short_waves,
 )
 
 
@@ -36,7 +36,7 @@ from fastatt.kernels.trig import (
 def exp_minus(x):
     """exp(−x) for 0 ≤ x ≤ 80: relative error 5e-16 (float64)."""
     k, r = reduce_powers(-x)
-    s, c = sinhcosh_short(r)
+    s, c = short_waves(r, -r * r)
     p, _ = powers_of_two(k)
     return p * (c + s)
 
@@ -60,22 +60,7 @@ def waves(x, wide):
     r = F(0.79) if r > F(0.79) else r
     r = F(-0.79) if r < F(-0.79) else r
     z = r * r
-    z = -z if w else z
-    s = F(1.5945514185115612e-10)
-    s = s * z + F(-2.5051560354320427e-08)
-    s = s * z + F(2.755731844280705e-06)
-    s = s * z + F(-0.00019841269841900413)
-    s = s * z + F(0.008333333333334607)
-    s = s * z + F(-0.16666666666666666)
-    s = s * z * r + r
-    c = F(-1.1399760405283362e-11)
-    c = c * z + F(2.087641427989201e-09)
-    c = c * z + F(-2.755731873543572e-07)
-    c = c * z + F(2.4801587301981616e-05)
-    c = c * z + F(-0.0013888888888889685)
-    c = c * z + F(0.041666666666666664)
-    c = c * z + F(-0.5)
-    c = c * z + F(1.0)
+    s, c = short_waves(r, -z if w else z)
     up, down = powers_of_two(k if w else F(0.0))
     C, S = quarter_turns(k)
     C = F(0.5) * (up + down) if w else C

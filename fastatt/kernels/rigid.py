@@ -9,7 +9,7 @@ import math
 
 from fastatt._jit import kernel
 from fastatt.kernels import quat
-from fastatt.kernels.trig import powers_of_two, reduce_powers, sincos, sinhcosh_short
+from fastatt.kernels.trig import powers_of_two, reduce_powers, short_waves, sincos
 from fastatt.kernels.vec3 import add, cross, dot, scale
 
 
@@ -165,7 +165,7 @@ def exp_decay(x):
     y = F(88.0) if y > F(88.0) else y
     y = F(-88.0) if y < F(-88.0) else y
     k, r = reduce_powers(y)
-    s, c = sinhcosh_short(r)
+    s, c = short_waves(r, -r * r)
     p, inverse = powers_of_two(k)
     up = (c + s) * p
     down = (c - s) * inverse

@@ -36,11 +36,16 @@ class ClosedForm:
             stored=None if attitude.stored == 4 else attitude.start,
         )
         self._length = plan.clock.end * plan.clock.h
-        # |w|² up to which no body turns so far that it has to be looked at
-        longest = max(abs(self._length), float(np.finfo(np.float64).tiny))
-        calm = float(np.finfo(plan.kind).eps) ** -0.5 / longest
-        calm = calm * calm - float(self._form.gain.max()) ** 2
-        (self._calm,) = struct.unpack("q", struct.pack("d", calm))
+
+    @cached_property
+    def _calm(self) -> int:
+        """Bits of |w|² up to which no body turns so far that it has to be looked at."""
+        longest = max(np.abs(self._since).max(initial=0.0), np.finfo(np.float64).tiny)
+        most = float(np.finfo(self._handed.kind).eps) ** -0.5 / float(longest)
+        (bits,) = struct.unpack(
+            "q", struct.pack("d", most * most - float(self._form.gain.max()) ** 2)
+        )
+        return int(bits)
 
     @cached_property
     def _since(self) -> NDArray[np.float64]:
