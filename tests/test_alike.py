@@ -83,17 +83,19 @@ def test_other_numbers_of_a_plan_need_not_be_alike():
 def test_what_is_alike_is_worked_on_once(monkeypatch):
     """The sine of an orbit's angle, which bodies of different sizes are on: in no lanes' number."""
     assert len(alike(SCENES["orbit"], "rk4")) == 7  # the orbit's rate and axes
-    sizes = {}
+    found = {}
     for many in (64, N + 1):
         monkeypatch.setattr(fixed, "_MANY", many)
-        sizes[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).job)
-    assert sizes[64] < sizes[N + 1] - 100  # a sine and a cosine, and what turns by them
+        found[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).job)
+    (few, turns), (more, sines) = found[64], found[N + 1]
+    assert few < more - 100  # a sine and a cosine, and what turns by them
+    assert turns == 0 < sines  # no angle is less whole turns in any lane
 
 
 def vectors_of(job):
-    """Operations on vectors in the loop's text."""
-    text = Writer(job, job.formulas).quick()
-    return sum("<" in line and " x double>" in line for line in text.splitlines())
+    """Operations on vectors in the loop's text, and those of them that round."""
+    lines = [x for x in Writer(job, job.formulas).quick().splitlines() if "<" in x]
+    return sum(" x double>" in x for x in lines), sum("llvm.rint.v" in x for x in lines)
 
 
 def test_single_precision_rounds_sines_as_it_does_of_few():
