@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact import representations
+from exact import START, representations
 from extremes import agreement, bodies, energy, page, rates, tables
 from extremes.cases import Case, Column, Outcome
 
@@ -119,6 +119,17 @@ def test_bodies_past_the_limit_are_wrong_but_for_their_status(method):
     found = bodies.free(inertia, w0, 1.0, 1)(Case(method))
     assert not found.wrong.any()
     assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
+
+
+@pytest.mark.parametrize("method", [m for m in of("free") if fa.METHODS[m].sorted_axes])
+def test_angles_without_a_digit_are_told(method):
+    """Of a symmetric body a splitting may take any step, but not one of 1e20 turns."""
+    shapes = np.array([[1.0, 1.0, 0.5], [2.0, 1.0, 2.0 / 3.0]])
+    w0 = np.array([[0.1, 0.2, 1.0], [1e20, 3e19, 7e19]])
+    for inertia in shapes:
+        scene = fa.Scene(inertia=np.tile(inertia, (2, 1)))
+        run = fa.propagate(scene, START, w0, dt=1.0, n_steps=20, method=method)
+        assert [status == 0 for status in run.status] == [True, False]
 
 
 def test_what_is_allowed_is_small_where_a_method_is_good():

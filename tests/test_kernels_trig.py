@@ -84,6 +84,13 @@ def test_sincos_beyond_its_range():
         assert np.isnan(trig.sincos(x)).all()
 
 
+def test_bounded_sincos_is_sincos_and_beyond_its_range_shows():
+    for x in (*WIDE, *QUARTERS, *ODD_PI, *powers(6, 13, 300)):
+        assert trig.sincos_bounded(x) == trig.sincos(x)
+    for x in (1e18, -1e20, 1e100, math.inf, math.nan):
+        assert not math.hypot(*trig.sincos_bounded(x)) <= 1.0 + 1e-3
+
+
 def half(z):
     """sin(θ/2)/θ and cos(θ/2) of θ² = z."""
     theta = mp.sqrt(mp.mpf(z))

@@ -266,6 +266,7 @@ def _rules() -> dict[Any, Callable[..., Any]]:
 
     return {
         trig.sincos: _sincos,
+        trig.sincos_bounded: _sincos,
         trig.atan2: _atan2,
         trig.half_sinc_cos: _half,
         trig.half_sinc_cos_wide: _half,

@@ -129,4 +129,4 @@ def _quarters(x: Double) -> tuple[Any, Any]:
     """What ``trig.reduce_quarters`` gives, single numbers, the quarters less whole turns."""
     quarters = x * (2.0 / math.pi)
     k = apply("rint", quarters)
-    return Single(quarters - k) * (0.5 * math.pi), Single(k - 4.0 * apply("floor", 0.25 * k))
+    return Single(quarters - k) * (0.5 * math.pi), Single(k - 4.0 * apply("rint", 0.25 * k))

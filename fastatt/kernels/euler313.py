@@ -8,7 +8,7 @@ import math
 
 from fastatt._jit import kernel
 from fastatt.kernels import dcm
-from fastatt.kernels.trig import atan2, sincos
+from fastatt.kernels.trig import atan2, sincos, sincos_bounded
 
 
 @kernel
@@ -62,7 +62,7 @@ def rate(angles, derivative):
 @kernel
 def derivative(angles, w):
     """(φ̇, θ̇, ψ̇) of the angular velocity w in body axes, rad/s; infinite or NaN where sin θ = 0."""
-    st, ct = sincos(angles[1])
-    sp, cp = sincos(angles[2])
+    st, ct = sincos_bounded(angles[1])
+    sp, cp = sincos_bounded(angles[2])
     a = (w[0] * sp + w[1] * cp) / st
     return a, w[0] * cp - w[1] * sp, w[2] - a * ct

@@ -51,27 +51,48 @@ def sincos(x):
 
     Absolute error at most 1.4e-16 (float64) for |x| ≤ 1e6; beyond, that of x moved by an ulp.
     """
+    F = type(x)
+    r, k = reduce_quarters(x)
+    r = F(0.79) if r > F(0.79) else r
+    r = F(-0.79) if r < F(-0.79) else r
+    return sincos_short(r, k)
+
+
+@kernel
+def sincos_bounded(x):
+    """``sincos`` of |x| ≤ 1e13 (float32: 1e4) in two operations less, for the steps of methods.
+
+    Up to 1e15 (1e6) off by that of x moved by an ulp. A turn by a larger angle changes lengths, so
+    that it shows.
+    """
     r, k = reduce_quarters(x)
     return sincos_short(r, k)
 
 
 @kernel
 def reduce_quarters(x):
-    """The angle x less whole quarter turns, in ±π/4 give or take ulps of x, and the quarters."""
+    """The angle x less whole quarter turns, in ±π/4 give or take ulps of x.
+
+    Beside it the quarters less whole turns, a whole number in ±2.
+    """
     F = type(x)
     k = np.rint(x * F(2.0 / math.pi))
     r = x - k * F(0.25 * TWO_PI_1)
     r = r - k * F(0.25 * TWO_PI_2)
     r = r - k * F(0.25 * TWO_PI_3)
-    return r, k
+    return r, part_of_turn(k)
+
+
+@kernel
+def part_of_turn(k):
+    """A whole number of quarter turns less whole turns, in ±2."""
+    F = type(k)
+    return k - F(4.0) * np.rint(F(0.25) * k)
 
 
 @kernel
 def sincos_short(r, k):
-    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4, a whole number k (a float)."""
-    F = type(r)
-    r = F(0.79) if r > F(0.79) else r
-    r = F(-0.79) if r < F(-0.79) else r
+    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4, a whole number k in ±2."""
     s, c = short_waves(r, r * r)
     C, S = quarter_turns(k)
     return s * C + c * S, c * C - s * S
@@ -79,9 +100,8 @@ def sincos_short(r, k):
 
 @kernel
 def quarter_turns(k):
-    """(cos, sin) of a whole number (a float) of quarter turns, exactly."""
+    """(cos, sin) of a whole number in ±2 of quarter turns, exactly."""
     F = type(k)
-    k = k - F(4.0) * np.rint(F(0.25) * k)
     size = abs(k)
     return F(1.0) - size, k * (F(2.0) - size)
 

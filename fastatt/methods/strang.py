@@ -22,7 +22,7 @@ from fastatt.torques import Dependence
 
 def _rotor(turn: Any, half: Any, a: Vector) -> Any:
     """The attitude turned about an axis, and cosine and sine of the angle."""
-    s, c = trig.sincos(half)
+    s, c = trig.sincos_bounded(half)
     return turn(a, c, s), 1.0 - 2.0 * s * s, 2.0 * s * c
 
 
