@@ -146,7 +146,7 @@ def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, argument
         [],
         ["nonsense"],
         ["integrate"],
-        ["integrate", "a", "-u", "rpm"],
+        ["integrate", "a", "-u", "rps"],
         ["trade", "--scene", "moon"],
         ["methods", "--scene", "moon"],
         ["recommend", "--inertia", "1,1,1", "--t-end", "1"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import sys
 
 import numpy as np
@@ -16,6 +17,8 @@ from fastatt.logs.attitudes import writing
 # units that are taken from the size of numbers have tests of their own
 pytestmark = pytest.mark.filterwarnings("ignore::fastatt.LogWarning")
 
+EPS = 2.0**-52
+DEG = math.radians(1.0)
 RATES = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [-0.7, 0.8, -0.9]])
 
 
@@ -210,7 +213,7 @@ GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
         (GOOD, {"time_column": "T"}, "time column: found 'T'"),
         (GOOD, {"rate": 0.0}, "rate: found 0.0"),
         (GOOD, {"rate": float("nan")}, "rate: found nan"),
-        (GOOD, {"unit": "rpm"}, "unit: found 'rpm'; accepted: rad/s, deg/s"),
+        (GOOD, {"unit": "rps"}, "unit: found 'rps'; accepted: rad/s, deg/s"),
         (GOOD, {"time_unit": "h"}, "time_unit: found 'h'; accepted: s, ms, us, ns"),
         (
             "# sample rate: 1e7 Hz\nwx,wy,wz\n1,2,3\n",
@@ -283,12 +286,25 @@ def test_units_in_brackets_between_blanks(tmp_path, head):
     assert log.t.tolist() == [0.0, 1.0, 3.0]
 
 
-@pytest.mark.parametrize("unit", ["mdps", "deg/h", "mrad/s", "rpm", "deg per hour", "°/min"])
+@pytest.mark.parametrize("unit", ["rps", "udps", "rad/day", "mrpm", "turns/s", "rad/min"])
 def test_units_that_are_not_known_are_not_guessed(tmp_path, unit):
     path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
     with pytest.raises(LogError, match="found the unit"):
         read_log(path, rate=1.0)
     assert np.array_equal(read_log(path, rate=1.0, unit="rad/s").rates, RATES)
+
+
+@pytest.mark.parametrize(
+    ("unit", "seconds", "turned"),
+    [("mdps", 1e3, DEG), ("mrad/s", 1e3, 1.0), ("millidegrees/sec", 1e3, DEG)]
+    + [(u, 3600.0, DEG) for u in ("deg/h", "deg per hour", "°/hr", "arcsec/s", "arcseconds/s")]
+    + [("°/min", 60.0, DEG), ("rpm", 60.0, math.tau), ("rev/s", 1.0, math.tau)],
+)
+def test_other_units(tmp_path, unit, seconds, turned):
+    """So many seconds at 1 of the unit turn by an angle."""
+    path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
+    rates = read_log(path, rate=1.0).rates
+    assert np.abs(rates * seconds - turned * np.array(RATES)).max() <= 4 * EPS * turned * 3.0
 
 
 @pytest.mark.parametrize("unit", ["dps", "°/s", "deg/sec", "degrees per second", "deg_s"])

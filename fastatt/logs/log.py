@@ -83,8 +83,8 @@ def read_log(
         stamps, with a warning. Dates (ISO 8601) have none.
     columns, time_column, attitude_columns : names, or numbers from 1, of the gyro's x, y, z, of
         the time stamps and of an attitude's w, x, y, z.
-    unit : "rad/s" or "deg/s"; None: from the columns' names, else from the size of the rates, with
-        a warning.
+    unit : "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s", "rev/s" or "rpm";
+        None: from the columns' names, else from the size of the rates, with a warning.
     rate : sample rate, Hz, in place of time stamps.
     bad : what becomes of rows that are no numbers, of stamps that do not grow, and of gaps:
         "refuse"; "drop" (the next interval goes across); "split" (``log.pieces``); "hold" (the

@@ -16,7 +16,12 @@ class LogWarning(UserWarning):
     """Something that a log does not say was taken from its numbers."""
 
 
-UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
+_DEGREE = math.pi / 180.0
+UNITS = {
+    "rad/s": 1.0, "deg/s": _DEGREE, "mrad/s": 1e-3, "mdeg/s": 1e-3 * _DEGREE,
+    "deg/min": _DEGREE / 60.0, "deg/h": _DEGREE / 3600.0, "arcsec/s": _DEGREE / 3600.0,
+    "rev/s": 2.0 * math.pi, "rpm": math.pi / 30.0,
+}  # fmt: skip
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # how many of them are a second
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 
@@ -50,7 +55,8 @@ _TIME = re.compile(
 )
 _STAMP = re.compile(r"(.*[./])?header[./]stamp", re.IGNORECASE)
 _UNIT = re.compile(
-    r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms])"
+    r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms]"
+    r"|arcsec(s|onds?)?|rev(s|olutions?)?)"
     r"([ _]*(/|per|p)[ _]*(?P<per>[a-z]*)|[ _.*·]*(?P<time>s|sec|min|h|hr|hours?)(?![a-z]))?"
     r"(?![a-z])"
 )
@@ -165,22 +171,31 @@ def time_unit(name: str) -> str | None:
 
 
 def rate_unit(names: Sequence[str]) -> str | None:
-    """rad/s or deg/s as the names of a gyro's columns carry it, None where they carry none."""
-    found = {m[0]: m for name in names for m in _UNIT.finditer(name.lower())}
-    units = set()
-    for m in found.values():
-        time = m["per"] or m["time"] or "s"
-        known = not m["scale"] and not m["angle"].startswith("rp") and time in _SECOND
-        units.add(("rad/s" if m["angle"].startswith("rad") else "deg/s") if known else None)
-    if None in units or len(units) > 1:
+    """Which of ``UNITS`` the names of a gyro's columns carry, None where they carry none."""
+    found = {m[0]: _unit(m) for name in names for m in _UNIT.finditer(name.lower())}
+    found |= {u: "" for u in (bare(name)[1] for name in names) if not found and "/" in u}
+    units = set(found.values())
+    if not units <= UNITS.keys() or len(units) > 1:
         raise LogError(
-            f"found the unit {', '.join(found)[:60]} in the names of columns; accepted: rad/s or "
-            "deg/s, one for all, or unit, to say which it is"
+            f"found the unit {', '.join(found)[:60]} in the names of columns; accepted: one for "
+            f"all of {', '.join(UNITS)}, or unit, to say which it is"
         )
     for unit, pattern in _BY_CONVENTION.items():
         if not units and all(pattern.search(name.lower()) for name in names):
             return unit
     return units.pop() if units else None
+
+
+def _unit(match: re.Match[str]) -> str:
+    """A unit as ``UNITS`` writes it, known or not."""
+    scale, angle, per = match["scale"] or "", match["angle"], match["per"] or match["time"] or "s"
+    if angle.startswith("rp"):
+        return scale + angle
+    scale = "m" if scale == "milli" else scale
+    for short, others in (("deg", ("°", "dps")), ("rad", ()), ("arcsec", ()), ("rev", ())):
+        angle = short if angle.startswith((short, *others)) else angle
+    per = "s" if per in _SECOND else ("h" if per.startswith("h") else per)
+    return f"{scale}{angle}/{per}"
 
 
 def accel_unit(name: str) -> float | None:
