@@ -94,8 +94,8 @@ def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) ->
     composed = composed_of(*args)
     if composed is not None:
         return composed.called(formula, function, args)
-    if function is _reduction() and _is_phase(*args):
-        return _quarters(*args)
+    if function is _trig().sincos and _is_phase(*args):
+        return _of_phase(*args)
     instructions = _instructions().get(function)
     if instructions is not None:
         numbers = flattened(args)
@@ -105,10 +105,10 @@ def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) ->
 
 
 @functools.cache
-def _reduction() -> Any:
+def _trig() -> Any:
     from fastatt.kernels import trig
 
-    return trig.reduce_quarters
+    return trig
 
 
 @functools.cache
@@ -125,8 +125,11 @@ def _is_phase(x: Any) -> bool:
     return x.graph.of_time(x.at)[0]
 
 
-def _quarters(x: Double) -> tuple[Any, Any]:
-    """What ``trig.reduce_quarters`` gives, single numbers, the quarters less whole turns."""
+def _of_phase(x: Double) -> Any:
+    """What ``trig.sincos`` gives, of single precision: the angle alone needs the other."""
+    from fastatt.flat.trace import stand_in
+
     quarters = x * (2.0 / math.pi)
     k = apply("rint", quarters)
-    return Single(quarters - k) * (0.5 * math.pi), Single(k - 4.0 * apply("rint", 0.25 * k))
+    part = Single(k - 4.0 * apply("rint", 0.25 * k))
+    return stand_in(_trig()).sincos_short(Single(quarters - k) * (0.5 * math.pi), part)
