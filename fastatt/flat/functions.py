@@ -131,5 +131,7 @@ def _of_phase(x: Double) -> Any:
 
     quarters = x * (2.0 / math.pi)
     k = apply("rint", quarters)
-    part = Single(k - 4.0 * apply("rint", 0.25 * k))
-    return stand_in(_trig()).sincos_short(Single(quarters - k) * (0.5 * math.pi), part)
+    r, trig = Single(quarters - k) * (0.5 * math.pi), stand_in(_trig())
+    s, c = trig.short_waves(r, r * r)
+    C, S = trig.within_a_turn(Single(k - 4.0 * apply("rint", 0.25 * k)))
+    return s * C + c * S, c * C - s * S

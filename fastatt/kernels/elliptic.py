@@ -25,7 +25,6 @@ from fastatt.kernels.trig import (
     atan2,
     is_odd,
     log_ratio,
-    part_of_turn,
     powers_of_two,
     quarter_turns,
     reduce_powers,
@@ -63,7 +62,7 @@ def waves(x, wide):
     z = r * r
     s, c = short_waves(r, -z if w else z)
     up, down = powers_of_two(k if w else F(0.0))
-    C, S = quarter_turns(part_of_turn(k))
+    C, S = quarter_turns(k)
     C = F(0.5) * (up + down) if w else C
     S = F(0.5) * (up - down) if w else S
     turned = s * S

@@ -71,28 +71,18 @@ def sincos_bounded(x):
 
 @kernel
 def reduce_quarters(x):
-    """The angle x less whole quarter turns, in ±π/4 give or take ulps of x.
-
-    Beside it the quarters less whole turns, a whole number in ±2.
-    """
+    """The angle x less whole quarter turns, in ±π/4 give or take ulps of x, and the quarters."""
     F = type(x)
     k = np.rint(x * F(2.0 / math.pi))
     r = x - k * F(0.25 * TWO_PI_1)
     r = r - k * F(0.25 * TWO_PI_2)
     r = r - k * F(0.25 * TWO_PI_3)
-    return r, part_of_turn(k)
-
-
-@kernel
-def part_of_turn(k):
-    """A whole number of quarter turns less whole turns, in ±2."""
-    F = type(k)
-    return k - F(4.0) * np.rint(F(0.25) * k)
+    return r, k
 
 
 @kernel
 def sincos_short(r, k):
-    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4, a whole number k in ±2."""
+    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4, a whole number k (a float)."""
     s, c = short_waves(r, r * r)
     C, S = quarter_turns(k)
     return s * C + c * S, c * C - s * S
@@ -100,7 +90,14 @@ def sincos_short(r, k):
 
 @kernel
 def quarter_turns(k):
-    """(cos, sin) of a whole number in ±2 of quarter turns, exactly."""
+    """(cos, sin) of a whole number (a float) of quarter turns, exactly."""
+    F = type(k)
+    return within_a_turn(k - F(4.0) * np.rint(F(0.25) * k))
+
+
+@kernel
+def within_a_turn(k):
+    """(cos, sin) of k quarter turns, k = −2, −1, 0, 1 or 2."""
     F = type(k)
     size = abs(k)
     return F(1.0) - size, k * (F(2.0) - size)
