@@ -32,9 +32,13 @@ def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
 
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
-    """Direction cosine matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    found = _on_rows(dcm.from_quat, floats("q", q, (4,)), after=9)
+    """Direction cosine matrices (..., 3, 3) of quaternions (..., 4), of any length but zero."""
+    found = _on_rows(_matrix, floats("q", q, (4,)), after=9)
     return found.reshape((*found.shape[:-1], 3, 3))
+
+
+def _matrix(q: Any) -> Any:
+    return dcm.from_quat(quat.normalise(q))
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
@@ -68,7 +72,7 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
-    """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of unit quaternions (..., 4)."""
+    """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of quaternions (..., 4)."""
     return _on_rows(euler313.from_quat, floats("q", q, (4,)), after=3)
 
 
@@ -94,13 +98,21 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
-    """v_i = q∘v_b∘q*: vectors (..., 3) of the body along inertial axes, by unit q (..., 4)."""
-    return _product(quat.rotate, "q", q, "v", v, 3)
+    """v_i = q∘v_b∘q*/|q|²: vectors (..., 3) of the body along inertial axes, q (..., 4) not 0."""
+    return _product(_rotated, "q", q, "v", v, 3)
+
+
+def _rotated(q: Any, v: Any) -> Any:
+    return quat.rotate(quat.normalise(q), v)
 
 
 def rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
-    """v_b = q*∘v_i∘q: inertial vectors (..., 3) along body axes, by unit q (..., 4)."""
-    return rotate(floats("q", q, (4,)) * (1.0, -1.0, -1.0, -1.0), v)
+    """v_b = q*∘v_i∘q/|q|²: inertial vectors (..., 3) along body axes, q (..., 4) not 0."""
+    return _product(_rotated_back, "q", q, "v", v, 3)
+
+
+def _rotated_back(q: Any, v: Any) -> Any:
+    return quat.rotate_inverse(quat.normalise(q), v)
 
 
 def _product(

@@ -71,6 +71,16 @@ def test_matrix_and_vector_at_their_hard_places(turn):
     assert same == pytest.approx(turn * axis, rel=4 * EPS, abs=0.0 if turn < 3.0 else 4 * EPS)
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("name", ["quat_to_dcm", "quat_to_euler313", "rotate", "rotate_inverse"])
+def test_length_of_a_quaternion_says_nothing(name, dtype):
+    v = () if name.startswith("quat") else (np.array([1.0, -2.0, 3.0], dtype),)
+    q = QUATS.astype(dtype)
+    found, unit = (getattr(fa, name)(x, *v) for x in (dtype(1.7) * q, q))
+    assert found.dtype == dtype
+    assert np.abs(found - unit).max() < 64 * np.finfo(dtype).eps
+
+
 def test_views_that_are_not_contiguous():
     q = np.asfortranarray(QUATS)[::3, ::-1]
     assert (fa.quat_to_dcm(q) == fa.quat_to_dcm(q.copy())).all()

@@ -81,7 +81,7 @@ def test_potentials(name, inertia):
     scene = fa.Scene(inertia=inertia, torque=TORQUES[name])
     expected = fa.quat_to_dcm(Q)[..., 2, 2]
     assert np.abs(fa.potential_energy(scene, Q) - expected).max() < 8 * EPS
-    assert fa.potential_energy(scene, Q[0, 0]) == pytest.approx(expected[0, 0], abs=8 * EPS)
+    assert fa.potential_energy(scene, 1.3 * Q[0, 0]) == pytest.approx(expected[0, 0], abs=8 * EPS)
 
 
 def test_drift_under_a_weight():

@@ -78,7 +78,7 @@ def from_jpl(q: ArrayLike) -> NDArray[Any]:
 
 def to_passive(q: ArrayLike) -> NDArray[Any]:
     """q*: the same attitude as a Hamilton quaternion from inertial to body components, and back."""
-    return floats("q", q, (4,)) * (1.0, -1.0, -1.0, -1.0)
+    return floats("q", q, (4,)) * np.float32([1.0, -1.0, -1.0, -1.0])
 
 
 def to_mrp(q: ArrayLike) -> NDArray[Any]:
@@ -112,10 +112,10 @@ def from_gibbs(g: ArrayLike) -> NDArray[Any]:
 
 
 def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
-    """Body-axes angular velocity (..., 3) of one along inertial axes, at unit q (..., 4)."""
+    """Body-axes angular velocity (..., 3) of one along inertial axes, at q (..., 4)."""
     return rotate_inverse(q, w)
 
 
 def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
-    """Inertial-axes angular velocity (..., 3) of one along body axes, at unit q (..., 4)."""
+    """Inertial-axes angular velocity (..., 3) of one along body axes, at q (..., 4)."""
     return rotate(q, w)

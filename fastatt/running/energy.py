@@ -80,9 +80,9 @@ def potential_energy(
 ) -> NDArray[np.float64]:
     """Potential energy of a scene's torque, J: (), (N,) or (S, N) as of attitudes q.
 
-    ``q`` is (4,), (N, 4) or (S, N, 4), ``t`` a number or (S,), s. Zero where nothing acts. ``r``,
-    m, is the position, with 3 in place of 4, where the torque reads it: the energy is then that of
-    torque and force together.
+    ``q`` is (4,), (N, 4) or (S, N, 4), not of length zero, ``t`` a number or (S,), s. Zero where
+    nothing acts. ``r``, m, is the position, with 3 in place of 4, where the torque reads it: the
+    energy is then that of torque and force together.
 
     Raises ``ValueError`` for a torque that has none: ``fastatt.torques`` says which do; it and
     ``TypeError`` for other shapes and things.
@@ -111,7 +111,7 @@ def potential_energy(
 
 def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
     """Potential energy at an attitude of the body axes and a position."""
-    motion = Body(QUATERNION, structure, p, q[0])
+    motion, q = Body(QUATERNION, structure, p, q[0]), quat.normalise(q)
     if motion.axes is not None:
         q = quat.mul(q, motion.axes)
     none = (0.0, 0.0, 0.0)
