@@ -359,6 +359,28 @@ def test_strong_damping_is_warned_of():
     assert damped.w[-1] == pytest.approx(0.01 * np.exp(-10.0 * 2.0 / np.array(inertia)), rel=0.03)
 
 
+@pytest.mark.parametrize("method", ["strang2", "suzuki4", "kahan_li6", "kahan_li8"])
+def test_splittings_under_strong_damping(method):
+    """What a stage backwards makes of damping is flagged before it is wrong."""
+    rng = np.random.default_rng(6)
+    a, b, share = rng.uniform(0.1, 1.0, (3, 500))
+    inertia = np.stack([a, b, np.abs(a - b) + 2.0 * share * np.minimum(a, b)], axis=1)
+    w0 = rng.normal(size=(500, 3))
+    w0 /= np.linalg.norm(w0, axis=1)[:, None] / 0.5
+    least = inertia.min(axis=1)
+    limit = fa.METHODS[method].damping_limit
+    call = {"q0": [1, 0, 0, 0], "w0": w0, "n_steps": 1}
+    for share, flagged in ((1.01, True), (0.99, False)):
+        torque = fa.torques.Damping(share * limit * least)
+        scene = fa.Scene(inertia=inertia, torque=torque)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore" if flagged else "error", fa.StepWarning)
+            run = fa.propagate(scene, **call, dt=1.0, method=method)
+        assert (run.status == fa.Status.STEP_TOO_LARGE * flagged).all()
+    true = fa.propagate(scene, **call | {"n_steps": 200}, dt=1.0 / 200, method="rk8")
+    assert (fa.angle_between(run.q[-1], true.q[-1]) <= 0.1 * 0.5).all()
+
+
 def test_fastest_decay_of_every_damping():
     moments = np.array([[2.0, 1.0, 0.5], [1.0, 1.0, 4.0]])
     t = fa.torques

@@ -54,7 +54,8 @@ class Method:
     largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment. That of a rigid body
     stands under "body", those of samples under "rates" and "increments". Beyond, the body's status
     says so, but where the rate is constant and the method ``exact_for_constant``.
-    ``damping_limit`` is the largest c h/I of linear damping, whose factor is then right to 0.1.
+    ``damping_limit`` is the largest c h/I of linear damping, whose factor is then right to 0.1, of
+    splittings the angle to 0.1 |w|h.
     ``rate_calls`` is the number of evaluations of the rate or the torque a step, ``exponentials``
     that of exponentials.
     """

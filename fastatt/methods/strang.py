@@ -101,20 +101,15 @@ def _centre(outer: tuple[float, ...]) -> tuple[float, ...]:
     return (*outer, 1.0 - 2.0 * math.fsum(outer))
 
 
-# e^x of float32 ends here, and with it the growth that a stage backwards must undo
-_DECAY = 88.0
-
-
 def _method(
     name: str,
     order: int,
     half: tuple[float, ...],
-    limit: float,
+    limits: tuple[float, float],
     summary: str,
     source: str,
 ) -> Method:
-    found = composition(half)
-    backwards = max((abs(k) for _, k, _ in found if k < 0.0), default=0.0)
+    limit, damping_limit = limits
     return Method(
         name=name,
         order=order,
@@ -126,11 +121,12 @@ def _method(
         exponentials=0,
         measure="asymmetry",
         limits=dict.fromkeys(("quat", "dcm"), limit),
-        # strang2 turns the body with the rate of the middle, which a strong damping makes wrong
-        damping_limit=_DECAY / backwards if backwards else 3.3,
+        # strang2 turns the body with the rate of the middle, which a strong damping makes wrong; a
+        # stage backwards undoes damping, and makes e^x of what the gyroscopic coupling left there
+        damping_limit=damping_limit,
         summary=summary,
         source=source,
-        stages=found,
+        stages=composition(half),
         sorted_axes=True,
         takes=Dependence.DAMPED,
         steps=STEPS,
@@ -144,7 +140,7 @@ STRANG2 = _method(
     "strang2",
     2,
     (1.0,),
-    1.2,
+    (1.2, 3.3),
     "two rotations a step: huge ensembles, any step; exact for symmetric bodies",
     "McLachlan, SIAM J. Sci. Comput. 16 (1995) 151; Touma and Wisdom, Astron. J. 107 (1994) 1189",
 )
@@ -152,7 +148,7 @@ SUZUKI4 = _method(
     "suzuki4",
     4,
     _centre((_SUZUKI, _SUZUKI)),
-    1.8,
+    (1.8, 10.0),
     "five strang2 steps: order 4 at large steps",
     "Suzuki, Phys. Lett. A 146 (1990) 319",
 )
@@ -163,7 +159,7 @@ KAHAN_LI6 = _method(
         (0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981,
          0.08221359629355080023)
     ),
-    1.5,
+    (1.5, 7.0),
     "nine strang2 steps: order 6, long runs without drift",
     "Kahan and Li, Math. Comp. 66 (1997) 1089",
 )  # fmt: skip
@@ -175,7 +171,7 @@ KAHAN_LI8 = _method(
          0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
          0.25837438768632204729, 0.29501172360931029887)
     ),
-    1.7,
+    (1.7, 11.0),
     "seventeen strang2 steps: order 8, needles and long runs",
     "Kahan and Li, Math. Comp. 66 (1997) 1089",
 )  # fmt: skip

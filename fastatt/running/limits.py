@@ -132,7 +132,7 @@ def warn(
         text = (
             f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
             f"to {method.damping_limit:.3g}: take |dt| <= "
-            f"{abs(h) * method.damping_limit / worst:.3g}, or strang2, which damps exactly"
+            f"{abs(h) * method.damping_limit / worst:.3g}"
         )
     elif 0.0 < most < eps and not compensated:
         text = (
