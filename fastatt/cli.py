@@ -44,7 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.showwarning = _teller()
             result: int = arguments.run(arguments)
     except (ValueError, TypeError, OSError, ImportError) as error:
-        text = f"{error.strerror}: {error.filename}" if isinstance(error, OSError) else str(error)
+        text = str(error)
+        if isinstance(error, OSError) and error.strerror:  # numpy's have none
+            text = f"{error.strerror}: {error.filename}"
         print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -344,7 +346,7 @@ def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
     if q0 is None:
         q0 = generator.normal(size=(n, 4))
     if w0 is None and scene.kind != "rate":
-        w0 = generator.normal(scale=real("--spin", arguments.spin), size=(n, 3))
+        w0 = real("--spin", arguments.spin) * generator.normal(size=(n, 3))
     return q0, w0
 
 

@@ -128,6 +128,7 @@ ADVISE = ("recommend", "--t-end", "5", "--tol", "1e-8")
         ([*ADVISE, "--scene-file", "none.toml"], "No such file"),
         ([*ADVISE, "--scene-file", "{log}"], "found the ending '.csv'; accepted: .json and .toml"),
         ([*ADVISE, "--inertia", "1,1,1", "--q0", "{log}"], "--q0: "),
+        ([*ADVISE, "--inertia", "1,1,1", "--q0", "none.csv"], "none.csv not found"),
         ([*ADVISE, "--inertia", "1,1,1", "--w0", "a.txt"], "--w0: found the ending '.txt'"),
         ([*ADVISE, "--rate", "Coning", "angle=1", "frequency=1", "--bodies", "0"], "--bodies"),
     ],

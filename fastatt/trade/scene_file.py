@@ -97,14 +97,11 @@ def read_rows(option: str, path: Path, columns: int) -> NDArray[np.float64]:
 
     Raises ``ValueError`` for another shape; ``OSError`` of the file itself.
     """
-    if path.suffix == ".npy":
-        found = np.load(path)
-    elif path.suffix == ".csv":
-        try:
-            found = np.loadtxt(path, delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise ValueError(f"{option}: {path}: {error}") from None
-    else:
+    if path.suffix not in (".csv", ".npy"):
         raise ValueError(f"{option}: found the ending {path.suffix!r}; accepted: .csv and .npy")
+    try:
+        found = np.load(path) if path.suffix == ".npy" else np.loadtxt(path, delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise ValueError(f"{option}: {path}: {error}") from None
     shapes = f"({columns},) or (N, {columns})"
     return checks.array(option, found, shapes).astype(np.float64)
