@@ -29,6 +29,7 @@ RUNS = {
     "matrices of a rate": (CONING, (Q0,), {**STEPS, "representation": "dcm"}),
     "one attitude for all": (OWN, (Q0[0], W0), RK4),
     "single precision, with mass": (FALLING, (Q0, W0, W0, W0[:1]), {**RK4, "dtype": "float32"}),
+    "arrays of single precision": (SHARED, (Q0.astype("f4"), W0.astype("f4")), RK4),
     "closed form": (OWN, (Q0, W0), {**STEPS, "save_every": 30}),
 }
 NAMES = ("q0", "w0", "v0", "r0")
@@ -84,6 +85,11 @@ def test_bits_do_not_depend_on_chunks(name):
             assert same(getattr(found, part), getattr(whole, part)), part
             assert getattr(lazy, part).shape == getattr(whole, part).shape, part
         assert same(lazy.C.compute(), whole.C)
+
+
+def test_precision_is_that_of_all_arrays():
+    lazy = fd.propagate(SHARED, Q0.astype("f4"), lazily([W0])[0], **STEPS)
+    assert lazy.q.dtype == lazy.q.compute().dtype == np.float64
 
 
 def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
@@ -249,6 +255,7 @@ def of_unknown_size():
             "q0: found chunks of unknown size",
         ),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=0, **STEPS), "chunks: found 0"),
+        (lambda: fd.propagate(SHARED, Q0, W0, chunks=2.5, **STEPS), "chunks: found 2.5"),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=(9, 9), **STEPS), "chunks: found 18 bodies"),
         (lambda: fd.propagate(SHARED, Q0, W0, **{**STEPS, "dt": 0.0}), "dt"),
         (lambda: fd.propagate(SHARED, Q0, W0, method="magnus4", **STEPS), "method: found"),

@@ -86,11 +86,7 @@ class Bodies:
                 raise ValueError(
                     f"{name}: found chunks of unknown size; accepted: compute_chunk_sizes()"
                 )
-        like = [
-            np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
-            for x in values
-        ]
-        start, beside = initial(scene, like, flag=flag)
+        start, beside = initial(scene, list(map(like, values)), flag=flag)
         known: dict[str, Any] = {**beside, "q0": start, **lazy}
         rows = [len(x) for x in known.values() if x.ndim == 2]
         if not rows:
@@ -139,7 +135,7 @@ def _sizes(chunks: Any, n: int, lazy: list[Any]) -> tuple[int, ...]:
     """Bodies of each chunk."""
     if chunks is None and lazy:
         return tuple(map(int, lazy[0].chunks[0]))
-    if chunks is None or isinstance(chunks, (int, np.integer)):
+    if isinstance(chunks, str) or not np.iterable(chunks):
         size = _CHUNK if chunks is None else checks.whole("chunks", chunks, 1)
         return tuple(min(size, n - a) for a in range(0, n, size))
     found = tuple(checks.whole("chunks", size, 1) for size in chunks)
@@ -160,6 +156,11 @@ def _rows(x: Any, first: int, last: int) -> Any:
     if isinstance(x, da.Array):
         return _LATER
     return x if x is None or x.ndim == 1 else x[first:last]
+
+
+def like(x: Any) -> Any:
+    """An array of ones in place of one that Dask computes; all else as it is."""
+    return np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
 
 
 def nothing(ndim: int, kind: Any) -> NDArray[Any]:

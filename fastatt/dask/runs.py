@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fastatt import arrays, checks, exact
 from fastatt.attitudes import Attitude
-from fastatt.dask.chunks import Bodies, nothing
+from fastatt.dask.chunks import Bodies, like, nothing
 from fastatt.methods import METHODS, Method
 from fastatt.running.asked import Clock
 from fastatt.running.choosing import chosen
@@ -109,7 +109,7 @@ def propagate(
     begin = checks.real("t0", t0)
     flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
     bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=flag)
-    kind = checks.precision(dtype, *(x for x in bodies.given if x is not None))
+    kind = checks.precision(dtype, *map(like, (q0, w0, v0, r0)))
     options = {
         "dt": dt, "n_steps": n_steps, "save_every": save_every, "method": named, "dtype": kind,
         "representation": representation, "compensated": compensated, "normalise": normalise,
