@@ -293,6 +293,10 @@ def test_watch_refusals():
     call = {"dt": 0.1, "n_steps": 1}
     with pytest.raises(TypeError, match="save_every: found; accepted: every"):
         fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, save_every=1, **call)
+    with pytest.raises(TypeError, match="every: found None; accepted: a whole number"):
+        fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=None, **call)
+    none = fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, **call | {"n_steps": 0})
+    assert (none.saves, none.norm.maximum[0], none.norm.percentile(50.0)[0]) == (0, 0.0, 0.0)
     with pytest.raises(ValueError, match="sink: found without save_every"):
         fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], sink=print, **call)
     watched = fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)

@@ -26,7 +26,7 @@ def interpolate(
     Over an interval q = q_a∘exp(s φ)∘exp(ψ(s)), where φ = log(q_a*∘q_b) and ψ is the Hermite
     polynomial that has the attitudes and the rates of the four saves around it: of degree 7, so
     that the error falls as the interval to the 8th power, that of the rates as the 7th. Two saves
-    give orders 4 and 3, three 6 and 5. At a save it is what was saved.
+    give orders 4 and 3, three 6 and 5. At a save it is what was saved, to rounding.
 
     Parameters
     ----------

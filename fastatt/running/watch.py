@@ -48,7 +48,7 @@ class Measure:
 
     def add(self, values: NDArray[Any]) -> None:
         """Values (S, N) of some saves."""
-        self.maximum = np.maximum(self.maximum, values.max(axis=0))
+        self.maximum = np.maximum(self.maximum, values.max(axis=0, initial=0.0))
         with np.errstate(divide="ignore"):
             power = np.nan_to_num(np.log2(values), nan=_BINS, posinf=_BINS, neginf=_LOWEST)
         place = np.clip(np.floor(power).astype(np.int64) - _LOWEST, 0, _BINS - 1)
@@ -106,6 +106,7 @@ def watch_drift(
     for name in ("save_every", "sink", "progress"):
         if name in options:
             raise TypeError(f"{name}: found; accepted: every, the steps between two looks")
+    checks.whole("every", every, 1)
     found: dict[str, Measure] = {}
     saves = 0
     begin: dict[str, NDArray[Any]] = {}
