@@ -156,13 +156,13 @@ def heavy_top(
 
 
 def _same_rows(given: dict[str, NDArray[Any]]) -> int | None:
-    """How many bodies have rows of their own, None where none has; refuses other numbers."""
+    """How many bodies there are, None where nothing has rows; refuses other numbers but one."""
     rows = {name: len(x) for name, x in given.items() if x.ndim == 2}
-    first = next(iter(rows), "")
+    first = next((name for name, n in rows.items() if n > 1), "")
     for name, n in rows.items():
-        if n != rows[first]:
+        if n not in (1, rows.get(first, 1)):
             raise ValueError(f"{name}: has {n} rows; accepted: one, or {rows[first]} as of {first}")
-    return rows.get(first)
+    return rows.get(first, 1 if rows else None)
 
 
 def _at_times(

@@ -249,7 +249,7 @@ class Scene:
         found = self.principal
         rows = found.moments.shape[0] if found.moments.ndim == 2 else None
         if rows is not None and n_bodies not in (None, rows):
-            raise ValueError(f"inertia: found {rows} bodies; accepted: one, or {n_bodies}")
+            raise ValueError(f"inertia: found {rows} bodies; accepted: {n_bodies}, or (3,)")
         if sorted_axes:
             found = sort_axes(found)
         model = self.torque

@@ -461,7 +461,7 @@ PROPAGATE = [
     (
         {"scene": TWO, "q0": np.tile(START, (5, 1))},
         ValueError,
-        "inertia: found 2 bodies; accepted: one, or 5",
+        "inertia: found 2 bodies; accepted: 5",
     ),
     ({"method": "rk5"}, ValueError, f"method: found 'rk5'; accepted: {FREE_NAMES}"),
     ({"method": "magnus4"}, ValueError, f"method: found 'magnus4'; accepted: {FREE_NAMES}"),

@@ -458,6 +458,16 @@ def test_refusals(solution, place, value, message):
         solution(*arguments)
 
 
+def test_one_row_is_for_all_bodies():
+    q0, w0, moments = np.eye(4)[:1], np.eye(3), np.array([[2.0, 1.5, 1.0]])
+    for found, known in zip(
+        exact.free_body(q0, w0, moments, [1.0]),
+        exact.free_body(q0[0], w0, moments[0], [1.0]),
+        strict=True,
+    ):
+        assert np.array_equal(found, known)
+
+
 def test_refusals_of_numbers_of_bodies():
     with pytest.raises(ValueError, match="w0: has 3 rows; accepted: one, or 2 as of q0"):
         exact.free_body(np.eye(4)[:2], np.ones((3, 3)), GOOD[2], 1.0)
