@@ -158,8 +158,8 @@ def _parser() -> argparse.ArgumentParser:
 
     cache = command(
         _cache,
-        "where compiled programs are kept, how large they are",
-        "Say where compiled programs are kept and how large they are. FASTATT_CACHE names another "
+        "where compiled functions are kept, how large they are",
+        "Say where compiled functions are kept and how large they are. FASTATT_CACHE names another "
         "folder; FASTATT_CACHE=0 switches it off.",
     )
     cache.add_argument("--clear", action="store_true", help="remove them")

@@ -174,7 +174,7 @@ def _run_alone(task: bytes) -> None:
 
 
 def warm(tasks: Sequence[Task], *, processes: int | None = None, progress: bool = False) -> str:
-    """Compile what tasks need, and say how many programs are kept, how large, and where.
+    """Compile what tasks need, and say how many functions are kept, how large, and where.
 
     Raises ``ValueError`` where nothing can be kept.
     """
@@ -196,13 +196,13 @@ def warm(tasks: Sequence[Task], *, processes: int | None = None, progress: bool 
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return f"{store.usage()[0] - before} programs made; {where()}"
+    return f"{store.usage()[0] - before} functions made; {where()}"
 
 
 def where() -> str:
-    """The folder of machine code, how many programs are in it, how large they are."""
+    """The folder of machine code, how many functions are in it, how large they are."""
     folder = store.folder()
     if folder is None:
         return f"nothing is kept: {store.reason()}"
     files, size = store.usage()
-    return f"{files} programs, {size / 1e6:.1f} MB in {folder}"
+    return f"{files} functions, {size / 1e6:.1f} MB in {folder}"

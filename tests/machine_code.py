@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 
 import pytest
@@ -9,7 +10,7 @@ from llvmlite import binding
 
 from fastatt.engine import ensemble
 from fastatt.engine.tiles import Writer
-from fastatt.flat.machine import assembly_of, processor
+from fastatt.flat.machine import assembly_of, functions_of, processor
 
 needs_avx = pytest.mark.skipif(
     not binding.get_host_cpu_features().get("avx"), reason="no AVX: nothing to pack into"
@@ -38,12 +39,23 @@ def job_of(monkeypatch, run):
     return seen.value.args[0]
 
 
-def assemblies(job):
-    """Of the program of a job and, where it has one, of the careful form of a block."""
+def programs(job):
+    """The program of a job and, where it has one, that of the careful form of a block."""
     texts = [Writer(job, job.formulas).quick()]
     if job.formulas.careful is not None:
         texts.append(Writer(job, job.formulas).careful())
-    return [assembly_of(text) for text in texts]
+    return texts
+
+
+_assembly = functools.cache(assembly_of)
+
+
+def assemblies(job):
+    """Of its programs, in whose functions a label's name says which function it is of."""
+    return [
+        "\n".join(_assembly(x).replace(".L", f".L{i}_") for i, x in enumerate(functions_of(text)))
+        for text in programs(job)
+    ]
 
 
 def innermost_loops(assembly):

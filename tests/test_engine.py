@@ -26,13 +26,14 @@ from machine_code import (
     job_of,
     large_loops,
     needs_avx,
+    programs,
 )
 from numba import njit
 
 import fastatt as fa
 from fastatt.engine import pool
 from fastatt.engine.ensemble import Run
-from fastatt.flat.machine import processor
+from fastatt.flat.machine import functions_of, processor
 
 ROOT = Path(fa.__file__).resolve().parents[1]
 BODIES = generic(64)
@@ -248,9 +249,17 @@ def test_second_process_compiles_nothing(tmp_path):
         return counts, results, files
 
     counts, results, files = call()
-    assert counts == [(0, 0, 0), (1, 2, 3)]
-    assert len(files) == 3
-    assert call() == ([(1, 2, 3), (0, 0, 0)], results, files)
+    assert counts == [(0, 0, 0), (4, 8, 12)]
+    assert len(files) == 12
+    assert call() == ([(4, 8, 12), (0, 0, 0)], results, files)
+
+
+def test_methods_on_one_scene_share_all_but_the_block_of_steps(monkeypatch):
+    each = []
+    for method in ("lie_euler", "lie_midpoint"):
+        quick, _ = programs(job_of(monkeypatch, lambda method=method: run(None, method)))
+        each.append(set(functions_of(quick)))
+    assert [len(x) for x in (each[0] & each[1], each[0] ^ each[1])] == [3, 2]
 
 
 EDITED = """

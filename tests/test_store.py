@@ -18,7 +18,7 @@ from fastatt.flat import machine, store
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = 'define i64 @"answer"() {{ ret i64 {} }}\n'
-# one run, its result and what became of programs
+# one run, its result and what became of functions
 RUN = """
 import numpy as np
 import fastatt as fa
@@ -345,9 +345,9 @@ def test_the_command_tells_where_and_clears(cache, capsys):
     size = sum(f.stat().st_size for f in cache.iterdir())
     for command in (["cache"], ["warm", "--where"]):
         assert main(command) == 0
-        assert capsys.readouterr().out == f"1 programs, {size / 1e6:.1f} MB in {cache}\n"
+        assert capsys.readouterr().out == f"1 functions, {size / 1e6:.1f} MB in {cache}\n"
     assert main(["cache", "--clear"]) == 0
-    assert capsys.readouterr().out == f"0 programs, 0.0 MB in {cache}\n"
+    assert capsys.readouterr().out == f"0 functions, 0.0 MB in {cache}\n"
 
 
 def test_warming_without_a_folder_is_refused(cache, capsys, monkeypatch):

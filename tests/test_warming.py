@@ -93,7 +93,7 @@ def python(arguments, folder):
 
 
 def each(work, folder):
-    """How many programs a new process makes and how many it finds, case by case."""
+    """How many functions a new process makes and how many it finds, case by case."""
     lines = python(["-c", EACH.format(work=work)], folder).splitlines()
     return {name: (int(made), int(hits)) for name, made, hits in map(str.split, lines)}
 
@@ -123,12 +123,12 @@ def test_the_command_compiles_the_methods_of_a_scene(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE)
     words = python(["-c", COMMAND, "2"], tmp_path).split()
     made, kept = int(words[0]), int(words[3])
-    assert words[1:3] == ["programs", "made;"]
+    assert words[1:3] == ["functions", "made;"]
     assert words[-1] == str(tmp_path / "cache")
     assert kept == made > 6
     assert each({"cache": OF_FILE}, tmp_path)["cache"][0] == 0
     again = python(["-c", COMMAND, "1"], tmp_path)
-    assert again.startswith("0 programs made; ")
+    assert again.startswith("0 functions made; ")
 
 
 def test_what_is_usual_is_every_method():

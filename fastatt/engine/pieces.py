@@ -61,8 +61,6 @@ class Pieces:
         for pointer in args:
             if isinstance(pointer.type, ir.PointerType):
                 pointer.add_attribute("noalias")
-        if name not in ("tiles", "careful"):
-            code.function.linkage = "internal"
         return code, Given(code, table, Table), args
 
     def _emitter(self, code: Code, given: Given) -> Emitter:

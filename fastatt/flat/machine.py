@@ -1,7 +1,10 @@
-"""Machine code: of this processor, kept on disk under the hash of the program that it is made from.
+"""Machine code: of this processor, kept on disk under the hash of the text that it is made from.
 
-A program's text holds every formula that is in it, so that an edit anywhere gives another name: a
-file is never stale. What cannot be kept is compiled in memory.
+The text holds every formula that is in it, so that an edit anywhere gives another name: a file is
+never stale. What cannot be kept is compiled in memory.
+
+A program's functions are compiled and kept one by one, for those that programs have in common: two
+methods on one scene differ in the block of steps, hardly in how a tile begins, is saved and judged.
 """
 
 from __future__ import annotations
@@ -90,13 +93,14 @@ def assembly_of(text: str) -> str:
 class Compiled:
     """A program in memory."""
 
-    def __init__(self, code: bytes) -> None:
+    def __init__(self, *codes: bytes) -> None:
         machine = _target()
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        for code in codes:
+            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         self._engine = engine
-        self.code = code
+        self.codes = codes
 
     def address(self, name: str) -> int:
         """Where a function lies."""
@@ -118,15 +122,43 @@ def key_of(text: str) -> str:
 
 def compiled(text: str) -> Compiled:
     """The program, from disk or made now."""
-    key = key_of(text)
     with _LOCK:
-        code = store.read(key)
-        if code is None:
-            begin = perf_counter()
-            code = object_of(text)
-            _WAIT.add(perf_counter() - begin)
-            store.write(key, code)
-        return Compiled(code)
+        return Compiled(*map(_found, functions_of(text)))
+
+
+def functions_of(text: str) -> list[str]:
+    """A program's functions, each a program that declares what it calls."""
+    head, *rest = text.split("\ndefine ")
+    if len(rest) < 2:
+        return [text]
+    bodies, _, between = zip(*[x.rpartition("\n}") for x in rest], strict=True)
+    lines = "\n".join((head, *between)).splitlines()
+    used = [list(dict.fromkeys(_names(body))) for body in bodies]
+    known = {name: x for x in lines for name in _names(x)}
+    for (own, *_), body in zip(used, bodies, strict=True):
+        known[own] = "declare " + body.partition("\n")[0]
+    shared = [x for x in lines if x and not _names(x)]
+    return [
+        "\n".join((*shared, *(known[name] for name in names[1:]), f"define {body}\n}}\n"))
+        for names, body in zip(used, bodies, strict=True)
+    ]
+
+
+def _names(text: str) -> list[str]:
+    """Of functions and tables."""
+    return [x.partition('"')[0] for x in text.split('@"')[1:]]
+
+
+def _found(text: str) -> bytes:
+    """Machine code of a function, from disk or made now."""
+    key = key_of(text)
+    code = store.read(key)
+    if code is None:
+        begin = perf_counter()
+        code = object_of(text)
+        _WAIT.add(perf_counter() - begin)
+        store.write(key, code)
+    return code
 
 
 class _Wait:

@@ -1,4 +1,4 @@
-"""Where machine code is kept between processes: one file a program, named by its hash.
+"""Where machine code is kept between processes: one file a function, named by its hash.
 
 ``FASTATT_CACHE`` names the folder, or switches it off with ``0``; without it that for the user's
 caches is taken. A folder that others may write to is not trusted, a file that is damaged is made
@@ -22,7 +22,7 @@ _MARK = b"fastatt1"
 LIMIT = 256 << 20
 _ABANDONED = 3600.0  # s
 
-#: how many programs were read from disk, and how many were made, since the start of the process
+#: how many functions were read from disk, and how many were made, since the start of the process
 hits = made = 0
 
 

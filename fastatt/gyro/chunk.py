@@ -104,7 +104,6 @@ class Chunk:
     def _part(self, name: str, arguments: list[Any]) -> tuple[Code, list[Any]]:
         """A function of its own, compiled once."""
         c = Code(self.module, name, arguments)
-        c.function.linkage = "internal"
         c.function.attributes.add("noinline")
         return c, c.function.args
 
