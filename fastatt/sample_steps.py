@@ -195,10 +195,9 @@ def _passes(iteration: Iteration, increments: bool) -> Recurrence:
 def _into(step: Any, n_samples: int, n_intervals: int, size: int) -> Callable[..., Any]:
     def step_into(samples, intervals, out, work):
         q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
-        v = to_fixed_tuple(samples.reshape(-1), n_samples)
+        v = to_fixed_tuple(samples.ravel(), n_samples)
         d = step(q, v, to_fixed_tuple(intervals, n_intervals))
-        flat = out.reshape(-1)
         for i in range(size):
-            flat[4 + i] = d[i]
+            out[1 + i // 4, i % 4] = d[i]
 
     return step_into
