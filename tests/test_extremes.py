@@ -34,7 +34,7 @@ def cells(case, scene):
         if table.scene == scene and not table.title.startswith(ELSEWHERE)
         for column in table.columns
     ]
-    if scene == "rate":
+    if scene == "rate" and case.representation == "quat":
         columns += [("constant", column) for column in CONSTANT]
     found = [(f"{t}: {c.name}", c.run(case)) for t, c in columns if c.fits(case)]
     assert found

@@ -25,6 +25,7 @@ from extremes.cases import (
     Outcome,
     angle,
     exp,
+    kept,
     mul,
     propagate,
     rounding,
@@ -104,11 +105,13 @@ def measured(case: Case, inertia: Array, w: Array, h: float) -> Array:
     return turn_of_body(inertia, w, h)
 
 
+@kept
 def closed(inertia: Array, q0: Array, w0: Array, t: float) -> tuple[Array, Array]:
     q, w = fa.exact.free_body(q0, w0, inertia, t, allow_unphysical=True)
     return q, w
 
 
+@kept
 def conditioning(inertia: Array, q0: Array, w0: Array, t: float) -> Array:
     """How many times a change of the momentum, relative, is found in the state after t s."""
     most = np.ones(len(w0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -133,6 +134,23 @@ def angle(p: Array, q: Array) -> Array:
     bad = ~np.isfinite(p).all(axis=-1) | ~(np.abs(np.linalg.norm(p, axis=-1) - 1.0) < 1e-3)
     safe = np.where(bad[..., None], ONE, p)
     return np.where(bad, np.nan, fa.angle_between(safe, q))
+
+
+# what is true of all methods
+
+
+def kept(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which works once for the same numbers."""
+    found: dict[Any, Any] = {}
+
+    @functools.wraps(function)
+    def asked(*args: Any) -> Any:
+        key = tuple((x.shape, x.tobytes()) if isinstance(x, np.ndarray) else x for x in args)
+        if key not in found:
+            found[key] = function(*args)
+        return found[key]
+
+    return asked
 
 
 # what is allowed

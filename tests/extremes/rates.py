@@ -114,7 +114,7 @@ def clock(t0: float) -> Callable[[Case], Outcome]:
     def run(case: Case) -> Outcome:
         frequency = 0.1 / (2.0 * np.sin(0.5 * CONES))
         q0 = mul(START, cone(CONES, frequency * t0))
-        scene = fa.Scene(rate=fa.rates.Coning(CONES, frequency))
+        scene = rates(CONES, frequency, np.zeros((len(CONES), 3)))
         got = propagate(case, scene, q0, dt=1.0, n_steps=N_STEPS, t0=t0)
         end = mul(START, cone(CONES, frequency * (t0 + N_STEPS)))
         # the time and each phase are rounded, those of the truth too
