@@ -282,22 +282,49 @@ with machine._LOCK:
     assert process(code, tmp_path / "c") == ["7"]
 
 
+EDITED = """
+import numpy as np
+import fastatt as fa
+from fastatt.flat import store
+assert fa.__file__.startswith({package!r})
+scene, q = fa.Scene(rate=fa.rates.Coning(0.5, 1.0)), [0.6, 0.5, -0.4, 0.48]
+options = dict(dt=0.1, n_steps=5)
+for method, representation in (("magnus4", "quat"), ("rk4", "euler313")):
+    run = fa.propagate(scene, q, method=method, representation=representation, **options)
+    print(run.q[-1, 0], end=" ")
+print(fa.kernels.euler313.derivative((0.1, 0.7, 0.2), (1.0, 2.0, 3.0))[2], store.made, store.hits)
+"""
+
+
 def test_an_edited_source_is_never_served_stale(tmp_path):
-    """A coefficient of a method changed: another result; changed back: the first, from disk."""
-    package = tmp_path / "copy"
-    shutil.copytree(ROOT / "fastatt", package / "fastatt")
-    file = package / "fastatt" / "methods" / "magnus4.py"
-    source = file.read_text(encoding="utf-8")
-    changed = source.replace("0.14433756729740643", "0.15")
-    assert changed != source
-    first = process(RUN, tmp_path / "c", package=package)
-    file.write_text(changed, encoding="utf-8")
-    other = process(RUN, tmp_path / "c", package=package)
-    file.write_text(source, encoding="utf-8")
-    again = process(RUN, tmp_path / "c", package=package)
-    assert other[0] != first[0]
-    assert int(other[1]) > 0
-    assert again == [first[0], "0", first[1]]
+    """A method's coefficient and a kernel changed: other results; changed back: the first, kept.
+
+    The kernel's are the loop that holds it, and what Numba compiled of it.
+    """
+    shutil.copytree(ROOT / "fastatt", tmp_path / "copy" / "fastatt")
+    edits = {
+        "methods/magnus4.py": ("0.14433756729740643", "0.15"),
+        "kernels/euler313.py": ("w[2] - a", "2.0 * w[2] - a"),
+    }
+    sources = {tmp_path / "copy" / "fastatt" / name: edit for name, edit in edits.items()}
+    texts = {file: file.read_text(encoding="utf-8") for file in sources}
+
+    def found():
+        caches = {"cache": tmp_path / "c", "NUMBA_CACHE_DIR": str(tmp_path / "n")}
+        package = tmp_path / "copy"
+        return process(EDITED.format(package=str(package)), package=package, **caches)
+
+    first = found()
+    for file, edit in sources.items():
+        assert edit[0] in texts[file]
+        file.write_text(texts[file].replace(*edit), encoding="utf-8")
+    other = found()
+    for file, text in texts.items():
+        file.write_text(text, encoding="utf-8")
+    again = found()
+    assert [a != b for a, b in zip(other[:3], first[:3], strict=True)] == [True] * 3
+    assert int(other[3]) > 0
+    assert again == [*first[:3], "0", first[3]]
 
 
 # what is said
