@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import doctest
+import functools
 import io
 import linecache
 import re
@@ -216,6 +217,10 @@ def test_there_are_pages():
 @pages
 def test_examples_print_what_the_page_says(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    if path.stem == "cluster":  # workers in processes take seconds to start: see test_dask
+        client = pytest.importorskip("distributed").Client
+        threads = functools.partialmethod(client.__init__, processes=False)
+        monkeypatch.setattr(client, "__init__", threads)
     found = failures(path.read_text(encoding="utf-8"), path.name)
     assert not found, "\n".join(found)
 
