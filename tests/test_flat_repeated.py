@@ -9,7 +9,7 @@ from test_flat_scalar import MACHINE, SINGLE, TABLE, looked_up
 from fastatt.flat import dual, functions, graph
 from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import axpy, quat, scale
-from fastatt.flat.repeated import InPlace, Repeated
+from fastatt.flat.rows import Rows
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.traced import Recurrence
 
@@ -19,7 +19,7 @@ def normalised(t, x, p):
 
 
 def test_rows():
-    repeated = Repeated(normalised, {"t": None, "x": 4, "p": 2}, (4, None))
+    repeated = Rows(normalised, {"t": None, "x": 4, "p": 2}, (4, None))
     n = 700
     x = np.random.default_rng(0).normal(size=(n, 4))
     t, p = np.linspace(0.0, 1.0, n), (2.0, 5.0)
@@ -32,7 +32,7 @@ def test_rows():
     back, _ = repeated(0.0, x[::-1], p)
     assert (back == q[::-1]).all()
     with pytest.raises(ValueError, match="function: gives 5 numbers; accepted: 4"):
-        Repeated(normalised, {"t": None, "x": 4, "p": 2}, (4,))(t, x, p)
+        Rows(normalised, {"t": None, "x": 4, "p": 2}, (4,))(t, x, p)
     with pytest.raises(ValueError, match=r"x: has shape \(700,\); accepted: \(..., 4\)"):
         repeated(t, t, p)
 
@@ -44,7 +44,7 @@ def derived(x, p):
 
 def test_rows_of_derivatives():
     x = np.random.default_rng(1).normal(size=(2, 5, 3))
-    found = Repeated(derived, {"x": 3, "p": 1}, (4, 12, None))(x, (2.0,))
+    found = Rows(derived, {"x": 3, "p": 1}, (4, 12, None))(x, (2.0,))
     single = scalar_function(derived)
     true = [[single(tuple(row), (2.0,)) for row in rows] for rows in x.tolist()]
     for a, b in zip(found, range(3), strict=True):
@@ -54,9 +54,9 @@ def test_rows_of_derivatives():
 def test_rows_without_a_compiler(monkeypatch):
     x = np.random.default_rng(1).normal(size=(5, 3))
     arguments = {"x": 3, "p": 1}, (4, 12, None)
-    compiled = Repeated(derived, *arguments)(x, (2.0,))
+    compiled = Rows(derived, *arguments)(x, (2.0,))
     monkeypatch.setattr(config, "DISABLE_JIT", True)
-    for a, b in zip(Repeated(derived, *arguments)(x, (2.0,)), compiled, strict=True):
+    for a, b in zip(Rows(derived, *arguments)(x, (2.0,)), compiled, strict=True):
         assert a.shape == b.shape
         assert np.abs(a - b).max() <= 8 * EPS
 
@@ -118,14 +118,14 @@ def test_a_recurrence_without_a_compiler_and_over_rows(monkeypatch):
     u = np.random.default_rng(2).normal(size=(3, 3))
     arguments = LOOPED, {"u": 3, "k": None, "start": 4}, (4, 12, None, None)
     given = u, *SPUN[1:]
-    rows = Repeated(*arguments)(*given)
+    rows = Rows(*arguments)(*given)
     single = scalar_function(LOOPED)
     for i in range(3):
         assert [x[i].tolist() for x in rows[2:]] == [9.0, 2.0]
         one = single(tuple(u[i].tolist()), *SPUN[1:])
         assert [list(x[i]) for x in rows[:2]] == [list(x) for x in one[:2]]
     monkeypatch.setattr(config, "DISABLE_JIT", True)
-    for a, b in zip(Repeated(*arguments)(*given), rows, strict=True):
+    for a, b in zip(Rows(*arguments)(*given), rows, strict=True):
         assert np.abs(a - b).max() <= 16 * EPS
     plain = scalar_function(LOOPED)(*SPUN)
     assert (
@@ -225,7 +225,7 @@ def test_in_place(n, jit, monkeypatch):
         np.array([[3.0]]),
         np.ones(n),
     )
-    call = InPlace(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k), (x, first))
+    call = Rows(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k), (x, first))
     start = x.copy()
     for i in range(1, 4):
         call()
@@ -235,4 +235,4 @@ def test_in_place(n, jit, monkeypatch):
     call()
     assert (x == start).all()
     with pytest.raises(ValueError, match="arrays: found float32; accepted: float64, C-contiguous"):
-        InPlace(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k.astype(SINGLE)), (x,))
+        Rows(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k.astype(SINGLE)), (x,))

@@ -15,7 +15,7 @@ from fastatt.arrays import quat_multiply, quat_to_dcm
 from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, of_logs
 from fastatt.estimation.filters import attitude_error
-from fastatt.flat.repeated import Repeated
+from fastatt.flat.rows import Rows
 from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.gyro.ends import beyond
 from fastatt.inertia import is_sorted
@@ -101,10 +101,10 @@ def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
 
 
 @lru_cache(maxsize=64)
-def _rate_rows(record: Method, structure: Any) -> Repeated:
+def _rate_rows(record: Method, structure: Any) -> Rows:
     formula = tangent.rate_tangent(record, structure)
     inputs = {"t": None, "h": None, "b": 3, "p": structure.n_params}
-    return Repeated(formula, inputs, (4, 9, 9))
+    return Rows(formula, inputs, (4, 9, 9))
 
 
 def rate_transition(
@@ -195,11 +195,11 @@ def _window_function(record: Method, increments: bool) -> ScalarFunction:
 
 
 @lru_cache(maxsize=64)
-def _window_rows(record: Method, increments: bool) -> Repeated:
+def _window_rows(record: Method, increments: bool) -> Rows:
     window = record.window
     formula = tangent.window_tangent(window, increments=increments)
     inputs = {"v": 3 * window.samples(increments), "h": window.intervals}
-    return Repeated(formula, inputs, (4, 9, 9) * window.span)
+    return Rows(formula, inputs, (4, 9, 9) * window.span)
 
 
 def _by_windows(
@@ -251,11 +251,11 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
 
 
 @lru_cache(maxsize=64)
-def _body_rows(record: Method, structure: Any, parameters: bool) -> Repeated:
+def _body_rows(record: Method, structure: Any, parameters: bool) -> Rows:
     formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
     size = tangent.directions(structure, parameters=parameters)
     inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
-    return Repeated(formula, inputs, (4, 3, 6 * size, None))
+    return Rows(formula, inputs, (4, 3, 6 * size, None))
 
 
 def tangent_rows(

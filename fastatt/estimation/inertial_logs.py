@@ -18,8 +18,7 @@ from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
 from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import Vector, minus
-from fastatt.flat.repeated import InPlace
-from fastatt.flat.rows import rows
+from fastatt.flat.rows import Rows, rows
 from fastatt.integrate import intervals
 from fastatt.threads import number_of
 
@@ -62,14 +61,14 @@ def _rotations(white: bool) -> Fold:
 
 
 @lru_cache
-def _sample(model: str) -> InPlace:
+def _sample(model: str) -> Rows:
     add = _ADD[model]
 
     def step(x: Vector, own: Vector, known: Vector) -> Any:
         w, a = minus(own[:3], known[:3]), minus(own[3:6], known[3:6])
         return add(nested(x), w, a, own[6], *known[6:])
 
-    return InPlace(step, {"x": _SIZE, "own": 7, "known": 8}, (_SIZE,))
+    return Rows(step, {"x": _SIZE, "own": 7, "known": 8}, (_SIZE,))
 
 
 def _corrected(x: Vector, gyro: Vector, accel: Vector) -> Any:

@@ -28,7 +28,7 @@ from fastatt.estimation.filters import (
     measured_attitudes,
 )
 from fastatt.flat.formulas import Vector
-from fastatt.flat.repeated import InPlace
+from fastatt.flat.rows import Rows
 from fastatt.flat.scalar import scalar_function
 from fastatt.flat.trace import stand_in
 from fastatt.kernels import dcm, error_state, quat, sym3
@@ -192,8 +192,8 @@ def _updated(state: Any, found: Any, known: Vector) -> Any:
     return q, b, _error_state.matrix(p), found[3]
 
 
-def _operation(formula: Any, own: int, known: int, outputs: tuple[int | None, ...]) -> InPlace:
-    return InPlace(formula, {"q": 4, "b": 3, "P": 36, "own": own, "known": known}, outputs)
+def _operation(formula: Any, own: int, known: int, outputs: tuple[int | None, ...]) -> Rows:
+    return Rows(formula, {"q": 4, "b": 3, "P": 36, "own": own, "known": known}, outputs)
 
 
 _OPERATIONS = {

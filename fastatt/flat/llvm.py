@@ -73,10 +73,8 @@ class Emitter:
             return name[0] in scalars and (len(name) == 1 or name[1] in scalars[name[0]])
 
         for i, node in enumerate(flat.nodes):
-            known = node.op == "const" or (
-                is_given(node.args)
-                if node.op == "in"
-                else node.op not in ("opaque", "item") and all(k in found for k in operands(node))
+            known = (
+                is_given(node.args) if node.op == "in" else all(k in found for k in operands(node))
             )
             values.append(self._node(node, values, given) if known else None)
             if known:
@@ -105,9 +103,16 @@ class Emitter:
         if op == "in":
             return given(node.args, kind)
         if op == "opaque":
-            return self._called(node, values), True
+            return self._called(node, values)
         if op == "item":
-            return values[node.args[0]][0][node.args[1]], self.lanes > 1
+            made, has_lanes = values[node.args[0]]
+            return made[node.args[1]], has_lanes
+        if op == "lane":
+            k, at = node.args
+            value, has_lanes = values[at]
+            if has_lanes and self.lanes > 1:
+                value = self.code.b.extract_element(value, ir.Constant(I32, k))
+            return value, False
         if op == "gather":
             return self._gathered(node, values[node.args[1]])
         taken = [values[i] for i in operands(node)]
@@ -187,25 +192,27 @@ class Emitter:
         to = ir.VectorType(REALS[node.kind], self.lanes)
         return self._by_lane(one, value, has_lanes, to), has_lanes
 
-    def _called(self, node: Node, values: list[tuple[Any, bool]]) -> list[Any]:
-        """An opaque function ``f(double* arguments, double* results)``, lane by lane."""
+    def _called(self, node: Node, values: list[tuple[Any, bool]]) -> tuple[list[Any], bool]:
+        """An opaque function ``f(double* arguments, double* results)``: in each lane, or once."""
         number, n_results, *at = node.args
         address = self.resources["function", number]
         b, double = self.code.b, REALS["double"]
         taken = self.code.room(double, max(1, len(at)))
         made = self.code.room(double, n_results)
-        args = [self.spread(*values[i]) for i in at]
-        results = [ir.Constant(ir.VectorType(double, self.lanes), ir.Undefined)] * n_results
-        for k in range(self.lanes):
+        has_lanes = self.lanes > 1 and any(values[i][1] for i in at)
+        args = [self.spread(*values[i]) if has_lanes else values[i][0] for i in at]
+        results: list[Any] = [ir.Constant(ir.VectorType(double, self.lanes), ir.Undefined)]
+        results *= n_results
+        for k in range(self.lanes if has_lanes else 1):
             lane = ir.Constant(I32, k)
             for i, value in enumerate(args):
-                one = value if self.lanes == 1 else b.extract_element(value, lane)
+                one = b.extract_element(value, lane) if has_lanes else value
                 self.code.store(taken, i, one)
             b.call(address, [taken, made])
             for i in range(n_results):
                 one = self.code.load(made, i)
-                results[i] = one if self.lanes == 1 else b.insert_element(results[i], one, lane)
-        return results
+                results[i] = b.insert_element(results[i], one, lane) if has_lanes else one
+        return results, has_lanes
 
 
 def _whole(kind: Any) -> tuple[Any, float]:

@@ -3,6 +3,10 @@
 Rows go in blocks of a few vectors: gathered into columns, worked on, handed out. A last block is
 filled up with the last row, so that every row meets the same instructions: results depend neither
 on the number of rows nor on that of threads.
+
+Where derivatives go side by side, a vector holds those of one row's number in six or more
+directions, and the loop is over single rows: with a lane a row each direction would be operations
+of its own, six times as many to compile, and nothing gained where it runs.
 """
 
 from __future__ import annotations
@@ -23,12 +27,15 @@ from numpy.typing import NDArray
 from fastatt.flat import machine
 from fastatt.flat.code import I64, REALS, Code, Int, text_of
 from fastatt.flat.llvm import POINTERS, Emitter
-from fastatt.flat.traced import Traced, Tuple, plain, trace
+from fastatt.flat.traced import WIDEST, Traced, Tuple, plain, trace
+from fastatt.flat.writing import write
 from fastatt.threads import each_in_threads
 
 DTYPES: dict[str, np.dtype[Any]] = {"double": np.dtype(np.float64), "single": np.dtype(np.float32)}
 _VECTORS = 4  # of a block
 _UNROLLED = 16  # columns that are copied without a loop
+# rows that are worth a thread, of blocks and one by one
+_LEAST, _LEAST_ONE_BY_ONE = 1 << 13, 64
 _PIECE = 1 << 16  # rows between two looks at Ctrl-C
 _PIECES = 4  # of each thread
 _BYTE = ctypes.c_char
@@ -99,7 +106,15 @@ class Rows(Program):
     kind : "double" or "single", the precision of inputs and outputs.
     """
 
-    _least = 1 << 13  # rows that are worth a thread
+    @cached_property
+    def traced(self) -> Traced:
+        """The function's operations."""
+        return self._trace(WIDEST)
+
+    @cached_property
+    def _one_by_one(self) -> bool:
+        """Whether the loop is over single rows: of derivatives side by side, of a recurrence."""
+        return self.traced.lanes > 1 or self.traced.loop is not None
 
     def __call__(
         self,
@@ -139,8 +154,48 @@ class Rows(Program):
             places = (ctypes.c_int64 * len(table))(*table)
             with self._lock:
                 run = self._compiled
-            in_pieces(total, n_threads, lambda a, b: run(places, a, b), self._least)
+            least = _LEAST_ONE_BY_ONE if self._one_by_one else _LEAST
+            in_pieces(total, n_threads, lambda a, b: run(places, a, b), least)
         return tuple(out)
+
+    def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
+        """A function of nothing that works on what the arrays hold when it is called.
+
+        ``arrays`` are (n, width), (n,) of a width None, or one row for all, (1, width); ``out`` the
+        same without the last; all of the precision, C-contiguous. One that is in both is changed in
+        place. It knows where they lie: a copy of it works on the same arrays.
+        """
+        for x in (*arrays, *out):
+            if x.dtype != self._dtype or not x.flags.c_contiguous:
+                raise ValueError(f"arrays: found {x.dtype}; accepted: {self._dtype}, C-contiguous")
+        if without_compiler():
+
+            def slowly() -> None:
+                for x, made in zip(out, self(*arrays), strict=True):
+                    x[...] = made
+
+            return slowly
+        n = len(out[0])
+        table = [n, n]
+        for x in arrays:
+            table += [address_of(x), 0, 0 if len(x) == 1 else math.prod(x.shape[1:])]
+        table += map(address_of, out)
+        places = (ctypes.c_int64 * len(table))(*table)
+        run = self._compiled_for_few if 2 * n <= lanes_of(self.kind) else self._compiled
+        held = arrays, out
+
+        def quickly() -> object:
+            assert held
+            return run(places, 0, n)
+
+        return quickly
+
+    @cached_property
+    def _compiled_for_few(self) -> Any:
+        """Of single rows: with few of them most lanes of a vector would stay empty."""
+        other = Rows(self._function, self.inputs, self.outputs, self.kind)
+        other._one_by_one = True
+        return other._compiled
 
     def _checked(self, name: str, n: Width, value: Any) -> Array:
         """An input (..., n) in the precision, with the numbers of a row side by side."""
@@ -172,7 +227,12 @@ class Rows(Program):
         """
         code, (first, last), entries = self._begun()
         total, inner = entries.number(), entries.number()
-        sources, targets, resources = self._arrays(entries)
+        arrays = self._arrays(entries)
+        if self._one_by_one:
+            self._single_rows(code, (first, last), inner, arrays)
+            code.give(0)
+            return code
+        sources, targets, resources = arrays
         real, block = REALS[self.kind], _VECTORS * lanes
         size, flat = sum(map(_count, self.inputs.values())), self.traced.flat
         taken = code.room(real, block * max(1, size))
@@ -205,6 +265,19 @@ class Rows(Program):
                     column += n * block
         code.give(0)
         return code
+
+    def _single_rows(self, code: Code, bounds: tuple[Int, Int], inner: Int, arrays: Any) -> None:
+        sources, targets, resources = arrays
+        with code.loop(*bounds) as i:
+            s, b = i // inner, i % inner
+            given: list[Any] = []
+            for pointer, outer_stride, inner_stride, n in sources:
+                row = code.place(pointer, s * outer_stride + b * inner_stride)
+                given += [code.load(row, k) for k in range(n)]
+            made = iter(write(code, self.traced, given, resources))
+            for pointer, n in targets:
+                for k in range(n):
+                    code.store(pointer, i * n + k, next(made))
 
     def _arrays(self, entries: Table) -> tuple[list[Any], list[Any], dict[Any, Any]]:
         """What the table says: (pointer, strides, width) of inputs, of outputs; resources."""

@@ -11,9 +11,8 @@ import numpy as np
 from llvmlite import ir
 
 from fastatt.flat import machine
-from fastatt.flat.code import I32, I64, REALS, Code, text_of
+from fastatt.flat.code import I64, REALS, Code, text_of
 from fastatt.flat.llvm import POINTERS, Emitter
-from fastatt.flat.nodes import Node, operands
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
 
 
@@ -29,21 +28,6 @@ class _Written(Emitter):
         super().__init__(code, traced.lanes, machine.processor().fuses, resources)
         self.traced = traced
         self.found: dict[str, Any] = {"x": given}
-
-    def _node(self, node: Node, values: list[tuple[Any, bool]], given: Any) -> tuple[Any, bool]:
-        if node.op == "lane":
-            k, at = node.args
-            value, has_lanes = values[at]
-            if has_lanes and self.lanes > 1:
-                value = self.code.b.extract_element(value, ir.Constant(I32, k))
-            return value, False
-        # a function of values alone is called once
-        if node.op == "opaque" and not any(values[i][1] for i in operands(node)):
-            return Emitter(self.code, 1, self.fuses, self.resources)._called(node, values), False  # noqa: SLF001
-        if node.op == "item":
-            made, has_lanes = values[node.args[0]]
-            return made[node.args[1]], has_lanes
-        return super()._node(node, values, given)
 
     def input(self, name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
         """A number that is given, for the emitter."""
