@@ -112,8 +112,10 @@ class Table:
                 "of the same shape, for cubic ones"
             )
         if cubic:
-            known = _slopes(times, samples)
-            if slopes is not None:
+            if slopes is None:
+                known = derivatives(times, samples.swapaxes(0, 1), min(5, len(times)))
+                known = known.swapaxes(0, 1)
+            else:
                 known = _samples("slopes", slopes, len(times))
             samples = np.concatenate([samples, known], axis=-1)
         n = len(times)
@@ -293,21 +295,23 @@ def _samples(name: str, value: ArrayLike, n: int) -> Numbers:
     return found.reshape((-1, *found.shape[-2:])).astype(np.float64)
 
 
-def _slopes(t: Numbers, samples: Numbers) -> Numbers:
-    """Derivatives at each time of the polynomial through the five samples (or all) about it."""
-    n = len(t)
-    m = min(5, n)
-    first = np.clip(np.arange(n) - m // 2, 0, n - m)
-    places = first[:, None] + np.arange(m)
-    d = t[:, None] - t[places]  # from each node of the window
-    own = d == 0.0
-    apart = t[places][:, :, None] - t[places][:, None, :]
-    apart[:, range(m), range(m)] = 1.0
-    others = np.where(own, 1.0, d)
-    # l_j'(x) at a node x: of others ∏(x − x_l)/(x − x_j)/∏(x_j − x_l), of its own Σ 1/(x − x_l)
-    weights = others.prod(axis=1, keepdims=True) / others / apart.prod(axis=2)
-    weights[own] = np.where(own, 0.0, 1.0 / others).sum(axis=1)
-    return np.einsum("tm,rtmk->rtk", weights, samples[:, places])  # type: ignore[no-any-return]
+def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
+    """Derivatives (T, ...) of the polynomials through n values (T, ...) about each time.
+
+    They are centred where there are neighbours (Berrut and Trefethen, SIAM Rev. 46 (2004), eq.
+    9.4).
+    """
+    itself = np.arange(len(t))
+    first = np.clip(itself - (n - 1) // 2, 0, len(t) - n)
+    places = first[:, None] + np.arange(n)
+    own = itself - first
+    gaps = t[places][:, :, None] - t[places][:, None, :]
+    gaps[:, range(n), range(n)] = 1.0
+    barycentric = 1.0 / gaps.prod(axis=2)
+    weights = barycentric / barycentric[itself, own][:, None] / gaps[itself, own]
+    weights[itself, own] = 0.0
+    weights[itself, own] = -weights.sum(axis=1)
+    return np.asarray(np.einsum("tn,tn...->t...", weights, values[places]))
 
 
 def _index(t: Numbers) -> Numbers:

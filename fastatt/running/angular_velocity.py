@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
+from fastatt.tables import derivatives
 
 
 def angular_velocity(
@@ -43,11 +42,8 @@ def angular_velocity(
     turned = (unit[1:] * unit[:-1]).sum(axis=-1, keepdims=True) < 0.0
     sign = np.where(np.logical_xor.accumulate(turned, axis=0), -1.0, 1.0)
     unit[1:] *= sign
-    first = np.clip(np.arange(n) - (m - 1) // 2, 0, n - m)
-    stencil = first[:, None] + np.arange(m)
     with np.errstate(all="ignore"):
-        weights = _derivative_weights(t[stencil], np.arange(n) - first) / scale
-        qdot = np.einsum("sk,sk...->s...", weights, unit[stencil])
+        qdot = derivatives(t, unit, m) / scale
         u, v = unit[..., 1:], qdot[..., 1:]
         cross = np.cross(u, v) if frame == "inertial" else np.cross(v, u)
         w = np.asarray(2.0 * (unit[..., :1] * v - qdot[..., :1] * u + cross))
@@ -56,16 +52,3 @@ def angular_velocity(
             f"dt: rates over {scale} s overflow; accepted: longer, more even intervals"
         )
     return w
-
-
-def _derivative_weights(t: NDArray[Any], at: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Weights (n, m) of the derivative at node ``at`` of the polynomial through nodes t (n, m)."""
-    n, m = t.shape
-    gaps = t[:, :, None] - t[:, None, :]
-    gaps[:, np.arange(m), np.arange(m)] = 1.0
-    barycentric = 1.0 / gaps.prod(axis=2)
-    row = np.arange(n)
-    weights: NDArray[np.float64] = barycentric / barycentric[row, at][:, None] / gaps[row, at]
-    weights[row, at] = 0.0
-    weights[row, at] = -weights.sum(axis=1)
-    return weights
