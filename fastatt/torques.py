@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks, models
-from fastatt.arrays import normalised
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.flat.formulas import Vector, as_like, dot, minus, plus, quat, rigid, scale, vec3
 from fastatt.flat.graph import apply
 from fastatt.flat.nodes import NotStraight
-from fastatt.flat.user import UserFunction, user_function
+from fastatt.flat.user import UserFunction, nested, points, user_function
 from fastatt.models import SUM, Field, Law, Model, Packed, Record, Sum
 from fastatt.tables import Table
 from fastatt.torque_models import (
@@ -339,21 +338,17 @@ def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
     """Whether a user's torque at a few points differs from that at a standstill."""
-    rng = np.random.default_rng(4)
-    rows = np.atleast_2d(params)
-    for k in range(8):
-        at = rng.uniform(*function.span), tuple(normalised(rng.normal(size=4)).tolist())
-        w, p = rng.normal(size=3).tolist(), tuple(rows[k * len(rows) // 8].tolist())
-        place = [rng.normal(size=n).tolist() for n in function.form.before[3:]]
+    for point in points(function.sizes, params, function.span):
+        t, q, w, *rest = nested(point, function.sizes)
         values = []
-        for v in (w, [0.0] * 3):
+        for v in (w, (0.0, 0.0, 0.0)):
             try:
-                values.append(function.call(*at, v, *place, p))
+                values.append(function.call(t, q, v, *rest))
             except NotStraight:  # an error in Python at these numbers
                 values.append((np.nan,) * 3)
-        there, rest = np.array(values)
-        size = np.max(np.abs(rest), where=np.isfinite(rest), initial=0.0)
-        if not np.allclose(there, rest, rtol=0.0, atol=1e-9 * size, equal_nan=True):
+        turning, still = np.array(values)
+        size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)
+        if not np.allclose(turning, still, rtol=0.0, atol=1e-9 * size, equal_nan=True):
             return True
     return False
 

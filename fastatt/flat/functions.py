@@ -7,17 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from fastatt.flat.graph import (
-    Double,
-    Number,
-    Single,
-    _lifted,
-    _made,
-    _pair,
-    apply,
-    choose,
-    flattened,
-)
+from fastatt.flat.graph import Double, Number, _lifted, _made, _pair, apply, choose
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.recorded import Composed, Recorded, composed_of
 
@@ -90,48 +80,17 @@ def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tu
 
 
 def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
-    """``formula(*args)``, the traced form of ``function``: its derivatives may be known."""
+    """``formula(*args)``, the traced form of ``function``, or what is shorter there."""
     composed = composed_of(*args)
     if composed is not None:
         return composed.called(formula, function, args)
-    if function is _trig().sincos and _is_phase(*args):
-        return _of_phase(*args)
-    instructions = _instructions().get(function)
-    if instructions is not None:
-        numbers = flattened(args)
-        if all(isinstance(x, Number) and x.graph.native for x in numbers):
-            return instructions(*args)
-    return formula(*args)
+    shorter = _shorter().get(function)
+    found = None if shorter is None else shorter(*args)
+    return formula(*args) if found is None else found
 
 
 @functools.cache
-def _trig() -> Any:
-    from fastatt.kernels import trig
+def _shorter() -> dict[Any, Callable[..., Any]]:
+    from fastatt.flat.native import SHORTER
 
-    return trig
-
-
-@functools.cache
-def _instructions() -> dict[Any, Callable[..., Any]]:
-    from fastatt.flat.native import INSTRUCTIONS
-
-    return INSTRUCTIONS
-
-
-def _is_phase(x: Any) -> bool:
-    """Whether an angle grows with time, and its sine is wanted in single precision."""
-    if not isinstance(x, Double) or not (x.graph.narrow and x.graph.many):
-        return False
-    return x.graph.of_time(x.at)[0]
-
-
-def _of_phase(x: Double) -> Any:
-    """What ``trig.sincos`` gives, of single precision: the angle alone needs the other."""
-    from fastatt.flat.trace import stand_in
-
-    quarters = x * (2.0 / math.pi)
-    k = apply("rint", quarters)
-    r, trig = Single(quarters - k) * (0.5 * math.pi), stand_in(_trig())
-    s, c = trig.short_waves(r, r * r)
-    C, S = trig.within_a_turn(Single(k - 4.0 * apply("rint", 0.25 * k)))
-    return s * C + c * S, c * C - s * S
+    return SHORTER

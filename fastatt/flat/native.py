@@ -1,11 +1,13 @@
-"""Kernels that are an instruction or two in machine code: on bits, and of fused multiplications."""
+"""Kernels that are shorter of some numbers: an instruction or two on bits, fused, or of phases."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
-from fastatt.flat.graph import _made, apply, choose
+from fastatt._jit import plain
+from fastatt.flat.graph import Double, Number, Single, _made, apply, choose, flattened
 from fastatt.kernels import free_body, quat, trig
 
 
@@ -39,11 +41,38 @@ def _split_product(a: Any, b: Any) -> tuple[Any, Any]:
     return high, _made(a.graph, "fms", a.kind, a.at, b.at, high.at)
 
 
-#: what they give instead: as much, or more of it
-INSTRUCTIONS: dict[Any, Callable[..., Any]] = {
-    trig.powers_of_two: _powers_of_two,
-    trig.octaves: _octaves,
-    free_body.scale: _scale,
-    free_body.split_product: _split_product,
-    quat.normalise: _normalise,
+def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """The same of a graph that is for machine code alone; None of any other."""
+
+    def shorter(*args: Any) -> Any:
+        numbers = flattened(args)
+        is_native = all(isinstance(x, Number) and x.graph.native for x in numbers)
+        return formula(*args) if is_native else None
+
+    return shorter
+
+
+def _of_phase(x: Any) -> tuple[Any, Any] | None:
+    """What ``trig.sincos`` gives, of single precision: the angle alone needs the other.
+
+    None unless the angle grows with time and its sine is wanted in single precision.
+    """
+    if not (isinstance(x, Double) and x.graph.narrow and x.graph.many and x.graph.of_time(x.at)[0]):
+        return None
+    quarters = x * (2.0 / math.pi)
+    k = apply("rint", quarters)
+    r = Single(quarters - k) * (0.5 * math.pi)
+    s, c = plain(trig.short_waves)(r, r * r)
+    C, S = plain(trig.within_a_turn)(Single(k - 4.0 * apply("rint", 0.25 * k)))
+    return s * C + c * S, c * C - s * S
+
+
+#: what gives as much as a kernel, or more of it; None where that does not hold
+SHORTER: dict[Any, Callable[..., Any]] = {
+    trig.powers_of_two: _in_machine_code(_powers_of_two),
+    trig.octaves: _in_machine_code(_octaves),
+    free_body.scale: _in_machine_code(_scale),
+    free_body.split_product: _in_machine_code(_split_product),
+    quat.normalise: _in_machine_code(_normalise),
+    trig.sincos: _of_phase,
 }

@@ -213,7 +213,7 @@ class UserFunction:
         traced = source.function(flat, tables=self.tables)
         in_python = interpreted(function)
         asked, found = [], []
-        for point in _points(self.sizes, params, self.span):
+        for point in points(self.sizes, params, self.span):
             try:
                 with np.errstate(all="ignore"):
                     asked.append(_floats(in_python(*nested(point, self.sizes))))
@@ -252,7 +252,7 @@ def _floats(result: Any) -> list[float]:
     return [float(x) for x in (result if isinstance(result, tuple) else (result,))]
 
 
-def _points(
+def points(
     sizes: tuple[int, ...],
     params: NDArray[np.float64] | None,
     span: tuple[float, float] = (0.0, 10.0),
@@ -332,7 +332,7 @@ def _interpreted(function: Callable[..., Any], user: UserFunction) -> _Callback:
     sizes, n = user.sizes, user.form.results
     n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
     failed: Exception | None = None
-    for point in _points(sizes, None):
+    for point in points(sizes, None):
         try:
             result = function(*nested(point, sizes))
         except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
@@ -444,4 +444,4 @@ def _place_of(error: Exception, plain: Any) -> str:
     return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}"
 
 
-__all__ = ["FORMS", "Form", "UserFunction", "interpreted", "user_function"]
+__all__ = ["FORMS", "Form", "UserFunction", "interpreted", "nested", "points", "user_function"]

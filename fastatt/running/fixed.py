@@ -16,21 +16,13 @@ if TYPE_CHECKING:
 _MANY, _ROWS = 64, 1 << 16
 
 
-def fixed(plan: Plan, rates: Any, h: Any, rows_each: int) -> dict[str, NDArray[Any]]:
-    """Parameters, turns a step that are known by rates, flags and stages, by names.
-
-    ``rows_each`` rows share a body's.
-    """
-
-    def rows(x: NDArray[Any]) -> NDArray[Any]:
-        return np.repeat(x, rows_each, axis=0) if rows_each > 1 and len(x) > 1 else x
-
+def fixed(plan: Plan, rates: Any, h: Any) -> dict[str, NDArray[Any]]:
+    """Parameters, turns a step that are known by rates, flags and stages, by names."""
     params = np.ascontiguousarray(np.atleast_2d(plan.packed.params))
     with np.errstate(over="ignore", invalid="ignore"):
         turns = np.atleast_1d(np.multiply(0.0 if rates is None else rates, np.abs(h)))
-    found: dict[str, Any] = {"p": params, "known": turns, "flags": flags_of(plan, params)}
     stages = np.array(plan.choice.method.stages, dtype=np.float64).reshape(-1, 3)
-    return {"stages": stages, **{name: rows(x) for name, x in found.items()}}
+    return {"p": params, "known": turns, "flags": flags_of(plan, params), "stages": stages}
 
 
 def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:

@@ -80,7 +80,6 @@ class Plan:
         kind: np.dtype[Any],
         *,
         position: bool = False,
-        rows_each: int = 1,
         handling: Handling | None = None,
         asked: tuple[Any, ...] = (),
     ) -> None:
@@ -88,8 +87,8 @@ class Plan:
         self.choice, self.clock, self.handling = choice, clock, handling or Handling()
         self._asked = asked
         method, attitude = choice.method, choice.attitude
-        bodies, position = n_bodies // rows_each, position or scene.couples
-        self.packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
+        position = position or scene.couples
+        self.packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
         there = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
         beside = {name: 3 for name, is_there in there.items() if is_there}
         self._rows = {} if scene.moves else _rows(n_bodies, has_w=there["w"])
@@ -116,7 +115,7 @@ class Plan:
         )
         if not method.is_exact:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
-        self._fixed = fixed(self, known, clock.steps, rows_each)
+        self._fixed = fixed(self, known, clock.steps)
         self.span = clock.span(choice.restore)
         self.is_short = n_bodies * clock.n_steps <= LONG
         told = {

@@ -396,6 +396,9 @@ def propagate_directions(
         raise ValueError("scene: found inertia or mass; accepted: a scene with a rate alone")
     record = method_of(scene, method, "quat")
     v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)")
+    if v.ndim == 3 and scene.rows is not None:
+        scene.packed(len(v))  # refuses another number of bodies
+        scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
     given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
     plan = Plan(
         scene,
@@ -403,7 +406,6 @@ def propagate_directions(
         Choice(record, DIRECTION),
         Clock.of(dt, n_steps, save_every),
         given.q.dtype,
-        rows_each=v.shape[1] if v.ndim == 3 else 1,
     )
     flat = plan.run(given, checks.real("t0", t0), Handling(number_of(n_threads)))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))
