@@ -186,7 +186,8 @@ class Scene:
         """One's own functions in it: each says whether it is traced (``straight``) or why not.
 
         A function that is traced becomes part of the loop: it vectorises, and is kept on disk. One
-        that is not is called for each body (``reason`` says why).
+        that is not is called for each body (``reason`` says why); a rate whose parameters all
+        bodies share once for a tile of them.
         """
         structure = self.packed(None).structure
         laws = (structure.turning.law, structure.force)

@@ -177,6 +177,39 @@ def test_called_from_machine_code(lanes):
         np.testing.assert_array_equal(b[k::lanes], [x[0] + P[1], x[1], x[2] * 2.0])
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_what_lanes_share_is_asked_for_once(own, monkeypatch):
+    """Before the loop over lanes; of numbers of their own each lane asks."""
+    monkeypatch.setattr("numba.config.DISABLE_JIT", True)
+    times = []
+
+    def noting(t, p):
+        times.append(t)
+        return until(t, p)
+
+    made = user_function(noting, "rate", 2)
+    graph = Graph()
+    flat = Flat(graph, made.call(*inputs(graph, made)), "double")
+    code = Code(ir.Module("test"), "run", [REALS["double"].as_pointer(), I64])
+    results, address = code.function.args
+    resources = {("function", made): code.b.inttoptr(address, POINTERS["function"])}
+    emit = Emitter(code, 4, True, resources)
+    a, b = (code.real("double", x) for x in (3.2, 0.3))
+    before = emit.shared(flat, {"a": {0: a}, "b": {} if own else {0: b, 1: b}})
+    with code.lanes(8, 4) as j:
+        found = emit.wide(flat, lambda name, kind: (code.splat(b, 4), True), before)
+        for i, value in enumerate(found):
+            code.store_vector(results, j + 8 * i, value)
+    code.give(0)
+    program = machine.Compiled(machine.object_of(str(code.module)))
+    memory = aligned(24)
+    times.clear()
+    program.function("run", ctypes.c_void_p, ctypes.c_int64)(memory.ctypes.data, made.address)
+    assert times == [3.2] * (8 if own else 1)
+    for i, x in enumerate(until(3.2, (0.3, 0.3))):
+        assert (memory[8 * i : 8 * i + 8] == x).all()
+
+
 def raising(t, p):
     if t > 5.0:
         raise ValueError
