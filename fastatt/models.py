@@ -69,7 +69,7 @@ class LookUp(NamedTuple):
 class Law:
     """A model without its numbers: which formula, of how many numbers.
 
-    ``parts`` are the laws of a sum's terms, or the one beneath principal axes that lie elsewhere.
+    ``parts`` are the laws of a sum's terms.
     """
 
     record: Any

@@ -221,6 +221,8 @@ class Body(Motion):
         own = as_like(tuple(p[: 9 + structure.axes]), like)
         self.half_inverse, self.moments, self.gyroscopic = own[:3], own[3:6], own[6:9]
         self.axes = own[9:] if structure.turned else None
+        #: the same as they were given, for torques
+        self.axes_given = p[9:13] if structure.turned else None
         self.torque_numbers = p[9 + structure.axes :]
         self.is_free = is_free(structure.law)
 
@@ -242,7 +244,7 @@ class Body(Motion):
 
         ``place`` is (velocity, position) where something reads them.
         """
-        pose = Pose(self.plain, a, w, self.moments, place)
+        pose = Pose(self.plain, a, w, self.moments, place, self.axes_given)
         torque = torque_of(self.structure.law, t, pose, self.torque_numbers)
         return tuple(as_like(x, a[0]) for x in torque)
 
@@ -279,7 +281,8 @@ class Body(Motion):
     def kick(self, t: Any, h: Any, a: Vector, m: Vector) -> Vector:
         """The momentum after h s of torque at a standstill, of linear damping exactly."""
         torque = self.torque(t, a, (0.0, 0.0, 0.0))
-        rates = damping_rates(self.structure.law, self.moments, self.torque_numbers)
+        law, turned = self.structure.law, self.structure.turned
+        rates = damping_rates(law, self.moments, self.torque_numbers, turned=turned)
         if rates is None:
             return axpy(h, torque, m)
         decays = [rigid.exp_decay(k * h) for k in rates]

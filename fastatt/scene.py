@@ -168,7 +168,8 @@ class Scene:
 
     def dependence(self, *, sorted_axes: bool = False) -> torques.Dependence:
         """How the torque depends on w."""
-        turned = sorted_axes and not is_sorted(self.principal.moments)
+        found = self.principal
+        turned = found.axes is not None or (sorted_axes and not is_sorted(found.moments))
         return torques.dependence(self._law, turned=turned)
 
     @property
@@ -256,7 +257,7 @@ class Scene:
         model = self.torque
         if callable(model):
             model = torques.Custom(model, self.params)
-        acting = torques.pack(model, n_bodies, found.axes)
+        acting = torques.pack(model, n_bodies)
         columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
         # the kernel's own formula, on whole columns
         gyroscopic = np.stack(plain(rigid.gyroscopic_coefficients)(columns_of_moments), axis=-1)

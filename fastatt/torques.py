@@ -54,14 +54,21 @@ class Pose:
     """Where a torque is asked for: an attitude, the angular velocity and the principal moments.
 
     ``place`` is (velocity along body axes whatever those of the pose, position), where they are
-    stepped with the attitude.
+    stepped with the attitude; ``axes`` the quaternion of the principal axes, along which the pose
+    is, where these are not the body's.
     """
 
     def __init__(
-        self, attitude: Attitude, x: Vector, w: Vector, moments: Vector, place: Vector = ()
+        self,
+        attitude: Attitude,
+        x: Vector,
+        w: Vector,
+        moments: Vector,
+        place: Vector = (),
+        axes: Vector | None = None,
     ) -> None:
         self._attitude, self._x = attitude, x
-        self.w, self.moments, self.place = w, moments, place
+        self.w, self.moments, self.place, self.axes = w, moments, place, axes
 
     @cached_property
     def quaternion(self) -> Any:
@@ -71,6 +78,14 @@ class Pose:
     def to_body(self, v: Vector) -> Any:
         """Components of an inertial vector along the axes of the pose."""
         return self._attitude.to_body(self._x, v)
+
+    @cached_property
+    def along_body(self) -> Pose:
+        """The same along the body's own axes."""
+        if self.axes is None:
+            return self
+        q = quat.mul(self.quaternion, quat.conj(self.axes))
+        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.place)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +154,6 @@ def _rotor(t: Any, pose: Pose, p: Vector) -> Any:
     return minus(gyroscopic, p[3:]) if p[3:] else gyroscopic
 
 
-def _turned_pose(pose: Pose, axes: Vector) -> Pose:
-    q = quat.mul(pose.quaternion, quat.conj(axes))
-    return Pose(QUATERNION, q, quat.rotate(axes, pose.w), pose.moments, pose.place)
-
-
 _VECTOR, _NUMBER = Field((3,)), Field()
 _TABLED = Field((3,), table="values")
 _POSITION, _DAMPED, _RATE = Dependence
@@ -205,8 +215,6 @@ _ALL = (
     ),
 )  # fmt: skip
 RECORDS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}
-#: beneath principal axes that lie elsewhere: four parameters say where
-TURNED = Record(None, (), _turned_pose)
 USER = {
     (dependence, at): TorqueRecord(
         None, (), lambda *given: given[-1], dependence, False, reads_position=at
@@ -220,9 +228,8 @@ def torque_of(law: Law, t: Any, pose: Pose, p: Vector) -> Vector:
     """Torque (N·m) of a law with its flat parameters, along the axes of the pose."""
     if law.record is SUM:
         return plus(*(torque_of(part, t, pose, own) for part, own in law.split(p)))
-    if law.record is TURNED:
-        ((part, own),) = law.split(p)
-        return quat.rotate_inverse(p[:4], torque_of(part, t, _turned_pose(pose, p[:4]), own))  # type: ignore[no-any-return]
+    if pose.axes is not None and not law.record.axis_free:
+        return quat.rotate_inverse(pose.axes, torque_of(law, t, pose.along_body, p))  # type: ignore[no-any-return]
     if law.function is not None:
         found = law.function.given(t, pose.quaternion, pose.w, *pose.place, p)
         return as_like(found, pose.moments[0])  # type: ignore[no-any-return]
@@ -233,21 +240,23 @@ def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
     """Potential energy (J) of a law that has one."""
     if law.record is SUM:
         return sum(potential_of(part, t, pose, own) for part, own in law.split(p))
-    if law.record is TURNED:
-        ((part, own),) = law.split(p)
-        return potential_of(part, t, _turned_pose(pose, p[:4]), own)
+    if not law.record.axis_free:
+        pose = pose.along_body
     if law.potential is not None:
         return law.potential.given(t, pose.quaternion, *pose.place[1:], p)
     return law.record.potential(t, pose, p)
 
 
-def damping_rates(law: Law, moments: Vector, p: Vector) -> Vector | None:
-    """c_i/I_i, 1/s, of the linear damping among the terms of a law; None if there is none."""
+def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False) -> Vector | None:
+    """c_i/I_i, 1/s, of the linear damping among the terms of a law; None if there is none.
+
+    ``turned`` where principal axes are not the body's.
+    """
     if law.record is SUM:
-        found = [damping_rates(part, moments, own) for part, own in law.split(p)]
+        found = [damping_rates(part, moments, own, turned=turned) for part, own in law.split(p)]
         known = [x for x in found if x is not None]
         return plus(*known) if known else None
-    if law.record is TURNED:
+    if turned and not law.record.axis_free:
         # of damping along other axes than principal ones no flow is known
         return None
     coefficients = law.record.damping
@@ -293,27 +302,17 @@ def dependence(law: Law, *, turned: bool = False) -> Dependence:
     """How a law depends on w; linear damping axis by axis only where axes are not ``turned``."""
     if law.record is SUM:
         return max(dependence(part, turned=turned) for part in law.parts)
-    if law.record is TURNED:
-        return dependence(law.parts[0], turned=True)
     found: Dependence = law.record.depends
     if found is Dependence.DAMPED and turned and not law.record.axis_free:
         return Dependence.RATE
     return found
 
 
-def pack(model: Model, n_bodies: int | None, axes: NDArray[np.float64] | None = None) -> Packed:
-    """``models.pack`` of a torque, or of none, for principal axes that lie at ``axes``."""
+def pack(model: Model, n_bodies: int | None) -> Packed:
+    """``models.pack`` of a torque, or of none."""
     if model is None:
         return Packed(Law(FREE), np.zeros(0), {})
-
-    def finish(packed: Packed, n_bodies: int | None, argument: str) -> Packed:
-        law = packed.structure
-        if axes is None or law.record.axis_free:
-            return packed
-        params = models.join([axes, packed.params], n_bodies, argument)
-        return packed._replace(structure=Law(TURNED, (4,), (law,)), params=params)
-
-    return models.pack(model, n_bodies, "torque", RECORDS, _OTHERS, finish)
+    return models.pack(model, n_bodies, "torque", RECORDS, _OTHERS)
 
 
 def _pack_kepler(model: KeplerGravityGradient, n_bodies: int | None, argument: str) -> Packed:

@@ -23,7 +23,6 @@ from fastatt.gyro.windows import Window
 from fastatt.methods.method import Method
 from fastatt.models import SUM, Law
 from fastatt.motion import Body, GivenRate, RigidBody, Turning
-from fastatt.torques import TURNED
 
 Formula = Callable[..., Any]
 
@@ -111,10 +110,9 @@ def window_tangent(window: Window, *, increments: bool) -> Formula:
 def own_numbers(law: Law) -> Iterator[bool]:
     """Which of a law's flat parameters are its model's.
 
-    The others say where principal axes lie, and which row of a table is a body's.
+    The others say which row of a table is a body's.
     """
-    if law.record is SUM or law.record is TURNED:
-        yield from (False,) * sum(law.sizes)
+    if law.record is SUM:
         for part in law.parts:
             yield from own_numbers(part)
     else:

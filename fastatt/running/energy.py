@@ -115,5 +115,5 @@ def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
     if motion.axes is not None:
         q = quat.mul(q, motion.axes)
     none = (0.0, 0.0, 0.0)
-    pose = torques.Pose(QUATERNION, q, none, motion.moments, (none, r))
+    pose = torques.Pose(QUATERNION, q, none, motion.moments, (none, r), motion.axes_given)
     return (torques.potential_of(structure.law, t, pose, motion.torque_numbers),)
