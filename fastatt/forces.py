@@ -92,14 +92,14 @@ def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
 def pack(model: Model, n_bodies: int | None, mass: NDArray[np.float64]) -> Packed:
     """``models.pack`` of a force; ``mass`` is () or (N,), kg."""
 
-    def finish(packed: Packed, n_bodies: int | None, argument: str) -> Packed:
-        record = packed.structure.record
-        if record.model is not CentralGravity:
-            return packed
+    def pack_gravity(model: CentralGravity, n_bodies: int | None, argument: str) -> Packed:
+        record = RECORDS[CentralGravity]
+        packed = models.pack_fields(model, record, n_bodies, argument)
         params = join([packed.params, mass[..., None]], n_bodies, argument)
         return packed._replace(structure=Law(record, (1, 1)), params=params)
 
-    return models.pack(model, n_bodies, "force", RECORDS, {Custom: _pack_custom}, finish)
+    others = {Custom: _pack_custom, CentralGravity: pack_gravity}
+    return models.pack(model, n_bodies, "force", RECORDS, others)
 
 
 def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:

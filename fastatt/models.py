@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -175,23 +176,21 @@ def pack(
     n_bodies: int | None,
     argument: str,
     records: Mapping[type, Record],
-    others: Mapping[type, _Pack] | None = None,
-    finish: _Pack = lambda packed, n_bodies, argument: packed,
+    others: Mapping[type, _Pack] = MappingProxyType({}),
 ) -> Packed:
     """Check a model's numbers and lay them out flat.
 
-    Models with a record are packed by their fields, ``others`` as these say; ``finish`` adds what
-    depends on the scene to each.
+    Models with a record are packed by their fields, ``others`` as these say.
 
     Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
     finite or of the wrong shape.
     """
-    cls, others = type(model), others or {}
+    cls = type(model)
     if cls is Sum:
         name = f"{argument}: Sum"
         if not isinstance(model.terms, (tuple, list)) or not model.terms:
             raise ValueError(f"{name}.terms is empty; accepted is a tuple of models")
-        terms = [pack(term, n_bodies, name, records, others, finish) for term in model.terms]
+        terms = [pack(term, n_bodies, name, records, others) for term in model.terms]
         params = join([term.params for term in terms], n_bodies, name)
         laws: list[Law] = []
         found: dict[tuple[str, Any], Any] = {}
@@ -201,9 +200,9 @@ def pack(
             found |= moved.resources
         return Packed(Law(SUM, (), tuple(laws)), params, found)
     if cls in others:
-        return finish(others[cls](model, n_bodies, argument), n_bodies, argument)
+        return others[cls](model, n_bodies, argument)
     if cls in records:
-        return finish(pack_fields(model, records[cls], n_bodies, argument), n_bodies, argument)
+        return pack_fields(model, records[cls], n_bodies, argument)
     kind = argument.partition(":")[0]
     names = ", ".join(sorted({c.__name__ for c in (*records, *others, Sum)}))
     raise TypeError(
