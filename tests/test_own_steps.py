@@ -101,6 +101,16 @@ def test_representations_precisions_and_threads_agree():
     assert single.q.dtype == np.float32
 
 
+@pytest.mark.parametrize("steps", [{"dt": STEPS, "n_steps": COUNTS}, {"dt": 0.05, "n_steps": 30}])
+@pytest.mark.parametrize("kind", ["free", "rate"])
+def test_an_ensemble_in_parts_is_the_same(kind, steps, monkeypatch):
+    whole = run(kind, "rk4", **steps, save_at=[0.4, END])
+    monkeypatch.setattr("fastatt.running.carry_out.PART", 32)
+    parts = run(kind, "rk4", **steps, save_at=[0.4, END])
+    for name in ("t", "q", "w", "status", "defect"):
+        assert (getattr(parts, name) == getattr(whole, name)).all()
+
+
 def test_backwards_and_from_another_epoch():
     there = run("rate", "magnus6", dt=STEPS, n_steps=COUNTS)
     back = fa.propagate(

@@ -147,8 +147,9 @@ def _in_parts(
     n, own = given.bodies, scene.rows is not None
     kind, steps, (saves, _, width) = given.q.dtype, clock.steps, shape
     check_memory(shape, kind)
+    own_steps = isinstance(clock, OwnClock) and steps.size > 1
     # those with most steps first: no thread is left with them at the end
-    order = np.argsort(np.abs(steps)) if isinstance(clock, OwnClock) else None
+    order = np.argsort(np.abs(steps)) if own_steps else None
     plan: Plan | None = None
 
     def whole() -> Trajectory:
@@ -161,8 +162,8 @@ def _in_parts(
         for a in range(0, n, PART):
             m = min(PART, n - a)
             rows: Any = slice(a, a + m) if order is None else order[a : a + m]
-            if plan is None or own or m < PART or isinstance(clock, OwnClock):
-                part = clock.part(rows) if isinstance(clock, OwnClock) else clock
+            if plan is None or own or m < PART or own_steps:
+                part = clock.part(rows) if isinstance(clock, OwnClock) and own_steps else clock
                 plan = made(scene[rows] if own else scene, m, clock=part)
             if a == 0:
                 if plan.by_time:
