@@ -211,6 +211,17 @@ def test_a_sample_of_one_misses_harder_bodies():
     assert errors[0] > 1.02 * errors[1]
 
 
+def test_a_body_with_the_largest_number_is_looked_at():
+    """Of equal spins one body has 400 times the torque."""
+    motion = np.full(N, 0.1)
+    motion[50] = 2.0
+    scene = fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.GravityGradient(motion))
+    own = fa.own_steps(scene, Q0, (0, 0, 1), t_end=3.0, tol=1e-5, method="rk4", sample=1)
+    run = fa.propagate(scene, Q0, (0, 0, 1), **own.arguments)
+    known = fa.propagate(scene, Q0, (0, 0, 1), dt=0.002, n_steps=1500, method="rk4")
+    assert angle(run.q[-1, 50], known.q[-1, 50]) < 1e-5
+
+
 @pytest.mark.parametrize(
     ("tol", "message"), [(1e-16, "tol: found 1e-16; accepted: at least 1e-15"), (3e-15, "can meet")]
 )

@@ -83,8 +83,9 @@ def own_steps(
     t_end : duration, s, above 0.
     tol : largest error of a body over the run, rad, at least 1e-15.
     method : one that steps; None takes rk8 where it fits, else the first that does.
-    sample : how many bodies are looked at, the fastest among them; those that there are, and none
-        exceeds the tolerance unseen.
+    sample : how many bodies are looked at, the fastest among them, besides those with the least and
+        the largest of each number of the scene; as many as there are, and none exceeds the
+        tolerance unseen.
     seed : of the choice of bodies.
 
     Raises
@@ -116,7 +117,12 @@ def own_steps(
     rates = np.maximum(rates, rates.max(initial=0.0) * 1e-6 + 1e-300)
     classes = _Classes(rates)
     looked_at = checks.whole("sample", sample, 1)
-    rows = classes.sample(looked_at, np.random.default_rng(seed)) if looked_at < n else np.arange(n)
+    rows = np.arange(n)
+    if looked_at < n:
+        rows = classes.sample(looked_at, np.random.default_rng(seed))
+        if scene.rows is not None:
+            numbers = scene.packed(n).params
+            rows = np.unique([*rows, *numbers.argmin(axis=0), *numbers.argmax(axis=0)])
     sampled = rates[rows], classes.of[rows], classes.tops
     power = 1.0 + 1.0 / record.order_of(scene.kind)
     flat, rising = _counts(ensemble.take(rows), record, run, sampled, power)
