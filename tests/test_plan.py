@@ -157,6 +157,14 @@ def test_other_steps_trace_nothing(monkeypatch, kind):
     assert run.t[-1] == 1.1
 
 
+def test_a_scene_keeps_few_plans():
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    for k in range(30):
+        for method in ("rk4", "exact"):
+            fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], dt=0.1 + k, n_steps=0, method=method)
+    assert len(scene.memo) <= 20
+
+
 def test_numbers_beyond_the_precision_are_flagged():
     plan = fa.plan(OWN, N, dt=0.05, n_steps=1, method="rk4", dtype=np.float32)
     assert (plan(Q0, W0, params=(1e39, 0.0)).status & fa.Status.NON_FINITE).all()

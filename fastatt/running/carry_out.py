@@ -117,7 +117,7 @@ def _kept(
     if found is None:
         found = Plan(scene, n, choice, clock, kind, position=position)
         if is_small:
-            if len(memo) >= _KEPT:
+            while len(memo) >= _KEPT:
                 memo.pop(next(iter(memo)), None)
             memo[key] = found
     return found

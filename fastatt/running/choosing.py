@@ -139,11 +139,14 @@ def chosen(
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
+    compensated, looks = bool(compensated), bool(looks)
     key = ("choice", method, representation, compensated, normalise, looks)
     of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
     is_kept = of_names and reducer is None and device is None
-    if is_kept and key in scene.memo:
-        return scene.memo[key]  # type: ignore[no-any-return]
+    # in one go: another thread may put it out
+    known: Choice | None = scene.memo.get(key) if is_kept else None
+    if known is not None:
+        return known
     if not (reducer is None or isinstance(reducer, Reducer)):
         raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
     attitude = attitude_of(representation)
