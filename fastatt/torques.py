@@ -154,6 +154,8 @@ def _rotor(t: Any, pose: Pose, p: Vector) -> Any:
     return minus(gyroscopic, p[3:]) if p[3:] else gyroscopic
 
 
+# by how much given unit vectors may be off
+_ROUNDED = 1e-3
 _VECTOR, _NUMBER = Field((3,)), Field()
 _TABLED = Field((3,), table="values")
 _POSITION, _DAMPED, _RATE = Dependence
@@ -315,11 +317,31 @@ def pack(model: Model, n_bodies: int | None) -> Packed:
     return models.pack(model, n_bodies, "torque", RECORDS, _OTHERS)
 
 
-def _pack_kepler(model: KeplerGravityGradient, n_bodies: int | None, argument: str) -> Packed:
-    name = f"{argument}: KeplerGravityGradient.eccentricity"
-    e = models.numbers(name, model.eccentricity)
-    checks.refuse(name, e, (e < 0.0) | (e > 0.9), "0 to 0.9")
-    return models.pack_fields(model, RECORDS[KeplerGravityGradient], n_bodies, argument)
+def _check_unit(name: str, value: NDArray[np.float64], strength: NDArray[np.float64]) -> None:
+    """Refuse another length than 1, give or take the rounding of few digits, where it matters."""
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(value, axis=-1)
+    off = (strength != 0.0) & (np.abs(size - 1.0) > _ROUNDED)
+    checks.refuse(f"{name}: its length", size, off, "1")
+
+
+def _pack_orbit(
+    model: GravityGradient | KeplerGravityGradient, n_bodies: int | None, argument: str
+) -> Packed:
+    """A model whose orbit is given by two unit vectors at right angles."""
+    packed = models.pack_fields(model, RECORDS[type(model)], n_bodies, argument)
+    name, at = f"{argument}: {type(model).__name__}", 1
+    if isinstance(model, KeplerGravityGradient):
+        e, at = packed.params[..., 1], 2
+        checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
+    out, along = packed.params[..., at : at + 3], packed.params[..., at + 3 : at + 6]
+    first, motion = model._fields[at], packed.params[..., 0]
+    _check_unit(f"{name}.{first}", out, motion)
+    _check_unit(f"{name}.along", along, motion)
+    across = (np.clip(out, -1.0, 1.0) * np.clip(along, -1.0, 1.0)).sum(axis=-1)
+    off = (motion != 0.0) & (np.abs(across) > _ROUNDED)
+    checks.refuse(f"{name}.{first}·along", across, off, "0, vectors at right angles")
+    return packed
 
 
 def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -> Packed:
@@ -332,7 +354,11 @@ def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -
                 f"{argument}: QuaternionPD.target of row {row} turns its sign, or by half a turn, "
                 f"behind sample {k}; accepted: quaternions whose signs go on"
             )
-    return models.pack_fields(model, RECORDS[QuaternionPD], n_bodies, argument)
+    packed = models.pack_fields(model, RECORDS[QuaternionPD], n_bodies, argument)
+    if not isinstance(model.target, Table):
+        p = packed.params
+        _check_unit(f"{argument}: QuaternionPD.target", p[..., 2:], p[..., 0])
+    return packed
 
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
@@ -382,8 +408,8 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
 
 
 _OTHERS: dict[type, Any] = {
-    Custom: _pack_custom, Sampled: _pack_sampled, KeplerGravityGradient: _pack_kepler,
-    QuaternionPD: _pack_controller,
+    Custom: _pack_custom, Sampled: _pack_sampled, GravityGradient: _pack_orbit,
+    KeplerGravityGradient: _pack_orbit, QuaternionPD: _pack_controller,
 }  # fmt: skip
 
 __all__ = [

@@ -310,6 +310,20 @@ def test_motion_under_a_history():
         assert found.max() < 1e-12
 
 
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (ft.GravityGradient(0.5, (7e6, 0, 0)), r"radial: its length is 7000000.0; accepted: 1"),
+        (ft.GravityGradient(0.5, along=(0.8, 0.6, 0)), r"radial·along is 0.8; accepted: 0"),
+        (ft.KeplerGravityGradient([0.5, 0.5], 0.1, [(1, 0, 0), (0, 0, 0)]), r"periapsis.*\[1\] is"),
+        (ft.QuaternionPD(1.0, 1.0, (1, 1, 0, 0)), "target: its length is 1.41"),
+    ],
+)
+def test_directions_that_are_no_unit_vectors_are_refused(model, message):
+    with pytest.raises(ValueError, match=message):
+        fa.Scene(inertia=INERTIA, torque=model)
+
+
 def test_torques_of_each_body_are_single_runs():
     scene = fa.Scene(inertia=np.tile(INERTIA, (len(SUMMED) + 1, 1)), torque=one_each())
     full = run(scene, *many(len(SUMMED) + 1))

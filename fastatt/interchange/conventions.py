@@ -78,7 +78,7 @@ def from_jpl(q: ArrayLike) -> NDArray[Any]:
 
 def to_passive(q: ArrayLike) -> NDArray[Any]:
     """q*: the same attitude as a Hamilton quaternion from inertial to body components, and back."""
-    return floats("q", q, (4,)) * np.float32([1.0, -1.0, -1.0, -1.0])
+    return floats("q", q, (4,)) * np.array([1.0, -1.0, -1.0, -1.0], dtype=np.float32)
 
 
 def to_mrp(q: ArrayLike) -> NDArray[Any]:
