@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, angle, conj, mul, precession, rotate
 
 import fastatt as fa
@@ -163,7 +164,7 @@ def test_the_standards_example(tmp_path):
     assert "USEABLE_STOP_TIME = 1996-11-30T01:18:02.5555" in aem.text()
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "new", "message"),
     [
         ("= 2.0", "= 3.0", "line 1: found CCSDS_AEM_VERS = 3.0; accepted"),

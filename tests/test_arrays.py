@@ -5,6 +5,7 @@ from __future__ import annotations
 import mpmath as mp
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, angle, conj, exp, matrix, mul
 
 import fastatt as fa
@@ -25,17 +26,16 @@ def mp_angle(p, q):
         return 2 * mp.atan2(mp.sqrt(mp.fsum(m * m for m in minors)), abs(w))
 
 
-@pytest.mark.parametrize(
+@each(
     ("there", "back", "tail"),
     [
         (fa.quat_to_dcm, fa.dcm_to_quat, (3, 3)),
         (fa.quat_to_euler313, fa.euler313_to_quat, (3,)),
         (fa.quat_to_rotation_vector, fa.rotation_vector_to_quat, (3,)),
     ],
-    ids=["dcm", "euler313", "rotation_vector"],
 )
-@pytest.mark.parametrize("lead", [(), (1,), (50,), (5, 10), (5, 2, 5), (0,)])
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@each("lead", [(), (1,), (50,), (5, 10), (5, 2, 5), (0,)])
+@each("dtype", [np.float64, np.float32])
 def test_round_trip(there, back, tail, lead, dtype):
     q = QUATS[: int(np.prod(lead))].reshape(*lead, 4).astype(dtype)
     form = there(q)

@@ -14,6 +14,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import rigid_oracle as ro
+from each import each
 from exact import EPS, LENGTHY, START, angle, observed_order, representations
 from oracle import floats
 
@@ -179,10 +180,8 @@ def energy(inertia, w):
     return 0.5 * (inertia * w * w).sum(-1)
 
 
-@pytest.mark.parametrize("method", [m for m in FREE_METHODS if fa.METHODS[m].order >= 8])
-@pytest.mark.parametrize(
-    ("known", "t"), [(ro.BODY_H, 1), (ro.BODY_H, 10), (ro.BODY_V, 10)], ids=["H1", "H10", "V10"]
-)
+@each("method", [m for m in FREE_METHODS if fa.METHODS[m].order >= 8])
+@each(("known", "t"), [(ro.BODY_H, 1), (ro.BODY_H, 10), (ro.BODY_V, 10)])
 def test_known_bodies(method, known, t):
     """Momentum and attitude to the last digits."""
     scene, inertia, w0 = body(known)
@@ -299,7 +298,7 @@ def test_flips(epsilon):
 # invariants
 
 
-@on_free
+@each(*on_free.args)
 def test_what_a_record_says_is_kept_is_kept(method, representation):
     """At a tenth of a second, over 100 s; what it does not say is seen to change."""
     conserves = fa.METHODS[method].conserves
@@ -317,7 +316,7 @@ def test_what_a_record_says_is_kept_is_kept(method, representation):
     assert kept is (len(conserves) == 3) or fa.METHODS[method].order >= 6
 
 
-@pytest.mark.parametrize("method", FREE_METHODS)
+@each("method", FREE_METHODS)
 def test_reversal_of_free_bodies(method):
     """200 steps of 0.05 s and back."""
     out = run(H, method, 200, 10.0, ONE, H_W0)
@@ -329,9 +328,7 @@ def test_reversal_of_free_bodies(method):
         assert found == pytest.approx(3e-9, rel=0.5)
 
 
-@pytest.mark.parametrize(
-    ("method", "drag"), [(m, 0.0) for m in TORQUED_METHODS] + [(m, DRAG) for m in DAMPED_METHODS]
-)
+@each(("method", "drag"), [(m, 0.0) for m in TORQUED_METHODS] + [(m, DRAG) for m in DAMPED_METHODS])
 def test_reversal_under_torque(method, drag):
     """Of splittings also with damping, whose flow is exact."""
     scene, n = torqued(INERTIA, drag=drag) if drag else under_torque(method), 100
@@ -433,11 +430,7 @@ def test_symmetric_top_on_its_angles():
 # the records
 
 
-@pytest.mark.parametrize(
-    "record",
-    [m for m in fa.METHODS.values() if {"free", "torqued"} & set(m.scenes)],
-    ids=lambda m: m.name,
-)
+@each("record", [m for m in fa.METHODS.values() if {"free", "torqued"} & set(m.scenes)])
 def test_record_is_complete(record):
     assert record.summary
     assert record.source

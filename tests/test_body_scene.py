@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, LENGTHY, START, angle, exp, mul
 from machine_code import assemblies, is_packed, job_of, large_loops, needs_avx
 from numba import njit
@@ -275,7 +276,7 @@ def test_float32_is_float64_to_its_rounding(kind, method):
 # extremes
 
 
-@every_method
+@each(*every_method.args)
 def test_at_rest(kind, method):
     """A body at rest stays, to the last bit, where nothing acts."""
     bodies = slice(5)
@@ -296,8 +297,8 @@ def test_at_rest(kind, method):
     assert same(traj.q[1], traj.q[0])
 
 
-@every_method
-@pytest.mark.parametrize("unit", [1e-12, 1e12])
+@each(*every_method.args)
+@each("unit", [1e-12, 1e12])
 def test_units_of_inertia_change_nothing(kind, method, unit):
     bodies = slice(6)
     plain = run(SCENES[kind](bodies), Q0[bodies], W0[bodies], method)
@@ -336,7 +337,7 @@ def test_step_beyond_the_implicit_methods_is_flagged(kind, method, rate):
     assert same(together.status[others], alone.status[others])
 
 
-@every_method
+@each(*every_method.args)
 def test_steps_that_a_method_takes_are_not_flagged(kind, method):
     """|w| h of 0.15 is a step for every one."""
     scale = 0.15 / np.linalg.norm(W0, axis=1).max() / H
@@ -484,7 +485,7 @@ PROPAGATE = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "error", "message"), PROPAGATE)
+@each(("arguments", "error", "message"), PROPAGATE)
 def test_propagate_refuses(arguments, error, message):
     with pytest.raises(error, match=re.escape(message)):
         propagate(**arguments)

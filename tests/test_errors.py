@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from each import each
 from exact import START, generic
 from numba import njit
 
@@ -103,7 +104,7 @@ PROPAGATE = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "error", "message"), PROPAGATE)
+@each(("arguments", "error", "message"), PROPAGATE)
 def test_propagate(arguments, error, message):
     with pytest.raises(error, match=re.escape(message)) as caught:
         propagate(**arguments)
@@ -195,7 +196,7 @@ SCENES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "error", "message"), SCENES)
+@each(("arguments", "error", "message"), SCENES)
 def test_scene(arguments, error, message):
     with pytest.raises(error, match=re.escape(message)):
         fa.Scene(**arguments)
@@ -364,7 +365,7 @@ INTEGRATE = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "error", "message"), INTEGRATE)
+@each(("arguments", "error", "message"), INTEGRATE)
 def test_integrate_rates(arguments, error, message):
     options = {"rates": LOG, "dt": 0.1, "method": "hold", **arguments}
     with pytest.raises(error, match=re.escape(message)):

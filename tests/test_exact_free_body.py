@@ -12,6 +12,7 @@ import numpy as np
 import oracle
 import pytest
 import rigid_oracle as ro
+from each import each
 from gmpy2 import mpz
 
 import fastatt as fa
@@ -323,8 +324,8 @@ def test_finite_for_any_finite_body():
         assert abs(np.linalg.norm(q) - 1.0) <= 1e-15
 
 
-@pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.5), (2.0, 1.0, 2.0), (1.0, 1.0, 1.0)])
-@pytest.mark.parametrize("place", range(11))
+@each("inertia", [(1.0, 2.0, 2.5), (2.0, 1.0, 2.0), (1.0, 1.0, 1.0)])
+@each("place", range(11))
 def test_nan_in_nan_out(inertia, place):
     x = [1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, *inertia, 0.7]
     x[place] = math.nan
@@ -343,8 +344,8 @@ def ensemble(n, seed=5):
     return q0, rng.normal(size=(n, 3)), np.array([triaxial(rng) for _ in range(n)])
 
 
-@pytest.mark.parametrize("n", [1, 4, 64, 130])
-@pytest.mark.parametrize("instants", [1, 2, 7, 200])
+@each("n", [1, 4, 64, 130])
+@each("instants", [1, 2, 7, 200])
 def test_a_body_alone_and_among_others(n, instants):
     """The same bits, whatever its place in the tiles and whatever the other times."""
     q0, w0, inertia = ensemble(n)

@@ -9,6 +9,7 @@ import operator
 import mpmath as mp
 import numpy as np
 import pytest
+from each import each
 from oracle import EPS, quat_exp, right_jacobian
 
 from fastatt.flat import dual, functions, graph, nodes, source
@@ -105,8 +106,8 @@ TERMS = {
 }
 
 
-@pytest.mark.parametrize("lanes", [0, 8])
-@pytest.mark.parametrize("name", TERMS)
+@each("lanes", [0, 8])
+@each("name", TERMS)
 def test_operations(name, lanes):
     function = traceable(TERMS[name])
     found, slopes, _ = recorded(function, (X, Y), lanes=lanes)
@@ -119,8 +120,8 @@ def turned_and_back(u):
     return dcm.log(dcm.exp(u))
 
 
-@pytest.mark.parametrize("x", [0.3, -0.7])
-@pytest.mark.parametrize("name", nodes.LIBRARY)
+@each("x", [0.3, -0.7])
+@each("name", nodes.LIBRARY)
 def test_functions_of_the_c_library(name, x):
     x = abs(x) if name == "log" else x
     _, slopes, _ = recorded(lambda y: graph.apply(name, y), (x,))

@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from each import each
 from llvmlite import ir
 from numba.core.dispatcher import Dispatcher
 from test_kernels_grammar import ARGUMENTS, KERNELS, cast, every_kernel, leaves
@@ -75,8 +76,8 @@ def given(flat, name, scale=1.0):
     return found
 
 
-@every_precision
-@every_kernel
+@each(*every_precision.args)
+@each(*every_kernel.args)
 def test_text_is_the_kernel_to_the_bit(name, kind):
     """Of numbers, and of arrays."""
     flat = recorded(name, kind)

@@ -7,6 +7,7 @@ import operator
 
 import numpy as np
 import pytest
+from each import each
 
 from fastatt import closed_forms, exact
 from fastatt.flat import formulas, functions, graph, machine
@@ -67,7 +68,7 @@ def sizes(kind):
 CASES = [(kind, n) for kind in TYPES for n in sizes(kind)]
 
 
-@pytest.mark.parametrize(("kind", "n"), CASES)
+@each(("kind", "n"), CASES)
 def test_any_number_of_rows(kind, n):
     """Each row alone gives the same bits."""
     arrays = given((n,), (n,), (n,), TYPES[kind])
@@ -77,7 +78,7 @@ def test_any_number_of_rows(kind, n):
         assert all(map(np.array_equal, alone, (x[b] for x in found)))
 
 
-@pytest.mark.parametrize(
+@each(
     "leads",
     [
         ((), (), ()),
@@ -93,7 +94,7 @@ def test_any_number_of_rows(kind, n):
         ((3, 4, 0), (4, 1), ()),
     ],
 )
-@pytest.mark.parametrize("kind", TYPES)
+@each("kind", TYPES)
 def test_leading_axes_broadcast(kind, leads):
     assert_as_numpy(kind, given(*leads, TYPES[kind]))
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from each import each
 from numba import njit
 
 from fastatt import kernels
@@ -340,7 +341,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "points"), CASES, ids=lambda x: getattr(x, "__name__", ""))
+@each(("name", "points"), CASES)
 def test_functions_of_one_number(name, points):
     for function in (lambda x: name(x), closed_over(name)):
         run = by_trace(function, 1)

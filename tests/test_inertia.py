@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, exp, matrix
 
 import fastatt as fa
@@ -250,8 +251,8 @@ KINDS = [
 ]
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-12, 1e12])
-@pytest.mark.parametrize(("inertia", "kind"), KINDS)
+@each("unit", [1.0, 1e-12, 1e12])
+@each(("inertia", "kind"), KINDS)
 def test_kind(inertia, kind, unit):
     """To 1e-12 of the largest moment; of an ensemble, what all its bodies are."""
     inertia = unit * np.array(inertia)

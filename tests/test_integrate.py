@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, LADDER, START, angle, cone, coning, conj, exp, generic, mul, observed_order
 
 import fastatt as fa
@@ -183,8 +184,8 @@ LOG = np.random.default_rng(2).normal(size=(20000, 3))
 PRODUCT = one_by_one(0.1 * LOG, START)
 
 
-@pytest.mark.parametrize("n", LENGTHS)
-@pytest.mark.parametrize("increments", KINDS)
+@each("n", LENGTHS)
+@each("increments", KINDS)
 def test_one_log_is_the_plain_product_of_its_turns(n, increments):
     """Held rates over n − 1 intervals are increments; the cuts into stretches leave no trace."""
     if increments:
@@ -259,8 +260,8 @@ def test_fast_stretch_of_one_log_changes_no_bit_before_it(method, increments):
     assert angle(beside[-1], alone[-1]) > 0.01
 
 
-@on_samples
-@pytest.mark.parametrize("n_logs", [1, 3, 16, 40])
+@each(*on_samples.args)
+@each("n_logs", [1, 3, 16, 40])
 def test_batch_is_its_logs(method, increments, n_logs):
     n = 500
     data = 0.02 * LOG[: n_logs * n].reshape(n_logs, n, 3)
@@ -281,8 +282,8 @@ def inner(method, turn):
     return (0.5 * turn) ** 7 / 20160.0 if method == "picard" else 0.0
 
 
-@on_samples
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7, 25])
+@each(*on_samples.args)
+@each("n", [1, 2, 3, 4, 5, 6, 7, 25])
 def test_short_logs_and_rests_of_windows(method, increments, n):
     """A constant rate is exact whatever the number of samples, fewer than a window too."""
     w = np.array([0.03, -0.02, 0.04])
@@ -319,8 +320,8 @@ def test_constant_rate_is_exact_with_any_intervals(method, increments):
     assert error.max() < 61 * 12 * EPS + inner(method, 6.0 * 0.15 * np.linalg.norm(w))
 
 
-@pytest.mark.parametrize(("method", "increments"), [p for p in SAMPLED if p[0] != "picard"])
-@pytest.mark.parametrize("theta", [3.0, 4.0, 100.0, 1e6])
+@each(("method", "increments"), [p for p in SAMPLED if p[0] != "picard"])
+@each("theta", [3.0, 4.0, 100.0, 1e6])
 def test_constant_rate_is_exact_at_any_angle(method, increments, theta):
     """To some ulps of the angle of a window; Picard's polynomial in time holds no long turn."""
     n = 12

@@ -5,6 +5,7 @@ from itertools import pairwise
 import mpmath as mp
 import numpy as np
 import pytest
+from each import each
 from oracle import (
     EPS,
     attitude,
@@ -68,7 +69,7 @@ def fitted(found, true, total):
 # fits
 
 
-@pytest.mark.parametrize("seed", range(SETS))
+@each("seed", range(SETS))
 def test_rates_fits_reproduce_polynomials(seed):
     _, (t1, t2, t3) = nodes(3, seed)
     cubic = vectors(4, seed)
@@ -79,7 +80,7 @@ def test_rates_fits_reproduce_polynomials(seed):
     fitted(coning.rates_quadratic(*w, t1, t2), parabola, t2)
 
 
-@pytest.mark.parametrize("seed", range(SETS))
+@each("seed", range(SETS))
 def test_increments_fits_reproduce_polynomials(seed):
     (h1, h2, h3), (t1, t2, t3) = nodes(3, seed)
     parabola = vectors(3, seed)

@@ -5,6 +5,7 @@ import math
 import mpmath as mp
 import oracle
 import pytest
+from each import each
 from oracle import EPS, powers, uniform
 
 from fastatt.kernels import elliptic
@@ -123,8 +124,8 @@ def test_jacobi_differential_equations():
     assert 4.0 * quarter == pytest.approx(7.450563209330954, rel=4e-16)
 
 
-@pytest.mark.parametrize("kc", [0.999999, 0.7, 0.3, 0.18, 0.16, 1e-3, 1e-8])
-@pytest.mark.parametrize("share", [0.0, 1e-6, 0.3, 0.8, 1.0])
+@each("kc", [0.999999, 0.7, 0.3, 0.18, 0.16, 1e-3, 1e-8])
+@each("share", [0.0, 1e-6, 0.3, 0.8, 1.0])
 def test_theta_pair(kc, share):
     """exp(iχ) A : exp(iχ) B as θ4 : θ1 in phase and, but for a constant, in size, over periods."""
     K, Kc = complete(kc), complete(mp.sqrt(1 - mp.mpf(kc) ** 2))

@@ -5,6 +5,7 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
@@ -201,8 +202,8 @@ def test_normalise_keeps_relative_accuracy():
     )
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, None])
-@pytest.mark.parametrize("place", range(4))
+@each("bad", [math.nan, math.inf, None])
+@each("place", range(4))
 def test_normalise_what_has_no_direction(bad, place):
     q = [0.0] * 4 if bad is None else [0.5] * 4
     if bad is not None:

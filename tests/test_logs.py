@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -173,7 +174,7 @@ def test_the_unit_of_time_that_is_said_stands_above_a_name(tmp_path):
 GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "options", "message"),
     [
         ("", {}, "found no row of numbers"),

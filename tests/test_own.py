@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, START, angle, exp, generic, mul, observed_order
 from numba import njit
 
@@ -210,7 +211,7 @@ WRONG_TABLEAUX = [
 ]
 
 
-@pytest.mark.parametrize(("change", "error", "message"), WRONG_TABLEAUX)
+@each(("change", "error", "message"), WRONG_TABLEAUX)
 def test_a_wrong_tableau_is_refused(change, error, message):
     assert fa.explicit("good", **GOOD).order == 3
     with pytest.raises(error, match=re.escape(message)):
@@ -310,7 +311,7 @@ WRONG_EXPONENTS = [
 ]
 
 
-@pytest.mark.parametrize(("change", "error", "message"), WRONG_EXPONENTS)
+@each(("change", "error", "message"), WRONG_EXPONENTS)
 def test_exponents_that_are_none_are_refused(change, error, message):
     with pytest.raises(error, match=re.escape(message)) as refusal:
         fa.lie(**{"name": "wrong", "order": 2, "exponents": simpson, **change})
@@ -498,7 +499,7 @@ WRONG_ATTITUDES = [
 ]
 
 
-@pytest.mark.parametrize(("change", "error", "message"), WRONG_ATTITUDES)
+@each(("change", "error", "message"), WRONG_ATTITUDES)
 def test_a_wrong_representation_is_refused(change, error, message):
     with pytest.raises(error, match=re.escape(message)):
         fa.Attitude("wrong", **PARTS | change)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from each import each
 from exact import (
     EPS,
     START,
@@ -96,8 +97,8 @@ def test_threads_change_no_bit(method, representation):
 # saves
 
 
-@pytest.mark.parametrize("n", [0, 1, 7, 63, 64, 65, 70, 128])
-@pytest.mark.parametrize("every", [None, 1, 7, 64, "n", "2n"])
+@each("n", [0, 1, 7, 63, 64, 65, 70, 128])
+@each("every", [None, 1, 7, 64, "n", "2n"])
 def test_saves(n, every):
     """The initial state, every k-th and the final one; None: the final one alone."""
     every = {"n": max(n, 1), "2n": 2 * n + 1}.get(every, every)
@@ -229,8 +230,8 @@ def test_fast_body_changes_no_bit_of_its_neighbours(method, representation):
     assert (together.status[list(FAST)] != 0).all()
 
 
-@pytest.mark.parametrize("method", [m for m, r in combinations(exponential=True) if r == "quat"])
-@pytest.mark.parametrize("theta", [0.1, 3.0, 4.0, 2 * math.pi, 100.0, 1e4, 1e6])
+@each("method", [m for m, r in combinations(exponential=True) if r == "quat"])
+@each("theta", [0.1, 3.0, 4.0, 2 * math.pi, 100.0, 1e4, 1e6])
 def test_constant_rate_is_exact_at_any_angle(method, theta):
     """To an ulp of the angle a step where the record says so; else flagged beyond the limit."""
     n = 10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from exact import (
     EPS,
     START,
@@ -40,7 +41,7 @@ def run(method, representation, n=N, h=H, scene=None, q0=START3, **options):
     )
 
 
-@pytest.mark.parametrize(("method", "representation"), MATRICES)
+@each(("method", "representation"), MATRICES)
 def test_matrices_equal_quaternions_to_round_off(method, representation):
     """The exponentials are the same: only rounding differs, a few ulps a step and exponential."""
     a, b = run(method, "quat"), run(method, representation)

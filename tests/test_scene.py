@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from each import each
 
 import fastatt as fa
 from fastatt.models import Sum
@@ -189,10 +190,8 @@ def test_numbers_are_equal_whatever_holds_them():
 # some of the bodies
 
 
-@every_scene
-@pytest.mark.parametrize(
-    "bodies", [slice(3), [3, 1], slice(None, None, -2), 2, -1, np.arange(N) > 2]
-)
+@each(*every_scene.args)
+@each("bodies", [slice(3), [3, 1], slice(None, None, -2), 2, -1, np.arange(N) > 2])
 def test_some_bodies_of_a_scene(name, bodies):
     """Their rows and no others; of moments of three bodies no tensor is made."""
     make, arrays = SCENES[name]

@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from each import each
 
 import fastatt as fa
 
@@ -47,8 +48,8 @@ def streamed(rates, dt, cuts, **options):
     return np.concatenate([*found, flow.close()], axis=-2)
 
 
-@pytest.mark.parametrize("cuts", CUTS)
-@pytest.mark.parametrize(("method", "increments"), SAMPLED)
+@each("cuts", CUTS)
+@each(("method", "increments"), SAMPLED)
 def test_pieces_are_the_whole_log(method, increments, cuts):
     data = LOG[0, : sum(CUTS[cuts])] * (0.02 if increments else 1.0)
     options = {"method": method, "increments": increments}

@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 import scipy
+from each import each
 
 import fastatt as fa
 from fastatt import forces, tables, torques
@@ -403,7 +404,7 @@ def test_tables_are_values():
     assert one[:1] is one
 
 
-@pytest.mark.parametrize(
+@each(
     ("make", "message"),
     [
         (lambda: fa.Table([0.0], [1.0]), "t: found 1 time; accepted: at least 2"),

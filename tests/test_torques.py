@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import rigid_oracle as ro
 from differences import derivative, displaced
+from each import each
 from exact import EPS, START, angle, exp, mul
 from numba import njit
 from oracle import floats
@@ -564,7 +565,7 @@ DEPENDENCE = {
 UNDER_TORQUE = [m for m in fa.METHODS.values() if m.is_stepped and "torqued" in m.scenes]
 
 
-@pytest.mark.parametrize("name", MODELS)
+@each("name", MODELS)
 def test_methods_that_fit_a_torque(name):
     model = MODELS[name][0]
     # damping along the body's axes is not along the principal ones
@@ -627,7 +628,7 @@ def test_a_record_says_how_its_torque_depends_on_the_rate():
         ft.TorqueRecord(ft.Constant, (), lambda t, pose, p: p)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@each("name", MODELS)
 def test_damping_that_splittings_take_exactly_is_the_torques(name):
     """All of what depends on w, of a torque that they take."""
     model = MODELS[name][0]
@@ -760,7 +761,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("model", "error", "message"), WRONG)
+@each(("model", "error", "message"), WRONG)
 def test_wrong_numbers(model, error, message):
     with pytest.raises(error, match=re.escape(message)):
         fa.Scene(inertia=INERTIA, torque=model)
