@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 from fastatt.attitudes import Attitude
@@ -56,8 +56,8 @@ class Job:
 
     @cached_property
     def formulas(self) -> Formulas:
-        """Its formulas, traced when they are asked for."""
-        return Formulas(self)
+        """Its formulas, traced when they are asked for; a tile's width is no matter of theirs."""
+        return _formulas(replace(self, width=WIDTH))
 
     @property
     def has_careful_form(self) -> bool:
@@ -403,3 +403,9 @@ def departure(a: Vector, b: Vector) -> Any:
         return 0.0
     x, y = changes
     return choose(x > y, x, y)
+
+
+@lru_cache(maxsize=64)
+def _formulas(job: Job) -> Formulas:
+    """Those of a job of any width, made once a process."""
+    return Formulas(job)
