@@ -54,9 +54,14 @@ def conj(q):
 
 def to_inertial(q, v):
     """C v = v + 2 q0 (u×v) + 2 u×(u×v), u the vector part of the unit quaternion q."""
-    x = cross(q[1:], v)
-    y = cross(q[1:], x)
-    return tuple(v[i] + 2 * (q[0] * x[i] + y[i]) for i in range(3))
+    s, u = q[0], q[1:]
+    x = cross(u, v)
+    y = cross(u, x)
+    return (
+        v[0] + 2 * (s * x[0] + y[0]),
+        v[1] + 2 * (s * x[1] + y[1]),
+        v[2] + 2 * (s * x[2] + y[2]),
+    )
 
 
 def to_body(q, v):
@@ -66,7 +71,8 @@ def to_body(q, v):
 
 def times(matrix, v):
     """Product of a 3×3 matrix, a tuple of rows, and a vector."""
-    return tuple(dot(row, v) for row in matrix)
+    a, b, c = matrix
+    return dot(a, v), dot(b, v), dot(c, v)
 
 
 def tensor(inertia):
@@ -206,10 +212,11 @@ def to_mpmath(x):
 def _midpoint(slope, t, y, first, h, n):
     """Gragg's midpoint rule over h in an even number n of substeps; its error is even in h/n."""
     d = h / n
+    twice = 2 * d
     before, now = y, [a + d * b for a, b in zip(y, first, strict=True)]
     for k in range(1, n):
         rate = slope(t + k * d, now)
-        before, now = now, [a + 2 * d * b for a, b in zip(before, rate, strict=True)]
+        before, now = now, [a + twice * b for a, b in zip(before, rate, strict=True)]
     return now
 
 
