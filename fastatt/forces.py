@@ -98,7 +98,7 @@ def pack(model: Model, n_bodies: int | None, mass: NDArray[np.float64]) -> Packe
         params = join([packed.params, mass[..., None]], n_bodies, argument)
         return packed._replace(structure=Law(record, (1, 1)), params=params)
 
-    others = {Custom: _pack_custom, CentralGravity: pack_gravity}
+    others: dict[type, Any] = {Custom: _pack_custom, CentralGravity: pack_gravity}
     return models.pack(model, n_bodies, "force", RECORDS, others)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -291,6 +291,32 @@ class Code:
         asked = self.declared("llvm.prefetch.p0", ir.VoidType(), [char, I32, I32, I32])
         read, near, data = (ir.Constant(I32, k) for k in (0, 3, 1))
         self.b.call(asked, [self.b.bitcast(pointer, char), read, near, data])
+
+
+class Cells:
+    """Numbers and vectors that change, each in memory on the stack: ``cells[i]``, or all of them.
+
+    ``align`` is that of vectors wider than such memory is aligned to.
+    """
+
+    def __init__(self, code: Code, kinds: Iterable[Any], align: int | None = None) -> None:
+        self._b, self._align = code.b, align
+        self._places = [code.room(kind) for kind in kinds]
+
+    def __getitem__(self, i: int) -> Any:
+        return self._b.load(self._places[i], align=self._align)
+
+    def __setitem__(self, i: int, value: Any) -> None:
+        self._b.store(value, self._places[i], align=self._align)
+
+    def get(self) -> list[Any]:
+        """What they hold."""
+        return [self[i] for i in range(len(self._places))]
+
+    def set(self, values: Iterable[Any]) -> None:
+        """Change what they hold."""
+        for i, value in enumerate(values):
+            self[i] = value
 
 
 class Given:

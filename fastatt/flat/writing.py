@@ -11,7 +11,7 @@ import numpy as np
 from llvmlite import ir
 
 from fastatt.flat import machine
-from fastatt.flat.code import I64, REALS, Code, text_of
+from fastatt.flat.code import I64, REALS, Cells, Code, text_of
 from fastatt.flat.llvm import POINTERS, Emitter
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
 
@@ -52,29 +52,20 @@ class _Written(Emitter):
         n = len(loop.step.results)
         wide = [k in loop.wide and self.lanes > 1 for k in range(n)]
         first = self._alike(state[:n], wide)
-        rooms = [self.code.room(x.type) for x in first]
-        self._put(rooms, first)
+        # a vector of many directions is wider than what memory on the stack is aligned to
+        cells = Cells(self.code, [x.type for x in first], align=8)
+        cells.set(first)
         table, size = _table(self.code, loop), len(loop.table[0])
         with self.code.loop(0, len(loop.table)) as i:
-            self.found["s"] = [*self._got(rooms, wide), *state[n:]]
+            self.found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
             self.found["row"] = [self.code.load(table, i * size + k) for k in range(size)]
-            self._put(rooms, self._alike(self(loop.step, self.input), wide))
-        self.found["s"] = [*self._got(rooms, wide), *state[n:]]
+            cells.set(self._alike(self(loop.step, self.input), wide))
+        self.found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
 
     def _alike(self, values: Sequence[tuple[Any, bool]], wide: Sequence[bool]) -> list[Any]:
         """Each with lanes where it has any."""
         pairs = zip(values, wide, strict=True)
         return [self.spread(*x) if lanes else x[0] for x, lanes in pairs]
-
-    # a vector of many directions is wider than what memory on the stack is aligned to
-
-    def _put(self, rooms: Sequence[Any], values: Sequence[Any]) -> None:
-        for room, value in zip(rooms, values, strict=True):
-            self.code.b.store(value, room, align=8)
-
-    def _got(self, rooms: Sequence[Any], wide: Sequence[bool]) -> list[tuple[Any, bool]]:
-        pairs = zip(rooms, wide, strict=True)
-        return [(self.code.b.load(room, align=8), lanes) for room, lanes in pairs]
 
 
 def _table(code: Code, loop: Loop) -> Any:

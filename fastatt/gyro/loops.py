@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.flat.code import I64, Code, Int
+from fastatt.flat.code import I64, Cells, Code, Int
 from fastatt.gyro.chunk import ATTITUDES, FIRSTS, LOGS, MOST, STARTS, Chunk
 from fastatt.gyro.windows import CHUNK, LANES
 
@@ -156,19 +156,5 @@ class Loops(Chunk):
         """No turn."""
         return [c.real(self.kind, x) for x in (1.0, 0.0, 0.0, 0.0)]
 
-    def _quaternion(self, c: Code) -> _Quaternion:
-        return _Quaternion(c, [c.room(self.real) for _ in range(4)])
-
-
-class _Quaternion:
-    """A variable of four numbers."""
-
-    def __init__(self, c: Code, places: list[Any]) -> None:
-        self.c, self.places = c, places
-
-    def get(self) -> list[Any]:
-        return [self.c.b.load(place) for place in self.places]
-
-    def set(self, q: list[Any]) -> None:
-        for value, place in zip(q, self.places, strict=True):
-            self.c.b.store(value, place)
+    def _quaternion(self, c: Code) -> Cells:
+        return Cells(c, [self.real] * 4)

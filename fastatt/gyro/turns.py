@@ -7,7 +7,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from fastatt.flat.code import I64, REALS, Code, Int
+from fastatt.flat.code import I64, REALS, Cells, Code, Int
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph
 from fastatt.flat.llvm import Emitter
@@ -54,13 +54,11 @@ class WindowsLoop:
         for pointer in c.function.args[:3]:
             pointer.add_attribute("noalias")
         self.interval = None if uneven else c.load(self.intervals, 0)
-        self.q = [c.room(self.vector) for _ in range(4)]
+        self.q = self.state = Cells(c, [self.vector] * 4)
         iteration = window.iteration
-        self.state: list[Any] = []
         one = self._iterated(iteration) if iteration else self._by_formula()
         with c.loop(0, Int(c, width), self.lanes) as j:
-            for i, place in enumerate(self.q):
-                c.b.store(c.vector(self.attitudes, j + i * LANES, self.lanes), place)
+            self.q.set(c.vector(self.attitudes, j + i * LANES, self.lanes) for i in range(4))
             with c.loop(0, Int(c, n)) as k:
                 one(j, k)
         c.give(0)
@@ -86,7 +84,7 @@ class WindowsLoop:
         begin = Graph()
         state = iteration.begin(self.increments, *self._given(begin))
         first = Flat(begin, state, self.kind)
-        places = self.state = [self.code.room(self.vector) for _ in state]
+        cells = self.state = Cells(self.code, [self.vector] * len(state))
 
         again = Graph()
         before = again.inputs(self.kind, "state", len(state))
@@ -100,20 +98,19 @@ class WindowsLoop:
 
         def one(j: Int, k: Int) -> None:
             c, b = self.code, self.code.b
-            for value, place in zip(self._emit(first, j, k), places, strict=True):
-                b.store(value, place)
+            cells.set(self._emit(first, j, k))
             left = c.variable(iteration.passes)
             bits = ir.IntType(self.lanes)
 
             def moves() -> Any:
                 none = ir.Constant(self.vector, [0.0] * self.lanes)
-                moving = b.bitcast(b.fcmp_ordered(">", b.load(places[-1]), none), bits)
+                moving = b.bitcast(b.fcmp_ordered(">", cells[-1], none), bits)
                 any_lane = b.icmp_unsigned("!=", moving, ir.Constant(bits, 0))
                 return b.and_(any_lane, c.get(left) > 0)
 
             with c.repeat_while(moves):
                 for i, value in zip(changed, self._emit(improve, j, k), strict=True):
-                    b.store(value, places[i])
+                    cells[i] = value
                 c.set(left, c.get(left) - 1)
             self._write(read, j, k)
 
@@ -125,8 +122,7 @@ class WindowsLoop:
         values = self._emit(flat, j, k, before)
         for i, value in enumerate(values):
             c.store_vector(self.attitudes, (k * (4 * span) + 4 + i) * LANES + j, value)
-        for value, place in zip(values[-4:], self.q, strict=True):
-            c.b.store(value, place)
+        self.q.set(values[-4:])
 
     def _emit(self, flat: Flat, j: Int, k: Int, before: Any = None) -> list[Any]:
         c, span = self.code, self.window.span
@@ -140,6 +136,6 @@ class WindowsLoop:
                 return c.vector(self.intervals, (k * span + i) * LANES + j, self.lanes), True
             if group == "h":
                 return self.interval, False
-            return c.b.load((self.q if group == "q" else self.state)[i]), True
+            return (self.q if group == "q" else self.state)[i], True
 
         return self.emitter.wide(flat, given, before)
