@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
@@ -18,7 +19,7 @@ from fastatt.engine.own_steps import OwnWriter
 from fastatt.engine.plain import PlainProgram
 from fastatt.engine.tiles import Writer
 from fastatt.flat.machine import compiled
-from fastatt.flat.rows import address_of
+from fastatt.flat.rows import DTYPES, address_of
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,18 @@ def prepare(job: Job) -> Program | PlainProgram:
 
 
 class Run:
-    """One run of a job: the arrays and numbers that its program works on.
+    """One run of a job for so many bodies: the arrays and numbers that its program works on.
 
-    ``told`` is, after a call, the largest turn of a step, rad, and whether any body has a flag.
+    ``x`` (N, k) are the states and ``watch`` (3, N) what is watched of them, ``is_kept`` where
+    somebody keeps both; ``told`` is, after a call, the largest turn of a step, rad, and whether any
+    body has a flag.
     """
 
-    def __init__(self, made: Any, resources: Mapping[Any, Any]) -> None:
+    x: NDArray[Any]
+    watch: NDArray[Any]
+    is_kept = False
+
+    def __init__(self, made: Any, resources: Mapping[Any, Any], bodies: int) -> None:
         self._program, self._resources = made, resources
         #: whether it runs without this machine code, on arrays that it must be given (``put``)
         self.is_plain = not isinstance(made, Program)
@@ -97,9 +104,18 @@ class Run:
         found = [x if isinstance(x, int) else address_of(x) for x in self._given]
         self._addresses = (ctypes.c_int64 * len(found))(*found)
         self.told = (ctypes.c_double * 2)()
-        self.set(resources=ctypes.addressof(self._addresses), told=ctypes.addressof(self.told))
+        at = ctypes.addressof
+        self.set(resources=at(self._addresses), told=at(self.told), bodies=bodies)
+        self._shape, self._dtype = (bodies, formulas.size), DTYPES[formulas.job.kind]
+        self.renew()
         self._where = ctypes.addressof(self.table)
         self._lock = threading.Lock()
+
+    def renew(self) -> None:
+        """Other memory for the states in the place of what is kept."""
+        self.x = np.empty(self._shape, self._dtype)
+        self.watch = np.empty((3, len(self.x)), self._dtype)
+        self.put(x=self.x, watch=self.watch)
 
     def set(self, **values: float) -> None:
         """Numbers of the program."""

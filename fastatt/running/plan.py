@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial, partialmethod
 from typing import Any
 
@@ -17,7 +17,6 @@ from fastatt.engine.ensemble import Run, prepare
 from fastatt.engine.job import Job
 from fastatt.engine.tiles import width_for
 from fastatt.flat.rows import kind_of
-from fastatt.motion import carried
 from fastatt.running import limits
 from fastatt.running.asked import RING, Choice, Clock, Handling, OwnClock
 from fastatt.running.closed import ClosedForm
@@ -37,21 +36,6 @@ _ARRAY = np.ndarray
 def _apart(x: Any, memory: NDArray[np.uint8]) -> Any:
     """Initial values, a copy of those that a run writes over."""
     return np.array(x) if type(x) is _ARRAY and np.may_share_memory(x, memory) else x
-
-
-@dataclass(eq=False)
-class _Bench:
-    """A run of the engine with the memory that it works in; a trajectory's end may keep that."""
-
-    run: Run
-    x: NDArray[Any]
-    watch: NDArray[Any]
-    is_kept: bool = False
-
-    def renew(self) -> None:
-        """Other memory in its place."""
-        self.x, self.watch = np.empty_like(self.x), np.empty_like(self.watch)
-        self.run.put(x=self.x, watch=self.watch)
 
 
 def _rows(n: int, *, has_w: bool) -> dict[Any, tuple[int, int, bool]]:
@@ -154,13 +138,11 @@ class Plan:
 
     __copy__ = partialmethod(__deepcopy__, None)
 
-    def _bench(self) -> _Bench:
+    def _prepared(self) -> Run:
         """A run with memory of its own."""
         n, fixed, choice = self.n_bodies, self._fixed, self.choice
-        size = carried(choice.attitude, self.packed.structure)
-        x, watch = np.empty((n, size), dtype=self.kind), np.empty((3, n), dtype=self.kind)
-        run = Run(self._program, self.packed.resources)
-        run.put(**fixed, x=x, watch=watch)
+        run = Run(self._program, self.packed.resources, n)
+        run.put(**fixed)
         stages = fixed["stages"]
         share = 0.5 * float(stages[-1, 1]) if len(stages) else 0.0
         edge = share * self.clock.h
@@ -170,7 +152,6 @@ class Plan:
             edge = share
         rows = {f"rows_{name}": len(fixed[name]) for name in ("p", "known", "flags")}
         run.set(
-            bodies=n,
             stage_count=len(stages),
             stride=n,
             **rows,
@@ -182,13 +163,13 @@ class Plan:
             norm=math.inf if choice.attitude.restore is None else limits.NORM_BOUND[self.kind],
             invariant=limits.INVARIANT_BOUND,
         )
-        return _Bench(run, x, watch)
+        return run
 
-    def _own_bench(self) -> _Bench:
+    def _own_run(self) -> Run:
         """The same of this thread, for any number of short runs."""
-        found: _Bench | None = getattr(self._local, "bench", None)
+        found: Run | None = getattr(self._local, "run", None)
         if found is None:
-            found = self._local.bench = self._bench()
+            found = self._local.run = self._prepared()
         return found
 
     def __call__(
@@ -288,18 +269,17 @@ class Plan:
         in_pieces = handling.sink is not None or handling.checkpoint is not None
         saves = self._saves if handling.sink is None else min(self._saves, 1 + RING)
         raw = self.memory(saves) if raw is None else raw
-        bench = self._bench() if in_pieces else self._own_bench()
-        run = bench.run
-        if bench.is_kept:
-            bench.renew()
-        bench.is_kept = handling.ends
+        run = self._prepared() if in_pieces else self._own_run()
+        if run.is_kept:
+            run.renew()
+        run.is_kept = handling.ends
         self._load(run, given, t0, raw, saves)
         start = handling.start
         if start is not None:
-            bench.x[...], bench.watch[...] = start.x, start.watch
+            run.x[...], run.watch[...] = start.x, start.watch
         warned = not self.is_short and self._warn_of_first(given)
         if in_pieces:
-            end = partial(self._end, given, bench, t0)
+            end = partial(self._end, given, run, t0)
             begin = self.clock.done if start is None else start.done
             results = self.handed.views(raw, saves)
             made = piecewise(self, run, t0, results, given.one_body, (handling, begin, end))
@@ -310,9 +290,9 @@ class Plan:
                 go(self, run, self.span, handling, partial(self._found, raw, t0, given.one_body))
             made = self.promised(raw, run.told[1] > 0.0, t0, given.one_body)
         if handling.ends:
-            made.__dict__["end"] = self._end(given, bench, t0, self.clock.end)
+            made.__dict__["end"] = self._end(given, run, t0, self.clock.end)
         if not warned:
-            self._warn_after(run, given, bench.watch)
+            self._warn_after(run, given)
         return made
 
     def _quickly(self, given: Given, t0: float, raw: NDArray[np.uint8] | None) -> Trajectory:
@@ -320,17 +300,17 @@ class Plan:
         if raw is None:
             raw = np.empty(self._offsets[2], np.uint8)
         try:
-            bench: _Bench = self._local.bench
+            run: Run = self._local.run
         except AttributeError:
-            bench = self._own_bench()
-        run, told, (least, most) = bench.run, bench.run.told, self.calm
+            run = self._own_run()
+        told, (least, most) = run.told, self.calm
         if run.is_timed or run.is_plain or not -math.inf < t0 + self._length < math.inf:
             self._load(run, given, t0, raw, self._saves)
         else:
             run.load(given, raw, self._offsets, t0)
         run(self._tiles)
         if not least <= told[0] <= most:
-            self._warn_after(run, given, bench.watch)
+            self._warn_after(run, given)
         return self.promised(raw, told[1] > 0.0, t0, given[4])
 
     def _load(self, run: Run, given: Given, t0: float, raw: NDArray[np.uint8], saves: int) -> None:
@@ -371,17 +351,17 @@ class Plan:
         fields["_later"] = (self._found, raw, t0, one_body)
         return made
 
-    def _warn_after(self, run: Run, given: Given, watch: NDArray[Any]) -> None:
+    def _warn_after(self, run: Run, given: Given) -> None:
         """Warn of steps as they were; of an iteration that failed the first tells how large."""
         least, limit = self.calm
         noted = not least <= run.told[0] <= limit and run.told[0] and self.clock.n_steps
         if noted and not self._warn_of_first(given):
-            self.warn(np.sqrt(watch[0]), self.damped)
+            self.warn(np.sqrt(run.watch[0]), self.damped)
 
-    def _end(self, given: Given, bench: _Bench, t0: float, done: int) -> End:
-        """The end of a run, which keeps the bench's memory and a copy of what was given."""
+    def _end(self, given: Given, run: Run, t0: float, done: int) -> End:
+        """The end of a run, which keeps its memory and a copy of what was given."""
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
-        return End(kept, bench.x, bench.watch, done, t0, self.about, self.packed.params, self)
+        return End(kept, run.x, run.watch, done, t0, self.about, self.packed.params, self)
 
     @cached_property
     def about(self) -> dict[str, Any]:
@@ -408,12 +388,11 @@ class Plan:
 
     def fill(self, given: Given, t0: float, handling: Handling, results: Results) -> NDArray[Any]:
         """Run into arrays of more bodies; the turns of each body's steps, rad, for a warning."""
-        bench = self._own_bench()
-        run, stride = bench.run, results.defect.strides[0] // results.defect.itemsize
+        run, stride = self._own_run(), results.defect.strides[0] // results.defect.itemsize
         run.put(q0=given.q, y0=given.y, **results._asdict())
         run.set(rows_q=given.rows_q, rows_y=given.rows_y, stride=stride, t0=t0)
         go(self, run, self.span, handling, partial(self._fields, t0, results))
-        return np.asarray(np.sqrt(bench.watch[0]))
+        return np.asarray(np.sqrt(run.watch[0]))
 
     def _fields(self, t0: float, results: Results, one_body: bool = False) -> dict[str, Any]:
         return self.handed.fields(self.clock.times(t0), results, one_body)
