@@ -16,56 +16,48 @@ from fastatt.flat.llvm import POINTERS, Emitter
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
 
 
-class _Written(Emitter):
-    """The graphs of a formula, one after the other, with lanes for the directions of dual numbers.
+def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
+    """The results, each of its kind, of values that are given.
 
-    Single numbers are taken of those.
+    The graphs of a formula follow each other, with lanes for the directions of dual numbers.
     """
+    lanes = traced.lanes
+    emit = Emitter(code, lanes, machine.processor().fuses, resources)
+    # what is given, and what a loop's step is given anew: the state with whether it has lanes
+    found: dict[str, Any] = {"x": given}
 
-    def __init__(
-        self, code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]
-    ) -> None:
-        super().__init__(code, traced.lanes, machine.processor().fuses, resources)
-        self.traced = traced
-        self.found: dict[str, Any] = {"x": given}
-
-    def input(self, name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-        """A number that is given, for the emitter."""
+    def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
         group, k = name
         if group == "s":
-            return self.found["s"][k]  # type: ignore[no-any-return]
+            return found["s"][k]  # type: ignore[no-any-return]
         if group != "direction":
-            return self.found[group][k], False
-        if self.lanes == 1:
+            return found[group][k], False
+        if lanes == 1:
             return ir.Constant(REALS[kind], 1.0), False
-        units = [float(i == k) for i in range(self.lanes)]
-        return ir.Constant(ir.VectorType(REALS[kind], self.lanes), units), True
+        units = [float(i == k) for i in range(lanes)]
+        return ir.Constant(ir.VectorType(REALS[kind], lanes), units), True
 
-    def results(self) -> list[Any]:
-        """The numbers of the result."""
-        if self.traced.loop is not None:
-            self._repeated(self.traced.loop)
-        return [value for value, _ in self(self.traced.flat, self.input)]
+    loop = traced.loop
+    if loop is not None:
+        state = emit(loop.begin, find)
+        n, size = len(loop.step.results), len(loop.table[0])
+        wide = [k in loop.wide and lanes > 1 for k in range(n)]
 
-    def _repeated(self, loop: Loop) -> None:
-        state = self(loop.begin, self.input)
-        n = len(loop.step.results)
-        wide = [k in loop.wide and self.lanes > 1 for k in range(n)]
-        first = self._alike(state[:n], wide)
+        def alike(values: Sequence[tuple[Any, bool]]) -> list[Any]:
+            """Each with lanes where it has any."""
+            pairs = zip(values, wide, strict=True)
+            return [emit.spread(*x) if has_lanes else x[0] for x, has_lanes in pairs]
+
+        first, table = alike(state[:n]), _table(code, loop)
         # a vector of many directions is wider than what memory on the stack is aligned to
-        cells = Cells(self.code, [x.type for x in first], align=8)
+        cells = Cells(code, [x.type for x in first], align=8)
         cells.set(first)
-        table, size = _table(self.code, loop), len(loop.table[0])
-        with self.code.loop(0, len(loop.table)) as i:
-            self.found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
-            self.found["row"] = [self.code.load(table, i * size + k) for k in range(size)]
-            cells.set(self._alike(self(loop.step, self.input), wide))
-        self.found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
-
-    def _alike(self, values: Sequence[tuple[Any, bool]], wide: Sequence[bool]) -> list[Any]:
-        """Each with lanes where it has any."""
-        pairs = zip(values, wide, strict=True)
-        return [self.spread(*x) if lanes else x[0] for x, lanes in pairs]
+        with code.loop(0, len(loop.table)) as i:
+            found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
+            found["row"] = [code.load(table, i * size + k) for k in range(size)]
+            cells.set(alike(emit(loop.step, find)))
+        found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
+    return [value for value, _ in emit(traced.flat, find)]
 
 
 def _table(code: Code, loop: Loop) -> Any:
@@ -78,11 +70,6 @@ def _table(code: Code, loop: Loop) -> Any:
     table.linkage, table.global_constant = "internal", True
     table.initializer = ir.Constant(of, numbers)
     return code.b.bitcast(table, kind.as_pointer())
-
-
-def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
-    """The results, each of its kind, of values that are given."""
-    return _Written(code, traced, given, resources).results()
 
 
 # functions of numbers, for Python
