@@ -165,7 +165,7 @@ class _PlainRun:
                 self._advance(n, stop)
                 n = stop
             if slot >= 0:
-                self._look_between(slot, n, rest)
+                self._hand_out(slot, n, rest)
         return self._end()
 
     def _on_grid(self, time: float) -> tuple[int, float]:
@@ -175,8 +175,8 @@ class _PlainRun:
         rest = time - (t0 + count * h)
         return count, rest if abs(rest) > 16.0 * _EPS * (abs(t0) + abs(time)) else 0.0
 
-    def _look_between(self, slot: int, n: int, rest: float) -> None:
-        """Hand out the states after what is left of a step, on a copy."""
+    def _hand_out(self, slot: int, n: int, rest: float = 0.0) -> None:
+        """The states after n steps and what is left of one, which is done on a copy."""
         kept = dict(self.rows), self.numbers, self.turn
         t, since, edge = self._time(n), n * self.numbers["h"], self.numbers["edge"]
         if rest:
@@ -189,8 +189,13 @@ class _PlainRun:
             self.numbers = {**self.numbers, "h": rest, "t0": t}
             self._block(0, 1)
             t, since, edge = t + rest, rest, last
-        self._hand_out(slot, t, since, edge)
+        found = self._evaluate(self.formulas.save, t=t, since=since, edge=edge)
         self.rows, self.numbers, self.turn = kept
+        size = self.formulas.handed_out
+        self.arrays["out"][slot, self.bodies] = np.stack(found[:size], axis=-1)
+        self.arrays["defect"][slot, self.bodies] = found[size]
+        self._worse(1, np.abs(found[size]))
+        self._worse(2, found[size + 1])
 
     def _listen(self, begins: bool, bound: Array) -> None:
         """Which bodies' turns are not known to be quiet; of the others keep what is known."""
@@ -212,15 +217,7 @@ class _PlainRun:
     def _save(self, span: Any, n: int) -> None:
         gone = n - span.origin
         slot = (gone - 1) // span.save_every + span.slot if gone > 0 else 0
-        self._hand_out(slot, self._time(n), n * self.numbers["h"], self.numbers["edge"])
-
-    def _hand_out(self, slot: int, t: float, since: float, edge: float) -> None:
-        found = self._evaluate(self.formulas.save, t=t, since=since, edge=edge)
-        size = self.formulas.handed_out
-        self.arrays["out"][slot, self.bodies] = np.stack(found[:size], axis=-1)
-        self.arrays["defect"][slot, self.bodies] = found[size]
-        self._worse(1, np.abs(found[size]))
-        self._worse(2, found[size + 1])
+        self._hand_out(slot, n)
 
     def _block(self, first: int, last: int) -> None:
         """The quick form, and the careful one for bodies for which that does not do."""
