@@ -94,24 +94,27 @@ def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
     return kind
 
 
-def array(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None) -> Floats:
-    """A finite float array of one of the shapes, such as "a number, (3,) or (N, 3)".
+def array(
+    name: str,
+    value: ArrayLike,
+    shapes: str,
+    tails: _Shapes | None = None,
+    *,
+    flag: bool = False,
+) -> Floats:
+    """A float array of one of the shapes, such as "a number, (3,) or (N, 3)".
 
-    ``tails`` are these (−1: any length but 0) where the words do not say them.
+    ``tails`` are these (−1: any length but 0) where the words do not say them. It is finite, unless
+    what is not is to be flagged.
     """
-    found = array_any(name, value, shapes, tails)
-    finite(name, found)
-    return found
-
-
-def array_any(name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None) -> Floats:
-    """The same, finite or not."""
     if type(value) is np.ndarray and value.dtype in _PRECISIONS:
         found = value
     else:
         found = numbers(name, value, f"real numbers of shape {shapes}")
     for tail in tails or _tails(shapes):
         if _fits(found.shape, tail):
+            if not flag:
+                finite(name, found)
             return found
     raise ValueError(f"{name}: {shape(found)}; accepted: {shapes}")
 
@@ -173,7 +176,7 @@ def attitudes(
     if hasattr(value, "as_quat"):
         value = np.roll(value.as_quat(), 1, axis=-1)
     if flag:
-        return array_any(name, value, shapes)
+        return array(name, value, shapes, flag=True)
     q = array(name, value, shapes)
     zero = _zero_rows(q.reshape(-1, 4))
     if zero.any():

@@ -173,7 +173,7 @@ def _at_times(
     precision = checks.precision(dtype, q0, w0)
     flag = checks.choice("invalid", invalid, INVALID) == "flag"
     start = checks.attitudes("q0", q0, flag=flag)
-    rates = (checks.array_any if flag else checks.array)("w0", w0, "(3,) or (N, 3)")
+    rates = checks.array("w0", w0, "(3,) or (N, 3)", flag=flag)
     times = checks.array("t", t, "a number or (T,)")
     threads = number_of(n_threads)
     pull = np.zeros(3) if form.pull is None else form.pull

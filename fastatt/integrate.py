@@ -61,7 +61,7 @@ def integrate_rates(
     """
     record = method_of(method, increments)
     name = "rates (increments)" if increments else "rates"
-    data = checks.array_any(name, rates, "(n, 3) or (N, n, 3)")
+    data = checks.array(name, rates, "(n, 3) or (N, n, 3)", flag=True)
     one = data.ndim == 2
     precision = checks.precision(dtype, rates)
     data = np.ascontiguousarray(data if not one else data[None], dtype=precision)

@@ -94,7 +94,7 @@ class ParticleFilter:
 
         Raises ``ValueError`` where no particle has a finite one.
         """
-        given = checks.array_any("log_likelihood", log_likelihood, f"({len(self.weights)},)")
+        given = checks.array("log_likelihood", log_likelihood, f"({len(self.weights)},)", flag=True)
         with np.errstate(divide="ignore"):
             logs = np.log(self.weights) + given
         top = logs.max()

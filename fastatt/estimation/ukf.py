@@ -119,7 +119,7 @@ class UKF(Estimates):
         n, points, size = *q.shape[:2], self._P.shape[1]
         z = observe(q.reshape(-1, 4), y.reshape(-1, size - 3)).reshape(n, points, -1)
         m = z.shape[-1]
-        seen = checks.array_any("measured", measured, f"({m},) or ({n}, {m})")
+        seen = checks.array("measured", measured, f"({m},) or ({n}, {m})", flag=True)
         if not self._skips:
             checks.finite("measured", seen)
         expected = self._weights @ z

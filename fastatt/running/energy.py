@@ -29,7 +29,7 @@ def angular_momentum(
 
     Raises ``ValueError`` for shapes that do not fit.
     """
-    rates = checks.array_any("w", w, "(3,), (N, 3) or (S, N, 3)")
+    rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", flag=True)
     given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
     tensor = is_tensor(given)
     try:
@@ -88,7 +88,7 @@ def potential_energy(
     ``TypeError`` for other shapes and things.
     """
     as_scene(scene)
-    attitudes = checks.array_any("q", q, "(4,), (N, 4) or (S, N, 4)")
+    attitudes = checks.array("q", q, "(4,), (N, 4) or (S, N, 4)", flag=True)
     found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
     packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
     turning = packed.structure.turning
@@ -98,7 +98,7 @@ def potential_energy(
         told, wanted = ("none", "positions") if r is None else ("positions", "none")
         raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
     shape = (*attitudes.shape[:-1], 3)
-    places = np.zeros(shape) if r is None else checks.array_any("r", r, str(shape))
+    places = np.zeros(shape) if r is None else checks.array("r", r, str(shape), flag=True)
     times = checks.array("t", t, f"a number or ({len(found)},)")
     times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
     p = packed.params[..., : turning.n_params]

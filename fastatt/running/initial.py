@@ -67,7 +67,6 @@ def initial(
     start = checks.attitudes("q0", q0, flag=flag)
     has_inertia = scene.kind != "rate"
     found = {}
-    look = checks.array_any if flag else checks.array
     for name, value, wanted, needed in (
         ("w0", w0, has_inertia, True),
         ("v0", v0, scene.moves, True),
@@ -77,7 +76,7 @@ def initial(
             if wanted and needed:
                 raise ValueError(f"{name}: is missing; {_taken(name, scene)}")
         elif wanted:
-            found[name] = look(name, value, "(3,) or (N, 3)")
+            found[name] = checks.array(name, value, "(3,) or (N, 3)", flag=flag)
         else:
             raise ValueError(f"{name}: found, but this scene has none; {_taken(name, scene)}")
     same_number({**found, "q0": start})

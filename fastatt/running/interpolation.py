@@ -73,10 +73,9 @@ def interpolate(
     gaps = np.diff(when)
     if count < 2 or not ((gaps > 0.0).all() or (gaps < 0.0).all()):
         raise ValueError(f"t: found {checks.brief(when)}; accepted: two or more, rising or falling")
-    look = checks.array_any if flag else checks.array
     attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
     wanted = (*attitudes.shape[:-1], 3)
-    rates = look("w", w, str(wanted))
+    rates = checks.array("w", w, str(wanted), flag=flag)
     asked = checks.array("times", times, "a number or (T,)").astype(np.float64)
     low, high = sorted((when[0], when[-1]))
     outside = np.flatnonzero((asked < low) | (asked > high))
