@@ -124,11 +124,11 @@ class Formulas:
         #: numbers that are carried beside what a method steps
         self.beside = job.structure.beside
 
-    def scope(self, *, quick: bool = False, graph: Graph | None = None) -> Scope:
+    def scope(self, *, quick: bool = False) -> Scope:
         """Numbers and the motion that a formula works on."""
         job = self.job
         attitude = job.attitude.short if quick and job.method.exponentials else job.attitude
-        return Scope(self, attitude, graph or Graph())
+        return Scope(self, attitude, Graph())
 
     def _form(self, quick: bool) -> Forms:
         scope = self.scope(quick=quick)
