@@ -24,6 +24,9 @@ STEPPED = ("quat", "dcm", "dcm_rows", "euler313", "rotation_vector")
 # of trees beyond, 719 of order 10 and more, the conditions are not looked at
 _CHECKED = 9
 _CLOSE = 1e-12
+# what w is multiplied by on the right: −i/2 times Pauli's matrices, and [e_k×]
+_QUATERNIONS = -0.5j * np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
+_MATRICES = np.cross(np.eye(3)[None], np.eye(3)[:, None])
 
 
 @dataclass(frozen=True)
@@ -240,8 +243,8 @@ def explicit(
     return explicit_method(
         named(name),
         tableau,
-        _trusted(tableau, 0.5),
-        _trusted(tableau, 1.0),
+        min(_of_cones(tableau, _QUATERNIONS), _trusted(tableau, 0.5)),
+        min(_of_cones(tableau, _MATRICES), _trusted(tableau, 1.0)),
         damping_limit=_damping(tableau),
         summary="a user's own",
         source="a user's own",
@@ -264,6 +267,41 @@ def _trusted(tableau: Tableau, k: float) -> float:
         if abs(angle - theta) > 0.05 * theta or abs(abs(factor) - 1.0) > 0.2:
             return max(0.05, float(theta) - 0.05)
     return 6.0
+
+
+def _of_cones(tableau: Tableau, generators: Any) -> float:
+    """Largest turn (rad) about a cone of half angle 1/2 whose angle is right to 10 %.
+
+    There w turns twice as fast as the body. Ẋ = X Σ w_k G_k, whose X(1) is
+    exp(w(0) + Ω e3) exp(−Ω e3), is what quaternions obey or matrices, as ``generators`` G say.
+    """
+    theta = np.arange(0.05, 6.01, 0.05)
+    frequency = theta / (2.0 * math.sin(0.25))
+
+    def turned(t: float) -> Any:
+        s, c = np.sin(frequency * t), np.cos(frequency * t)
+        across = math.sin(0.5) * frequency
+        w = np.stack([-across * s, across * c, -math.sin(0.25) * theta], axis=-1)
+        return np.tensordot(w, generators, 1)
+
+    def exponential(x: Any) -> Any:
+        values, v = np.linalg.eigh(1j * x)
+        return (v * np.exp(-1j * values)[:, None]) @ v.conj().swapaxes(1, 2)
+
+    slopes: list[Any] = []
+    size = generators.shape[-1]
+    for t, row in zip(tableau.c, ((), *tableau.a), strict=True):
+        x = np.eye(size) + sum(k * d for k, d in zip(row, slopes, strict=True))
+        slopes.append(x @ turned(t))
+    end = np.eye(size) + sum(k * d for k, d in zip(tableau.b, slopes, strict=True))
+    u, _, v = np.linalg.svd(end)
+    spin = frequency[:, None, None] * generators[2]
+    true = exponential(turned(0.0) + spin) @ exponential(-spin)
+    trace = np.einsum("nij,nij->n", true.conj(), u @ v).real
+    # that of a turn by φ is 2 cos φ/2 or 1 + 2 cos φ
+    half = 0.5 * (trace if size == 2 else np.sqrt(np.maximum(trace + 1.0, 0.0)))
+    wrong = 2.0 * np.arccos(np.clip(half, 0.0, 1.0)) > 0.1 * theta
+    return float(theta[max(0, int(wrong.argmax()) - 1)]) if wrong.any() else 6.0
 
 
 def _damping(tableau: Tableau) -> float:
