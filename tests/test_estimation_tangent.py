@@ -230,8 +230,7 @@ def test_users_torque_from_users_code():
 TOP = fa.Scene(inertia=MOMENTS, torque=fa.torques.HeavyTop(WEIGHT[:3], WEIGHT[3]))
 
 
-@pytest.mark.parametrize("parameters", [False, True])
-@pytest.mark.parametrize("method", ["suzuki4", "srkn4"])
+@pytest.mark.parametrize(("method", "parameters"), [("suzuki4", True), ("srkn4", False)])
 def test_stages_in_a_loop_are_the_stages_one_by_one(method, parameters):
     record, packed = fa.METHODS[method], TOP.packed(None)
     looped = tangent.body_tangent(record, packed.structure.turning, parameters=parameters)

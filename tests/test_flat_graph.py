@@ -12,7 +12,7 @@ import pytest
 from each import each
 from llvmlite import ir
 from numba.core.dispatcher import Dispatcher
-from test_kernels_grammar import ARGUMENTS, KERNELS, cast, every_kernel, leaves
+from test_kernels_grammar import ARGUMENTS, KERNELS, cast, leaves
 
 from fastatt.flat import machine, source
 from fastatt.flat.code import REALS, Code
@@ -77,7 +77,7 @@ def given(flat, name, scale=1.0):
 
 
 @each(*every_precision.args)
-@each(*every_kernel.args)
+@each("name", sorted(KERNELS))
 def test_text_is_the_kernel_to_the_bit(name, kind):
     """Of numbers, and of arrays."""
     flat = recorded(name, kind)

@@ -114,7 +114,7 @@ class Compiled:
 
 
 def key_of(text: str) -> str:
-    """Name of a program's machine code: of its text, the compiler and the processor."""
+    """Name of a function's machine code: of its text, the compiler and the processor."""
     cpu = processor()
     parts = (text, llvmlite.__version__, cpu.name, cpu.features)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
