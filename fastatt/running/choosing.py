@@ -180,7 +180,13 @@ def _compensated(method: Method, attitude: Attitude) -> Attitude:
 
 def _restore(normalise: str | int) -> int:
     """Steps between two returns to the group, 0 for none."""
-    if isinstance(normalise, str):
-        checks.choice("normalise", normalise, ("output", "never"))
+    if isinstance(normalise, str) and normalise in ("output", "never"):
         return 0
-    return checks.whole("normalise", normalise, 1)
+    try:
+        return checks.whole("normalise", normalise, 1)
+    except (TypeError, ValueError) as error:
+        kind = ValueError if isinstance(normalise, str) else type(error)
+        raise kind(
+            f"normalise: found {checks.brief(normalise)}; accepted: output, never, or a whole "
+            "number of steps from 1 on"
+        ) from None
