@@ -226,7 +226,7 @@ def test_refusals():
             **call,
         )  # fmt: skip
     for wrong in ("always", 0, 1.5, None):
-        with pytest.raises((ValueError, TypeError), match="normalise: found .*never, or a whole"):
+        with pytest.raises((ValueError, TypeError), match=r"normalise: found .*never, or a whole"):
             fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], normalise=wrong, **call)
 
 
