@@ -48,7 +48,7 @@ def free_body(
     inertia : principal moments (3,) or (N, 3) in any order, or tensors (3, 3) or (N, 3, 3), kg·m².
     t : time or times (T,), s, in any order and of either sign.
     allow_unphysical : admit inertia that no body has, of moments above 0.
-    dtype : float64 or float32 (errors 1e9 times as large, half the time; turning within 1e-17 rad
+    dtype : float64 or float32 (errors 1e9 times as large, less time; turning within 1e-17 rad
         of the intermediate axis stays there); None takes float32 when ``q0`` and ``w0`` are float32
         arrays, else float64.
     n_threads : None takes every processor that this process may use; results do not depend on it.
