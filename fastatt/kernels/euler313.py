@@ -61,7 +61,10 @@ def rate(angles, derivative):
 
 @kernel
 def derivative(angles, w):
-    """(φ̇, θ̇, ψ̇) of the angular velocity w in body axes, rad/s; infinite or NaN where sin θ = 0."""
+    """(φ̇, θ̇, ψ̇) of the angular velocity w in body axes, rad/s; infinite or NaN where sin θ = 0.
+
+    Of angles up to 1e15 rad (float32: 1e6).
+    """
     st, ct = sincos_bounded(angles[1])
     sp, cp = sincos_bounded(angles[2])
     a = (w[0] * sp + w[1] * cp) / st
