@@ -21,7 +21,7 @@ CASES = {
     "rk8, heavy top": (
         "fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.5), 2.0))",
         "rk8",
-        ["rk4", "rkmk4", "srkn6"],
+        ["rk4", "rkmk4", "strang2"],
     ),
 }
 SCRIPT = """

@@ -138,7 +138,7 @@ def test_in_a_loop(benchmark, name):
 
 
 @pytest.mark.benchmark(group="first call of a step: compiled now, s")
-@pytest.mark.parametrize("method", ["magnus4", "rk4", "rk8", "srkn6"])
+@pytest.mark.parametrize("method", ["magnus4", "rk4", "rk8", "strang2"])
 def test_first_call(benchmark, method):
     """Of a scene's own formulas, once the process has compiled another step."""
     RATE(0.0, H, RATE_STATE)

@@ -48,7 +48,7 @@ def main() -> None:
 
         runs: dict[str, Callable[[], object]] = {
             f"threads of one process, {k}": lambda: fa.propagate(
-                SCENE, q0, w0, n_steps=STEPS, n_threads=k, resumable=False, **RK4
+                SCENE, q0, w0, n_steps=STEPS, n_threads=k, **RK4
             ),
             "workers, states made and kept there": on_workers,
             "workers, states sent and fetched": to_and_fro,

@@ -60,15 +60,13 @@ def cost(n, steps, threads, least):
 
 
 def overheads(least):
-    """Microseconds of one step by a plan's call, the same in given memory, and by propagate."""
+    """Microseconds of one step by a plan's call, and by propagate."""
     rows = []
     for n in (1, 10, 100):
         values, options = states(n), {"dt": 0.01, "n_steps": 1, "method": "rk4"}
         plan = fa.plan(FREE, n, **options)
-        run = plan(*values)
         calls = (
             partial(plan, *values),
-            partial(plan, *values, out=run),
             partial(fa.propagate, FREE, *values, **options),
         )
         rows.append((n, *(1e6 * seconds(call, least, 100) for call in calls)))
@@ -175,9 +173,9 @@ def report(bodies, least, folder):
         "",
         "## Microseconds a call, of one step",
         "",
-        "| bodies | plan | plan, `out=` | `propagate` |",
-        "| --- | --- | --- | --- |",
-        *(f"| {n} | {a:.1f} | {b:.1f} | {c:.1f} |" for n, a, b, c in few),
+        "| bodies | plan | `propagate` |",
+        "| --- | --- | --- |",
+        *(f"| {n} | {a:.1f} | {b:.1f} |" for n, a, b in few),
         "",
         "## Many bodies",
         "",

@@ -16,7 +16,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit, types
+from numba import cfunc, config, njit, types
+from numba.core.caching import FunctionCache
 from numba.core.errors import TypingError
 from numba.extending import register_jitable
 
@@ -26,6 +27,44 @@ _ARITHMETIC: dict[str, Any] = {
     "nogil": True,
 }
 _INLINED: dict[str, Any] = {**_ARITHMETIC, "forceinline": True}
+
+
+_LOOP: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+
+
+#: what loops are made of besides their own file
+_PARTS = Path(__file__), Path(__file__).parent / "codegen" / "call.py"
+
+
+def address_loop(signature: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A loop over arrays that it takes by their addresses, kept on disk by Numba.
+
+    All that it calls stands in its own file, in ``codegen/call.py``, or is generated code that it
+    finds by address. Numba notices an edit of its own file; of the others a hash is part of its
+    name. A call lets go of the GIL. Without a compiler it is the Python function, which takes
+    arrays.
+    """
+    if config.DISABLE_JIT:
+        return function
+    parts = hashlib.sha256(b"".join(file.read_bytes() for file in _PARTS)).hexdigest()[:16]
+    function.__qualname__ = f"{function.__qualname__}_{parts}"
+    for _ in range(2):
+        try:
+            return _called(cfunc(signature, cache=True, error_model="numpy")(function))
+        except Exception:  # noqa: BLE001  # no folder to write to, damaged files
+            with contextlib.suppress(Exception):
+                FunctionCache(function).flush()
+    return _called(cfunc(signature, error_model="numpy")(function))
+
+
+def _called(found: Any) -> Callable[..., Any]:
+    call = found.ctypes
+    call.function = found  # it lives as long as its machine code
+    return call  # type: ignore[no-any-return]
+
+
+#: a part of a loop, in the same file
+loop_part = njit(**_LOOP)
 
 
 def _has_integer(ty: types.Type) -> bool:
@@ -125,3 +164,18 @@ def recompile(function: Callable[..., Any]) -> Any:
 def helper(function: Any) -> Any:
     """A part of a driver, inlined: a tile's strides are constants only where it was made."""
     return register_jitable(**_INLINED)(function)
+
+
+def enough(name: str, size: int) -> Any:
+    """A check for ``@njit`` code that an array has so many numbers: formulas look at no length.
+
+    Of tuples, whose length is a constant, nothing of it is left in machine code.
+    """
+    message = f"{name}: found fewer than {size} numbers; accepted: {size}"
+
+    @helper
+    def check(x: Any) -> None:
+        if len(x) < size:
+            raise ValueError(message)
+
+    return check

@@ -15,7 +15,7 @@ import numpy as np
 
 from fastatt import __version__, listing, warming
 from fastatt.checks import attitudes, choice, real, whole
-from fastatt.flat import store
+from fastatt.codegen import modules
 from fastatt.integrate import integrate_rates, methods_for_samples
 from fastatt.logs.attitudes import integrate_chunks, writing
 from fastatt.logs.log import in_one
@@ -185,7 +185,7 @@ def _warm(arguments: argparse.Namespace) -> int:
 
 def _cache(arguments: argparse.Namespace) -> int:
     if arguments.clear:
-        store.clear()
+        modules.clear()
     print(warming.where())
     return 0
 

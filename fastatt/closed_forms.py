@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import math
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import product
+from itertools import accumulate, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
+from numba import types
 from numpy.typing import NDArray
 
 from fastatt import checks, torques
-from fastatt.flat import formulas, machine
-from fastatt.flat.code import I64, REALS, Code, Int, text_of
+from fastatt._jit import address_loop
+from fastatt.codegen.call import call_generated, reals, wholes
+from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
+from fastatt.codegen.memory import address_of
+from fastatt.codegen.processor import processor
+from fastatt.codegen.rows import kind_of, without_compiler
+from fastatt.flat import formulas
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Graph, flattened
-from fastatt.flat.llvm import Emitter
-from fastatt.flat.rows import (
-    Table,
-    address_of,
-    columns,
-    copy,
-    kind_of,
-    lanes_of,
-    without_compiler,
-)
 from fastatt.inertia import Principal, about_arm
 from fastatt.scene import Scene
 from fastatt.threads import each_in_threads
@@ -174,131 +169,120 @@ def _traced(
     return _Traced(prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind))
 
 
+#: the formulas; the first of the rows of their inputs, of the time, of what is not zero where a
+#: result was not finite, and of the results; constants follow
+PREPARE, STATE = range(2)
+_FIRST = dict(zip(_GIVEN, accumulate(_GIVEN.values(), initial=0), strict=False))
+TIME = sum(_GIVEN.values())
+FINITE, RESULTS = TIME + 1, TIME + 2
+#: the table of a loop: address of the function, of the times, of attitudes and w; the numbers from
+#: row to row of both; bodies, times, the times of a lane, and lanes in all. Address and stride of
+#: each input follow
+ENTRY, T, Q_OUT, W_OUT, Q_STRIDE, W_STRIDE, BODIES, TIMES, SPAN, TOTAL, INPUTS = range(11)
+
+
+def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
+    rates, finite, time, first = (x * lanes for x in (_FIRST["w"], FINITE, TIME, RESULTS))
+    row_of = (*_FIRST.values(), TIME)
+
+    def run_closed_form(
+        numbers: int, memory: int, places: int, most: float,
+        first_block: int, last_block: int, first_step: int, last_step: int,
+    ) -> int:  # fmt: skip
+        """Blocks of lanes and the times of each, from the address of the table.
+
+        Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many
+        times fill vectors as well as many bodies do. A last block is filled up with the last lane,
+        and times after the last are the last again. ``memory`` is the address of the rows, and
+        ``places`` that of 2 blocks of numbers. The result is 1 where a body starts with more than
+        |w|² = ``most``, or a result is not finite.
+        """
+        table = wholes(numbers)
+        entry, bodies, times = table[ENTRY], table[BODIES], table[TIMES]
+        span, total = table[SPAN], table[TOTAL]
+        rows, place, t = reals(memory, kind), wholes(places), reals(table[T], kind)
+        q_out, w_out = reals(table[Q_OUT], kind), reals(table[W_OUT], kind)
+        q_stride, w_stride = table[Q_STRIDE], table[W_STRIDE]
+        found = 0
+        for j in range(lanes):
+            rows[finite + j] = 0.0
+        for block in range(first_block, last_block):
+            base = block * lanes
+            body, group = base % bodies, base // bodies
+            for j in range(lanes):
+                place[j], place[lanes + j] = body, group * span
+                if base + j + 1 < total:
+                    body += 1
+                    if body == bodies:
+                        body, group = 0, group + 1
+            for i in range(5):
+                source, stride = reals(table[INPUTS + 2 * i], kind), table[INPUTS + 2 * i + 1]
+                # what all bodies share stays
+                if stride > 0 or block == first_block:
+                    to = row_of[i] * lanes
+                    for j in range(lanes):
+                        at = place[j] * stride
+                        for k in range(3):
+                            rows[to + k * lanes + j] = source[at + k]
+                    if row_of[i + 1] - row_of[i] == 4:
+                        for j in range(lanes):
+                            rows[to + 3 * lanes + j] = source[place[j] * stride + 3]
+            for j in range(lanes):
+                x, y, z = rows[rates + j], rows[rates + lanes + j], rows[rates + 2 * lanes + j]
+                if x * x + y * y + z * z > most:
+                    found = 1
+            call_generated(entry, PREPARE, (rows, place), (lanes,))
+            for j in range(lanes):
+                rows[time + j] = t[min(place[lanes + j] + first_step, times - 1)]
+            for step in range(first_step, last_step):
+                call_generated(entry, STATE, (rows, place), (lanes,))
+                # the next times, stored well before vectors of them are loaded
+                for j in range(lanes):
+                    rows[time + j] = t[min(place[lanes + j] + step + 1, times - 1)]
+                for j in range(lanes):
+                    row = min(place[lanes + j] + step, times - 1) * bodies + place[j]
+                    for k in range(stored):
+                        q_out[row * q_stride + k] = rows[first + k * lanes + j]
+                    for k in range(3):
+                        w_out[row * w_stride + k] = rows[first + (stored + k) * lanes + j]
+        for j in range(lanes):
+            if rows[finite + j] != 0.0:
+                found = 1
+        return found
+
+    return run_closed_form
+
+
+_SIGNATURE = types.int64(*[types.int64] * 3, types.float64, *[types.int64] * 4)
+
+
 @functools.cache
-def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -> Any:
-    traced = _traced(solution, kind, turned, stored, native=machine.processor().fuses)
-    code = _code(traced, kind, _SIDE_BY_SIDE * lanes_of(kind))
-    program = machine.compiled(text_of(code.module))
-    return program.function("closed_form", ctypes.c_void_p, *[ctypes.c_int64] * 4)
+def _loop(kind: str, lanes: int, stored: int) -> Callable[..., int]:
+    return address_loop(_SIGNATURE, _run_closed_form(kind, lanes, stored))
 
 
-def _code(traced: _Traced, kind: str, lanes: int) -> Code:
-    """``closed_form(table, first, last, step_first, step_last)``: blocks of lanes, times of each.
+class _Compiled(NamedTuple):
+    """The formulas compiled, in rows of a shape, with the loop that calls them."""
 
-    Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many times
-    fill vectors as well as many bodies do. A last block is filled up with the last lane. The table
-    holds N, T, span, the number of lanes; address and stride of what a body is given by; address
-    of t; address and stride of attitudes and of w; a |w|² (double); and what becomes 1 where a body
-    starts with more, or what is made of it is not finite.
-    """
-    code = Code(ir.Module("closed_form"), "closed_form", [I64.as_pointer(), *[I64] * 4])
-    argument, first, last, step_first, step_last = code.function.args
-    real = REALS[kind]
-    entries = Table(code, argument)
-    bodies, times, span, total = (entries.number() for _ in range(4))
-    given = {name: (entries.pointer(real), entries.number()) for name in _GIVEN}
-    t = entries.pointer(real)
-    out = [(entries.pointer(real), entries.number()) for _ in range(2)]
-    noted = _Noted(code, kind, lanes, entries.number())
-    stored = len(traced.state.results) - 3
-    used = {name for flat in traced for name, _ in flat.inputs()}
-
-    # columns: what the bodies are given by, their constants, the time; and the results
-    names = [(name, i) for name, n in _GIVEN.items() for i in range(n)]
-    names += [("constant", i) for i in range(len(traced.prepare.results))] + [("t", 0)]
-    at = {name: k * lanes for k, name in enumerate(names)}
-    taken = code.room(real, lanes * len(names))
-    made = code.room(real, lanes * (stored + 3))
-    body, start = code.room(I64, lanes), code.room(I64, lanes)
-    emit = Emitter(code, lanes, machine.processor().fuses)
-    with code.loop(Int(code, first), Int(code, last)) as block:
-        base = block * lanes
-        _number_lanes(base, lanes, (bodies, span, total), (body, start))
-        for name in (name for name in given if name in used):
-            pointer, stride = given[name]
-            # what all have in common stays
-            anew = code.b.or_(stride > 0, block.equals(Int(code, first)))
-            with code.when(anew), code.loop(0, lanes) as j:
-                row = code.place(pointer, Int(code, code.load(body, j)) * stride)
-                copy(code, _GIVEN[name], row, 0, 1, taken, j + at[name, 0], lanes)
-        noted.start([code.vector(taken, at["w", i], lanes) for i in range(3)])
-        for k, value in enumerate(emit.wide(traced.prepare, columns(code, taken, at, lanes))):
-            code.store_vector(taken, at["constant", k], value)
-        valid = (total - base).at_most(lanes)
-        with code.loop(Int(code, step_first), Int(code, step_last)) as step:
-            with code.loop(0, lanes) as j:
-                number = (Int(code, code.load(start, j)) + step).at_most(times - 1)
-                code.store(taken, j + at["t", 0], code.load(t, number))
-            values = emit.wide(traced.state, columns(code, taken, at, lanes))
-            noted.results(values)
-            for k, value in enumerate(values):
-                code.store_vector(made, k * lanes, value)
-            with code.loop(0, valid) as j:
-                number = Int(code, code.load(start, j)) + step
-                with code.when(number < times):
-                    row = number * bodies + Int(code, code.load(body, j))
-                    (x, x_stride), (w, w_stride) = out
-                    copy(code, stored, made, j, lanes, code.place(x, row * x_stride), 0, 1)
-                    first = j + stored * lanes
-                    copy(code, 3, made, first, lanes, code.place(w, row * w_stride), 0, 1)
-    noted.told(argument, entries.taken)
-    code.give(0)
-    return code
+    shape: Shape
+    memory: Memory
+    function: Any
+    loop: Callable[..., int]
 
 
-def _number_lanes(base: Int, lanes: int, of: tuple[Int, Int, Int], into: tuple[Any, Any]) -> None:
-    """The body of each lane from number ``base`` on, and the number of its first time."""
-    code, (bodies, span, total), (body, start) = base.code, of, into
-    inner, group = base % bodies, base // bodies * span
-    inside = inner + lanes <= bodies
-    with code.when(inside), code.loop(0, lanes) as j:
-        code.store(body, j, (inner + j).value)
-        code.store(start, j, group.value)
-    with code.when(code.b.not_(inside)), code.loop(0, lanes) as j:
-        lane = (base + j).at_most(total - 1)
-        code.store(body, j, (lane % bodies).value)
-        code.store(start, j, (lane // bodies * span).value)
-
-
-class _Noted:
-    """Whether a body starts with |w|² above a double of these bits, or its results are no numbers.
-
-    What is added up of lanes is 0 as long as there is nothing of this.
-    """
-
-    def __init__(self, code: Code, kind: str, lanes: int, bits: Int) -> None:
-        self._code, self._lanes, real = code, lanes, REALS[kind]
-        most = code.b.bitcast(bits.value, REALS["double"])
-        self._most = code.splat(most if kind == "double" else code.b.fptrunc(most, real), lanes)
-        self._zero, self._infinite = (
-            code.splat(code.real(kind, x), lanes) for x in (0.0, math.inf)
-        )
-        self._sum = code.room(real, lanes)
-        code.store_vector(self._sum, 0, self._zero)
-
-    def start(self, w: Sequence[Any]) -> None:
-        """Note angular velocities."""
-        code = self._code
-        x, y, z = (code.of("fmul", c, c) for c in w)
-        square = code.of("fadd", code.of("fadd", x, y), z)
-        past = code.b.fcmp_ordered(">", square, self._most)
-        self.results([code.b.select(past, self._infinite, self._zero)])
-
-    def results(self, values: Sequence[Any]) -> None:
-        """Note numbers that should be finite."""
-        code = self._code
-        found = code.vector(self._sum, 0, self._lanes)
-        for value in values:
-            found = code.of("fadd", found, code.of("fmul", value, self._zero))
-        code.store_vector(self._sum, 0, found)
-
-    def told(self, pointer: Any, index: int) -> None:
-        """Make a whole number in memory 1 if there was anything."""
-        code = self._code
-        with code.loop(0, self._lanes) as j:
-            one = code.load(self._sum, j)
-            with code.when(code.b.fcmp_unordered("uno", one, one)):
-                code.store(pointer, index, code.raw(1))
+@functools.cache
+def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -> _Compiled:
+    traced = _traced(solution, kind, turned, stored, native=processor().fuses)
+    lanes = _SIDE_BY_SIDE * processor().lanes(kind)
+    shape, results = Shape(kind, lanes, lanes), len(traced.state.results)
+    constants = RESULTS + results
+    n = constants + len(traced.prepare.results)
+    inputs = {(name, i): _FIRST[name] + i for name, k in _GIVEN.items() for i in range(k)}
+    inputs |= {("t", 0): TIME} | {("constant", k - constants): k for k in range(constants, n)}
+    prepare = LaneFormula(traced.prepare, inputs, range(constants, n))
+    state = LaneFormula(traced.state, inputs, range(RESULTS, constants), FINITE)
+    made = lane_function(shape, (prepare, state))
+    return _Compiled(shape, Memory(shape, n, 2), made, _loop(kind, lanes, results - 3))
 
 
 class Motion:
@@ -321,16 +305,14 @@ class Motion:
         self._bodies = {name: rows(x, kind) for name, x in given.items() if x is not None}
         self._span = -(-size // max(1, min(size, _TOGETHER // n)))
         lanes = n * -(-size // self._span)
-        self._lanes = _SIDE_BY_SIDE * lanes_of(self._formulas[1])
-        self._blocks, self._small = -(-lanes // self._lanes), size * n <= _SMALL
-        self._head = [n, size, self._span, lanes]
-        ordered = [self._bodies.get(name, self._bodies["moments"]) for name in given]
-        self._last = [number for x in ordered for number in (address_of(x), _stride(x))]
-        # the numbers of q and w, of t, of the results and of what is noted come with each call
-        self._table = ctypes.c_int64 * (len(self._head) + len(self._last) + 4 + 1 + 4 + 2)
-        self._run: Any = None if without_compiler() else _compiled(*self._formulas)
+        self._lengths, self._small = (n, size, self._span, lanes), size * n <= _SMALL
         #: whether there is no machine code
-        self.is_plain = self._run is None
+        self.is_plain = without_compiler()
+        if not self.is_plain:
+            self._made = made = _compiled(*self._formulas)
+            self._entry, self._blocks = made.function.address, -(-lanes // made.shape.block)
+            ordered = [self._bodies.get(name, self._bodies["moments"]) for name in given]
+            self._last = [number for x in ordered for number in (address_of(x), _stride(x))]
 
     def fill(
         self,
@@ -356,34 +338,40 @@ class Motion:
         t: NDArray[Any],
         places: Sequence[tuple[int, int]],
         threads: int,
-        most: int = 0,
+        most: float = math.inf,
     ) -> bool:
         """The same in machine code: where rows lie, and how many numbers apart.
 
-        Gives whether results are not finite, or a body begins with |w|² above the double of whose
-        bits ``most`` is the number.
+        Gives whether results are not finite, or a body begins with more than |w|² = ``most``.
         """
+        (q_out, q_stride), (w_out, w_stride) = places
         q, w = start
-        table = self._table()
-        table[:] = [
-            *self._head, address_of(q), _stride(q), address_of(w), _stride(w), *self._last,
-            address_of(t), *places[0], *places[1], most, 0,
+        numbers = [
+            self._entry, address_of(t), q_out, w_out, q_stride, w_stride, *self._lengths,
+            address_of(q), _stride(q), address_of(w), _stride(w), *self._last,
         ]  # fmt: skip
+        table, made = array("q", numbers), self._made
+        found = []
+
+        def run(*bounds: int) -> None:
+            _held, *at = made.memory.made()
+            found.append(made.loop(table.buffer_info()[0], *at, most, *bounds))
+
         span, blocks = self._span, self._blocks
         if self._small:
-            self._run(table, 0, blocks, 0, span)
-            return bool(table[-1])
-        together = max(1, _PIECE // (self._lanes * min(span, _STEPS)))
+            run(0, blocks, 0, span)
+            return any(found)
+        together = max(1, _PIECE // (made.shape.block * min(span, _STEPS)))
         together = max(1, min(together, blocks // threads))
         pieces = product(range(0, blocks, together), range(0, span, _STEPS))
         each_in_threads(
             (
-                partial(self._run, table, i, min(i + together, blocks), k, min(k + _STEPS, span))
+                partial(run, i, min(i + together, blocks), k, min(k + _STEPS, span))
                 for i, k in pieces
             ),
             threads,
         )
-        return bool(table[-1])
+        return any(found)
 
     def _in_python(
         self,

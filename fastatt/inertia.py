@@ -92,12 +92,19 @@ def sort_axes(found: Principal) -> Principal:
     m = found.moments
     if is_sorted(m):
         return found
-    # cyclic, and none for a body that is sorted: neither those beside it nor names change a result
-    middle = np.where(_sorted(m), 1, np.argsort(m, axis=-1)[..., 1])
-    order = (middle[..., None] + np.arange(-1, 2)) % 3
+    order = axis_order(m)
     turn = dcm_to_quat(np.swapaxes(np.eye(3)[order], -1, -2))
     axes = turn if found.axes is None else quat_multiply(found.axes, turn)
     return Principal(np.take_along_axis(m, order, axis=-1), axes)
+
+
+def axis_order(moments: NDArray[Any]) -> NDArray[np.intp]:
+    """Which of the moments (..., 3) ``sort_axes`` puts on axes 1, 2 and 3, (..., 3).
+
+    The order is cyclic, and that of a sorted body is its own: no body depends on its neighbours.
+    """
+    middle = np.where(_sorted(moments), 1, np.argsort(moments, axis=-1)[..., 1])
+    return np.asarray((middle[..., None] + np.arange(-1, 2)) % 3)
 
 
 def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[np.float64]]:

@@ -20,7 +20,6 @@ SCENES = {
 }
 # what a method that is not for any torque asks of it
 _TAKEN = {
-    Dependence.POSITION: "torque free of w",
     Dependence.DAMPED: "torque free of w but for linear damping",
 }
 # on which operations are counted

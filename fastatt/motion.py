@@ -94,8 +94,8 @@ class Structure(NamedTuple):
         return self.turning.n_params + (0 if self.force is None else 1 + self.force.count)
 
     @property
-    def couples(self) -> bool:
-        """Whether something reads the position, so that all is stepped as one system."""
+    def reads_position(self) -> bool:
+        """Whether the torque or the force reads the position."""
         if self.force is None:
             return False
         return self.force.reads_position or self.turning.law.reads_position
@@ -109,11 +109,6 @@ class Structure(NamedTuple):
     def tail(self) -> int:
         """Numbers carried beside the attitude."""
         return self.turning.tail + self.moved + self.watched
-
-    @property
-    def beside(self) -> int:
-        """Those of them that are carried beside what a method steps."""
-        return self.watched + (0 if self.couples else self.moved)
 
 
 class Motion:

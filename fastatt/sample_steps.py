@@ -12,10 +12,9 @@ from typing import Any
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from fastatt._jit import helper, kernel
-from fastatt.flat.scalar import scalar_function
+from fastatt.codegen.scalar import scalar_function
 from fastatt.flat.traced import Recurrence
-from fastatt.gyro.turns import products
-from fastatt.gyro.windows import Iteration
+from fastatt.gyro.windows import Iteration, products
 from fastatt.integrate import method_of
 from fastatt.kernels import quat
 from fastatt.methods import coning2 as _coning2

@@ -65,8 +65,8 @@ class Scene:
     force: Any = None
     #: how many bodies have numbers of their own; None where all share theirs
     rows: ClassVar[int | None] = None
-    #: whether a torque or a force reads the position, so that all is stepped as one system
-    couples: ClassVar[bool] = False
+    #: whether a torque or a force reads the position, which is then carried
+    needs_position: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
@@ -93,7 +93,7 @@ class Scene:
             )
         # those of all bodies take long to find again
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
-        object.__setattr__(self, "couples", structure.couples)
+        object.__setattr__(self, "needs_position", structure.reads_position)
         for field in fields(self):
             object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
 
@@ -236,7 +236,7 @@ class Scene:
         columns = [packed.params, 1.0 / mass[..., None], pushing.params]
         params = join(columns, n_bodies, "mass, force")
         structure = packed.structure._replace(force=pushing.structure)
-        structure = structure._replace(position=position or structure.couples)
+        structure = structure._replace(position=position or structure.reads_position)
         return Packed(structure, params, {**packed.resources, **pushing.resources})
 
     def _rate(self, n_bodies: int | None) -> Packed:

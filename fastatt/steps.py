@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
-from fastatt._jit import around_formulas
+from fastatt._jit import around_formulas, enough
 from fastatt.attitudes import Attitude
+from fastatt.codegen.rows import kind_of
+from fastatt.codegen.scalar import ScalarFunction, scalar_function
 from fastatt.engine.job import Formulas, Job, Scope
 from fastatt.flat.formulas import Vector, as_like
 from fastatt.flat.functions import larger
 from fastatt.flat.graph import CLASSES, Double, number
-from fastatt.flat.rows import kind_of
-from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.methods import METHODS, Method
 from fastatt.running.choosing import attitude_of, method_of
 from fastatt.sample_steps import (
@@ -66,8 +66,9 @@ class Stepper:
         iteration did not converge.
     ``read(x, p)`` gives (q, y), q a unit quaternion, body to inertial.
     ``step_into(t, h, x, p)`` is ``step`` in place, on an array x.
+    Arrays with fewer numbers than the state or the parameters have are refused, by ``ValueError``.
 
-    Methods that work on another state than x (splittings, ``dmv``, ``srkn``) go into it and back in
+    Methods that work on another state than x (splittings, ``dmv``) go into it and back in
     every ``step``, and prepare again what depends on h. With one h for a whole run, ``y, e =
     enter(t0, h, x, p)`` does so once, ``advance(t, h, y, p, e)`` gives the next y, and ``leave(t,
     t − t0, h, y, p, e)`` a state x, y going on unchanged; of other methods y is x, and e is ().
@@ -165,7 +166,7 @@ def single_step(
     if position and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     kind = checks.precision(dtype)
-    position = position or scene.couples
+    position = position or scene.needs_position
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
     shared = packed.params.ndim == 1
     job = Job(record, attitude, packed.structure, kind_of(kind), shared=shared)
@@ -271,6 +272,7 @@ class _Pieces:
 def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str, Any]:
     """What a stepper does of a method, each function compiled when it is first called."""
     pieces, size = _Pieces(job), job.formulas.size
+    check_x, check_p = enough("x", size), enough("p", job.structure.n_params)
     stages = np.array(job.method.stages or _ONE_STAGE)
     # what is stepped lies this share of h ahead
     edge = 0.5 * stages[-1, 1] if job.method.stages else 0.0
@@ -282,16 +284,22 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
     through = _through(scalar(pieces.quick), scalar(pieces.careful), stages, job)
 
     def step(t, h, x, p):
+        check_x(x)
+        check_p(p)
         y, e = entered(t, h, edge * h, x, p)
         y, _ = through(t, h, y, p, e)
         return left(t + h, h, edge * h, y, p, e)
 
     def step_and_turn(t, h, x, p):
+        check_x(x)
+        check_p(p)
         y, e = entered(t, h, edge * h, x, p)
         y, z = through(t, h, y, p, e)
         return left(t + h, h, edge * h, y, p, e), math.sqrt(z)
 
     def step_into(t, h, x, p):
+        check_x(x)
+        check_p(p)
         y, e = entered(t, h, edge * h, x, p)
         y, _ = through(t, h, y, p, e)
         y = left(t + h, h, edge * h, y, p, e)
@@ -299,13 +307,17 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
             x[i] = y[i]
 
     def enter(t, h, x, p):
+        check_x(x)
+        check_p(p)
         return entered(t, h, edge * h, x, p)
 
     def advance(t, h, y, p, e):
+        check_p(p)
         y, _ = through(t, h, y, p, e)
         return y
 
     def leave(t, s, h, y, p, e):
+        check_p(p)
         return left(t, s, edge * h, y, p, e)
 
     made = (step, step_and_turn, step_into, enter, advance, leave)
@@ -345,16 +357,20 @@ def _kept(job: Job) -> dict[str, Any]:
 @lru_cache(maxsize=128)
 def _ends(job: Job) -> tuple[Any, Any]:
     """``start`` and ``read``, which no method has a say in."""
-    pieces, stored = _Pieces(job), job.attitude.stored
+    pieces, stored, size = _Pieces(job), job.attitude.stored, job.formulas.size
+    check_x, check_p = enough("x", size), enough("p", job.structure.n_params)
     arrays = {"p": job.structure.n_params}
     begun = scalar_function(pieces.begun, arrays=arrays)
-    handed_out = scalar_function(pieces.handed_out, arrays={**arrays, "x": job.formulas.size})
+    handed_out = scalar_function(pieces.handed_out, arrays={**arrays, "x": size})
     quaternion = scalar_function(pieces.quaternion)
 
     def start(q, y, p):
+        check_p(p)
         return begun(q, y, p)
 
     def read(x, p):
+        check_x(x)
+        check_p(p)
         y = handed_out(x, p)
         return quaternion(y[:stored]), y[stored:]
 

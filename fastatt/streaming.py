@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt.gyro.engine import Run, beginning, finish
-from fastatt.gyro.windows import CHUNK
+from fastatt.gyro.loops import CHUNK
 from fastatt.integrate import (
     check_intervals,
     intervals,

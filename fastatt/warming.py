@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from fastatt import arrays, exact, rates, torques
-from fastatt.engine.layout import WIDTH
-from fastatt.flat import machine, store
+from fastatt.codegen import modules
+from fastatt.engine.loop import WIDTH
 from fastatt.integrate import integrate_rates
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
@@ -94,13 +94,13 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     still = np.zeros((n, 3))
     carried: dict[str, Any] = {"v0": still} if scene.moves else {}
     placed: dict[str, Any] = {"r0": still + 1.0}
-    if scene.couples:
+    if scene.needs_position:
         carried |= placed
     run = partial(
         propagate, scene, q, w, n_steps=_STEPS, method=task.method, dtype=task.dtype,
         representation=task.representation, **carried,
     )  # fmt: skip
-    if carried and not scene.couples and task.representation in _USUAL:
+    if carried and not scene.needs_position and task.representation in _USUAL:
         run(dt=0.01, **placed)
     found = run(dt=0.01)
     # what a trajectory makes of its states
@@ -169,21 +169,21 @@ def of_scene(scene: Scene, name: str = "", *, everything: bool = False) -> list[
 
 def _run_alone(task: bytes) -> None:
     """Run a task in a process of its own."""
-    machine.say_nothing()
+    modules.say_nothing()
     pickle.loads(task).run()
 
 
 def warm(tasks: Sequence[Task], *, processes: int | None = None, progress: bool = False) -> str:
-    """Compile what tasks need, and say how many functions are kept, how large, and where.
+    """Compile what tasks need, and say how many programs are kept, how large, and where.
 
     Raises ``ValueError`` where nothing can be kept.
     """
-    if store.folder() is None:
-        raise ValueError(f"nothing is kept: {store.reason()}")
+    if modules.folder() is None:
+        raise ValueError(f"nothing is kept: {modules.reason()}")
     # here, where what fails is seen: in the pool's own thread it may wait for ever
     sent = [pickle.dumps(task) for task in tasks]
     workers = max(1, min(processes or default_threads(), len(tasks)))
-    before, _ = store.usage()
+    before, _ = modules.usage()
     with (
         ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool,
         progress_bar(progress, len(tasks), "case") as done,
@@ -196,13 +196,13 @@ def warm(tasks: Sequence[Task], *, processes: int | None = None, progress: bool 
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return f"{store.usage()[0] - before} functions made; {where()}"
+    return f"{modules.usage()[0] - before} programs made; {where()}"
 
 
 def where() -> str:
-    """The folder of machine code, how many functions are in it, how large they are."""
-    folder = store.folder()
+    """The folder of machine code, how many programs are in it, how large they are."""
+    folder = modules.folder()
     if folder is None:
-        return f"nothing is kept: {store.reason()}"
-    files, size = store.usage()
-    return f"{files} functions, {size / 1e6:.1f} MB in {folder}"
+        return f"nothing is kept: {modules.reason()}"
+    files, size = modules.usage()
+    return f"{files} programs, {size / 1e6:.1f} MB in {folder}"

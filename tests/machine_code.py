@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import functools
 import re
 
 import pytest
 from llvmlite import binding
 
-from fastatt.engine import ensemble
-from fastatt.engine.tiles import Writer
-from fastatt.flat.machine import assembly_of, functions_of, processor
+from fastatt.codegen import modules
+from fastatt.codegen.processor import processor
+from fastatt.engine import run as engine_run
+from fastatt.engine.program import Program
 
 needs_avx = pytest.mark.skipif(
     not binding.get_host_cpu_features().get("avx"), reason="no AVX: nothing to pack into"
 )
 ARITHMETIC = re.compile(r"^\s+v?(?:fn?m(?:add|sub)\w*?|mul|add|sub|div|sqrt)([ps])([ds])\s(.*)")
 CONVERSION = re.compile(r"^\s+v?cvt(?:ps2pd|pd2ps|ss2sd|sd2ss)\s")
+# of an x86, and of a 64-bit ARM
+JUMP = re.compile(r"^\s+(?:j\w+|b(?:\.\w+)?|cbn?z\s+\w+,)\s+(\.L\w+)")
 CALL = re.compile(r"^\s+call\w*\s+(.*)")
 REGISTER = {64: "zmm", 32: "ymm", 16: "xmm"}
 LARGE = 30  # operations that tell a step from a copy or a comparison
@@ -32,30 +34,44 @@ def job_of(monkeypatch, run):
     def record(job, **_):
         raise _Seen(job)
 
-    monkeypatch.setattr(ensemble, "program", record)
+    monkeypatch.setattr(engine_run, "program", record)
     with pytest.raises(_Seen) as seen:
         run()
     monkeypatch.undo()
     return seen.value.args[0]
 
 
-def programs(job):
-    """The program of a job and, where it has one, that of the careful form of a block."""
-    texts = [Writer(job, job.formulas).quick()]
-    if job.formulas.careful is not None:
-        texts.append(Writer(job, job.formulas).careful())
-    return texts
+def compiled(job):
+    """Numba's functions of a job: its program and, where it has one, the form for any angle.
+
+    They are compiled in memory: what comes from disk has no text.
+    """
+    kept = modules.folder
+    modules.folder = lambda: None
+    try:
+        program = Program(job)
+        found = [program._made]
+        if job.formulas.careful is not None:
+            program.compile_any_angle()
+            found.append(program._any_angle)
+    finally:
+        modules.folder = kept
+    return found
 
 
-_assembly = functools.cache(assembly_of)
+def texts(job):
+    """The functions in LLVM's language."""
+    return [function.inspect_llvm() for function in compiled(job)]
 
 
 def assemblies(job):
-    """Of its programs, in whose functions a label's name says which function it is of."""
-    return [
-        "\n".join(_assembly(x).replace(".L", f".L{i}_") for i, x in enumerate(functions_of(text)))
-        for text in programs(job)
-    ]
+    """Their assembly, without the wrappers by which they are called."""
+    found = []
+    for function in compiled(job):
+        parts = re.split(r"(?m)^\s*\.globl\s+", function._library.get_asm_str())
+        (own,) = [x for x in parts if re.match(r"_ZN\S*3run", x)]
+        found.append(own)
+    return found
 
 
 def innermost_loops(assembly):
@@ -65,7 +81,7 @@ def innermost_loops(assembly):
     for i, line in enumerate(lines):
         if label := re.match(r"^(\.L\w+):", line):
             labels[label[1]] = i
-        elif (jump := re.match(r"^\s+j\w+\s+(\.L\w+)", line)) and jump[1] in labels:
+        elif (jump := JUMP.match(line)) and jump[1] in labels:
             spans.append((labels[jump[1]], i))
     inner = [
         (a, b)

@@ -3,68 +3,23 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import fastatt as fa
 from fastatt.trade.ensembles import study
 from fastatt.trade.measure import Case, write_csv
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
 
 import advice
-import check_cost
+import consistency
 import long_runs
 import method_table
 import own_steps
 import recordings
 import scale
-
-
-@pytest.mark.parametrize("representation", ["quat", "dcm"])
-def test_every_stepped_method_has_a_cost(representation):
-    found = [name for name, _ in check_cost.pairs(representation, n=4)]
-    fitting = {
-        f"{title}, {name}"
-        for title, (scene, _) in check_cost.scenes(4).items()
-        for name, method in fa.METHODS.items()
-        if method.is_stepped and name in fa.methods_for(scene, representation)
-    }
-    assert set(found) == fitting
-    assert len(found) == len(fitting)
-
-
-def test_the_cost_is_that_of_looks(monkeypatch):
-    """A run that takes 1.5 times as long with looks costs 50 %, whoever goes first."""
-    ((name, pair),) = check_cost.pairs("quat", "coning, magnus4", n=4)
-    assert name == "coning, magnus4"
-    assert pair.seconds(3, looks=True) > 0.0
-    asked = []
-
-    def seconds(steps, looks):
-        asked.append(looks)
-        return 1.5 if looks else 1.0
-
-    monkeypatch.setattr(pair, "seconds", seconds)
-    assert pair.cost(3, 4) == (0.5, 0.0)
-    assert asked == [False, True, True, False] * 2
-
-
-def test_the_switch_takes_the_looks_away():
-    """Without them a step beyond the limit goes unseen."""
-    scene, w0 = check_cost.scenes(4)["gravity gradient"]
-    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
-    runs = []
-    for looks in (True, False):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", fa.StepWarning)
-            options = {"dt": 0.01, "n_steps": 9, "method": "rk4", "looks": looks}
-            runs.append(fa.propagate(scene, q0, 300 * w0, **options))
-    assert runs[0].status.all()
-    assert not (runs[1].status & fa.Status.STEP_TOO_LARGE).any()
 
 
 def test_the_method_table(tmp_path, capsys):
@@ -176,3 +131,14 @@ def test_degrees_are_no_rest():
     recording = recordings.x_imu3()
     with pytest.raises(ValueError, match=r"gyro: .*at rest"):
         recordings.errors(recording._replace(rates=np.degrees(recording.rates)))
+
+
+def test_consistency_of_filters(capsys, monkeypatch):
+    """Small: from 0.1 rad on 6 to the sampling, of vectors far more precise than the start not."""
+    monkeypatch.setattr(sys, "argv", ["consistency.py", "--filters", "300"])
+    consistency.main()
+    rows = [line.split("|")[2:-1] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert len(rows) == len(consistency.CASES)
+    found = np.array([[float(x.replace(",", "")) for x in row] for row in rows])
+    assert np.abs(found[:, 0] - 6.0).max() < 1.5
+    assert (found[2, 2:] > 50.0).all()

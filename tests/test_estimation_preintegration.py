@@ -216,14 +216,15 @@ def test_forsters_form():
 
 
 def test_users_code_in_single_precision(biased):
-    """The rotation, its Jacobian and covariance; whole samples run in double precision above."""
+    """The rotation, its Jacobian and covariance, which are there whatever the specific force."""
 
     @njit
     def user(gyro, h, g):
-        s = kernels.begin_rotation(h)
+        s = kernels.begin(h)
+        o = h - h
         for i in range(len(gyro)):
-            s = kernels.add_rotation(s, (gyro[i, 0], gyro[i, 1], gyro[i, 2]), h, g)
-        return s
+            s = kernels.add_sample(s, (gyro[i, 0], gyro[i, 1], gyro[i, 2]), (o, o, o), h, g, o)
+        return s.rotation
 
     narrow = np.float32
     single = user(GYRO.astype(narrow), narrow(H), narrow(SIGMA_G**2))
@@ -284,11 +285,17 @@ def test_gyro_alone(biased):
     assert np.abs(found.rotation_gyro - biased.rotation_gyro[0]).max() <= 2 * EPS
     rotation = biased.covariance[0, :3, :3]
     assert np.abs(found.covariance[:3, :3] - rotation).max() <= 4 * EPS * rotation.max()
-    assert not found.covariance[3:].any()
+    for unknown in (found.velocity, found.position, found.velocity_gyro, found.covariance[3:]):
+        assert np.isnan(unknown).all()
+    q, v, p = found.corrected((0.01, 0.0, 0.0))
+    assert np.isfinite(q).all()
+    assert np.isnan([v, p]).all()
+    with pytest.raises(ValueError, match="accel: found None where the samples were added"):
+        found.predict((1.0, 0.0, 0.0, 0.0), np.zeros(3), np.zeros(3))
     # white noise stays the same along all axes, held noise loses |Jr|² < 1 of it
     even = estimation.preintegrate(GYRO, None, H, gyro_noise=SIGMA_G, model="white").covariance
     assert np.abs(even[:3, :3] / (N * H * SIGMA_G**2) - np.eye(3)).max() <= N * 4 * EPS
-    assert np.trace(rotation) < np.trace(even)
+    assert np.trace(rotation) < np.trace(even[:3, :3])
 
 
 def test_prediction_and_correction():

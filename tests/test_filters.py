@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import scipy
-from exact import START, Motion, angle, attitude, exp, matrix, mul
+from exact import START, Motion, angle, attitude, conj, exp, matrix, mul
 from numba import njit
 
 import fastatt as fa
@@ -186,57 +186,107 @@ def test_predict_against_van_loan():
     assert angle(q, mul(START, exp(h * w))) <= 8 * EPS
 
 
-def kalman(P, z, H, R):
-    S = H @ P @ H.T + R
-    K = P @ H.T @ np.linalg.inv(S)
-    rest = np.eye(6) - K @ H
-    return K @ z, rest @ P @ rest.T + K @ R @ K.T, z @ np.linalg.solve(S, z)
+def iterated(q, P, linearised, R):
+    """(q, δb, P, NIS) by dense algebra: the prior as it is seen from what was found, four times."""
+    a, nis = np.array(q), None
+    for _ in range(4):
+        z, H = linearised(a)
+        back = mul(conj(a), q)
+        turn = scipy.linalg.block_diag(matrix(back), np.eye(3))
+        p = turn @ P @ turn.T
+        mean = np.concatenate([es.attitude_error(a, q), np.zeros(3)])
+        S = H @ p @ H.T + R
+        nis = z @ np.linalg.solve(S, z) if nis is None else nis
+        K = p @ H.T @ np.linalg.inv(S)
+        d = mean + K @ (z - H @ mean)
+        rest = np.eye(6) - K @ H
+        a = mul(a, exp(d[:3]))
+    return a, d[3:], rest @ p @ rest.T + K @ R @ K.T, nis
 
 
 @pytest.mark.parametrize("kind", ["vector", "attitude"])
 def test_updates_against_dense_algebra(kind):
     P = some_covariance()
     rng = np.random.default_rng(7)
-    H = np.zeros((3, 6))
     if kind == "vector":
         r, sigma = np.array([0.3, -0.4, 1.2]), 0.05
-        expected = matrix(START).T @ r
-        measured = expected + rng.normal(0.0, 0.1, 3)
-        H[:, :3], R, z = cross(expected), sigma**2 * np.eye(3), measured - expected
+        measured, R = matrix(START).T @ r + rng.normal(0.0, 0.1, 3), sigma**2 * np.eye(3)
+
+        def linearised(q):
+            expected = matrix(q).T @ r
+            size = np.linalg.norm(r)
+            axis = np.cross(expected, measured)
+            angle = np.arctan2(np.linalg.norm(axis), expected @ measured)
+            arc = angle * np.cross(axis, expected) / np.linalg.norm(axis)
+            along = (expected @ measured / size - size) * expected / size
+            return arc + along, np.hstack([cross(expected), np.zeros((3, 3))])
+
         found = es.mekf_update_vector(
             tuple(START), BIAS, blocks(P), tuple(measured), tuple(r), sigma**2
         )
+        other = es.UKF(START, BIAS, P)
+        given = measured, r, sigma
     else:
-        z, root = np.array([0.1, -0.2, 0.15]), rng.normal(0.0, 0.1, (3, 3))
-        R = root @ root.T
-        H[:, :3] = np.eye(3)
-        measured = tuple(mul(START, exp(z)))
+        root = rng.normal(0.0, 0.1, (3, 3))
+        measured, R = mul(START, exp(np.array([0.1, -0.2, 0.15]))), root @ root.T
+
+        def linearised(q):
+            return es.attitude_error(q, measured), np.eye(3, 6)
+
         upper = tuple(R[np.triu_indices(3)].tolist())
-        found = es.mekf_update_attitude(tuple(START), BIAS, blocks(P), measured, upper)
-    d, after, nis = kalman(P, z, H, R)
-    q, b, p, normalised = found
-    condition = np.linalg.cond(H @ P @ H.T + R)
-    assert angle(q, mul(START, exp(d[:3]))) <= 32 * EPS * condition
-    assert np.abs(b - (BIAS + d[3:])).max() <= 32 * EPS * condition
-    assert np.abs(dense(p) - after).max() <= 64 * EPS * condition * np.abs(P).max()
-    assert normalised == pytest.approx(nis, rel=64 * EPS * condition)
+        found = es.mekf_update_attitude(tuple(START), BIAS, blocks(P), tuple(measured), upper)
+        other = es.UKF(START, BIAS, P)
+        given = measured, R
+    q, d, after, nis = iterated(START, P, linearised, R)
+    condition = np.linalg.cond(P[:3, :3] + R)
+    same = getattr(other, f"update_{kind}")(*given)
+    for a, b, p, normalised in (
+        (found[0], found[1], dense(found[2]), found[3]),
+        (other.q, other.y, other.covariance, same),
+    ):
+        assert angle(q, a) <= 32 * EPS * condition
+        assert np.abs(b - (BIAS + d)).max() <= 32 * EPS * condition
+        assert np.abs(p - after).max() <= 64 * EPS * condition * np.abs(P).max()
+        assert normalised == pytest.approx(nis, rel=64 * EPS * condition)
+
+
+def test_an_update_by_a_residual_is_kalmans():
+    P, rng = some_covariance(), np.random.default_rng(7)
+    H, z, root = rng.normal(size=(3, 3)), rng.normal(0.0, 0.01, 3), rng.normal(0.0, 0.1, (3, 3))
+    R, wide = root @ root.T, np.hstack([H, np.zeros((3, 3))])
+    S = wide @ P @ wide.T + R
+    K = P @ wide.T @ np.linalg.inv(S)
+    rest = np.eye(6) - K @ wide
+    upper = tuple(R[np.triu_indices(3)].tolist())
+    q, b, p, nis = es.mekf_update(tuple(START), BIAS, blocks(P), tuple(z), tuple(H.ravel()), upper)
+    condition = np.linalg.cond(S)
+    assert angle(q, mul(START, exp((K @ z)[:3]))) <= 32 * EPS * condition
+    assert np.abs(np.subtract(b, BIAS) - (K @ z)[3:]).max() <= 32 * EPS * condition
+    assert np.abs(dense(p) - rest @ P @ rest.T - K @ R @ K.T).max() <= 64 * EPS * condition
+    assert nis == pytest.approx(z @ np.linalg.solve(S, z), rel=64 * EPS * condition)
 
 
 def test_a_direction_far_more_precise_than_the_estimate():
     """One of another length than the reference, whose rounding would be an angle's: closed form."""
     e, seen, p, r = np.array([1.0, 2.0, 3.0]), np.array([1.001, 2.0, 3.0]), 0.01, 1e-24
-    z, size = seen - e, e @ e
+    size = e @ e
+    axis = np.cross(seen, e)
+    turn = np.arctan2(np.linalg.norm(axis), seen @ e)
     found = es.mekf_update_vector(
         (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), blocks(np.diag([p] * 3 + [1e-4] * 3)),
         tuple(seen), tuple(e), r,
     )  # fmt: skip
-    assert np.abs(np.array(found[0]) - exp(np.cross(z, e) * p / (p * size + r))).max() <= 8 * EPS
+    share = p * size / (p * size + r)
+    expected = exp(axis / np.linalg.norm(axis) * turn * share)
+    assert np.abs(np.array(found[0]) - expected).max() <= 8 * EPS
     values, axes = np.linalg.eigh(dense(found[2])[:3, :3])
     assert values[2] == pytest.approx(p, rel=32 * EPS)
-    assert abs(axes[:, 2] @ e) == pytest.approx(np.sqrt(size), rel=32 * EPS)
+    # the axis about which nothing is known, now along the corrected axes
+    assert abs(axes[:, 2] @ seen) == pytest.approx(np.linalg.norm(seen), rel=32 * EPS)
     assert (np.abs(values[:2]) <= 32 * EPS * p).all()
-    along = (z @ e) ** 2 / size
-    assert found[3] == pytest.approx((z @ z - along) / (p * size + r) + along / r, rel=64 * EPS)
+    along = seen @ e / np.sqrt(size) - np.sqrt(size)
+    nis = size * turn**2 / (p * size + r) + along**2 / r
+    assert found[3] == pytest.approx(nis, rel=1e-12)
 
 
 def test_a_vectors_sensitivity_is_its_derivative():

@@ -89,6 +89,12 @@ def test_directions_of_very_different_precision():
         (SEEN * [[1], [0]], REFERENCE, 0.1, r"measured\[1\] is the zero vector"),
         (SEEN * [[1], [np.nan]], REFERENCE, 0.1, r"measured\[1, 0\] is nan"),
         (SEEN, [REFERENCE[0], -2.0 * REFERENCE[0]], 0.1, "reference: has directions near one line"),
+        # free, though the references are not near one line: equal ones, opposite ones, left-handed
+        (SEEN[[0, 0]], REFERENCE, 0.1, r"measured: its directions lie otherwise .* axis is free"),
+        (SEEN[[0, 0]] * [[1], [-2]], REFERENCE, 0.1, "measured: its directions lie otherwise"),
+        (-np.eye(3), np.eye(3), 0.1, "measured: its directions lie otherwise"),
+        ([SEEN, SEEN[[0, 0]]], REFERENCE, 0.1, r"measured\[1\]: its directions lie otherwise"),
+        (SEEN, REFERENCE, [1e-9, 0.02], "sigma: found 1e-09 to 0.02; accepted"),
         (
             np.tile(SEEN, (2, 1, 1)),
             [REFERENCE, [REFERENCE[0], REFERENCE[0] + [0, 0, 0.13]]],

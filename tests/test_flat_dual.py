@@ -15,7 +15,7 @@ from oracle import EPS, quat_exp, right_jacobian
 from fastatt.flat import dual, functions, graph, nodes, source
 from fastatt.flat.dual import Dual, derivatives, seed, value
 from fastatt.flat.finished import Flat
-from fastatt.flat.formulas import dcm, free_body, moser_veselov, newton, quat, rigid, so3, trig
+from fastatt.flat.formulas import dcm, free_body, moser_veselov, quat, rigid, so3, trig
 from fastatt.flat.graph import Double, Graph, Single, flattened
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.trace import traceable
@@ -155,7 +155,7 @@ CHAINS = {
     "right_jacobian": (lambda *u: so3.right_jacobian(u), [U, NEAR_PI, PAST]),
     "left_jacobian_inverse": (lambda *u: so3.left_jacobian_inverse(u), [U, NEAR_PI, PAST]),
     "dexpinv": (lambda *x: so3.dexpinv(x[:3], x[3:]), [(*U, 0.3, -0.2, 0.5)]),
-    "second_integral": (lambda *x: newton.turned_second_integral(x[:3], x[3:]), [(*U, *PAST)]),
+    "second_integral": (lambda *x: so3.turned_second_integral(x[:3], x[3:]), [(*U, *PAST)]),
     "normalise": (lambda *q: quat.normalise(q), [(3e150, -1e150, 2e150, 1e150), Q]),
     "sinhcosh": (lambda r: trig.short_waves(r, -r * r), [(0.2,), (-0.3,)]),
     "decay": (rigid.exp_decay, [(0.3,), (-2.0,), (30.0,)]),

@@ -1,6 +1,7 @@
 """Every kernel traced: its text and its machine code against the kernel, in both precisions."""
 
 import ctypes
+import functools
 import itertools
 import math
 import operator as op
@@ -10,16 +11,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from each import each
-from llvmlite import ir
+from numba import types as numba_types
 from numba.core.dispatcher import Dispatcher
 from test_kernels_grammar import ARGUMENTS, KERNELS, cast, leaves
 
-from fastatt.flat import machine, source
-from fastatt.flat.code import REALS, Code
+from fastatt.codegen.emitter import Emitter
+from fastatt.codegen.modules import generated
+from fastatt.codegen.processor import processor
+from fastatt.flat import source
 from fastatt.flat.finished import Flat
 from fastatt.flat.functions import larger
 from fastatt.flat.graph import Double, Graph, choose, flattened
-from fastatt.flat.llvm import Emitter
 from fastatt.flat.nodes import NotStraight, operands
 from fastatt.flat.trace import traceable
 
@@ -146,29 +148,36 @@ OPERATIONS = {
 
 
 class Programs:
-    """Functions of numbers in memory, all compiled at once."""
+    """Graphs as functions of numbers, all compiled at once."""
 
     def __init__(self, flats, kind, fuses):
-        module = ir.Module("test")
-        real = REALS[kind]
-        self.kind = kind
-        for name, flat in flats.items():
-            code = Code(module, name, [real.as_pointer(), real.as_pointer()])
-            x, y = code.function.args
-            order = {parts: i for i, parts in enumerate(flat.inputs())}
-            values = Emitter(code, 1, fuses)(
-                flat, lambda parts, _, x=x, o=order, c=code: (c.load(x, o[parts]), False)
-            )
-            for i, (value, _) in enumerate(values):
-                code.store(y, i, value)
-            code.give(0)
-        self.program = machine.Compiled(machine.object_of(str(module)))
+        self.kind, self.places = kind, {name: i for i, name in enumerate(flats)}
+        real = numba_types.CPointer(
+            numba_types.float64 if kind == "double" else numba_types.float32
+        )
+        emissions = {
+            f"graph{i}": ((real, real), functools.partial(self.emit, flat, fuses))
+            for i, flat in enumerate(flats.values())
+        }
+        calls = [f"    if k == {i}: graph{i}(x, y)" for i in range(len(flats))]
+        text = "\n".join(["def run(k, x, y):", *calls, ""])
+        key = "".join(flat.spelled(()) for flat in flats.values()) + str(fuses)
+        self.function = generated(text, (numba_types.int64, real, real), emissions, key)
+
+    @staticmethod
+    def emit(flat, fuses, code, args):
+        x, y = args
+        order = {parts: i for i, parts in enumerate(flat.inputs())}
+        values = Emitter(code, 1, fuses)(flat, lambda parts, _: (code.load(x, order[parts]), False))
+        for i, (value, _) in enumerate(values):
+            code.store(y, i, value)
 
     def __call__(self, name, values, n):
         F = FLOATS[self.kind]
         x, y = np.array(values, F), np.empty(n, F)
-        function = self.program.function(name, ctypes.c_void_p, ctypes.c_void_p)
-        function(x.ctypes.data, y.ctypes.data)
+        pointer = ctypes.POINTER(ctypes.c_double if self.kind == "double" else ctypes.c_float)
+        places = (ctypes.cast(array.ctypes.data, pointer) for array in (x, y))
+        self.function.ctypes(self.places[name], *places)
         return y
 
 
@@ -183,7 +192,7 @@ def test_machine_code_is_the_text_to_the_bit(kind):
         np.testing.assert_array_equal(found, expected, err_msg=name)
 
 
-@pytest.mark.skipif(not machine.processor().fuses, reason="a processor without fused operations")
+@pytest.mark.skipif(not processor().fuses, reason="a processor without fused operations")
 @every_precision
 def test_fused_machine_code(kind):
     """In double precision as with fused operations rounded once, to the bit.

@@ -6,11 +6,11 @@ from numba import config, njit
 from oracle import EPS
 from test_flat_scalar import MACHINE, SINGLE, TABLE, looked_up
 
+from fastatt.codegen.fold import Fold
+from fastatt.codegen.rows import Rows
+from fastatt.codegen.scalar import scalar_function
 from fastatt.flat import dual, functions, graph
-from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import axpy, quat, scale
-from fastatt.flat.rows import Rows
-from fastatt.flat.scalar import scalar_function
 from fastatt.flat.traced import Recurrence
 
 

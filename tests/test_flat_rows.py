@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import operator
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 from each import each
 
 from fastatt import closed_forms, exact
-from fastatt.flat import formulas, functions, graph, machine
-from fastatt.flat import rows as module
-from fastatt.flat.rows import Rows, lanes_of, rows
+from fastatt.codegen import lanes
+from fastatt.codegen import rows as module
+from fastatt.codegen.processor import processor
+from fastatt.codegen.rows import Rows, rows
+from fastatt.flat import formulas, functions, graph
 
 RNG = np.random.default_rng(5)
-LANES = {kind: lanes_of(kind) for kind in ("double", "single")}
+LANES = {kind: processor().lanes(kind) for kind in ("double", "single")}
 BLOCK = 4  # vectors
 TYPES = {"double": np.float64, "single": np.float32}
 EPS = {"double": 2.0**-53, "single": 2.0**-24}
@@ -200,8 +203,8 @@ def test_made_once():
 
 def test_traced_and_compiled_once(monkeypatch):
     calls = []
-    compiled = machine.compiled
-    monkeypatch.setattr(machine, "compiled", lambda text: calls.append("c") or compiled(text))
+    compiled = module.lane_function
+    monkeypatch.setattr(module, "lane_function", lambda *a: calls.append("c") or compiled(*a))
 
     def half(x):
         calls.append("t")
@@ -214,10 +217,16 @@ def test_traced_and_compiled_once(monkeypatch):
     assert sorted(calls) == ["c", "t"]
 
 
-def test_the_program_does_not_depend_on_addresses():
+def test_the_module_does_not_depend_on_addresses(monkeypatch):
     """What is kept on disk serves the next process."""
-    texts = [str(Rows(blend, SHAPE, OUTPUTS)._code(4).module) for _ in range(2)]
-    assert operator.eq(*texts)
+    made = []
+    monkeypatch.setattr(lanes, "generated", lambda text, *_: made.append((text, _[-1])))
+    for swap in (Opaque(), Opaque()):
+        called = functools.partial(functions.opaque, swap, 2)
+        made_now = Rows(lambda x, f=called: f((x[0], x[1]), x[0]), {"x": 2}, (2,))
+        with pytest.raises(AttributeError, match="address"):
+            made_now(np.ones(2))
+    assert operator.eq(*made)
 
 
 # without a compiler
@@ -227,7 +236,7 @@ def test_the_program_does_not_depend_on_addresses():
 @pytest.mark.parametrize("leads", [((), (), ()), ((9,), (9,), (9,)), ((2, 1, 4), (3, 1), (4,))])
 def test_in_python(kind, leads, monkeypatch):
     monkeypatch.setattr(module, "without_compiler", lambda: True)
-    monkeypatch.setattr(machine, "compiled", None)
+    monkeypatch.setattr(module, "lane_function", None)
     assert_as_numpy(kind, given(*leads, TYPES[kind]))
 
 
@@ -240,7 +249,7 @@ def test_closed_form_in_python(tensors, monkeypatch):
     t = np.linspace(-2.0, 3.0, 7)
     compiled = exact.free_body(q0, w0, inertia, t)
     monkeypatch.setattr(closed_forms, "without_compiler", lambda: True)
-    monkeypatch.setattr(machine, "compiled", None)
+    monkeypatch.setattr(closed_forms, "lane_function", None)
     q, w = exact.free_body(q0, w0, inertia, t)
     assert np.abs(q - compiled[0]).max() <= 4e-15
     assert np.abs(w - compiled[1]).max() <= 1e-14

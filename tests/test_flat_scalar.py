@@ -14,12 +14,12 @@ from numba import cfunc, config, njit, types
 from numba.core.errors import TypingError
 from oracle import EPS
 
+from fastatt.codegen.scalar import scalar_function
 from fastatt.flat import dual, functions, graph, nodes
 from fastatt.flat.finished import Flat
 from fastatt.flat.formulas import axpy, quat, rigid, scale, so3
 from fastatt.flat.graph import Graph
 from fastatt.flat.nodes import NotStraight
-from fastatt.flat.scalar import scalar_function
 from fastatt.flat.traced import Traced
 from fastatt.kernels import quat as kernels
 
@@ -350,7 +350,7 @@ def test_without_a_compiler(function, given, tables, monkeypatch):
 KEPT = """
 import edited
 from numba import njit
-from fastatt.flat.scalar import scalar_function
+from fastatt.codegen.scalar import scalar_function
 
 share = scalar_function(edited.formula)
 

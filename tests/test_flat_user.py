@@ -10,15 +10,14 @@ import weakref
 
 import numpy as np
 import pytest
-from llvmlite import ir
-from numba import njit
+from numba import njit, types
 
 import fastatt as fa
-from fastatt.flat import machine, source, user
-from fastatt.flat.code import I64, REALS, Code
+from fastatt.codegen.emitter import POINTERS, Emitter
+from fastatt.codegen.modules import generated
+from fastatt.flat import source, user
 from fastatt.flat.finished import Flat
 from fastatt.flat.graph import Double, Graph
-from fastatt.flat.llvm import POINTERS, Emitter
 from fastatt.flat.nodes import NotStraight
 from fastatt.flat.user import UserFunction, user_function
 
@@ -153,61 +152,55 @@ def test_called_from_machine_code(lanes):
     t, p = inputs(graph, made)
     x = [Double(y) for y in made.call(t, p)]
     flat = Flat(graph, [x[0] + p[1], x[1], x[2] * 2.0], "double")
-    module = ir.Module("test")
-    double = REALS["double"]
-    code = Code(module, "run", [double.as_pointer(), double.as_pointer(), I64])
-    given, results, address = code.function.args
-    resources = {("function", made): code.b.inttoptr(address, POINTERS["function"])}
 
-    def load(name, kind):
-        at = [("a", 0), ("b", 0), ("b", 1)].index(name) * lanes
-        return (code.vector(given, at, lanes) if lanes > 1 else code.load(given, at)), lanes > 1
+    def emit(code, args):
+        given, results, address = args
+        resources = {("function", made): code.b.inttoptr(address, POINTERS["function"])}
 
-    for i, value in enumerate(Emitter(code, lanes, True, resources).wide(flat, load)):
-        (code.store_vector if lanes > 1 else code.store)(results, i * lanes, value)
-    code.give(0)
-    program = machine.Compiled(machine.object_of(str(module)))
-    run = program.function("run", ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
+        def load(name, kind):
+            at = [("a", 0), ("b", 0), ("b", 1)].index(name) * lanes
+            return code.vector(given, at, lanes), lanes > 1
+
+        for i, value in enumerate(Emitter(code, lanes, True, resources).wide(flat, load)):
+            code.store_vector(results, i * lanes, value)
+
+    pointer = types.CPointer(types.float64)
+    arguments = (pointer, pointer, types.int64)
+    text = "def run(given, results, address): step(given, results, address)\n"
+    key = flat.spelled([("function", made)]) + str(lanes)
+    run = generated(text, arguments, {"step": (arguments, emit)}, key)
     times = np.array([3.2, -1.0, 0.75, 9.0])[:lanes]
     a, b = aligned(3 * lanes), aligned(3 * lanes)
     a[:] = [*times, *[P[0]] * lanes, *[P[1]] * lanes]
-    run(a.ctypes.data, b.ctypes.data, made.address)
+    doubles = ctypes.POINTER(ctypes.c_double)
+    run.ctypes(*(ctypes.cast(x.ctypes.data, doubles) for x in (a, b)), made.address)
     for k, t in enumerate(times):
         x = until(t, P)
         np.testing.assert_array_equal(b[k::lanes], [x[0] + P[1], x[1], x[2] * 2.0])
 
 
 @pytest.mark.parametrize("own", [False, True])
-def test_what_lanes_share_is_asked_for_once(own, monkeypatch):
-    """Before the loop over lanes; of numbers of their own each lane asks."""
-    monkeypatch.setattr("numba.config.DISABLE_JIT", True)
+@pytest.mark.parametrize("method", ["lie_euler", "lie_midpoint"])
+def test_what_bodies_share_is_asked_for_once(own, method, monkeypatch):
+    """Once a tile and step, in each form of the step; with parameters per body each body asks."""
     times = []
 
     def noting(t, p):
         times.append(t)
         return until(t, p)
 
-    made = user_function(noting, "rate", 2)
-    graph = Graph()
-    flat = Flat(graph, made.call(*inputs(graph, made)), "double")
-    code = Code(ir.Module("test"), "run", [REALS["double"].as_pointer(), I64])
-    results, address = code.function.args
-    resources = {("function", made): code.b.inttoptr(address, POINTERS["function"])}
-    emit = Emitter(code, 4, True, resources)
-    a, b = (code.real("double", x) for x in (3.2, 0.3))
-    before = emit.shared(flat, {"a": {0: a}, "b": {} if own else {0: b, 1: b}})
-    with code.lanes(8, 4) as j:
-        found = emit.wide(flat, lambda name, kind: (code.splat(b, 4), True), before)
-        for i, value in enumerate(found):
-            code.store_vector(results, j + 8 * i, value)
-    code.give(0)
-    program = machine.Compiled(machine.object_of(str(code.module)))
-    memory = aligned(24)
+    n, params = 64, (20.0, 20.0)
+    with monkeypatch.context() as patch:
+        patch.setattr("numba.config.DISABLE_JIT", True)  # it is called back
+        numbers = np.outer(np.linspace(1.0, 1.1, n), params) if own else params
+        scene = fa.Scene(rate=noting, params=numbers)
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     times.clear()
-    program.function("run", ctypes.c_void_p, ctypes.c_int64)(memory.ctypes.data, made.address)
-    assert times == [3.2] * (8 if own else 1)
-    for i, x in enumerate(until(3.2, (0.3, 0.3))):
-        assert (memory[8 * i : 8 * i + 8] == x).all()
+    with pytest.warns(fa.StepWarning):
+        fa.propagate(scene, q0, t0=0.25, dt=0.5, n_steps=2, method=method, n_threads=1)
+    asked = [x for x in times if x == times[0]]
+    # the form for small angles, and when the other one is compiled both
+    assert len(asked) == (3 * n if own else 3)
 
 
 def raising(t, p):

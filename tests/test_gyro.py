@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
 import fastatt as fa
-from fastatt.flat.machine import Processor, processor
-from fastatt.gyro import chunk, engine, turns
-from fastatt.gyro.windows import CHUNK, Window
+from fastatt.codegen.processor import processor
+from fastatt.gyro import formula as lanes
+from fastatt.gyro import program
+from fastatt.gyro.loops import CHUNK, LANES
+from fastatt.gyro.windows import Window
 
 LOG = np.random.default_rng(2).normal(size=(3000, 3))
 SAMPLED = [
@@ -23,17 +29,12 @@ SAMPLED = [
 ]
 
 
-def forget():
-    for made in (engine._program, engine._loops):
-        made.cache_clear()
-
-
 @pytest.fixture
 def fresh():
-    """Nothing compiled before the test, and nothing of it after."""
-    forget()
+    """No program made before the test is used, and none of its own after it."""
+    program.program.cache_clear()
     yield
-    forget()
+    program.program.cache_clear()
 
 
 @pytest.mark.parametrize(("span", "history"), [(0, 0), (5, 0), (96, 0), (1, -1), (1, 9)])
@@ -42,8 +43,8 @@ def test_windows_that_a_chunk_does_not_hold_are_refused(span, history):
         Window(history=history, span=span)
 
 
-# of processors whose vectors are of another width than this one's
-OTHERS = [f for f in ("", "+avx", "+avx512f") if Processor("", f).vector != processor().vector]
+# bytes of the vectors of other processors than this one
+OTHERS = [vector for vector in (16, 32, 64) if vector != processor().vector]
 
 
 @pytest.mark.parametrize(("method", "increments"), SAMPLED)
@@ -66,12 +67,12 @@ def test_samples_of_a_window(method, increments):
             formula(v[:-1], h)
 
 
-@pytest.mark.parametrize("features", OTHERS)
+@pytest.mark.parametrize("vector", OTHERS)
 @pytest.mark.parametrize(
     ("method", "increments"), [("hold", True), ("previous", False), ("picard", True)]
 )
-def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments, features):
-    """The lanes of a processor with short vectors, on this one."""
+def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments, vector):
+    """The lanes of a processor with other vectors, on this one."""
     logs = LOG.reshape(30, 100, 3) * 0.02, LOG * 0.02
     spans = 0.1, np.linspace(0.09, 0.11, 100 - (not increments))
     options = {"method": method, "increments": increments}
@@ -81,26 +82,23 @@ def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments,
         for data, dt in ((logs[0], spans[0]), (logs[0], spans[1]), (logs[1], 0.1))
     ]
     expected = [fa.integrate_rates(data, dt, **options) for data, dt in cases]
-    own = processor()
-    other = Processor(own.name, features + (",+fma" if own.fuses else ""))
-    lanes = {"double": other.vector // 8, "single": other.vector // 4}
-    for module in (chunk, turns):
+    other = processor()._replace(vector=vector)
+    for module in (lanes, program):
         monkeypatch.setattr(module, "processor", lambda: other)
-        monkeypatch.setattr(module, "lanes_of", lanes.get)
-    forget()
+    program.program.cache_clear()
     for (data, dt), one in zip(cases, expected, strict=True):
         assert fa.integrate_rates(data, dt, **options).tobytes() == one.tobytes()
 
 
 def forms_made(monkeypatch):
-    """Whether they are good for any angle, of the windows' loops that are made from now on."""
-    made = []
+    """Whether they are for small rotation angles, of the forms that are compiled from now on."""
+    made, compiled = [], program.Program._compiled
 
-    def loop(*given, wide):
-        made.append(wide)
-        return turns.WindowsLoop(*given, wide)
+    def compile_form(self, *, small_angle):
+        made.append(small_angle)
+        return compiled(self, small_angle=small_angle)
 
-    monkeypatch.setattr(engine, "WindowsLoop", loop)
+    monkeypatch.setattr(program.Program, "_compiled", compile_form)
     return made
 
 
@@ -109,21 +107,21 @@ def test_windows_for_any_angle_are_compiled_when_one_turns_past_a_half(fresh, mo
     """Turns of at most π a window need them not; picard has one form."""
     made = forms_made(monkeypatch)
     fa.integrate_rates(0.01 * LOG[:n], 1.0, method="coning2")
-    assert made == [False]
+    assert made == [True]
     fast = 0.01 * LOG[:n]
     fast[n // 2] = 2.0
     q = fa.integrate_rates(fast, 1.0, method="coning2")
-    assert made == [False, True]
+    assert made == [True, False]
     assert np.array_equal(fa.integrate_rates(fast, 1.0, method="coning2", n_threads=1), q)
     fa.integrate_rates(0.01 * LOG[:n], 1.0, method="picard")
-    assert made == [False, True, True]
+    assert made == [True, False, True]
 
 
 def test_threads_that_need_a_program_together_make_it_once(fresh, monkeypatch):
     made = forms_made(monkeypatch)
     logs = np.tile(LOG[:20], (4000, 1, 1))
     fa.integrate_rates(logs, 1.0, method="coning3", n_threads=8)
-    assert made == [False, True]
+    assert made == [True, False]
 
 
 @pytest.mark.parametrize("fast", [False, True])
@@ -135,10 +133,48 @@ def test_both_exponentials_give_small_turns_the_same_bits(fresh, monkeypatch, fa
         near = property(lambda window: 1e-9)
         with monkeypatch.context() as patched:
             patched.setattr(Window, "near", near)
-            forget()
+            program.program.cache_clear()
             wide = fa.integrate_rates(data.astype(dtype), 0.1, method="coning3")
-        forget()
+        program.program.cache_clear()
         assert wide.tobytes() == short.tobytes()
+
+
+# lengths within a chunk, of whole chunks, of less than a window; a log, and logs side by side
+PLAIN = [(1, 2), (1, 50), (1, 97), (3, 20), (LANES + 1, 5)]
+
+
+def attitudes_of_plain_logs():
+    """Attitudes of small logs by every method, some of rotations beyond π."""
+    found = {}
+    for method, increments in SAMPLED:
+        for dtype in ("f8", "f4"):
+            for n_logs, n in PLAIN:
+                for uneven in (False, True)[: 1 + (not fa.METHODS[method].window.even)]:
+                    data = 0.1 * LOG[: n_logs * n].reshape(n_logs, n, 3)
+                    data[-1, n // 2] *= 20.0 if method != "picard" else 1.0
+                    count = n - (not increments)
+                    dt = np.linspace(0.8, 1.2, count) if uneven else 1.0
+                    name = f"{method} {increments} {dtype} {n_logs} {n} {uneven}"
+                    found[name] = fa.integrate_rates(
+                        data.astype(dtype), dt, method=method, increments=increments, n_threads=2
+                    )
+    return found
+
+
+@pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
+def test_python_gives_what_machine_code_gives(tmp_path):
+    """But for fused products, of some roundings an interval."""
+    root, path = Path(fa.__file__).resolve().parents[1], tmp_path / "plain.npz"
+    settings = {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", __file__, str(path)],
+        env={**os.environ, **settings}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with np.load(path) as in_python:
+        for name, q in attitudes_of_plain_logs().items():
+            assert in_python[name].dtype == q.dtype
+            assert np.abs(in_python[name] - q).max() <= 8 * q.shape[1] * np.finfo(q.dtype).eps
 
 
 # rates for which every product rounds to the same side
@@ -182,3 +218,7 @@ def test_a_sample_counts_for_the_intervals_before_and_after_it(long, n_logs):
     ) as said:
         fa.integrate_rates(rates, spans, method="coning2", max_gap=1.0)
     assert len(said) == 1
+
+
+if __name__ == "__main__":
+    np.savez(sys.argv[1], **attitudes_of_plain_logs())

@@ -227,6 +227,7 @@ GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
         (GOOD, {"max_gap": 0.0}, "max_gap: found 0.0; accepted: a number above 0"),
         (GOOD, {"bad": "keep"}, "bad: found 'keep'; accepted: refuse, drop, split, hold"),
         (GOOD, {"bias_seconds": 9.0}, "bias_seconds: found 9; accepted: less than the log"),
+        (GOOD.replace("1,2,3", ".1,0,0"), {"bias_seconds": 0.1}, "found one sample in the first"),
         (GOOD, {"bias_seconds": 1.5}, "not at rest in the first 1.5 s .mean rate 3 rad/s"),
         (GOOD.replace("[s]", "[min]"), {}, "t .min.: found the unit 'min'"),
         (GOOD.replace("wx,wy,wz", "gx,gy,gz,wx,wy,wz").replace(",3", ",3,1,2,3"), {}, "one gyro"),

@@ -10,7 +10,7 @@ from rigid_oracle import integrate
 
 import fastatt as fa
 from fastatt.attitudes import COMPENSATED
-from fastatt.flat.rows import rows
+from fastatt.codegen.rows import rows
 from fastatt.kernels import compensated
 from fastatt.running.watch import Measure
 

@@ -158,7 +158,7 @@ def test_methods_of_ones_own_go_wherever_a_name_goes(method):
     assert (traj.method, traj.record) == (method.name, method)
     assert method.name in traj.summary()
     assert method.name in fa.show_loop(scene, method)
-    check = fa.propagate(scene, START, dt=0.1, n_steps=20, method=method, check=2).check
+    check = fa.self_check(scene, START, dt=0.1, n_steps=20, method=method, sample=2)
     assert (check.method, check.declared) == (method.name, 4)
     assert check.passed
     back = fa.propagate(scene, traj.q[-1], dt=-0.1, n_steps=20, t0=2.0, method=method)
@@ -342,8 +342,8 @@ def test_an_order_that_is_not_there_is_warned_of():
     untrue = fa.lie("untrue", order=4, exponents=simpson)
     scene = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
     with pytest.warns(fa.OrderWarning, match="untrue"):
-        traj = fa.propagate(scene, START, dt=0.1, n_steps=20, method=untrue, check=1)
-    assert not traj.check.passed
+        check = fa.self_check(scene, START, dt=0.1, n_steps=20, method=untrue, sample=1)
+    assert not check.passed
 
 
 # representations
@@ -420,7 +420,7 @@ def test_every_method_that_fits_steps_bodies(attitude):
     for scene in (fa.Scene(inertia=INERTIA), fa.Scene(inertia=tensor, torque=top)):
         reference = run(scene, "rk8", 400, START4, SPIN4)
         fitting = fa.methods_for(scene, attitude)
-        assert {"rk4", "rk8", "srkn6" if scene.torque else "dmv6"} <= set(fitting)
+        assert {"rk4", "rk8", *(() if scene.torque else ("dmv6",))} <= set(fitting)
         assert ("cf4" in fitting) is (attitude is DOUBLED)
         for method in fitting:
             traj = run(scene, method, 400, START4, SPIN4, attitude)
@@ -561,7 +561,7 @@ def test_torque_of_ones_own_with_numbers_of_each_body(scene, dtype):
 
 @pytest.mark.parametrize(
     ("scene", "method"),
-    [(DAMPED, "rk4"), (DAMPED, "cf4"), (DAMPED, RALSTON3), (KEPT, "strang2"), (KEPT, "srkn6")],
+    [(DAMPED, "rk4"), (DAMPED, "cf4"), (DAMPED, RALSTON3), (KEPT, "strang2"), (KEPT, "suzuki4")],
 )
 def test_torque_of_ones_own_has_the_methods_order(scene, method):
     reference = run(scene, "rk8", 400, START4, SPIN4)

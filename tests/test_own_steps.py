@@ -36,7 +36,7 @@ def sorts():
     found = {}
     for kind, name in STEPPED:
         m = fa.METHODS[name]
-        formulas = m.steps.stage is not None, m.steps.at_times, m.sorted_axes
+        formulas = m.steps.stage is not None, m.sorted_axes
         found.setdefault((kind, m.exponentials > 0, len(m.stages) > 1, *formulas), (kind, name))
     return list(found.values())
 
@@ -171,7 +171,6 @@ def test_a_body_that_waits_is_not_judged():
         ),
         ({"dt": 0.1, "n_steps": 3, "save_at": [0.2, 0.1]}, "save_at: found times out of order"),
         ({"dt": 0.1, "n_steps": 3, "save_at": [0.2], "compensated": True}, "compensated: found wi"),
-        ({"dt": STEPS, "n_steps": COUNTS, "check": 2}, "check: found with"),
     ],
 )
 def test_refusals(options, message):

@@ -9,7 +9,7 @@ from numba import njit
 
 import fastatt as fa
 from fastatt import rates
-from fastatt.flat.rows import rows
+from fastatt.codegen.rows import rows
 from fastatt.models import SUM, Law, pack, pack_user
 from fastatt.rates import RECORDS, USER
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.engine import ensemble
+from fastatt.engine import program as engine_program
+from fastatt.engine import run as engine_run
 
 Q0, W0 = np.random.default_rng(2).normal(size=(2, 70, 4))  # more than a tile
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
@@ -47,13 +48,13 @@ def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     """The wait is over, or said to be one, before there is anything to count."""
     opened_at_compilation = []
 
-    def compiled(text):
+    def compiled(*given):
         opened_at_compilation.append(len(bars))
-        return made(text)
+        return made(*given)
 
-    made = ensemble.compiled
-    monkeypatch.setattr(ensemble, "compiled", compiled)
-    ensemble.program.cache_clear()
+    made = engine_program.generated
+    monkeypatch.setattr(engine_program, "generated", compiled)
+    engine_run.program.cache_clear()
     run(n_steps=2, method="rk4")
     assert opened_at_compilation == [0]
     assert len(bars) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
 import multiprocessing
 import os
@@ -12,17 +13,20 @@ import time
 from pathlib import Path
 
 import pytest
+from numba import config, types
+from numba.core import caching
 
+from fastatt import _jit
 from fastatt.cli import main
-from fastatt.flat import machine, store
+from fastatt.codegen import modules as store
 
 ROOT = Path(__file__).resolve().parents[1]
-TEXT = 'define i64 @"answer"() {{ ret i64 {} }}\n'
+TEXT = "def run(x): x[0] = {}.0\n"
 # one run, its result and what became of functions
 RUN = """
 import numpy as np
 import fastatt as fa
-from fastatt.flat import store
+from fastatt.codegen import modules as store
 run = fa.propagate(fa.Scene(rate=fa.rates.Coning(0.5, 1.0)), [1, 0, 0, 0], dt=0.1, n_steps=5)
 print(run.q[-1, 0], store.made, store.hits)
 """
@@ -41,7 +45,14 @@ def process(code, cache, *, package=ROOT, **env):
 
 
 def answer(n):
-    return machine.compiled(TEXT.format(n)).function("answer")()
+    room = (ctypes.c_double * 1)()
+    arguments = (types.CPointer(types.float64),)
+    store.generated(TEXT.format(n), arguments, {}, "").ctypes(room)
+    return room[0]
+
+
+def files_of(cache, suffix):
+    return sorted(x for x in cache.rglob(f"*{suffix}") if x.is_file())
 
 
 @pytest.fixture
@@ -49,6 +60,7 @@ def cache(tmp_path, monkeypatch):
     """An empty folder that this process uses."""
     path = tmp_path / "cache"
     monkeypatch.setenv("FASTATT_CACHE", str(path))
+    monkeypatch.setattr("numba.config.CACHE_DIR", "")
     store._found.cache_clear()
     monkeypatch.setattr(store, "hits", 0)
     monkeypatch.setattr(store, "made", 0)
@@ -62,62 +74,82 @@ def cache(tmp_path, monkeypatch):
 def test_a_program_is_made_once_and_found_then(cache):
     assert [answer(42), answer(42), answer(43)] == [42, 42, 43]
     assert (store.made, store.hits) == (2, 1)
-    files, size = store.usage()
-    assert (files, size) == (2, sum(f.stat().st_size for f in cache.iterdir()))
+    programs, size = store.usage()
+    files = [x for x in cache.rglob("*") if x.is_file()]
+    assert (programs, size) == (2, sum(f.stat().st_size for f in files))
     store.clear()
-    assert list(cache.iterdir()) == []
+    assert [x for x in cache.rglob("*") if x.is_file()] == []
 
 
-@pytest.mark.parametrize(
-    "damaged",
-    [
-        lambda data: b"",
-        lambda data: data[:20],
-        lambda data: data[:-1],
-        lambda data: b"x" + data[1:],
-        lambda data: data[:100] + bytes([data[100] ^ 1]) + data[101:],
-    ],
-    ids=["empty", "head", "end", "mark", "bit"],
-)
-def test_a_damaged_file_is_made_anew(cache, damaged):
+DAMAGES = {
+    "empty": lambda data: b"",
+    "half": lambda data: data[: len(data) // 2],
+    "end": lambda data: data[:-1],
+    "begin": lambda data: b"x" + data[1:],
+    "bit": lambda data: data[:100] + bytes([data[100] ^ 1]) + data[101:],
+}
+
+
+@pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
+@pytest.mark.parametrize("damaged", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_file_is_made_anew(cache, damaged, suffix):
     assert answer(42) == 42
-    (file,) = cache.iterdir()
-    whole = file.read_bytes()
-    file.write_bytes(damaged(whole))
+    (file,) = files_of(cache, suffix)
+    file.write_bytes(damaged(file.read_bytes().ljust(101)))
     assert answer(42) == 42
-    assert (store.made, store.hits) == (2, 0)
-    assert file.read_bytes()[:40] == whole[:40]
+    # a source is put right, and what was compiled of it still fits
+    assert (store.made, store.hits) == ((1, 1) if suffix == ".py" else (2, 0))
     assert answer(42) == 42
+    assert store.hits == (2 if suffix == ".py" else 1)
+
+
+def test_files_that_are_missing_are_made_anew(cache):
+    """Machine code without its mark is not loaded, whoever put it there."""
+    assert answer(42) == 42
+    for n, suffix in enumerate((".ok", ".nbi", ".nbc", ".py")):
+        for file in files_of(cache, suffix):
+            file.unlink()
+        assert answer(42) == 42
+        assert len(files_of(cache, suffix)) >= 1
+        assert store.made == (2 + n if suffix != ".py" else 4)
     assert store.hits == 1
 
 
+def test_folders_do_not_share_files(cache, monkeypatch):
+    """Of one name, where Numba keeps both in a folder of its own."""
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(cache.parent / "numba"))
+    for name in ("a", "b", "a", "b"):
+        monkeypatch.setenv("FASTATT_CACHE", str(cache.parent / name / "cache"))
+        store._found.cache_clear()
+        assert answer(42) == 42
+    assert (store.made, store.hits) == (2, 2)
+    assert store.usage()[0] == 1
+    store.clear()
+    assert len(files_of(cache.parent, ".nbc")) == 1
+
+
 def test_the_files_not_used_for_longest_go(cache, monkeypatch):
+    names = []
     for n in range(4):
         answer(n)
-    names = [f"{machine.key_of(TEXT.format(n))}.o" for n in range(4)]
+        names += sorted({x.stem for x in files_of(cache, ".py")} - set(names))
     for age, name in enumerate(names):
         past = time.time() - 1000.0 * (4 - age)
-        os.utime(cache / name, (past, past))
+        for mark in files_of(cache, ".ok"):
+            if mark.name.startswith(name):
+                os.utime(mark, (past, past))
     answer(0)  # the oldest, used again
     left = cache / "left.part"
     left.write_bytes(b"")
     os.utime(left, (0.0, 0.0))
     young = cache / "young.part"
     young.write_bytes(b"")
-    sizes = [(cache / name).stat().st_size for name in names]
-    monkeypatch.setattr(store, "LIMIT", sum(sizes) - 1)
+    monkeypatch.setattr(store, "LIMIT", store.usage()[1] - 1)
+    monkeypatch.setattr(store, "made", 64)
     store._trim(cache)
-    assert {f.name for f in cache.iterdir()} == {names[0], *names[2:], "young.part"}
-
-
-def test_the_limit_holds_while_programs_are_written(cache, monkeypatch):
-    answer(0)
-    (file,) = cache.iterdir()
-    code = file.read_bytes()[40:]
-    monkeypatch.setattr(store, "LIMIT", 3 * file.stat().st_size)
-    for n in range(70):
-        store.write(f"key{n}", code)
-    assert 3 <= len(list(cache.iterdir())) < 3 + 64
+    assert {x.stem for x in files_of(cache, ".py")} == {names[0], *names[2:]}
+    assert len(files_of(cache, ".nbc")) == len(files_of(cache, ".nbi")) == 3
+    assert files_of(cache, ".part") == [young]
 
 
 def test_what_cannot_be_written_is_compiled_in_memory(cache, monkeypatch):
@@ -130,7 +162,7 @@ def test_what_cannot_be_written_is_compiled_in_memory(cache, monkeypatch):
     monkeypatch.setattr(store.tempfile, "mkstemp", full)
     assert [answer(42), answer(42)] == [42, 42]
     assert (store.made, store.hits) == (2, 0)
-    assert list(cache.iterdir()) == []
+    assert [x for x in cache.rglob("*") if x.is_file()] == []
 
 
 def test_a_file_that_may_not_be_renamed_leaves_nothing(cache, monkeypatch):
@@ -141,7 +173,7 @@ def test_a_file_that_may_not_be_renamed_leaves_nothing(cache, monkeypatch):
 
     monkeypatch.setattr(Path, "replace", refused)
     assert answer(42) == 42
-    assert list(cache.iterdir()) == []
+    assert [x for x in cache.rglob("*") if x.is_file()] == []
 
 
 # folders
@@ -165,10 +197,11 @@ def test_it_works_where_no_folder_can_be(cache, monkeypatch):
     assert answer(42) == 42
 
 
+@pytest.mark.parametrize("inside", ["", "__pycache__"])
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o722])
-def test_a_folder_that_others_may_write_to_is_not_trusted(cache, mode):
+def test_a_folder_that_others_may_write_to_is_not_trusted(cache, mode, inside):
     answer(42)
-    cache.chmod(mode)
+    (cache / inside).chmod(mode)
     store._found.cache_clear()
     assert store.folder() is None
     assert "others may write to it" in store.reason()
@@ -190,17 +223,29 @@ def test_the_folder_is_the_users_own(cache):
 
 
 def test_a_read_only_folder_is_read(cache, monkeypatch):
-    """What was kept there is used; without anything in it, it is of no use."""
+    """Its functions are loaded; without any in it, it is of no use."""
     answer(42)
+    before = files_of(cache, "")
+    ensure = caching._CacheLocator.ensure_cache_path
+
+    def refused(self):
+        if Path(self.get_cache_path()).is_relative_to(cache):
+            raise PermissionError("no")
+        ensure(self)
+
+    monkeypatch.setattr(caching._CacheLocator, "ensure_cache_path", refused)  # root writes anywhere
     monkeypatch.setattr(store.os, "access", lambda *about: False)
     store._found.cache_clear()
     assert store.folder() == cache
-    assert answer(42) == 42
-    assert store.hits == 1
-    store.clear()
+    assert [answer(42), answer(43), answer(42)] == [42, 43, 42]
+    assert (store.made, store.hits) == (2, 2)
+    assert files_of(cache, "") == before
+    shutil.rmtree(cache)
+    cache.mkdir(mode=0o700)
     store._found.cache_clear()
     assert store.folder() is None
     assert "may not be written to" in store.reason()
+    assert answer(42) == 42
 
 
 @pytest.mark.parametrize(
@@ -222,7 +267,7 @@ def test_it_works_where_nothing_can_be_kept(tmp_path, env):
 
 def test_the_home_is_used_where_no_folder_is_named(tmp_path):
     env = {"FASTATT_CACHE": None, "XDG_CACHE_HOME": None, "HOME": str(tmp_path)}
-    code = "from fastatt.flat import store; print(store.folder())"
+    code = "from fastatt.codegen import modules as store; print(store.folder())"
     (found,) = process(code, tmp_path, **env)
     assert Path(found).is_relative_to(tmp_path)
     assert process(code, "~/there", HOME=str(tmp_path)) == [str(tmp_path / "there")]
@@ -232,12 +277,18 @@ def test_the_home_is_used_where_no_folder_is_named(tmp_path):
 
 
 TOGETHER = """
-import multiprocessing as mp, sys
-from fastatt.flat import machine
+import ctypes, multiprocessing as mp, sys
+from numba import config, types
+from numba.core import caching
+from fastatt.codegen import modules
+def answer(n):
+    room = (ctypes.c_double * 1)()
+    arguments = (types.CPointer(types.float64),)
+    modules.generated(f"def run(x): x[0] = {n}.0\\n", arguments, {}, "").ctypes(room)
+    return int(room[0])
 def work(barrier, queue):
     barrier.wait()
-    text = 'define i64 @"answer"() {{ ret i64 {} }}'
-    queue.put([machine.compiled(text.format(n)).function("answer")() for n in range(20)])
+    queue.put([answer(n) for n in range(5)])
 if __name__ == "__main__":
     context = mp.get_context(sys.argv[1])
     barrier, queue = context.Barrier(3), context.Queue()
@@ -245,7 +296,8 @@ if __name__ == "__main__":
     [p.start() for p in some]
     found = [queue.get() for _ in some]
     [p.join() for p in some]
-    print(found == [list(range(20))] * 3)
+    again = [answer(n) for n in range(5)]
+    print(found == [again] * 3, modules.made, modules.hits)
 """
 
 
@@ -258,26 +310,39 @@ def test_processes_may_write_at_once(tmp_path, start):
     folder = tmp_path / "cache"
     done = subprocess.run(
         [sys.executable, str(script), start],
-        env={**os.environ, "FASTATT_CACHE": str(folder), "PYTHONPATH": str(ROOT)},
+        env={
+            **os.environ, "FASTATT_CACHE": str(folder), "PYTHONPATH": str(ROOT),
+            "NUMBA_CACHE_DIR": "",
+        },
         capture_output=True, text=True, check=False, timeout=120,
     )  # fmt: skip
-    assert done.stdout == "True\n", done.stderr
-    assert len(list(folder.glob("*.o"))) == 20
+    # what they left is whole
+    assert done.stdout == "True 0 5\n", done.stderr
+    assert len(list(folder.glob("*.py"))) == 5
     assert list(folder.glob("*.part")) == []
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_fork_while_another_thread_compiles_does_not_hang(tmp_path):
-    """The child's lock is free, whoever held it."""
+    """The fork waits until the compiler is free."""
     code = """
-import os
-from fastatt.flat import machine
-with machine._LOCK:
-    child = os.fork()
-    if not child:
-        text = 'define i64 @"answer"() { ret i64 7 }'
-        os._exit(machine.compiled(text).function("answer")())
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+import os, threading, time
+from numba.core.compiler_lock import global_compiler_lock
+import fastatt as fa
+import fastatt.codegen.modules
+held = threading.Event()
+def compiling():
+    with global_compiler_lock:
+        held.set()
+        time.sleep(0.3)
+threading.Thread(target=compiling).start()
+held.wait()
+child = os.fork()
+if not child:
+    body = fa.Scene(inertia=(2.0, 1.0, 0.7))
+    run = fa.propagate(body, [1, 0, 0, 0], [0, 0, 1], dt=0.1, n_steps=1, method="rk4")
+    os._exit(7 if run.status[0] == 0 else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     assert process(code, tmp_path / "c") == ["7"]
 
@@ -285,7 +350,7 @@ with machine._LOCK:
 EDITED = """
 import numpy as np
 import fastatt as fa
-from fastatt.flat import store
+from fastatt.codegen import modules as store
 assert fa.__file__.startswith({package!r})
 scene, q = fa.Scene(rate=fa.rates.Coning(0.5, 1.0)), [0.6, 0.5, -0.4, 0.48]
 for method in ("magnus4", "rk4"):
@@ -327,6 +392,51 @@ def test_an_edited_source_is_never_served_stale(tmp_path):
     assert again == [*first[:3], "0", str(int(first[3]) + int(first[4]))]
 
 
+def test_an_edited_emission_is_compiled_anew(cache, tmp_path):
+    """The source that emits operations counts, wherever it is."""
+    file, arguments = tmp_path / "emission.py", (types.CPointer(types.float64),)
+    found = []
+    for value in (1.0, 2.0, 1.0):
+        text = f"def emit(code, args): code.store(args[0], 0, code.real('double', {value}))\n"
+        file.write_text(text)
+        store._hash.cache_clear()
+        scope = {}
+        exec(compile(text, str(file), "exec"), scope)
+        emissions = {"emitted": (arguments, scope["emit"])}
+        room = (ctypes.c_double * 1)()
+        store.generated("def run(x): emitted(x)\n", arguments, emissions, "").ctypes(room)
+        found += room
+    assert found == [1.0, 2.0, 1.0]
+    assert (store.made, store.hits) == (2, 1)
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_loop_is_kept_until_it_is_edited(tmp_path, monkeypatch):
+    """Or its files are damaged, or the calls that it takes from another file are edited."""
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "numba"))
+    file, calls = tmp_path / "loop.py", tmp_path / "call.py"
+    monkeypatch.setattr(_jit, "_PARTS", (calls,))
+
+    def loop(added=1, called="first"):
+        text = f"def run(x):\n    return x + {added}\n"
+        file.write_text(text)
+        calls.write_text(called)
+        scope = {"__name__": "loop"}
+        exec(compile(text, str(file), "exec"), scope)
+        found = _jit.address_loop(types.int64(types.int64), scope["run"])
+        return found(41), found.function.cache_hits
+
+    assert [loop(), loop(), loop(added=2), loop(added=2, called="second")] == [
+        (42, 0), (42, 1), (43, 0), (43, 0),
+    ]  # fmt: skip
+    for suffix in (".nbi", ".nbc"):
+        for damaged in ("empty", "half"):
+            for kept in files_of(tmp_path, suffix):
+                kept.write_bytes(DAMAGES[damaged](kept.read_bytes()))
+            assert loop() == (42, 0)
+            assert loop() == (42, 1)
+
+
 # what is said
 
 
@@ -343,11 +453,11 @@ class Screen(io.StringIO):
 def test_a_long_wait_is_said_once_and_only_at_a_terminal(cache, monkeypatch, terminal):
     screen = Screen(terminal)
     monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setattr(machine, "_WAIT", machine._Wait())
-    machine._WAIT.add(0.6 * machine.LONG)
+    monkeypatch.setattr(store, "_WAIT", store._Wait())
+    store._WAIT.add(0.6 * store.LONG)
     assert screen.getvalue() == ""
-    machine._WAIT.add(0.6 * machine.LONG)
-    machine._WAIT.add(2.0 * machine.LONG)
+    store._WAIT.add(0.6 * store.LONG)
+    store._WAIT.add(2.0 * store.LONG)
     line = "fastatt: compiling for this machine, once; 'fastatt warm' does it beforehand\n"
     assert screen.getvalue() == (line if terminal else "")
 
@@ -357,10 +467,10 @@ def test_only_what_is_compiled_counts(cache, monkeypatch, silent):
     screen = Screen(terminal=True)
     answer(42)
     monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setattr(machine, "_WAIT", machine._Wait())
-    monkeypatch.setattr(machine, "LONG", 0.0)
+    monkeypatch.setattr(store, "_WAIT", store._Wait())
+    monkeypatch.setattr(store, "LONG", 0.0)
     if silent:
-        machine.say_nothing()
+        store.say_nothing()
     answer(42)
     assert screen.getvalue() == ""
     answer(43)
@@ -369,12 +479,12 @@ def test_only_what_is_compiled_counts(cache, monkeypatch, silent):
 
 def test_the_command_tells_where_and_clears(cache, capsys):
     answer(42)
-    size = sum(f.stat().st_size for f in cache.iterdir())
+    size = sum(f.stat().st_size for f in cache.rglob("*") if f.is_file())
     for command in (["cache"], ["warm", "--where"]):
         assert main(command) == 0
-        assert capsys.readouterr().out == f"1 functions, {size / 1e6:.1f} MB in {cache}\n"
+        assert capsys.readouterr().out == f"1 programs, {size / 1e6:.1f} MB in {cache}\n"
     assert main(["cache", "--clear"]) == 0
-    assert capsys.readouterr().out == f"0 functions, 0.0 MB in {cache}\n"
+    assert capsys.readouterr().out == f"0 programs, 0.0 MB in {cache}\n"
 
 
 def test_warming_without_a_folder_is_refused(cache, capsys, monkeypatch):

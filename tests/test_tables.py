@@ -12,9 +12,9 @@ import scipy
 from each import each
 
 import fastatt as fa
-from fastatt import forces, tables, torques
+from fastatt import forces, torques
+from fastatt.codegen.rows import rows
 from fastatt.estimation.tangent import own_numbers
-from fastatt.flat.rows import rows
 from fastatt.flat.user import user_function
 from fastatt.torques import Pose, torque_of
 
@@ -457,13 +457,12 @@ def test_what_is_refused(make, message):
 
 def test_a_scene_that_compiles_nothing_reads_its_own_tables(monkeypatch):
     """A program serves two scenes of one structure, one after the other."""
-    from fastatt.engine import plain
+    from fastatt.engine import program
 
     made = []
-    monkeypatch.setattr(plain.source, "function", lambda flat, tables: made.append(tables))
-    program = object.__new__(plain.PlainProgram)
-    program._functions = {}
-    flat = tables  # whatever it is, it is the same
-    for given in ({("table", 0): 1}, {("table", 0): 2}):
-        program.function(flat, given)
+    monkeypatch.setattr(program.source, "function", lambda flat, tables: made.append(tables))
+    plain = object.__new__(program._PlainProgram)
+    plain._made, plain.formulas = {}, {"step": program.Formula(None, ())}
+    for table in (1, 2):
+        plain._function("step", [(("table", 0), table)])
     assert made == [{0: 1}, {0: 2}]

@@ -36,7 +36,7 @@ import os, warnings
 import numpy as np
 import fastatt as fa
 from fastatt import warming
-from fastatt.flat import store
+from fastatt.codegen import modules
 from pathlib import Path
 from fastatt.trade.scene_file import read_scene
 warnings.simplefilter("ignore", fa.StepWarning)
@@ -44,10 +44,10 @@ rng = np.random.default_rng(1)
 q, w = rng.normal(size=(200, 4)), rng.normal(size=(200, 3))
 for name, work in {work!r}.items():
     os.environ["FASTATT_CACHE"] = name
-    store._found.cache_clear()
-    store.made = store.hits = 0
+    modules._found.cache_clear()
+    modules.made = modules.hits = 0
     exec(work)
-    print(name, store.made, store.hits)
+    print(name, modules.made, modules.hits)
 """
 # users' runs, not those that warming makes: other numbers, sizes and saves
 FREE = """
@@ -127,7 +127,7 @@ def test_the_command_compiles_the_methods_of_a_scene(tmp_path):
     (tmp_path / "command.py").write_text(COMMAND.format(runs=runs))
     words, again, runs = map(str.split, python(["command.py"], tmp_path).splitlines())
     made, kept = int(words[0]), int(words[3])
-    assert words[1:3] == again[1:3] == ["functions", "made;"]
+    assert words[1:3] == again[1:3] == ["programs", "made;"]
     assert words[-1] == str(tmp_path / "cache")
     assert kept == made > 6
     assert again[0] == "0"

@@ -8,10 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from fastatt.codegen.rows import kind_of, rows
 from fastatt.flat.formulas import Vector, dot, plus, quat, scale
 from fastatt.flat.graph import Graph, flattened
 from fastatt.flat.nodes import NotStraight
-from fastatt.flat.rows import kind_of, rows
 from fastatt.flat.trace import traceable
 
 #: a function of tuples of recorded numbers; None where a representation has none
@@ -126,8 +126,6 @@ class Attitude:
     turn_third: Formula = None
     #: square of the rate that limits an explicit step
     speed_squared: Formula = body_speed
-    #: whether an exponential that is spoilt shows in the length of the state's first four numbers
-    bears_witness: bool = False
     #: the attitude without low parts, of one that carries what rounding loses
     uncompensated: Attitude | None = None
     #: numbers of an initial attitude: 4 of a quaternion

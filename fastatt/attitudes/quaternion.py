@@ -28,7 +28,6 @@ QUATERNION = Attitude(
     restore=lambda x: (quat.renormalise(x), defect(x)),
     turn_first=quat.turn_first,
     turn_third=quat.turn_third,
-    bears_witness=True,
     summary="unit quaternion, 4 numbers",
 )
 
@@ -62,7 +61,6 @@ COMPENSATED = Attitude(
     finish=low_finish,
     restore=low_restore,
     raw=lambda x: x[:4],
-    bears_witness=True,
     uncompensated=QUATERNION,
     add=compensated.add_quat,
     add_vector=compensated.add_vector,

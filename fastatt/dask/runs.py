@@ -70,7 +70,6 @@ def propagate(
     compensated: bool = False,
     normalise: str | int = "output",
     invalid: str = "raise",
-    looks: bool = True,
 ) -> LazyTrajectory:
     """Propagate an ensemble in chunks of bodies, when it is computed.
 
@@ -81,7 +80,7 @@ def propagate(
         for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
     dt, n_steps : numbers, the same for all bodies.
-    method, representation, save_every, dtype, t0, compensated, normalise, invalid, looks : as of
+    method, representation, save_every, dtype, t0, compensated, normalise, invalid : as of
         :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
         fails its chunk, and the error has a note of which bodies those are.
 
@@ -113,7 +112,7 @@ def propagate(
     options = {
         "dt": dt, "n_steps": n_steps, "save_every": save_every, "method": named, "dtype": kind,
         "representation": representation, "compensated": compensated, "normalise": normalise,
-        "invalid": invalid, "looks": looks, "t0": begin,
+        "invalid": invalid, "t0": begin,
     }  # fmt: skip
     is_matrix = chosen(scene, record, representation, False, normalise).attitude.to_dcm_array
     shapes: dict[str, tuple[int, ...]] = {"q": (4,), "w": (3,)}
@@ -144,5 +143,5 @@ def _propagated(
     scene: Scene, states: Sequence[Any], names: Sequence[str], options: dict[str, Any]
 ) -> dict[str, Any]:
     q0, w0, v0, r0 = states
-    run = run_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, resumable=False, **options)
+    run = run_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
     return {name: getattr(run, name) for name in names}

@@ -27,7 +27,7 @@ from fastatt.trade.work_precision import WorkPrecision, duration
 
 _OPTIONS = (
     *("dt", "n_steps", "method", "representation", "dtype"),
-    *("t0", "compensated", "normalise", "invalid", "looks"),
+    *("t0", "compensated", "normalise", "invalid"),
 )
 _MEASURES = ("norm", "orthogonality", "energy", "momentum")
 
@@ -139,7 +139,7 @@ def _case(
 
 def _watched(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> dict[str, Any]:
     q0, w0, v0, r0 = states
-    seen = watch_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, resumable=False, **options)
+    seen = watch_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
     measures = {name: getattr(seen, name) for name in _MEASURES}
     return {
         **{name: None if x is None else Measure.joined([x]) for name, x in measures.items()},

@@ -18,7 +18,8 @@ import numpy as np
 from numba import config
 
 from fastatt.engine.job import Forms, Job
-from fastatt.engine.layout import BLOCK
+from fastatt.engine.loop import BLOCK
+from fastatt.engine.status import DIAGNOSTICS
 from fastatt.flat import source
 from fastatt.flat.finished import Flat
 from fastatt.flat.nodes import LIBRARY, Node
@@ -129,7 +130,7 @@ class _Writer:
                 with self._under("if due:"):
                     self._save()
                 self._add("if n >= last:", "    break", "gone = (n - origin) % save_every")
-                self._add(f"stop = min(n + {BLOCK}, last, n + save_every - gone)")
+                self._add(f"stop = min((n // {BLOCK} + 1) * {BLOCK}, last, n + save_every - gone)")
                 if formulas.mend is not None:
                     self._add(
                         "if restore > 0:", "    stop = min(stop, (n // restore + 1) * restore)"
@@ -168,7 +169,9 @@ class _Writer:
             self._add(*(f"{x} = x_rows[body, {i}]" for i, x in enumerate(state)))
             self._add("most = watch[0, body]")
         with self._under("else:"):
-            self._add(*(f"watch[{i}, body] = 0.0" for i in range(3)), f"most = {kind}(0.0)")
+            self._add(
+                *(f"watch[{i}, body] = 0.0" for i in range(len(DIAGNOSTICS))), f"most = {kind}(0.0)"
+            )
         if not job.known:
             return
         self._add("row = min(body, known.shape[0] - 1)")
@@ -188,8 +191,8 @@ class _Writer:
         self._add("save = (n - origin - 1) // save_every + slot if n > origin else 0")
         self._add(*(f"out[save, body, {i}] = {x}" for i, x in enumerate(found[:size])))
         self._add(f"defect[save, body] = {found[size]}")
-        self._worse(1, f"abs({found[size]})")
-        self._worse(2, found[size + 1])
+        for k, value in enumerate(found[size:], 1):
+            self._worse(k, f"abs({value})")
 
     def _worse(self, row: int, value: str) -> None:
         """Keep the larger of two numbers, or NaN."""

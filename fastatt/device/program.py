@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,72 +12,79 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.device import Device
 from fastatt.device.kernel import kernel_of
-from fastatt.engine.layout import BLOCK
-from fastatt.engine.plain import judged
+from fastatt.engine.loop import end_of_piece
+from fastatt.engine.program import Layout
 
 if TYPE_CHECKING:
-    from fastatt.engine.ensemble import Span
     from fastatt.engine.job import Job
+    from fastatt.engine.run import Run, Span
 
 _THREADS = 128  # of a block
 # of a launch, between two of which Ctrl-C is answered: about 0.1 s of many bodies, and of few
 _BODY_STEPS, _STEPS = 1_000_000_000, 65_536
-_INPUTS = ("q0", "y0", "p", "x", "watch", "known", "stages")
 
 
 class DeviceProgram:
-    """What ``fastatt.engine.plain.PlainProgram`` is, on a GPU: all bodies at once.
+    """A job's program on a GPU: all bodies at once.
 
     Raises ``ValueError`` for formulas that no kernel can run.
     """
 
+    #: there is no machine code of the processor's
+    entry = any_angle = 0
+
     def __init__(self, job: Job, device: Device) -> None:
         self.formulas, self.job, self._device = job.formulas, job, device
+        self.layout = Layout(self.formulas)
         # a kernel knows of no tiles
         self._kernel = kernel_of(replace(job, width=1))
 
-    def run(
-        self, arrays: Mapping[str, Any], numbers: Mapping[str, float], span: Span,
-        tiles: tuple[int, int], tables: Mapping[Any, Any],
-    ) -> tuple[float, float]:  # fmt: skip
-        """Steps of a span, from the arrays of the host and back to them; as of ``PlainProgram``."""
+    def run(self, run: Run, span: Span) -> None:
+        """Steps of a span, from the run's arrays on the host and back to them."""
         from numba import cuda
 
-        named = [np.ravel(tables[name]) for name in self.formulas.resources]
+        setup = run.setup
+        named = [np.ravel(table) for _, table in setup.tables]
         begins, saved = _slots(span)
-        host = {**arrays, "out": arrays["out"][saved], "defect": arrays["defect"][saved]}
-        needed = sum(x.nbytes for x in (*host.values(), *named))
+        saves, norm_errors, _ = run.results
+        stages = np.array(self.job.method.stages, dtype=np.float64).reshape(-1, 3)
+        sources = (*run.start, setup.bodies.params, run.states)
+        written = (saves[saved], norm_errors[saved])
+        needed = sum(
+            x.nbytes for x in (*sources, *written, *named, setup.bodies.known, run.diagnostics)
+        )
         _check_room(needed, cuda.current_context().get_memory_info().free)
-        there = {name: cuda.to_device(_rows(arrays[name], name)) for name in _INPUTS}
-        for name in ("out", "defect"):
-            there[name] = cuda.device_array(host[name].shape, host[name].dtype)
+        states, diagnostics = cuda.to_device(run.states), cuda.to_device(run.diagnostics)
+        out, errors = (cuda.device_array(x.shape, x.dtype) for x in written)
         arguments = [
-            *(there[name] for name in ("q0", "y0", "p", "x", "out", "defect", "watch", "known")),
-            there["stages"],
-            *(float(numbers[name]) for name in ("t0", "h", "edge", "quiet")),
-        ]
+            *map(cuda.to_device, sources[:3]), states, out, errors, diagnostics,
+            cuda.to_device(setup.bodies.known), cuda.to_device(stages),
+            *map(float, (*run.times, setup.bounds[0])),
+        ]  # fmt: skip
         slot = span.slot - saved.start
-        constant = (span.n_steps, span.save_every, slot, span.restore, span.origin)
+        constant = (span.n_steps, span.save_every, slot, span.projection, span.origin)
         last = [cuda.to_device(table) for table in named]
-        bodies = len(arrays["x"])
+        bodies = len(run.states)
         threads = min(_THREADS, bodies)
         launch = self._kernel[-(-bodies // threads), threads]
-        steps = max(1, min(_STEPS, _BODY_STEPS // bodies) // BLOCK) * BLOCK
         n = span.first
         while True:
-            until = min(n + steps, span.last)
+            until = min(end_of_piece(n, min(_STEPS, _BODY_STEPS // bodies)), span.last)
             launch(*arguments, n, until, *constant, int(begins and n == span.first), *last)
             cuda.synchronize()
             n = until
             if n == span.last:
                 break
-        for name in ("x", "watch", "defect"):
-            _fetch(there[name], host[name])
+        for there, host in (
+            (states, run.states),
+            (diagnostics, run.diagnostics),
+            (errors, written[1]),
+        ):
+            _fetch(there, host)
         if self._device.wrap is None:
-            _fetch(there["out"], host["out"])
+            _fetch(out, written[0])
         else:
-            self._device.saves = self._device.wrap(there["out"])
-        return judged(self.job, arrays, numbers, np.arange(bodies))
+            self._device.saves = self._device.wrap(out)
 
 
 def _slots(span: Span) -> tuple[bool, slice]:
@@ -94,10 +101,6 @@ def _slots(span: Span) -> tuple[bool, slice]:
 def _fetch(there: Any, host: NDArray[Any]) -> None:
     if host.size:
         there.copy_to_host(host)
-
-
-def _rows(array: NDArray[Any], name: str) -> NDArray[Any]:
-    return np.atleast_2d(array) if name in ("q0", "y0") else array
 
 
 def _check_room(needed: int, free: float) -> None:

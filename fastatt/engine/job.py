@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
 from fastatt.attitudes import Attitude
-from fastatt.engine.layout import WIDTH
+from fastatt.engine.loop import WIDTH
+from fastatt.engine.status import SAVED
 from fastatt.flat.finished import Constants, Flat, resources_of
 from fastatt.flat.formulas import Vector, as_like, dot, quat
 from fastatt.flat.graph import Graph, Number, choose
@@ -22,7 +24,7 @@ from fastatt.motion import (
     motion_of,
 )
 from fastatt.rates import is_constant
-from fastatt.translation import Coupled, Translation
+from fastatt.translation import Coupled
 
 # a relative change is taken from invariants above this
 _TINY = 1e-37
@@ -36,7 +38,7 @@ class Job:
     have the same parameters, ``alike`` numbers those that they have in common if not all, ``known``
     says that turns are known beforehand, so that those of some bodies need no look; ``raw``
     that what is handed out is not brought back to its group, ``mends`` that the state is, now and
-    then; ``looks`` switches off what the status costs.
+    then.
     """
 
     method: Method
@@ -48,7 +50,6 @@ class Job:
     known: bool = False
     raw: bool = False
     mends: bool = False
-    looks: bool = True
     #: each body has a step of its own, and saves are at any times
     own_steps: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
@@ -62,22 +63,7 @@ class Job:
     @property
     def has_careful_form(self) -> bool:
         """Whether a block has another form, for lanes that the quick one does not do for."""
-        return self.looks and (self.known or self.method.exponentials > 0)
-
-    @property
-    def seen_at_times(self) -> bool:
-        """Whether a look at some steps will do.
-
-        Not near a pole, which is passed in one; of exponentials where the state's length bears them
-        witness.
-        """
-        steps = self.method.steps
-        turning = self.structure.turning
-        if steps is None or not isinstance(turning, GivenRate) or not steps.at_times:
-            return False
-        if self.method.exponentials:
-            return self.attitude.bears_witness
-        return not self.attitude.has_poles
+        return self.known or self.method.exponentials > 0
 
     @property
     def bounds(self) -> bool:
@@ -86,10 +72,8 @@ class Job:
 
     @property
     def look(self) -> str:
-        """At which steps of a block's quick form the turns are looked at."""
-        if self.known or not self.looks:
-            return "never"
-        return "times" if self.seen_at_times else "every"
+        """At which steps of a block's quick form the rotation angle is monitored."""
+        return "never" if self.known else "every"
 
 
 @dataclass(frozen=True)
@@ -121,8 +105,6 @@ class Formulas:
         self.coordinates = job.attitude.coordinates
         self.given = self.coordinates + job.structure.tail
         self.handed_out = job.attitude.stored + job.structure.tail
-        #: numbers that are carried beside what a method steps
-        self.beside = job.structure.beside
 
     def scope(self, *, quick: bool = False) -> Scope:
         """Numbers and the motion that a formula works on."""
@@ -150,6 +132,12 @@ class Formulas:
         """What steps need of a body's own parameters and nothing else, computed once."""
         _ = self.quick  # which finds them
         return self._constants.flat
+
+    @cached_property
+    def constant_kinds(self) -> list[str]:
+        """Precision of each of the constants."""
+        flat = self.constants
+        return [flat.nodes[i].kind for i in flat.results]
 
     @cached_property
     def quick(self) -> Forms:
@@ -191,13 +179,14 @@ class Formulas:
 
     @cached_property
     def save(self) -> Flat:
-        """What is handed out, the departure from the group, the change of the invariants."""
+        """What a trajectory holds, and the measures of ``engine.status``, the norm error first."""
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
         x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        y, d = scope.hand_out(x)
+        y, norm_error = scope.hand_out(x)
         before = scope.inputs("invariants", self.invariants)
-        return scope.finished((*y, d, departure(before, scope.invariants(x))))
+        measures = {"norm": norm_error, "invariant": departure(before, scope.invariants(x))}
+        return scope.finished((*y, *(measures[name] for name in SAVED)))
 
     @cached_property
     def regrid(self) -> Flat | None:
@@ -228,15 +217,6 @@ class Formulas:
         return scope.finished((*a, *x[n:], abs(d)))
 
     @cached_property
-    def witness(self) -> Flat | None:
-        """|q|², which an exponential that is spoilt changes; None where no witness is asked for."""
-        if self.job.look != "times" or not self.job.method.exponentials:
-            return None
-        scope = self.scope()
-        q = scope.state()[:4]
-        return scope.finished((dot(q, q),))
-
-    @cached_property
     def resources(self) -> list[Any]:
         """Tables and opaque functions that the formulas call, in the order of their arrays."""
         return resources_of(self.quick.noted, self.begin, self.save)
@@ -245,6 +225,16 @@ class Formulas:
     def is_timed(self) -> bool:
         """Whether a step depends on the time."""
         return ("t",) in self.quick.noted.inputs()
+
+    @cached_property
+    def calls(self) -> int:
+        """How many numbers opaque functions give in a step."""
+        return sum(node.op == "item" for node in self.quick.noted.nodes)
+
+    @cached_property
+    def digest(self) -> bytes:
+        """A hash of what a step computes."""
+        return hashlib.sha256(self.quick.plain.spelled(self.resources).encode()).digest()
 
     @property
     def operations(self) -> int:
@@ -267,14 +257,11 @@ class Scope:
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
-        turning = structure.turning
-        self.translation = None
-        if structure.couples:
-            self.motion: Motion = Coupled(self.attitude, structure, p, like)
-            return
-        self.motion = motion = motion_of(turning, self.attitude, p[: turning.n_params], like)
-        if structure.force is not None:
-            self.translation = Translation(motion, structure, p[turning.n_params :])
+        self.motion: Motion
+        if structure.force is None:
+            self.motion = motion_of(structure.turning, self.attitude, p, like)
+        else:
+            self.motion = Coupled(self.attitude, structure, p, like)
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Numbers of the state's precision."""
@@ -301,8 +288,8 @@ class Scope:
         return Flat(self.graph, results, self.kind)
 
     def parts(self, x: Vector) -> tuple[Vector, Vector]:
-        """What a method steps, and what is carried beside it."""
-        n = len(x) - self.formulas.beside
+        """What a method steps, and what a user's function made of its states."""
+        n = len(x) - self.job.structure.watched
         return x[:n], x[n:]
 
     def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> tuple[Vector, Any]:
@@ -320,25 +307,20 @@ class Scope:
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             y, z = chosen(self.motion, t, h, own)
-        watched = self._watched(t + h, y, beside)
-        beside = beside[: len(beside) - len(watched)]
-        if self.translation is not None:
-            beside = self.translation.moved(t, h, (*own, *beside), y)
-        return (*y, *beside, *watched), z
+        return (*y, *self._watched(t + h, y, beside)), z
 
-    def _watched(self, t: Any, x: Vector, beside: Vector) -> Vector:
+    def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
         """What the user's function makes of a state and of what it made before."""
         structure = self.job.structure
         if structure.watcher is None:
             return ()
         q, w = self.motion.pose(t, x)
-        before = beside[len(beside) - structure.watched :]
         made = structure.watcher.call(t, quat.renormalise(q), w, before)
         return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
 
     def begin(self, q: Vector, beside: Vector) -> Vector:
         """The state from an attitude as given and what is carried beside it."""
-        n = self.job.structure.tail - self.formulas.beside
+        n = self.job.structure.tail - self.job.structure.watched
         return (*self.motion.begin(q, beside[:n]), *beside[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:
@@ -350,7 +332,7 @@ class Scope:
 
     def bound(self, h: Any, x: Vector) -> Any:
         """Square of no less than what the method's limit holds for, rad² a step, of a free body."""
-        motion = self.motion
+        motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
         assert isinstance(motion, Body)
         m = motion.momentum_of(self.parts(x)[0])[:3]
         a, b, c = (k + k for k in motion.half_inverse)

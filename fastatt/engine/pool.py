@@ -8,7 +8,7 @@ from threading import Event
 from time import perf_counter
 from typing import Any
 
-from fastatt.engine.layout import BLOCK
+from fastatt.engine.loop import BLOCK, end_of_piece
 from fastatt.threads import in_threads
 
 _PIECE = 2_000_000  # body-steps to begin with between two looks at Ctrl-C
@@ -53,7 +53,7 @@ def run_ensemble(
         def work(stop: Event) -> None:
             n, blocks = span.first, max(1, _PIECE // block)
             while not stop.is_set():
-                until = min(n + blocks * BLOCK, span.last)
+                until = min(end_of_piece(n, blocks * BLOCK), span.last)
                 begun = perf_counter()
                 call(span.part(n, until), first, last)
                 if done is not None:

@@ -11,14 +11,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 
+# what is squared: its square is a float, and not 0
+_SMALLEST, _LARGEST = 1e-150, 1e150
+
 
 def at_least_zero(name: str, value: float) -> float:
-    """A noise density or a standard deviation."""
-    # of a float the look takes a tenth of the time
+    """A noise density."""
+    # of a float the check takes a tenth of the time
     found = value if type(value) is float else checks.real(name, value)
-    if not 0.0 <= found < math.inf:
-        raise ValueError(f"{name}: found {found}; accepted: at least 0")
+    if not 0.0 <= found <= _LARGEST:
+        raise ValueError(f"{name}: found {found}; accepted: at least 0, up to {_LARGEST:g}")
     return found
+
+
+def variance(name: str, deviation: float) -> float:
+    """The square of a standard deviation above 0."""
+    found = checks.above_zero(name, deviation)
+    if not _SMALLEST <= found <= _LARGEST:
+        raise ValueError(f"{name}: found {found}; accepted: {_SMALLEST:g} to {_LARGEST:g}")
+    return found**2
 
 
 def interval(dt: float) -> float:
@@ -38,27 +49,54 @@ def common_number(of: str, **arrays: Sized) -> int:
     return max(rows.values(), default=1)
 
 
-def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
-    """Covariances, symmetric and, but for rounding, without a negative variance in any direction.
+# shares of √(P_ii P_jj): an element's asymmetry, and how far below 0 rounding takes a variance
+_ASYMMETRY, _ROUNDING = 1e-9, 1e3
+# and of a variance itself, where others of the matrix are all but known by each other
+_NEGATIVE = -1e-6
 
-    ``shapes`` are as of ``checks.array``.
+
+def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
+    """Symmetric covariances without a negative variance in any direction, but for rounding.
+
+    ``shapes`` are as of ``checks.array``. What is compared are correlations: units do not matter.
     """
     found = checks.array(name, value, shapes)
-    unit = np.eye(found.shape[-1])
-    rounding = 1e3 * np.finfo(found.dtype).eps * np.abs(found).max(axis=(-2, -1))[..., None, None]
-    bad = (np.abs(found - np.swapaxes(found, -1, -2)) > rounding).any(axis=(-2, -1))
+    least = _ROUNDING * np.finfo(found.dtype).eps
+    variances = np.diagonal(found, axis1=-2, axis2=-1)
+    deviations = np.sqrt(np.maximum(variances, 0.0))
+    scale = deviations[..., :, None] * deviations[..., None, :]
+    even = 0.5 * (found + np.swapaxes(found, -1, -2))
+    bad = (np.abs(found - even) > max(_ASYMMETRY, least) * scale).any(axis=(-2, -1))
     what = "is not symmetric"
     if not bad.any():
-        bad = (np.diagonal(found, axis1=-2, axis2=-1) < 0.0).any(axis=-1)
+        bad = (variances < 0.0).any(axis=-1) | (np.abs(even) > (1.0 + least) * scale).any((-2, -1))
         what = "has a negative variance"
     if not bad.any():
+        there = np.where(scale > 0.0, scale, 1.0)
+        correlations = even / there + least * np.eye(found.shape[-1])
         try:
-            np.linalg.cholesky(found + rounding * unit)  # in a third of the time
+            np.linalg.cholesky(correlations + (scale == 0.0) * np.eye(found.shape[-1]))
         except np.linalg.LinAlgError:
-            bad = np.linalg.eigvalsh(found)[..., 0] < -rounding[..., 0, 0]
+            bad = np.linalg.eigvalsh(correlations)[..., 0] < 0.0
     if bad.any():
         where = f"[{int(np.argmax(bad))}]" if found.ndim == 3 else ""
         raise ValueError(f"{name}{where}: {what}; accepted: a covariance")
+    return even
+
+
+def root(P: NDArray[Any]) -> NDArray[np.float64]:
+    """L of P = L Lᵀ, (..., D, D), lower triangular; a direction without variance is a column of 0.
+
+    Of what is no covariance it is NaN.
+    """
+    size = P.shape[-1]
+    found = np.zeros(P.shape)
+    for k in range(size):
+        column = P[..., k:, k] - (found[..., k:, :k] @ found[..., k, :k, None])[..., 0]
+        share = column[..., :1] / np.where(P[..., k, k, None] > 0.0, P[..., k, k, None], 1.0)
+        none = (share >= _NEGATIVE) & (share <= 16.0 * size * np.finfo(np.float64).eps)
+        with np.errstate(invalid="ignore"):
+            found[..., k:, k] = column / np.sqrt(np.where(none, np.inf, column[..., :1]))
     return found
 
 

@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import quat_multiply, quat_to_dcm
+from fastatt._jit import around_formulas, enough
+from fastatt.arrays import normalised, quat_multiply, quat_to_dcm
+from fastatt.codegen.rows import Rows
+from fastatt.codegen.scalar import ScalarFunction, scalar_function
 from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, of_logs
 from fastatt.estimation.filters import attitude_error
-from fastatt.flat.rows import Rows
-from fastatt.flat.scalar import ScalarFunction, scalar_function
 from fastatt.gyro.ends import beyond
-from fastatt.inertia import is_sorted
+from fastatt.inertia import axis_order
 from fastatt.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
 from fastatt.models import Packed
+from fastatt.motion import GivenRate
 from fastatt.running.choosing import method_of
 from fastatt.scene import Scene, as_scene
 from fastatt.threads import number_of
@@ -253,9 +255,10 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
 @lru_cache(maxsize=64)
 def _body_rows(record: Method, structure: Any, parameters: bool) -> Rows:
     formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
-    size = tangent.directions(structure, parameters=parameters)
+    state = tangent.ANY_LENGTH
+    size = tangent.directions(structure, state, parameters=parameters)
     inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
-    return Rows(formula, inputs, (4, 3, 6 * size, None))
+    return Rows(formula, inputs, (4, 3, state * size, None))
 
 
 def tangent_rows(
@@ -266,15 +269,19 @@ def tangent_rows(
     n_threads: int | None,
     parameters: bool = False,
 ) -> tuple[NDArray[Any], ...]:
-    """q, w and the rows (..., 6, D) after a step of h s from times and states that broadcast."""
+    """q, w and the rows (..., 7, D) after a step of h s from times and states that broadcast.
+
+    The quaternions are stepped with the length that they have.
+    """
     (t, h), (q, w) = times, state
     q1, w1, phi, z = _body_rows(record, packed.structure.turning, parameters)(
         t, h, q, w, np.atleast_2d(packed.params), tables=packed.tables,
         n_threads=number_of(n_threads),
     )  # fmt: skip
-    # an iteration that did not converge says so by an infinite turn
+    # an iteration that did not converge says so by an infinite angle
     phi[~np.isfinite(z)] = np.nan
-    return q1, w1, phi.reshape(*phi.shape[:-1], 6, phi.shape[-1] // 6)
+    rows = tangent.ANY_LENGTH
+    return q1, w1, phi.reshape(*phi.shape[:-1], rows, phi.shape[-1] // rows)
 
 
 def body_tangent(
@@ -309,15 +316,16 @@ def body_tangent(
     one = attitudes.ndim == 1 and w.ndim == 1 and packed.params.ndim == 1
     q_rows, w_rows = (np.atleast_2d(x).astype(np.float64) for x in (attitudes, w))
     common_number("bodies", q=q_rows, w=w_rows, scene=params)
-    moved = tangent_rows(record, packed, (begin, h), (q_rows, w_rows), n_threads, parameters)
-    q1, w1, full = moved
-    matrix, inertia, torque = full[:, :, :6], None, None
+    state = normalised(q_rows), w_rows
+    *moved, full = tangent_rows(record, packed, (begin, h), state, n_threads, parameters)
+    inertia, torque = None, None
     if parameters:
-        inertia, torque = full[:, :, 6:9], full[:, :, 9:]
-        if record.sorted_axes and not is_sorted(scene.principal.moments):
-            order = np.argsort(np.argsort(np.atleast_2d(scene.principal.moments), axis=-1), axis=-1)
-            inertia = np.take_along_axis(inertia, np.broadcast_to(order[:, None], inertia.shape), 2)
-    found: tuple[Any, ...] = (q1, w1, matrix, inertia, torque)
+        inertia, torque = np.split(full[:, :6, tangent.ANY_LENGTH :], [3], axis=2)
+        if record.sorted_axes:
+            order = axis_order(np.atleast_2d(scene.principal.moments))
+            places = np.broadcast_to(np.argsort(order, axis=-1)[:, None], inertia.shape)
+            inertia = np.take_along_axis(inertia, places, axis=2)
+    found: tuple[Any, ...] = (*moved, full[:, :6, :6], inertia, torque)
     return BodyTangent(*(x if x is None or not one else x[0] for x in found))
 
 
@@ -330,7 +338,8 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     momentum m, N·m·s along body axes, Φ 36 numbers row by row, as :class:`BodyTangent`. p is
     ``params``, or a row of them; quaternions and matrices are flat tuples.
 
-    Raises ``ValueError`` or ``TypeError`` for another scene or method.
+    Raises ``ValueError`` or ``TypeError`` for another scene or method, and ``step`` for an array p
+    that is too short.
     """
     of_rate = as_scene(scene).kind == "rate"
     formula: Any = tangent.rate_tangent if of_rate else tangent.body_tangent
@@ -347,8 +356,22 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
 
 def _step_function(
     formula: Any, record: Method, structure: Any, tables: Mapping[int, Any] | None = None
-) -> ScalarFunction:
-    return scalar_function(formula(record, structure), tables, arrays={"p": structure.n_params})
+) -> Any:
+    n = structure.n_params
+    made, check_p = (
+        scalar_function(formula(record, structure), tables, arrays={"p": n}),
+        enough("p", n),
+    )
+
+    def of_rate(t, h, b, p):
+        check_p(p)
+        return made(t, h, b, p)
+
+    def of_state(t, h, q, m, p):
+        check_p(p)
+        return made(t, h, q, m, p)
+
+    return around_formulas(of_rate if isinstance(structure, GivenRate) else of_state)
 
 
 _kept = lru_cache(maxsize=128)(_step_function)

@@ -1,14 +1,17 @@
 """What the filters share: motions of sigma points and particles, errors, means, measures.
 
-A motion takes an ensemble, attitudes (M, 4) and what is estimated beside them (M, K), a few steps
-on: ``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make them of the tile engine; a
-function of a user's own will do as well.
+A motion takes an ensemble, attitudes (M, 4) and what is estimated besides (M, K), a few steps on:
+``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make them of the tile engine; a
+user-defined function will do as well.
 """
 
 from __future__ import annotations
 
+import math
 import sys
+import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,16 +19,31 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rates
 from fastatt.arrays import normalised, quat_multiply, quat_to_rotation_vector
-from fastatt.estimation.amounts import common_number, covariances
+from fastatt.estimation.amounts import common_number, covariances, root, variance
 from fastatt.running.propagate import propagate
 from fastatt.scene import Scene
 
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]
+#: linearisations of an update by vectors or attitudes, and the normalised square of the last
+#: correction from which on more would be needed: of three deviations
+PASSES, NEARLY_SETTLED = 4, 9.0
+
+
+@dataclass(frozen=True)
+class TimedMotion:
+    """A motion whose attitudes rotate for so many s at rates that differ as their first numbers."""
+
+    motion: Motion
+    seconds: float
+
+    def __call__(self, q: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Attitudes and the numbers besides after the motion."""
+        return self.motion(q, y)
 
 
 def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
-    """Attitudes turn by a gyro's rate less their bias, the first three numbers beside them.
+    """Attitudes rotate by a gyro's rate less their bias, the first three numbers besides.
 
     ``gyro`` (3,), rad/s, is held for dt s; (N, 3) are the rates of N filters, whose points follow
     each other in equal numbers.
@@ -42,7 +60,7 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
         moved = propagate(scene, q, dt=dt, n_steps=1, method="lie_euler", n_threads=n_threads)
         return moved.q[-1], y
 
-    return motion
+    return TimedMotion(motion, abs(checks.real("dt", dt)))
 
 
 def scene_motion(
@@ -56,7 +74,7 @@ def scene_motion(
 ) -> Motion:
     """The motion of a scene with inertia, or of one at a given rate, for n_steps of dt s.
 
-    Of a body the first three numbers beside the attitude are its angular velocity, rad/s, along
+    Of a body the first three numbers besides the attitude are its angular velocity, rad/s, along
     body axes.
     """
     carries = scene.kind != "rate"
@@ -68,28 +86,60 @@ def scene_motion(
         )  # fmt: skip
         return moved.q[-1], np.hstack([moved.w[-1], y[:, 3:]]) if carries else y
 
-    return motion
+    seconds = abs(checks.real("dt", dt)) * checks.whole("n_steps", n_steps, 0)
+    return TimedMotion(motion, seconds if carries else 0.0)
 
 
 def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
-    """δθ (..., 3), rad, of q_true = q∘exp(δθ)."""
-    inverse = np.asarray(q, dtype=np.float64) * (1.0, -1.0, -1.0, -1.0)
-    return np.asarray(quat_to_rotation_vector(quat_multiply(inverse, q_true)))
+    """δθ (..., 3), rad, of q_true = q∘exp(δθ), of quaternions of any length but zero.
+
+    Raises ``ValueError`` for a zero quaternion.
+    """
+    reference, true = (
+        _not_zero(name, np.asarray(x, dtype=np.float64))
+        for name, x in (("q", q), ("q_true", q_true))
+    )
+    return np.asarray(quat_to_rotation_vector(quat_multiply(_conjugate(reference), true)))
+
+
+def _conjugate(q: Floats) -> Floats:
+    return q * (1.0, -1.0, -1.0, -1.0)
+
+
+def _not_zero(name: str, q: Floats) -> Floats:
+    if not q.any(axis=-1).all():
+        raise ValueError(f"{name}: found a zero quaternion; accepted: of any other length")
+    return q
 
 
 def normalised_square(d: Floats, P: Floats) -> Floats:
-    """dᵀ P⁻¹ d of rows d (..., D) and covariances (..., D, D)."""
-    return np.asarray(np.einsum("...i,...i->...", d, np.linalg.solve(P, d[..., None])[..., 0]))
+    """dᵀ P⁻¹ d of rows d (..., D) and covariances (..., D, D), by |L⁻¹ d|²: never below 0."""
+    L, size = root(P), d.shape[-1]
+    found = np.zeros(np.broadcast_shapes(d.shape[:-1], P.shape[:-2]))
+    left = np.array(np.broadcast_to(d, (*found.shape, size)))
+    for k in range(size):
+        x, pivot = left[..., k], L[..., k, k]
+        u = np.divide(x, pivot, where=pivot != 0.0, out=np.zeros(found.shape))
+        # what has no variance is 0, or beyond all bounds
+        found += np.where((pivot == 0.0) & (x != 0.0), np.inf, u * u)
+        left -= L[..., :, k] * u[..., None]
+    return found
 
 
 def attitude_covariance(sigma: ArrayLike) -> Floats:
-    """(3, 3), rad², of a standard deviation, of three about body axes, or itself."""
+    """(3, 3), rad², of a standard deviation or three about body axes, above 0, or itself."""
     found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
-    if found.ndim == 2:
-        return np.ascontiguousarray(covariances("sigma", found, "(3, 3)"), dtype=np.float64)
-    if not (found >= 0.0).all():
-        raise ValueError(f"sigma: found {found.min()}; accepted: at least 0")
-    return np.diag(np.broadcast_to(np.square(found, dtype=np.float64), (3,)))
+    if found.ndim < 2:
+        return np.diag(np.broadcast_to([variance("sigma", float(x)) for x in found.flat], (3,)))
+    return definite("sigma", found, "(3, 3)")
+
+
+def definite(name: str, value: ArrayLike, shapes: str) -> Floats:
+    """Covariances with some variance in every direction, float64."""
+    found = np.ascontiguousarray(covariances(name, value, shapes), dtype=np.float64)
+    if (np.diagonal(root(found), axis1=-2, axis2=-1) == 0.0).any():
+        raise ValueError(f"{name}: has no variance in some direction; accepted: some in all")
+    return found
 
 
 def largest_square(gate: float | None) -> float:
@@ -125,9 +175,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     if rows.ndim < 2 or rows.shape[-1] != 4 or rows.shape[-2] == 0:
         raise ValueError(f"q: has shape {rows.shape}; accepted: (..., M, 4)")
     checks.finite("q", rows)
-    if not rows.any(axis=-1).all():
-        raise ValueError("q: found a zero quaternion; accepted: of any other length")
-    weighted = rows = normalised(rows)
+    weighted = rows = normalised(_not_zero("q", rows))
     if weights is not None:
         w = np.asarray(weights, dtype=np.float64)
         if w.shape[-1:] != rows.shape[-2:-1]:
@@ -145,6 +193,12 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     return np.asarray(np.where(found[..., :1] < 0.0, -found, found))
 
 
+def moved_rows(q: ArrayLike, y: ArrayLike, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """What a motion gives: unit quaternions (M, 4), and numbers of the shape (M, K)."""
+    attitudes = checks.attitudes("motion: q", q, f"({shape[0]}, 4)")
+    return normalised(attitudes), checks.array("motion: y", y, str(shape)).astype(np.float64)
+
+
 def unit_rows(value: NDArray[Any], n: int) -> Floats:
     """n rows of unit quaternions, of one or n of any length but zero."""
     return rows_of(normalised(value), (n, 4))
@@ -156,7 +210,7 @@ def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
 
 
 class Estimates:
-    """Attitudes, numbers beside them and covariances (δθ, δy), of one filter or of N."""
+    """Attitudes, numbers besides and covariances (δθ, δy), of one filter or of N."""
 
     def __init__(
         self, q: ArrayLike, name: str, y: NDArray[Any], covariance: ArrayLike, invalid: str
@@ -168,7 +222,7 @@ class Estimates:
         given = {"q": (start, 1), name: (y, 1), "covariance": (P, 2)}
         many = {name: x for name, (x, one) in given.items() if x.ndim > one}
         n = common_number("filters", **many) if many else 1
-        self._one = not many
+        self._one, self._name = not many, name
         self._q, self._y = unit_rows(start, n), rows_of(y, (n, size - 3))
         self._P = rows_of(P, (n, size, size))
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
@@ -177,8 +231,42 @@ class Estimates:
         """The rows or, of one filter, its own."""
         return np.asarray(rows[0]) if self._one else rows
 
+    def _vectors(self, name: str, value: ArrayLike) -> tuple[Floats, bool]:
+        """Vectors (3,) or (N, 3), and whether all are finite; others are for filters that skip."""
+        rows, n = np.asarray(value, dtype=np.float64), len(self._q)
+        if rows.shape not in ((3,), (n, 3)):
+            raise ValueError(f"{name}: has shape {rows.shape}; accepted: (3,) or ({n}, 3)")
+        # of one filter the sum in Python takes a sixth of the time of numpy's check of each
+        finite = rows.ndim == 1 and math.isfinite(sum(rows.tolist()))
+        finite = finite or bool(np.isfinite(rows).all())
+        if not (finite or self._skips):
+            checks.finite(name, rows)
+        return rows, finite
+
     def _figures(self, found: Floats) -> Any:
         return float(found[0]) if self._one else found
+
+    def _judged(self, nis: Floats, gate: float | None, nonlinearity: Floats | None = None) -> Any:
+        """NIS, with a word on measurements without one, and on updates that are too nonlinear."""
+        if not self._skips and not checks.all_finite(nis):
+            lost = ~np.isfinite(nis) if gate is None else np.isnan(nis)
+            if lost.any():
+                k = int(np.argmax(lost))
+                raise ValueError(
+                    f"measured{'' if self._one else [k]}: has a normalised innovation squared of "
+                    f"{nis[k]}; accepted: finite ones; this estimate is as before"
+                )
+        if (
+            nonlinearity is not None
+            and ((nonlinearity > 1.0) & (nis <= largest_square(gate))).any()
+        ):
+            warnings.warn(
+                "measured: an attitude was known too little for vectors as precise as these: the "
+                "covariance left may be too small; begin with attitude_from_vectors, or use "
+                "update_attitude first",
+                stacklevel=3,
+            )
+        return self._figures(nis)
 
     @property
     def q(self) -> Floats:
@@ -191,7 +279,12 @@ class Estimates:
         return self._each(self._P)
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
-        """Normalised estimation error squared against the truth, χ² with D degrees of freedom."""
-        beside = np.broadcast_to(y, self._y.shape) - self._y
-        d = np.concatenate([attitude_error(self._q, q), beside], axis=-1)
+        """Normalised estimation error squared against the truth, χ² with D degrees of freedom.
+
+        Raises ``ValueError`` or ``TypeError`` for a truth of another shape, not finite or zero.
+        """
+        n, k = self._y.shape
+        attitudes = checks.attitudes("q", q, f"(4,) or ({n}, 4)")
+        y = checks.array(self._name, y, f"({k},) or ({n}, {k})")
+        d = np.concatenate([attitude_error(self._q, attitudes), y - self._y], axis=-1)
         return self._figures(normalised_square(d, self._P))

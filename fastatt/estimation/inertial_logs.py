@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
+from fastatt.codegen.fold import Fold
+from fastatt.codegen.rows import Rows, rows
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
-from fastatt.flat.fold import Fold
 from fastatt.flat.formulas import Vector, minus
-from fastatt.flat.rows import Rows, rows
 from fastatt.integrate import intervals
 from fastatt.threads import number_of
 
@@ -50,17 +50,6 @@ def _logs(model: str) -> Fold:
 
 
 @lru_cache
-def _rotations(white: bool) -> Fold:
-    add = pre.add_rotation_white if white else pre.add_rotation
-
-    def step(x: Vector, w: Vector, h: Vector, bg: Vector, variances: Vector) -> Any:
-        s = pre.PreintegratedRotation(x[0], x[1:5], x[5:14], x[14:])
-        return add(s, minus(w, bg), *h, variances[0])
-
-    return Fold(step, _ROTATION, {"w": 3, "h": 1}, {"bg": 3, "variances": 2})
-
-
-@lru_cache
 def _sample(model: str) -> Rows:
     add = _ADD[model]
 
@@ -88,7 +77,7 @@ class Preintegration:
     along the body axes at i. ``rotation_gyro`` (3, 3) is the derivative of ΔR, in body axes at j,
     to the gyro's bias; ``velocity_gyro``, ``velocity_accel``, ``position_gyro`` and
     ``position_accel`` those of Δv and Δp to both biases. ``covariance`` (9, 9) is that of the
-    errors of (ΔR, Δv, Δp); of a gyro alone all but the rotation's is zero.
+    errors of (ΔR, Δv, Δp). Of a gyro alone all but what is the rotation's is NaN.
     """
 
     duration: NDArray[np.float64]
@@ -139,8 +128,13 @@ class Preintegration:
         Velocities (m/s) and positions (m) are along inertial axes, ``gravity`` (3,) m/s² too; the
         biases are what they have grown by since the samples were added.
 
-        Raises ``ValueError`` or ``TypeError`` for other shapes.
+        Raises ``ValueError`` or ``TypeError`` for other shapes, and for samples of a gyro alone.
         """
+        if np.isnan(self.rows[:, _ROTATION:]).all():
+            raise ValueError(
+                "accel: found None where the samples were added; accepted: samples, without which "
+                "only the attitude at j is known: fastatt.quat_multiply(q, rotation)"
+            )
         change = self._corrected(gyro_bias, accel_bias)
         g = checks.array("gravity", gravity, "(3,)").astype(np.float64)
         q = normalised(np.atleast_2d(checks.attitudes("q", q)).astype(np.float64))
@@ -190,7 +184,7 @@ def preintegrate(
     Parameters
     ----------
     gyro : (n, 3) or (N, n, 3), rad/s, body axes, each sample held over its interval.
-    accel : the same shape, specific force, m/s²; None for a gyro alone.
+    accel : the same shape, specific force, m/s²; None for a gyro alone, whose rotation is found.
     dt : the interval, s, or the n intervals.
     gyro_noise, accel_noise : densities σ_g, rad/√s, and σ_a, m/s^1.5: of samples with standard
         deviation s at intervals h, s √h.
@@ -215,15 +209,15 @@ def preintegrate(
     variances = _variances(gyro_noise, accel_noise)
     start = np.zeros((n_logs, _SIZE))
     start[:, 1] = 1.0
+    a: NDArray[np.float64] = np.zeros((1, 1, 3))
+    if accel is not None:
+        forces = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
+        a = np.asarray(forces.reshape(w.shape), dtype=np.float64)
     h, threads = spans[None, :, None], number_of(n_threads)
+    state = _logs(model)(start, (w, a, h), (bg, ba, variances), threads)
     if accel is None:
-        fold = _rotations(model == "white")
-        turned = slice(_ROTATION)
-        start[:, turned] = fold(start[:, turned], (w, h), (bg, variances), threads)
-        return _unpacked(start, one)
-    a = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
-    a = np.asarray(a.reshape(w.shape), dtype=np.float64)
-    return _unpacked(_logs(model)(start, (w, a, h), (bg, ba, variances), threads), one)
+        state[:, _ROTATION:] = np.nan
+    return _unpacked(state, one)
 
 
 def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:

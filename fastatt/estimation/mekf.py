@@ -6,7 +6,12 @@ The estimate is q, the gyro's bias b and the covariance of the error (δθ, δb)
 there (P11, P12, P22) with 6, 9 and 6 numbers. ``MEKF`` is the same on arrays. Lefferts, Markley and
 Shuster, J. Guidance 5 (1982) 417; Markley and Crassidis, *Fundamentals of Spacecraft Attitude
 Determination and Control* (2014), §6.2. The covariance is updated in Joseph's form and symmetric by
-construction; its turn with the correction, of second order, is left out as is usual.
+construction.
+
+Updates by a vector and by an attitude are linearised anew about what they find, four times (an
+iterated extended Kalman filter), with the prior covariance along the axes that a rotation from the
+prior estimate gives: what a vector can't tell, the rotation about it, then stays as unknown as it
+was (Barrau and Bonnabel, IEEE Trans. Automatic Control 62 (2017) 1797).
 """
 
 from __future__ import annotations
@@ -20,18 +25,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.estimation.amounts import at_least_zero, interval
+from fastatt.codegen.rows import Rows
+from fastatt.codegen.scalar import scalar_function
+from fastatt.estimation.amounts import at_least_zero, interval, variance
 from fastatt.estimation.filters import (
+    NEARLY_SETTLED,
+    PASSES,
     Estimates,
     attitude_covariance,
     largest_square,
     measured_attitudes,
 )
 from fastatt.flat.formulas import Vector
-from fastatt.flat.rows import Rows
-from fastatt.flat.scalar import scalar_function
 from fastatt.flat.trace import stand_in
-from fastatt.kernels import dcm, error_state, quat, sym3
+from fastatt.kernels import dcm, error_state, quat, sym3, trig
 from fastatt.kernels.vec3 import add, axpy, dot, scale, sub
 
 _formula = partial(scalar_function, rewritten=True)
@@ -89,40 +96,62 @@ def square(a):
 
 
 @_formula
-def mekf_update(q, b, P, z, H, R):
-    """(q, b, P, NIS) by a residual z (3) = H δθ + noise of covariance R (6, as of ``sym3``).
-
-    H has nine numbers, row by row. The three numbers are used one after the other, with R = L D Lᵀ
-    taken apart, so that nothing is inverted that a precise direction makes singular. NIS, the sum
-    of their normalised innovations squared, is χ² with three degrees of freedom where the filter is
-    right and R of full rank; of a direction, whose length says nothing, about two. A gate takes
-    what this gives where NIS is small enough, and else what it was given.
-    """
-    F = type(q[0])
-    o = F(0.0)
+def taken_apart(R):
+    """(l1, l2, l3, r1, r2) of R = L D Lᵀ, L = [1 0 0; l1 1 0; l2 l3 1], D = diag(R11, r1, r2)."""
+    o = type(R[0])(0.0)
     l1 = R[1] / R[0] if R[0] > o else o
     l2 = R[2] / R[0] if R[0] > o else o
     r1 = R[3] - l1 * R[1]
     m = R[4] - l1 * R[2]
     l3 = m / r1 if r1 > o else o
-    r2 = R[5] - l2 * R[2] - l3 * m
+    return l1, l2, l3, r1, R[5] - l2 * R[2] - l3 * m
+
+
+@_formula
+def by_three(P, d, z, H, R):
+    """(P, d, NIS) by three numbers z = H δθ + noise of covariance R, one after the other.
+
+    With R = L D Lᵀ taken apart, so that nothing is inverted that a precise direction makes
+    singular.
+    """
+    l1, l2, l3, r1, r2 = taken_apart(R)
     h0 = (H[0], H[1], H[2])
     h1 = axpy(-l1, h0, (H[3], H[4], H[5]))
     h2 = axpy(-l3, h1, axpy(-l2, h0, (H[6], H[7], H[8])))
     z1 = z[1] - l1 * z[0]
     z2 = z[2] - l2 * z[0] - l3 * z1
-    P, d, n0 = joseph(P, (o, o, o, o, o, o), z[0], h0, R[0])
+    P, d, n0 = joseph(P, d, z[0], h0, R[0])
     P, d, n1 = joseph(P, d, z1, h1, r1)
     P, d, n2 = joseph(P, d, z2, h2, r2)
-    q, b = corrected(q, b, d)
-    return q, b, P, n0 + n1 + n2
+    return P, d, n0 + n1 + n2
 
 
 @_formula
-def corrected(q, b, d):
-    """(q, b) with an error d = (δθ, δb), flat, taken in."""
-    q = quat.renormalise(quat.mul(q, quat.exp((d[0], d[1], d[2]))))
-    return q, add(b, (d[3], d[4], d[5]))
+def mekf_update(q, b, P, z, H, R):
+    """(q, b, P, NIS) by a residual z (3) = H δθ + noise of covariance R (6, as of ``sym3``).
+
+    H has nine numbers, row by row. NIS, the sum of the normalised innovations squared, is χ² with
+    three degrees of freedom where the filter is right and R of full rank. A gate takes what this
+    gives where NIS is small enough, and else what it was given. P stays along the axes of the q
+    that it was given, which is right for corrections far below 1 rad.
+    """
+    o = type(q[0])(0.0)
+    P, d, nis = by_three(P, (o, o, o, o, o, o), z, H, R)
+    return corrected(q, d), add(b, (d[3], d[4], d[5])), P, nis
+
+
+@_formula
+def corrected(q, d):
+    """q with the δθ of an error (δθ, δb), flat, taken in."""
+    return quat.renormalise(quat.mul(q, quat.exp((d[0], d[1], d[2]))))
+
+
+@_formula
+def seen_from(a, q, P):
+    """(P, d): the covariance about q and the mean error (δθ, δb) that q has, seen from a."""
+    o = type(a[0])(0.0)
+    r = quat.mul(quat.conj(a), q)
+    return error_state.to_inertial(dcm.from_quat(r), P), (*quat.log(r), o, o, o)
 
 
 @_formula
@@ -133,40 +162,100 @@ def gated(before, after, nis, gate):
 
 @_formula
 def mekf_update_vector(q, b, P, measured, reference, variance):
-    """The same by a vector: ``measured`` in body axes, ``reference`` along inertial ones.
+    """(q, b, P, NIS) by a vector: ``measured`` in body axes, ``reference`` along inertial ones.
 
     A direction to a star or the Sun, the magnetic field, gravity. ``variance`` is that of each
-    component, in the vector's unit squared. The two components across the vector are used: that
-    along it, of which rounding would make an angle where the others are precise, counts in NIS.
+    component, in the vector's unit squared. The angle from the expected vector to the measured one
+    is used; the difference of their lengths, of which rounding would make an angle where the others
+    are precise, counts in NIS.
+    """
+    return by_vector(q, b, P, measured, reference, variance)[:4]
+
+
+@_formula
+def by_vector(q, b, P, measured, reference, variance):
+    """(q, b, P, NIS, nonlinearity): of an update that is trustworthy the last is at most 1.
+
+    It is the larger of what the variances of the attitude have lost together, rad², and of the
+    normalised square of the last correction, by that of three deviations.
     """
     F = type(q[0])
     o = F(0.0)
     one = F(1.0)
-    expected = quat.rotate_inverse(q, reference)
-    length = math.sqrt(dot(expected, expected))
-    n = scale(one / length if length > o else o, expected)
-    z = sub(measured, expected)
-    # two axes across: Duff et al., J. Computer Graphics Techniques 6 (2017) 1
-    s = one if n[2] >= o else -one
+    a = q
+    for k in range(PASSES):
+        p, d = seen_from(a, q, P)
+        expected = quat.rotate_inverse(a, reference)
+        length = math.sqrt(dot(expected, expected))
+        n = scale(one / length if length > o else o, expected)
+        x, y = across(n)
+        u = dot(x, measured)
+        v = dot(y, measured)
+        sine = math.sqrt(u * u + v * v)
+        along = dot(n, measured)
+        # from the components across to the arc
+        m = length * trig.atan2(sine, along) / sine if sine > o else o
+        p, d, n0 = joseph(p, d, m * u, scale(-length, y), variance)
+        p, d, n1 = joseph(p, d, m * v, scale(length, x), variance)
+        a = corrected(a, d)
+        if k == 0:
+            nis = n0 + n1 + (along - length) * (along - length) / variance
+    last = normalised_square(p[0], d) / F(NEARLY_SETTLED)
+    nonlinearity = larger(trace(P[0]) - trace(p[0]), last)
+    return a, add(b, (d[3], d[4], d[5])), p, nis, nonlinearity
+
+
+@_formula
+def larger(a, b):
+    """The larger of two numbers."""
+    return a if a > b else b
+
+
+@_formula
+def trace(s):
+    """Trace of a symmetric matrix."""
+    return s[0] + s[3] + s[5]
+
+
+@_formula
+def normalised_square(s, d):
+    """dᵀ s⁻¹ d of a covariance s and the first three numbers of d, 0 along what has no variance."""
+    o = type(d[0])(0.0)
+    l1, l2, l3, s1, s2 = taken_apart(s)
+    x = d[1] - l1 * d[0]
+    y = d[2] - l2 * d[0] - l3 * x
+    first = d[0] * d[0] / s[0] if s[0] > o else o
+    second = x * x / s1 if s1 > o else o
+    third = y * y / s2 if s2 > o else o
+    return first + second + third
+
+
+@_formula
+def across(n):
+    """Two axes across a unit vector: Duff et al., J. Computer Graphics Techniques 6 (2017) 1."""
+    F = type(n[0])
+    one = F(1.0)
+    s = one if n[2] >= F(0.0) else -one
     a = -one / (s + n[2])
     m = n[0] * n[1] * a
-    x = one + s * n[0] * n[0] * a, s * m, -s * n[0]
-    y = m, s + n[1] * n[1] * a, -n[1]
-    P, d, n0 = joseph(P, (o, o, o, o, o, o), dot(x, z), scale(-length, y), variance)
-    P, d, n1 = joseph(P, d, dot(y, z), scale(length, x), variance)
-    along = dot(n, z)
-    q, b = corrected(q, b, d)
-    return q, b, P, n0 + n1 + along * along / variance
+    return (one + s * n[0] * n[0] * a, s * m, -s * n[0]), (m, s + n[1] * n[1] * a, -n[1])
 
 
 @_formula
 def mekf_update_attitude(q, b, P, measured, R):
-    """The same by a whole attitude, such as a star tracker's; R (6, as of ``sym3``), rad²."""
+    """(q, b, P, NIS) by a whole attitude, such as a star tracker's; R (6, as of ``sym3``), rad²."""
     F = type(q[0])
     o = F(0.0)
     one = F(1.0)
-    z = quat.log(quat.mul(quat.conj(q), measured))
-    return mekf_update(q, b, P, z, (one, o, o, o, one, o, o, o, one), R)
+    a = q
+    for k in range(PASSES):
+        p, d = seen_from(a, q, P)
+        z = quat.log(quat.mul(quat.conj(a), measured))
+        p, d, found = by_three(p, d, z, (one, o, o, o, one, o, o, o, one), R)
+        a = corrected(a, d)
+        if k == 0:
+            nis = found
+    return a, add(b, (d[3], d[4], d[5])), p, nis
 
 
 # ensembles: of the numbers of one filter
@@ -179,7 +268,8 @@ def _predicted(q: Vector, b: Vector, P: Vector, gyro: Vector, known: Vector) -> 
 
 def _by_vector(q: Vector, b: Vector, P: Vector, pair: Vector, known: Vector) -> Any:
     state = q, b, _error_state.blocks(P)
-    return _updated(state, mekf_update_vector(*state, pair[:3], pair[3:], known[1]), known)
+    found = by_vector(*state, pair[:3], pair[3:], known[1])
+    return (*_updated(state, found, known), found[4])
 
 
 def _by_attitude(q: Vector, b: Vector, P: Vector, measured: Vector, known: Vector) -> Any:
@@ -192,14 +282,15 @@ def _updated(state: Any, found: Any, known: Vector) -> Any:
     return q, b, _error_state.matrix(p), found[3]
 
 
-def _operation(formula: Any, own: int, known: int, outputs: tuple[int | None, ...]) -> Rows:
-    return Rows(formula, {"q": 4, "b": 3, "P": 36, "own": own, "known": known}, outputs)
+def _operation(formula: Any, own: int, known: int, *outputs: int | None) -> Rows:
+    inputs = {"q": 4, "b": 3, "P": 36, "own": own, "known": known}
+    return Rows(formula, inputs, outputs)
 
 
 _OPERATIONS = {
-    "predict": _operation(_predicted, 3, 3, (4, 36)),
-    "vector": _operation(_by_vector, 6, 2, (4, 3, 36, None)),
-    "attitude": _operation(_by_attitude, 4, 7, (4, 3, 36, None)),
+    "predict": _operation(_predicted, 3, 3, 4, 36),
+    "vector": _operation(_by_vector, 6, 2, 4, 3, 36, None, None),
+    "attitude": _operation(_by_attitude, 4, 7, 4, 3, 36, None),
 }
 
 
@@ -213,6 +304,7 @@ class _Call(NamedTuple):
     own: NDArray[np.float64]
     known: NDArray[np.float64]
     nis: NDArray[np.float64]
+    nonlinearity: NDArray[np.float64]
 
 
 class MEKF(Estimates):
@@ -259,7 +351,6 @@ class MEKF(Estimates):
             at_least_zero("angle_noise", angle_noise) ** 2,
             at_least_zero("bias_noise", bias_noise) ** 2,
         )
-        self._shapes = {(3,), self._y.shape}
         self._calls: dict[str, _Call] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -273,18 +364,15 @@ class MEKF(Estimates):
             own = np.empty((n, operation.inputs["own"] or 0))
             own = self._gyro if name == "predict" else own
             known = np.empty((1, operation.inputs["known"] or 0))
-            nis = np.empty(n)
-            state = {4: self._q, 3: self._y, 36: self._P.reshape(n, 36), None: nis}
-            arrays = (*(state[k] for k in (4, 3, 36)), own, known)
+            nis, nonlinearity = np.empty(n), np.empty(n)
+            state = [self._q, self._y, self._P.reshape(n, 36)]
+            out = [*state, nis, nonlinearity][: len(operation.outputs)]
             if name == "predict":
                 known[0, 1:] = self._variances
-            run = operation.bound(arrays, [state[k] for k in operation.outputs])
-            found = self._calls[name] = _Call(run, own, known[0], nis)
+                out = [state[0], state[2]]
+            run = operation.bound([*state, own, known], out)
+            found = self._calls[name] = _Call(run, own, known[0], nis, nonlinearity)
         return found
-
-    def _normalised(self, call: _Call) -> Any:
-        call.run()
-        return float(call.nis[0]) if self._one else call.nis.copy()
 
     @property
     def bias(self) -> NDArray[np.float64]:
@@ -320,9 +408,10 @@ class MEKF(Estimates):
         seen, fixed = (
             self._vectors(*x)[0] for x in (("measured", measured), ("reference", reference))
         )
-        known = largest_square(gate), checks.above_zero("sigma", sigma) ** 2
+        known = largest_square(gate), variance("sigma", sigma)
         call.own[:, :3], call.own[:, 3:], call.known[:] = seen, fixed, known
-        return self._normalised(call)
+        call.run()
+        return self._judged(call.nis.copy(), gate, call.nonlinearity)
 
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
@@ -338,21 +427,9 @@ class MEKF(Estimates):
         call = self._call("attitude")
         known = largest_square(gate), *attitude_covariance(sigma).ravel()[_UPPER]
         call.own[:], call.known[:] = rows, known
-        return self._normalised(call)
+        call.run()
+        return self._judged(call.nis.copy(), gate)
 
     def nees(self, q: ArrayLike, bias: ArrayLike) -> Any:
         """Normalised estimation error squared against the truth, χ² with 6 degrees of freedom."""
         return super().nees(q, bias)
-
-    def _vectors(self, name: str, value: ArrayLike) -> tuple[NDArray[np.float64], bool]:
-        """Rows, and whether all are finite."""
-        rows = np.asarray(value, dtype=np.float64)
-        if rows.shape not in self._shapes:
-            accepted = f"(3,) or ({len(self._q)}, 3)"
-            raise ValueError(f"{name}: has shape {rows.shape}; accepted: {accepted}")
-        # of one filter the sum in Python takes a sixth of the time of numpy's look at each
-        finite = rows.ndim == 1 and math.isfinite(sum(rows.tolist()))
-        finite = finite or bool(np.isfinite(rows).all())
-        if not (finite or self._skips):
-            checks.finite(name, rows)
-        return rows, finite

@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike
 
 from fastatt import checks
 from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
-from fastatt.estimation.amounts import covariances
+from fastatt.estimation.amounts import covariances, root, variance
 from fastatt.estimation.filters import (
     Floats,
     Motion,
     attitude_covariance,
     attitude_error,
     mean_attitude,
+    moved_rows,
     normalised_square,
     rows_of,
     unit_rows,
@@ -76,18 +77,18 @@ class ParticleFilter:
         """Move each particle by a random error (δθ, δy) of a covariance (D, D)."""
         size = 3 + self.y.shape[1]
         P = covariances("covariance", covariance, f"({size}, {size})")
-        # a covariance may have no spread in some direction, which a Cholesky factor refuses
-        values, vectors = np.linalg.eigh(P)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        d = self._rng.standard_normal((len(self.q), size)) @ root.T
+        d = self._rng.standard_normal((len(self.q), size)) @ root(P).T
         self.q = np.asarray(quat_multiply(self.q, rotation_vector_to_quat(d[:, :3])))
         self.y = self.y + d[:, 3:]
 
     def predict(self, motion: Motion, noise: ArrayLike | None = None) -> None:
         """Move all particles: ``motion`` as for :meth:`UKF.predict`, then a noise's covariance."""
-        self.q, self.y = motion(self.q, self.y)
-        if noise is not None:
-            self.scatter(noise)
+        size = 3 + self.y.shape[1]
+        P = None if noise is None else covariances("noise", noise, f"({size}, {size})")
+        q, y = motion(self.q, self.y)
+        self.q, self.y = moved_rows(q, y, self.y.shape)
+        if P is not None:
+            self.scatter(P)
 
     def update(self, log_likelihood: ArrayLike) -> None:
         """Weight the particles by the logarithm of a likelihood, (M,), up to a constant.
@@ -109,20 +110,14 @@ class ParticleFilter:
         """Use a vector (3,), measured in body axes, its reference along inertial ones."""
         seen = checks.array("measured", measured, "(3,)")
         fixed = checks.array("reference", reference, "(3,)")
-        deviation = checks.above_zero("sigma", sigma)
+        weight = -0.5 / variance("sigma", sigma)
         away = rotate_inverse(self.q, fixed) - seen
-        self.update(np.einsum("ij,ij->i", away, away) * (-0.5 / deviation**2))
+        self.update(np.einsum("ij,ij->i", away, away) * weight)
 
     def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> None:
         """Use an attitude (4,); ``sigma`` as for :meth:`MEKF.update_attitude`."""
         error = attitude_error(self.q, checks.attitudes("measured", measured, "(4,)"))
-        covariance = attitude_covariance(sigma)
-        if not np.linalg.det(covariance) > 0.0:
-            raise ValueError(
-                f"sigma: found {checks.brief(sigma)}; accepted: above 0 about all axes"
-            )
-        inverse = np.linalg.inv(covariance)
-        self.update(-0.5 * np.einsum("ij,ij->i", error @ inverse, error))
+        self.update(-0.5 * normalised_square(error, attitude_covariance(sigma)))
 
     @property
     def effective_number(self) -> float:
@@ -151,5 +146,6 @@ class ParticleFilter:
     def nees(self, q: ArrayLike, y: ArrayLike) -> float:
         """Normalised error squared of the mean against the truth."""
         mean, centre = self.mean()
-        d = np.concatenate([attitude_error(mean, q), np.asarray(y) - centre])
+        away = checks.array("y", y, f"({len(centre)},)") - centre
+        d = np.concatenate([attitude_error(mean, checks.attitudes("q", q, "(4,)")), away])
         return float(normalised_square(d, self.covariance()))

@@ -26,9 +26,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple
 
+from fastatt.codegen.scalar import scalar_function
 from fastatt.flat import formulas
 from fastatt.flat.dual import derivatives, seed, value
-from fastatt.flat.scalar import scalar_function
 from fastatt.kernels import dcm, error_state, quat, so3, sym3
 from fastatt.kernels.vec3 import add, axpy, scale
 
@@ -67,15 +67,6 @@ class Preintegrated(NamedTuple):
 
 
 @_formula
-def begin_rotation(like):
-    """The state before the first sample, in the type of ``like``."""
-    F = type(like)
-    o = F(0.0)
-    nine = (o, o, o, o, o, o, o, o, o)
-    return PreintegratedRotation(o, (F(1.0), o, o, o), nine, (o, o, o, o, o, o))
-
-
-@_formula
 def begin(like):
     """The state before the first sample, in the type of ``like``."""
     F = type(like)
@@ -83,9 +74,8 @@ def begin(like):
     three = (o, o, o)
     six = (o, o, o, o, o, o)
     nine = (o, o, o, o, o, o, o, o, o)
-    return Preintegrated(
-        begin_rotation(like), three, three, nine, nine, nine, nine, nine, nine, six, nine, six
-    )
+    rotation = PreintegratedRotation(o, (F(1.0), o, o, o), nine, six)
+    return Preintegrated(rotation, three, three, nine, nine, nine, nine, nine, nine, six, nine, six)
 
 
 def _rotated(s: Any, u: Any, h: Any, noise: Any) -> Any:
@@ -103,29 +93,13 @@ def _isotropic(k: Any) -> Any:
     return k, o, o, k, o, k
 
 
-@_formula
-def add_rotation(s, w, h, variance):
-    """A rate sample w (rad/s, bias taken off) held for h s, its noise held; σ_g² in rad²/s."""
-    u = scale(h, w)
-    j = so3.right_jacobian(u)
-    moved, _ = _rotated(s, u, h, sym3.scale(variance * h, sym3.product(j, j)))
-    return moved
-
-
-@_formula
-def add_rotation_white(s, w, h, variance):
-    """The same with white noise."""
-    moved, _ = _rotated(s, scale(h, w), h, _isotropic(variance * h))
-    return moved
-
-
 @scalar_function
 def _exact(w, a, h):
     """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes of its start."""
     s = seed((*w, *a), 6)
     u = formulas.scale(h, s[:3])
-    v = formulas.scale(h, formulas.newton.turned_integral(u, s[3:]))
-    p = formulas.scale(h * h, formulas.newton.turned_second_integral(u, s[3:]))
+    v = formulas.scale(h, formulas.so3.turned_integral(u, s[3:]))
+    p = formulas.scale(h * h, formulas.so3.turned_second_integral(u, s[3:]))
     return value(v), value(p), (*_halves(v), *_halves(p))
 
 

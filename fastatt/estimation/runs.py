@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.estimation import tangent
 from fastatt.estimation.derivatives import of_body, tangent_rows
 from fastatt.methods import Method
 from fastatt.running.propagate import propagate
@@ -21,11 +22,14 @@ from fastatt.scene import Scene
 class RunTangent:
     """What becomes of small changes over a run: the product of its steps' transitions.
 
-    ``steps`` (S, ..., D, D), the first step's first; of :func:`run_tangent` they take (δθ, δm), and
-    those of ``sample_transitions(...).matrix`` take (δθ, δb) over a gyro log.
+    ``steps`` (S, ..., K, K), the first step's first; those of ``sample_transitions(...).matrix``
+    take (δθ, δb) over a gyro log. Of the K numbers the first D = ``size`` are those of a change;
+    the others, 0 before the run and left out after it, are what steps hand on besides: those of
+    :func:`run_tangent` take (δθ, δm, δs), δs the relative change of a quaternion's length.
     """
 
     steps: NDArray[Any]
+    size: int | None = None
 
     @cached_property
     def matrix(self) -> NDArray[Any]:
@@ -33,26 +37,27 @@ class RunTangent:
         found = np.broadcast_to(np.eye(self.steps.shape[-1]), self.steps.shape[1:])
         for step in self.steps:
             found = step @ found
-        return np.asarray(found)
+        return np.asarray(found[..., : self.size, : self.size])
 
     def tangent(self, before: ArrayLike) -> NDArray[Any]:
         """A x: the change (..., D) after the run from that before it, without the matrix A."""
         x = self._change("before", before)
         for step in self.steps:
             x = step @ x
-        return x[..., 0]
+        return x[..., : self.size, 0]
 
     def adjoint(self, after: ArrayLike) -> NDArray[Any]:
         """Aᵀ y: the gradient (..., D) to the state before from that to the state after."""
         y = self._change("after", after)
         for step in self.steps[::-1]:
             y = np.swapaxes(step, -1, -2) @ y
-        return y[..., 0]
+        return y[..., : self.size, 0]
 
     def _change(self, name: str, value: ArrayLike) -> NDArray[Any]:
-        size = self.steps.shape[-1]
+        whole = self.steps.shape[-1]
+        size = self.size or whole
         found = checks.array(name, value, f"(..., {size})", [(size,), (-1, size)])
-        return found[..., None]
+        return np.pad(found, [(0, 0)] * (found.ndim - 1) + [(0, whole - size)])[..., None]
 
 
 def run_tangent(
@@ -68,10 +73,10 @@ def run_tangent(
 ) -> tuple[Trajectory, RunTangent]:
     """A run of rigid bodies, every step of it, and its derivative.
 
-    The derivative is the product of those of the method's own steps, :func:`body_tangent`, which
-    are exact but for rounding: with δm = I δw it takes (δθ, δm) at the start to those at the end.
-    36 numbers a step and body are kept. Arguments are those of ``fastatt.propagate``; without
-    ``method``, ``rk8``.
+    With δm = I δw it takes (δθ, δm) at the start to those at the end, exact but for rounding: the
+    product of the derivatives of the method's own steps, along the quaternions of the run before
+    they are normalised, whose length a Runge-Kutta method changes. 49 numbers a step and body are
+    kept. Arguments are those of ``fastatt.propagate``; without ``method``, ``rk8``.
 
     Raises ``ValueError`` or ``TypeError`` as :func:`body_tangent` and ``fastatt.propagate`` do.
 
@@ -85,10 +90,13 @@ def run_tangent(
     0.714
     """
     record, packed = of_body(scene, method)
-    run = propagate(
-        scene, q0, w0, dt=dt, n_steps=n_steps, method=record, save_every=1, t0=t0,
-        dtype=np.float64, n_threads=n_threads,
+    run, stepped = (
+        propagate(
+            scene, q0, w0, dt=dt, n_steps=n_steps, method=record, save_every=1, t0=t0,
+            dtype=np.float64, n_threads=n_threads, normalise=normalise,
+        )
+        for normalise in ("output", "never")
     )  # fmt: skip
-    q, w = ((x[:, None] if run.one_body else x)[:-1] for x in (run.q, run.w))
+    q, w = ((x[:, None] if run.one_body else x)[:-1] for x in (stepped.q, stepped.w))
     *_, full = tangent_rows(record, packed, (run.t[:-1, None], run.dt), (q, w), n_threads)
-    return run, RunTangent(full[:, 0] if run.one_body else full)
+    return run, RunTangent(full[:, 0] if run.one_body else full, size=tangent.UNIT)

@@ -19,6 +19,12 @@ from fastatt.arrays import (
 from fastatt.estimation.filters import Floats
 
 _PIECES = 4
+# deviations of directions: beyond, a float holds no digit of the least precise beside the others
+_LARGEST_RATIO = 1e7
+# of directions in Davenport's matrix, whose eigenvector knows a rotation to an ulp over this
+_LEAST_WEIGHT = 1e-12
+# of the information of the directions that residuals may leave about an axis
+_LEAST_SHARE = 0.1
 
 
 def attitude_from_vectors(
@@ -27,15 +33,16 @@ def attitude_from_vectors(
     """The attitude that fits two or more directions best, and its covariance.
 
     It minimises Σ |b − Cᵀ r|²/σ² (Wahba), b and r at unit length: the eigenvector of Davenport's
-    matrix (Markley and Crassidis (2014), §5.3), then two Gauss-Newton steps, which find the digits
-    that it loses where the σ differ much. Of two directions, TRIAD would take one for exact.
+    matrix (Markley and Crassidis (2014), §5.3), then three Gauss-Newton steps, which find the
+    digits that it loses where the σ differ much. Of two directions, TRIAD would take one for exact.
     The covariance is (Σ (1 − e eᵀ)/σ²)⁻¹, e = Cᵀ r: Shuster and Oh, J. Guidance 4 (1981) 70.
 
     Parameters
     ----------
     measured : (m, 3) or (N, m, 3), vectors along body axes, m at least 2, of any length but zero.
     reference : (m, 3) or (N, m, 3), the same along inertial axes.
-    sigma : standard deviation of the directions across, rad, a number or (m,), above 0.
+    sigma : standard deviation of the directions across, rad, a number or (m,), above 0, the largest
+        at most 1e7 times the smallest.
 
     Returns
     -------
@@ -45,7 +52,9 @@ def attitude_from_vectors(
     Raises
     ------
     ValueError, TypeError : a shape that does not fit, a vector that is zero or not finite;
-        directions so near one line that the turn about it has a deviation above 1 rad.
+        directions so near one line that the rotation about it has a deviation above 1 rad; measured
+        ones that lie so differently to each other than the references that the rotation about some
+        axis is free, such as two equal ones, or left-handed ones of right-handed references.
     """
     b, r = _directions("measured", measured), _directions("reference", reference)
     m = b.shape[-2]
@@ -55,7 +64,12 @@ def attitude_from_vectors(
             "least two"
         )
     s = _deviations(sigma, m)[:, None]
-    weighted = r * (s.min() / s) ** 2
+    if s.max() > _LARGEST_RATIO * s.min():
+        raise ValueError(
+            f"sigma: found {s.min():.3g} to {s.max():.3g}; accepted: the largest up to "
+            f"{_LARGEST_RATIO:g} times the smallest; a larger smallest one gives the same attitude"
+        )
+    weighted = r * np.maximum((s.min() / s) ** 2, _LEAST_WEIGHT)
     B = np.swapaxes(weighted, -1, -2) @ b
     trace = np.trace(B, axis1=-2, axis2=-1)
     K = np.empty((*B.shape[:-2], 4, 4))
@@ -63,24 +77,44 @@ def attitude_from_vectors(
     K[..., 1:, 1:] = B + np.swapaxes(B, -1, -2) - trace[..., None, None] * np.eye(3)
     K[..., 0, 1:] = K[..., 1:, 0] = np.cross(b, weighted).sum(axis=-2)
     q: Any = np.linalg.eigh(K)[1][..., -1]
-    for _ in range(2):
+    for _ in range(3):
         e = rotate_inverse(q[..., None, :], r)
         # a column is e × an axis: what b − e is made of by δθ
         slopes = np.swapaxes(np.cross(e[..., None, :], np.eye(3)), -1, -2) / s[..., None]
         u, values, v = np.linalg.svd(slopes.reshape(*q.shape[:-1], -1, 3), full_matrices=False)
-        unknown = np.atleast_1d(values[..., -1]) < 1.0
-        if unknown.any():
-            where = f"[{int(np.argmax(unknown))}]" if q.ndim == 2 else ""
-            raise ValueError(
-                f"reference{where}: has directions near one line; accepted: such that the turn "
-                "about it is known to 1 rad"
-            )
+        _refuse(
+            values[..., -1] < 1.0,
+            "reference",
+            "has directions near one line; accepted: such that the rotation about it is known to "
+            "1 rad",
+        )
         root = np.swapaxes(v, -1, -2) / values[..., None, :]
         left = ((b - e) / s).reshape(*q.shape[:-1], -1, 1)
         q = quat_multiply(
             q, rotation_vector_to_quat((root @ np.swapaxes(u, -1, -2) @ left)[..., 0])
         )
+    # half the sum's second derivative to δθ along the root's columns: 1 but for the residuals
+    d = (b - e) / s**2
+    outer = np.swapaxes(d, -1, -2) @ e
+    curved = np.trace(outer, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - outer
+    left_over = np.linalg.eigvalsh(np.eye(3) + np.swapaxes(root, -1, -2) @ _even(curved) @ root)
+    _refuse(
+        left_over[..., 0] < _LEAST_SHARE,
+        "measured",
+        "its directions lie otherwise to each other than those of reference, so that the rotation "
+        "about some axis is free; accepted: the same ones, but for noise",
+    )
     return q, root @ np.swapaxes(root, -1, -2)
+
+
+def _even(A: Floats) -> Floats:
+    return 0.5 * (A + np.swapaxes(A, -1, -2))
+
+
+def _refuse(bad: Any, name: str, message: str) -> None:
+    """Refuse the first bad set of directions, where there are several by its number."""
+    if np.any(bad):
+        raise ValueError(f"{name}{[int(np.argmax(bad))] if np.ndim(bad) else ''}: {message}")
 
 
 def _directions(name: str, value: ArrayLike) -> Floats:

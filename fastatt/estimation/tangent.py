@@ -28,15 +28,19 @@ Formula = Callable[..., Any]
 
 
 def error(q: Vector) -> Vector:
-    """δθ of a dual quaternion about its own value: its derivatives are what counts."""
+    """δθ of a dual quaternion about its own value, and δs, the relative change of its length.
+
+    Their values mean nothing: their derivatives are what counts.
+    """
     v = value(q)
     r = quat.mul(quat.conj(v), q)
-    return scale(2.0 / quat.dot(v, v), r[1:])
+    n = 1.0 / quat.dot(v, v)
+    return (*scale(n + n, r[1:]), n * r[0])
 
 
-def displaced(q: Vector, d: Vector) -> Any:
-    """q∘exp(d) for a dual d of value 0."""
-    return quat.mul(q, (1.0, *scale(0.5, d)))
+def displaced(q: Vector, d: Vector, s: Any = 0.0) -> Any:
+    """(1 + s) q∘exp(d) for dual d and s of value 0."""
+    return quat.mul(q, (1.0 + s, *scale(0.5, d)))
 
 
 def rows(x: Vector, size: int) -> Vector:
@@ -77,7 +81,7 @@ def rate_tangent(method: Method, structure: GivenRate) -> Formula:
 def coupled(x: Vector) -> tuple[Any, Any, Any]:
     """The same of a dual quaternion that the bias moves."""
     q = quat.normalise(value(x))
-    return q, dcm.transpose(dcm.from_quat(q)), rows(error(x), 3)
+    return q, dcm.transpose(dcm.from_quat(q)), rows(error(x)[:3], 3)
 
 
 # samples
@@ -121,9 +125,13 @@ def own_numbers(law: Law) -> Iterator[bool]:
             yield from (look_up is None,) * size
 
 
-def directions(structure: RigidBody, *, parameters: bool) -> int:
+#: directions of a state (δθ, δm), and of one whose quaternion has any length (δθ, δm, δs)
+UNIT, ANY_LENGTH = 6, 7
+
+
+def directions(structure: RigidBody, state: int, *, parameters: bool) -> int:
     """How many derivatives each number has."""
-    return 9 + sum(own_numbers(structure.law)) if parameters else 6
+    return state + (3 + sum(own_numbers(structure.law)) if parameters else 0)
 
 
 def body_tangent(
@@ -132,22 +140,23 @@ def body_tangent(
     """``f(t, h, q, m, p)`` -> (q, m, Φ) after a step of h s: Φ flat, 6 rows.
 
     m is along body axes. Columns are δθ, δm and, with ``parameters``, the principal moments and the
-    torque's numbers. With ``of_rate`` q may have any length, w is in the place of m, and the square
-    of the angle that the step turned at a time follows. The stages of a splitting are a loop.
+    torque's numbers. With ``of_rate`` w is in the place of m, and the square of the largest angle
+    that the step rotates by follows; q is stepped with the length that it has, and δs, the relative
+    change of that length, is the seventh row and column. The stages of a splitting are a loop.
     """
     steps: Any = method.steps
-    size = directions(structure, parameters=parameters)
+    state = ANY_LENGTH if of_rate else UNIT
+    size = directions(structure, state, parameters=parameters)
 
     def moving(p: Vector) -> Body:
-        dual = differentiated(structure, p, size) if parameters else p
+        dual = differentiated(structure, p, size, state) if parameters else p
         return Body(QUATERNION, structure, dual, dual[0])
 
     def start(motion: Body, q: Vector, m: Vector, p: Vector) -> Vector:
         if of_rate:
-            q = quat.normalise(q)
             m = along_axes(structure, lambda w: rigid.momentum(w, p[3:6]), m, p)
-        d = seed((0.0, 0.0, 0.0), size, like=m[0])
-        a, n = displaced(q, d), seed(m, size, 3)
+        d = seed((0.0,) * state, size, like=m[0])
+        a, n = displaced(q, d[:3], *d[UNIT:]), seed(m, size, 3)
         if motion.axes is not None:
             a, n = quat.mul(a, motion.axes), quat.rotate_inverse(motion.axes, n)
         return (*a, *n)
@@ -156,7 +165,8 @@ def body_tangent(
         a, n = x[:4], x[4:7]
         if motion.axes is not None:
             a, n = quat.mul(a, quat.conj(motion.axes)), quat.rotate(motion.axes, n)
-        phi = rows((*error(a), *n), size)
+        e = error(a)
+        phi = rows((*e[:3], *n, *e[3:])[:state], size)
         q, m = quat.normalise(value(a)), value(n)
         if not of_rate:
             return q, m, phi
@@ -195,13 +205,17 @@ def body_tangent(
     return Recurrence(begin, stage, end, method.stages or ((1.0, 1.0, 0.0),))
 
 
-def differentiated(structure: RigidBody, p: Vector, size: int) -> Vector:
-    """A body's parameters, dual but for those that say where axes lie and samples were taken."""
+def differentiated(structure: RigidBody, p: Vector, size: int, first: int) -> Vector:
+    """A body's parameters, dual but for those that say where axes lie and samples were taken.
+
+    Their directions are the ``first`` one of ``size`` and those that follow.
+    """
     end = 9 + structure.axes
-    i = seed(p[3:6], size, 6)
+    i = seed(p[3:6], size, first)
     half = tuple(0.5 / x for x in i)
     mine = list(own_numbers(structure.law))
-    own = iter(seed([x for x, is_own in zip(p[end:], mine, strict=True) if is_own], size, 9, p[0]))
+    numbers = [x for x, is_own in zip(p[end:], mine, strict=True) if is_own]
+    own = iter(seed(numbers, size, first + 3, p[0]))
     torque = [next(own) if is_own else x for x, is_own in zip(p[end:], mine, strict=True)]
     return (*half, *i, *rigid.gyroscopic_coefficients(i), *p[9:end], *torque)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -10,34 +11,55 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
-from fastatt.estimation.amounts import covariances
+from fastatt.arrays import (
+    normalised,
+    quat_multiply,
+    quat_to_dcm,
+    rotate_inverse,
+    rotation_vector_to_quat,
+)
+from fastatt.estimation.amounts import covariances, root, variance
 from fastatt.estimation.filters import (
+    NEARLY_SETTLED,
+    PASSES,
     Estimates,
     Floats,
     Motion,
     attitude_covariance,
     attitude_error,
+    definite,
     largest_square,
     measured_attitudes,
+    moved_rows,
     normalised_square,
 )
 
+# rad that a sigma point lies from the estimate at most, and from the mean after a motion: there it
+# is half as near to the angle π at which it would be taken for its opposite
+_FARTHEST, _FAR = 0.5 * math.pi, 0.75 * math.pi
+
 
 class UKF(Estimates):
-    """Attitude and K numbers beside it, of one body or of N at once.
+    """Attitude and K numbers besides, of one body or of N at once.
 
     The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy; its 2D + 1 sigma points (D = 3 + K)
-    lie at the columns of ±√((D + κ) P) about the estimate, with weights ½/(D + κ), and κ/(D + κ)
-    at the centre. All points of all filters are moved in one ensemble. After a motion the mean
-    attitude is where the weighted errors cancel, by two Gauss-Newton steps. Julier and Uhlmann,
-    Proc. IEEE 92 (2004) 401; Crassidis and Markley, J. Guidance 26 (2003) 536; Kraft, Int. Conf.
-    Information Fusion (2003).
+    lie at ±√(D + κ) L about the estimate, P = L Lᵀ, the columns of L along the principal axes of
+    the attitude's covariance, with weights ½/(D + κ), and κ/(D + κ) at the centre. All points of
+    all filters are moved in one ensemble. After a motion the mean attitude is where the weighted
+    errors cancel, by two Gauss-Newton steps. An update puts the covariance along the axes of the
+    corrected attitude. Julier and Uhlmann, Proc. IEEE 92 (2004) 401; Crassidis and Markley, J.
+    Guidance 26 (2003) 536; Kraft, Int. Conf. Information Fusion (2003).
+
+    Errors beyond π would be taken for others, so that no pair of points lies farther than π/2 rad
+    from the estimate: with D = 6 and κ = 1 from a deviation of 0.59 rad on they lie nearer, and
+    what they tell is scaled (Julier, American Control Conf. (2002) 4555). A heading that nothing
+    measures may so have any deviation. Points whose rates differ by δw during a motion of T s, of
+    :func:`gyro_motion` and of a body's :func:`scene_motion`, lie nearer by |δw| T.
 
     Parameters
     ----------
     q : (4,) or (N, 4), attitudes, body to inertial, of any length but zero.
-    y : (K,) or (N, K), what is estimated beside them: a gyro's bias, an angular velocity.
+    y : (K,) or (N, K), what is estimated besides: a gyro's bias, an angular velocity.
     covariance : (D, D) or (N, D, D), of (δθ, δy).
     kappa : κ, above −D; below 0 the covariance may lose its sign.
     invalid : "raise" refuses measurements that are not finite; "skip" leaves them out, for the
@@ -48,8 +70,17 @@ class UKF(Estimates):
     q, y, covariance : the estimates, with the shapes above.
 
     Updates give the normalised innovation squared, do not use what is beyond ``gate``, and give NaN
-    for what was left out: see :class:`MEKF`. Raises ``numpy.linalg.LinAlgError`` in a call that
-    meets a covariance that is not positive.
+    for what was left out: see :class:`MEKF`.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit, by name; a covariance that has lost its
+        sign. The estimates are then as before.
+
+    Warns
+    -----
+    UserWarning : points that a motion has put farther than 3π/4 rad from their mean, of which some
+        may be taken for others; vectors that tell of an attitude with deviations beyond 0.7 rad.
     """
 
     def __init__(
@@ -66,41 +97,80 @@ class UKF(Estimates):
         self._kappa = checks.real("kappa", kappa)
         if self._kappa <= -size:
             raise ValueError(f"kappa: found {kappa}; accepted: above {-size}")
-        self._weights = np.full(2 * size + 1, 0.5 / (size + self._kappa))
-        self._weights[0] = self._kappa / (size + self._kappa)
 
     @property
     def y(self) -> Floats:
-        """What is estimated beside them, (K,) or (N, K)."""
+        """What is estimated besides, (K,) or (N, K)."""
         return self._each(self._y)
 
     def sigma_points(self) -> tuple[Floats, Floats]:
         """Attitudes (N, 2D + 1, 4) and numbers (N, 2D + 1, K), the estimate first."""
+        return self._points(0.0)[:2]
+
+    def _points(self, seconds: float) -> tuple[Floats, Floats, Floats, Floats]:
+        """The sigma points, L, and how many columns of it they are away, (N, D).
+
+        Their attitudes are to move for so long by the first of the numbers besides.
+        """
         n, size = self._P.shape[:2]
-        root = np.swapaxes(np.linalg.cholesky(self._P), 1, 2) * math.sqrt(size + self._kappa)
-        d = np.concatenate([np.zeros((n, 1, size)), root, -root], axis=1)
+        axes = np.tile(np.eye(size), (n, 1, 1))
+        axes[:, :3, :3] = np.linalg.eigh(self._P[:, :3, :3])[1]
+        L = axes @ root(np.swapaxes(axes, 1, 2) @ self._P @ axes)
+        if not np.isfinite(L).all():
+            k = int(np.argmin(np.isfinite(L).all(axis=(1, 2))))
+            raise ValueError(
+                f"covariance{'' if self._one else [k]}: has a negative variance; accepted: a "
+                "covariance, which kappa from 0 on keeps"
+            )
+        away = np.linalg.norm(L[:, :3], axis=1) + seconds * np.linalg.norm(L[:, 3:6], axis=1)
+        usual = math.sqrt(size + self._kappa)
+        columns = np.minimum(usual, _FARTHEST / np.maximum(away, _FARTHEST / usual))
+        side = np.swapaxes(columns[:, None] * L, 1, 2)
+        d = np.concatenate([np.zeros((n, 1, size)), side, -side], axis=1)
         q = quat_multiply(self._q[:, None], rotation_vector_to_quat(d[..., :3]))
-        return q, self._y[:, None] + d[..., 3:]
+        return q, self._y[:, None] + d[..., 3:], L, columns
+
+    def _moments(self, x: Floats, columns: Floats) -> tuple[Floats, Floats, Floats]:
+        """Of (N, 2D + 1, m) at the points the mean (N, m), what a column of L changes (N, D, m)
+        and the covariance (N, m, m) that this leaves out.
+        """  # noqa: D205
+        size = columns.shape[1]
+        centre, above, below = x[:, 0], x[:, 1 : size + 1], x[:, size + 1 :]
+        distance = columns[..., None]
+        slopes = (above - below) / (2.0 * distance)
+        curves = (above + below - 2.0 * centre[:, None]) / (2.0 * distance**2)
+        shift = curves.sum(axis=1)
+        spread = (size + self._kappa) * np.swapaxes(curves, 1, 2) @ curves
+        return centre + shift, slopes, spread - shift[:, :, None] * shift[:, None]
 
     def predict(self, motion: Motion, noise: ArrayLike) -> None:
         """Move the sigma points and add the noise's covariance, (D, D) or (N, D, D).
 
         ``motion(q, y)`` takes and gives the M = N (2D + 1) points, (M, 4) and (M, K), those of one
-        filter in a row: :func:`gyro_motion`, :func:`scene_motion` or a function of your own.
+        filter in a row: :func:`gyro_motion`, :func:`scene_motion` or a user-defined function.
         """
-        q, y = self.sigma_points()
-        shape = q.shape[:2]
-        q, y = motion(q.reshape(-1, 4), y.reshape(-1, y.shape[-1]))
-        q, y = q.reshape(*shape, 4), y.reshape(*shape, -1)
+        n, size = self._P.shape[:2]
+        added = covariances("noise", noise, f"({size}, {size}) or ({n}, {size}, {size})")
+        q, y, _, columns = self._points(getattr(motion, "seconds", 0.0))
+        m = q.shape[0] * q.shape[1]
+        moved = motion(q.reshape(m, 4), y.reshape(m, size - 3))
+        moved = moved_rows(*moved, (m, size - 3))
+        q, y = moved[0].reshape(q.shape), moved[1].reshape(y.shape)
         mean = q[:, 0]
         for _ in range(2):
-            step = self._weights @ attitude_error(mean[:, None], q)
-            mean = quat_multiply(mean, rotation_vector_to_quat(step))
-        centre = self._weights @ y
-        d = np.concatenate([attitude_error(mean[:, None], q), y - centre[:, None]], axis=-1)
-        self._q, self._y = np.asarray(mean), centre
-        spread = np.swapaxes(d, 1, 2) @ (self._weights[:, None] * d)
-        self._P = spread + self._noise(noise, d.shape[-1])
+            shift, *_ = self._moments(attitude_error(mean[:, None], q), columns)
+            mean = normalised(quat_multiply(mean, rotation_vector_to_quat(shift)))
+        errors = attitude_error(mean[:, None], q)
+        farthest = float(np.linalg.norm(errors, axis=-1).max())
+        if farthest > _FAR:
+            warnings.warn(
+                f"motion: put sigma points {farthest:.3g} rad from their mean, where errors beyond "
+                "π would be taken for others; shorter motions between updates keep them nearer",
+                stacklevel=2,
+            )
+        centre, slopes, spread = self._moments(np.concatenate([errors, y], axis=-1), columns)
+        P = np.swapaxes(slopes, 1, 2) @ slopes + spread + added
+        self._q, self._y, self._P = mean, centre[:, 3:], 0.5 * (P + np.swapaxes(P, 1, 2))
 
     def update(
         self,
@@ -115,23 +185,30 @@ class UKF(Estimates):
         ``observe(q, y)`` gives what the points, (M, 4) and (M, K), would measure, (M, m). Gives the
         normalised innovation squared, χ² with m degrees of freedom, a number or (N,).
         """
-        q, y = self.sigma_points()
-        n, points, size = *q.shape[:2], self._P.shape[1]
-        z = observe(q.reshape(-1, 4), y.reshape(-1, size - 3)).reshape(n, points, -1)
+        q, y, L, columns = self._points(0.0)
+        (n, points), size = q.shape[:2], self._P.shape[1]
+        rows = n * points
+        made = observe(q.reshape(rows, 4), y.reshape(rows, size - 3))
+        made = checks.array("observe", made, f"({rows}, m)", [(rows, -1)]).astype(np.float64)
+        z = made.reshape(n, points, -1)
         m = z.shape[-1]
+        added = definite("noise", noise, f"({m}, {m}) or ({n}, {m}, {m})")
         seen = checks.array("measured", measured, f"({m},) or ({n}, {m})", flag=True)
         if not self._skips:
             checks.finite("measured", seen)
-        expected = self._weights @ z
-        away = z - expected[:, None]
-        d = np.concatenate([attitude_error(self._q[:, None], q), y - self._y[:, None]], axis=-1)
-        weighted = self._weights[:, None] * away
-        return self._correct(
-            seen - expected,
-            np.swapaxes(d, 1, 2) @ weighted,
-            np.swapaxes(away, 1, 2) @ weighted + self._noise(noise, m),
-            gate,
-        )
+        expected, slopes, spread = self._moments(z, columns)
+        across = np.swapaxes(slopes, 1, 2)
+        S = across @ slopes + spread + added
+        gain = np.swapaxes(np.linalg.solve(S, across), 1, 2)
+        innovation = seen - expected
+        nis = normalised_square(innovation, S)
+        d = (L @ gain @ innovation[..., None])[..., 0]
+        left = np.eye(size) - gain @ across
+        before = self._P
+        turned = _turned(rotation_vector_to_quat(-d[:, :3]), L)
+        q = quat_multiply(self._q, rotation_vector_to_quat(d[:, :3]))
+        self._take(nis, gate, q, self._y + d[:, 3:], turned @ left @ np.swapaxes(turned, 1, 2))
+        return self._judged(nis, gate, _taken(before, self._P))
 
     def update_vector(
         self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None
@@ -140,40 +217,76 @@ class UKF(Estimates):
 
         ``sigma`` is the standard deviation of each component, in the vectors' unit, above 0.
         """
-        fixed = checks.array("reference", reference, f"(3,) or ({len(self._q)}, 3)")
-        points = len(self._weights)
-        each = np.repeat(fixed, points, axis=0) if fixed.ndim == 2 else fixed
+        seen, _ = self._vectors("measured", measured)
+        fixed, _ = self._vectors("reference", reference)
 
-        def observe(q: Floats, y: Floats) -> Floats:
-            return np.asarray(rotate_inverse(q, each))
+        def linearised(q: Floats) -> tuple[Floats, Floats]:
+            expected = np.asarray(rotate_inverse(q, fixed))
+            length = np.linalg.norm(expected, axis=-1, keepdims=True)
+            n = expected / np.where(length > 0.0, length, 1.0)
+            along = (n * seen).sum(axis=-1, keepdims=True)
+            side = seen - along * n
+            sine = np.linalg.norm(side, axis=-1, keepdims=True)
+            arc = length * np.arctan2(sine, along) / np.where(sine > 0.0, sine, 1.0)
+            slopes = np.swapaxes(np.cross(expected[:, None], np.eye(3)), 1, 2)
+            return arc * side + (along - length) * n, slopes
 
-        return self.update(
-            observe, measured, checks.above_zero("sigma", sigma) ** 2 * np.eye(3), gate=gate
-        )
+        return self._iterated(linearised, variance("sigma", sigma) * np.eye(3), gate, wide=True)
 
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
     ) -> Any:
         """Use attitudes, (4,) or (N, 4), unit; ``sigma`` as for :meth:`MEKF.update_attitude`."""
         rows = measured_attitudes(measured, len(self._q), skips=self._skips)
-        error = attitude_error(self._q, rows)
-        P = self._P[:, :, :3]
-        return self._correct(error, P, P[:, :3] + attitude_covariance(sigma), gate)
 
-    def _noise(self, noise: ArrayLike, size: int) -> Floats:
-        return covariances("noise", noise, f"({size}, {size}) or ({len(self._q)}, {size}, {size})")
+        def linearised(q: Floats) -> tuple[Floats, Floats]:
+            return attitude_error(q, rows), np.eye(3)
 
-    def _correct(
-        self, innovation: Floats, cross: Floats, spread: Floats, gate: float | None
+        return self._iterated(linearised, attitude_covariance(sigma), gate, wide=False)
+
+    def _iterated(
+        self,
+        linearised: Callable[[Floats], tuple[Floats, Floats]],
+        R: Floats,
+        gate: float | None,
+        *,
+        wide: bool,
     ) -> Any:
-        found = normalised_square(innovation, spread)
-        used = found <= largest_square(gate)
-        innovation = np.where(used[:, None], innovation, 0.0)
-        gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, 1, 2)), 1, 2)
-        gain = np.where(used[:, None, None], gain, 0.0)
-        d = (gain @ innovation[..., None])[..., 0]
-        self._q = np.asarray(quat_multiply(self._q, rotation_vector_to_quat(d[:, :3])))
-        self._y = self._y + d[:, 3:]
-        P = self._P - gain @ np.swapaxes(cross, 1, 2)
-        self._P = 0.5 * (P + np.swapaxes(P, 1, 2))
-        return self._figures(found)
+        """Use residuals z = H δθ + noise of covariance R, (z, H) about each of some attitudes q."""
+        q, before = self._q, self._P
+        for k in range(PASSES):
+            z, H = linearised(q)
+            # what is known so far, as it is seen from q
+            mean = attitude_error(q, self._q)
+            back = rotation_vector_to_quat(mean)
+            P = _turned(back, np.swapaxes(_turned(back, self._P), 1, 2))
+            cross = P[:, :, :3] @ np.swapaxes(H, -1, -2)
+            S = H @ cross[:, :3] + R
+            if k == 0:
+                nis = normalised_square(z, S)
+            gain = np.swapaxes(np.linalg.solve(S, np.swapaxes(cross, 1, 2)), 1, 2)
+            d = (gain @ (z[..., None] - H @ mean[..., None]))[..., 0]
+            d[:, :3] += mean
+            q = quat_multiply(q, rotation_vector_to_quat(d[:, :3]))
+        P = P - gain @ np.swapaxes(cross, 1, 2)
+        self._take(nis, gate, q, self._y + d[:, 3:], P)
+        last = normalised_square(d[:, :3], P[:, :3, :3]) / NEARLY_SETTLED
+        return self._judged(nis, gate, np.fmax(_taken(before, P), last) if wide else None)
+
+    def _take(self, nis: Floats, gate: float | None, q: Floats, y: Floats, P: Floats) -> None:
+        """What was found, for the filters whose NIS is not beyond the gate."""
+        used = (nis <= largest_square(gate))[:, None]
+        P = 0.5 * (P + np.swapaxes(P, 1, 2))
+        self._q, self._y = np.where(used, normalised(q), self._q), np.where(used, y, self._y)
+        self._P = np.where(used[..., None], P, self._P)
+
+
+def _turned(q: Floats, A: Floats) -> Floats:
+    """The first three rows of matrices (N, D, ...) along other axes, the others as they are."""
+    return np.concatenate([quat_to_dcm(q) @ A[:, :3], A[:, 3:]], axis=1)
+
+
+def _taken(before: Floats, after: Floats) -> Floats:
+    """What the variances of the attitude have lost together, rad²."""
+    first, last = (np.trace(P[:, :3, :3], axis1=1, axis2=2) for P in (before, after))
+    return np.asarray(first - last)

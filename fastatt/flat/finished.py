@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -12,6 +12,8 @@ from fastatt.flat.order import ordered
 
 #: operations that a value must take to be kept in memory rather than computed again
 _WORTH = 3
+#: operations that find something in memory, and what
+_RESOURCES = {"gather": "table", "opaque": "function"}
 
 
 class Flat:
@@ -105,12 +107,44 @@ class Flat:
         """Names of the numbers that are given."""
         return [n.args for n in self.nodes if n.op == "in"]
 
+    def spelled(self, resources: Sequence[tuple[str, Any]]) -> str:
+        """All that it computes, as text; tables and functions by their places in ``resources``."""
+        places = {key: i for i, key in enumerate(resources)}
+
+        def spelled(node: Node) -> Any:
+            if node.op not in _RESOURCES:
+                return node.op, node.kind, node.args
+            return node.op, node.kind, places[_RESOURCES[node.op], node.args[0]], node.args[1:]
+
+        return repr(([spelled(node) for node in self.nodes], self.results))
+
+
+def without_shared_calls(flat: Flat, is_shared: Callable[[Node], bool]) -> tuple[Flat | None, Flat]:
+    """A graph in two: the calls of opaque functions of shared inputs alone, and the rest.
+
+    The first gives the results of those calls, which are inputs ("called", k) of the rest; it is
+    None where there are none. No compiler takes a call of an unknown function out of a loop.
+    """
+    shared: set[int] = set()
+    for i, node in enumerate(flat.nodes):
+        given = is_shared(node) if node.op == "in" else all(k in shared for k in operands(node))
+        if given:
+            shared.add(i)
+    made = dict(enumerate(flat.nodes))
+    ends: list[int] = []
+    for i, node in enumerate(flat.nodes):
+        if node.op == "item" and i in shared:
+            made[i] = Node("in", node.kind, ("called", len(ends)))
+            ends.append(i)
+    if not ends:
+        return None, flat
+    return Flat.of(dict(enumerate(flat.nodes)), ends), Flat.of(made, flat.results)
+
 
 def resources_of(*flats: Flat) -> list[tuple[str, Any]]:
     """What graphs find in memory: ("table", its number) and ("function", itself)."""
-    kinds = {"gather": "table", "opaque": "function"}
     nodes = chain.from_iterable(flat.nodes for flat in flats)
-    return list(dict.fromkeys((kinds[n.op], n.args[0]) for n in nodes if n.op in kinds))
+    return list(dict.fromkeys((_RESOURCES[n.op], n.args[0]) for n in nodes if n.op in _RESOURCES))
 
 
 def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node], list[int]]:

@@ -1,160 +1,297 @@
-"""The loops over logs that every method shares, written in LLVM's language.
+"""The loops over logs that every method shares: plain Python on flat arrays, compiled by Numba.
 
-Attitudes of a log are q = p∘r: p that at the start of a chunk of 48 intervals, r the turn since.
-Turns of chunks are found side by side, of many logs or of one, and the chain of p goes through
-them: a log's bits are the same whatever is beside it, however it is cut, on any number of threads.
+Attitudes of a log are q = p∘r: p that at the start of a chunk of 48 intervals, r the rotation from
+there. A chunk of each lane's samples is gathered into rows, a method's windows run across the
+lanes, and the attitudes are written out. Rotations of chunks are found side by side, of many logs
+or of one, and the chain of p goes through them: a log's bits are the same whatever is run with it,
+however it is cut, on any number of threads.
+
+The windows for any rotation angle are compiled when a chunk first needs them: a loop then returns
+the number of that tile, to be called again from there.
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
-from fastatt.flat.code import I64, Cells, Code, Int
-from fastatt.gyro.chunk import ATTITUDES, FIRSTS, LOGS, MOST, STARTS, Chunk
-from fastatt.gyro.windows import CHUNK, LANES
+from numba import types
+
+from fastatt._jit import address_loop, loop_part
+from fastatt.codegen.call import call_generated, doubles, reals
+
+#: intervals of a lane that are run at a time, a whole number of every window's span
+CHUNK = 48
+#: stretches of logs side by side
+LANES = 16
+TILE = LANES * CHUNK
+
+#: parts of a program's function (``fastatt.gyro.program``)
+WINDOWS, PLACE, JOIN = range(3)
+#: rows of its ``state``: p at the start of a chunk, the rotation of the chunk, p at its end; the
+#: largest sample and interval of each lane; then those of an iteration
+START, TURNED, NEXT, PEAK, LONGEST, ITERATION = 0, 4, 8, 12, 13, 14
+
+#: ``arrays``: samples (N, lead + n, 3); tables of how much each of a log's first samples counts for
+#: those before it, and of its last ones for those after it; intervals, s; attitudes (N, n_out, 4);
+#: p and r of each log (N, 8); the rotation of each chunk (., 4); the largest component of a
+#: rotation in an interval, rad; then the memory of a chunk
+(
+    DATA, HEAD, TAIL, GAPS, OUT, Q, TOTALS, LARGEST, SAMPLES, SPANS, ATTITUDES, STATE,
+) = range(12)  # fmt: skip
+
+#: ``settings``: the windows for small angles and for any, or 0; samples of a log, and those that
+#: are known before them; sizes of the tables; intervals, 0 of equal ones; attitudes of a log; the
+#: shape of a window; 1 where samples are rates, and where they are over uneven intervals; the first
+#: interval, how many, how many of its chunk are done; of one log: which, and 1 to write attitudes
+(
+    SMALL, ANY, N_SAMPLES, LEAD, N_HEAD, N_TAIL, N_AFTER, N_GAPS, N_OUT, HISTORY, SPAN, EXTRA,
+    BY_INTERVAL, FIRST, COUNT, PHASE, LOG, WRITE,
+) = range(18)  # fmt: skip
+
+#: ``limits``: equal intervals, s; the angle of a sample over one is that many times the sample; the
+#: angle below which rotations are at most π
+INTERVAL, FACTOR, NEAR = range(3)
 
 
-class Loops(Chunk):
-    """``sweep``, ``along`` and ``chain`` of one precision."""
+@loop_part
+def _extrapolated(table, row, size, data, at):
+    """A sample's component beyond a log, from ``size`` samples from ``at`` on."""
+    total = 0.0
+    for k in range(size):
+        total += table[row * size + k] * float(data[at + 3 * k])
+    return total
 
-    def __init__(self, kind: str) -> None:
-        super().__init__(kind)
-        self._sweep()
-        self._along()
-        self._chain()
 
-    def _sweep(self) -> None:
-        """``sweep(job, work, q, first, last)``: lanes from p and r, q (L, 8), over their intervals.
+@loop_part
+def _gather(data, samples, arrays, settings, log, first, count, lane):
+    """Samples of a log from ``first`` on, as many as ``count``, into a lane."""
+    n, lead, near = settings[N_SAMPLES], settings[LEAD], settings[N_TAIL]
+    head, tail = doubles(arrays[HEAD]), doubles(arrays[TAIL])
+    origin = (log * (lead + n) + lead) * 3
+    begin = min(max(-lead - first, 0), count)
+    end = max(min(n - first, count), begin)
+    for i in range(begin):
+        for axis in range(3):
+            samples[(3 * i + axis) * LANES + lane] = _extrapolated(
+                head, -1 - first - i, settings[N_HEAD], data, origin + axis
+            )
+    shift = origin + 3 * first
+    for i in range(3 * begin, 3 * end):
+        samples[i * LANES + lane] = data[shift + i]
+    for i in range(end, count):
+        row = min(first + i - n, settings[N_AFTER] - 1)
+        for axis in range(3):
+            samples[(3 * i + axis) * LANES + lane] = _extrapolated(
+                tail, row, near, data, origin + 3 * (n - near) + axis
+            )
 
-        The first lane of the tile whose windows' loop is not made yet, ``last`` when all are done;
-        such a tile is left as it was, but for its places in ``out``.
-        """
-        c = Code(self.module, "sweep", [self.wholes, self.reals, self.reals, I64, I64])
-        b, lanes = c.b, self.lanes
-        job, work, q, first, last = c.function.args
-        job, last = self.job(c, job), Int(c, last)
-        rows, most, starts = (c.place(work, at) for at in (ATTITUDES, MOST, STARTS))
-        field = {name: job.whole(name) for name in ("history", "span", "count", "phase")}
-        body, start = self.whole(c, work, LOGS), self.whole(c, work, FIRSTS)
-        begin = job.whole("first").value
-        with c.loop(Int(c, first), last, LANES) as tile:
-            width = (last - tile).at_most(LANES)
-            with c.loop(0, LANES) as j:
-                c.store(body, j, (tile + j).value)
-                c.store(start, j, begin)
-                at = (tile + j.at_most(width - 1)) * 8
+
+@loop_part
+def _gather_intervals(gaps, spans, settings, limits, first, count, lane):
+    """Intervals from ``first`` on into a lane; the last one goes on beyond the end."""
+    if settings[N_GAPS] == 0:
+        spans[lane] = limits[INTERVAL]
+    else:
+        lead = settings[LEAD]
+        for i in range(count):
+            at = min(max(first + i, -lead), settings[N_GAPS] - 1)
+            spans[i * LANES + lane] = gaps[at + lead]
+
+
+@loop_part
+def _keep_largest(rows, count, state, row):
+    """The largest absolute value of each lane, in a row of the state; a NaN is passed over."""
+    for j in range(LANES):
+        state[row * LANES + j] = 0.0
+    for i in range(count):
+        for j in range(LANES):
+            value = abs(rows[i * LANES + j])
+            before = state[row * LANES + j]
+            state[row * LANES + j] = value if value > before else before
+
+
+@loop_part
+def _run_windows(memory, arrays, settings, limits, windows):
+    """Run a chunk's windows; False where the form for any angle is missing.
+
+    Both forms give a rotation of at most π the same bits: a lane's neighbours change none.
+    """
+    samples, spans, _, state = memory
+    intervals = settings[HISTORY] + windows * settings[SPAN]
+    _keep_largest(samples, 3 * (intervals + settings[EXTRA]), state, PEAK)
+    if settings[BY_INTERVAL] != 0:
+        _keep_largest(spans, intervals, state, LONGEST)
+    largest, small = doubles(arrays[LARGEST]), True
+    for j in range(LANES):
+        angle = float(state[PEAK * LANES + j])
+        if settings[BY_INTERVAL] != 0:
+            angle *= float(state[LONGEST * LANES + j])
+        else:
+            angle *= limits[FACTOR]
+        small = small and angle < limits[NEAR]
+        largest[0] = max(largest[0], angle)
+    form = settings[SMALL] if small else settings[ANY]
+    if form == 0:
+        return False
+    call_generated(form, WINDOWS, memory, (0, windows))
+    return True
+
+
+@loop_part
+def _write(attitudes, out, at, first, last, lane):
+    """A lane's attitudes [first, last) to their places."""
+    for i in range(4 * first, 4 * last):
+        out[at + i] = attitudes[i * LANES + lane]
+
+
+def _sweep(kind):
+    """Many logs side by side."""
+
+    def sweep(arrays, settings, limits, first, last):
+        """A lane for each of the logs [first, last); the first of a tile that was not run."""
+        samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
+        attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
+        memory = samples, spans, attitudes, state
+        data, gaps = reals(arrays[DATA], kind), reals(arrays[GAPS], kind)
+        q, out = reals(arrays[Q], kind), reals(arrays[OUT], kind)
+        history, span = settings[HISTORY], settings[SPAN]
+        for tile in range(first, last, LANES):
+            width = min(last - tile, LANES)
+            for j in range(LANES):
+                log = tile + min(j, width - 1)
                 for k in range(4):
-                    c.store(starts, j + k * LANES, c.load(q, at + k))
-                    c.store(rows, j + k * LANES, c.load(q, at + (4 + k)))
-                c.store(most, j, c.real(self.kind, 0.0))
-            done, phase = c.variable(0), c.variable(field["phase"])
-            with c.repeat_while(lambda: c.get(done) < field["count"]):
-                n = c.get(done)
-                left = (field["count"] - n).at_most(c.whole(CHUNK) - c.get(phase))
-                windows = (left + field["span"] - 1) // field["span"]
-                need = windows * field["span"] + field["history"]
-                where = [job.pointer, work, body, start]
-                b.call(self.gather, [*where, width.value, n.value, need.value])
-                self.turn(c, job, work, windows, width, lambda: c.give(tile))
-                b.call(self.scatter, [*where, n.value, left.value, width.value])
-                whole = (c.get(phase) + left).equals(CHUNK)
-                with self.groups(c, width) as g:
-                    r = self.vectors(c, rows, left * 4, g)
-                    p = self.vectors(c, starts, 0, g)
-                    turned = self.unit(c, lanes, self.product(c, lanes, p, r))
-                    one = [c.splat(x, lanes) for x in self.one(c)]
-                    for place, after, before in (starts, turned, p), (rows, one, r):
-                        pairs = zip(after, before, strict=True)
-                        self.put_vectors(c, place, 0, g, [b.select(whole, *x) for x in pairs])
-                c.set(done, n + left)
-                c.set(phase, 0)
-            with c.loop(0, width) as j:
-                self.raise_peak(c, job, c.load(most, j))
-                state = self.column(c, starts, 0, j) + self.column(c, rows, 0, j)
-                for k, value in enumerate(state):
-                    c.store(q, (tile + j) * 8 + k, value)
-        b.fence("seq_cst")
-        c.give(last)
+                    state[(START + k) * LANES + j] = q[log * 8 + k]
+                    attitudes[k * LANES + j] = q[log * 8 + 4 + k]
+            done, phase = 0, settings[PHASE]
+            while done < settings[COUNT]:
+                left = min(settings[COUNT] - done, CHUNK - phase)
+                windows = (left + span - 1) // span
+                begin, need = settings[FIRST] + done, history + windows * span
+                for j in range(LANES):
+                    log = tile + min(j, width - 1)
+                    _gather(
+                        data, samples, arrays, settings, log, begin - history,
+                        need + settings[EXTRA], j,
+                    )  # fmt: skip
+                    _gather_intervals(gaps, spans, settings, limits, begin - history, need, j)
+                if not _run_windows(memory, arrays, settings, limits, windows):
+                    return tile
+                for i in range(4 * LANES):
+                    state[TURNED * LANES + i] = attitudes[4 * left * LANES + i]
+                call_generated(settings[SMALL], PLACE, memory, (0, left + 1))
+                for j in range(width):
+                    place = (tile + j) * settings[N_OUT] + begin
+                    _write(attitudes, out, 4 * place, min(begin, 1), left + 1, j)
+                if phase + left == CHUNK:
+                    call_generated(settings[SMALL], JOIN, memory, (0, LANES))
+                    for i in range(4 * LANES):
+                        state[START * LANES + i] = state[NEXT * LANES + i]
+                        attitudes[i] = 1.0 if i < LANES else 0.0
+                else:
+                    for i in range(4 * LANES):
+                        attitudes[i] = state[TURNED * LANES + i]
+                done += left
+                phase = 0
+            for j in range(width):
+                for k in range(4):
+                    q[(tile + j) * 8 + k] = state[(START + k) * LANES + j]
+                    q[(tile + j) * 8 + 4 + k] = attitudes[k * LANES + j]
+        return last
 
-    def _along(self) -> None:
-        """``along(job, work, q, write, first, last)``: tiles of one log from p and r, q (8,).
+    return sweep
 
-        LANES chunks in a row are one tile, the last may be less. Without ``write`` only the turn of
-        each chunk is found; with it attitudes are written, and q is left at the last tile's end.
-        Gives the first tile whose windows' loop is not made yet, with q at its start, or ``last``.
+
+def _along(kind):
+    """One log, whose chunks are side by side."""
+
+    def along(arrays, settings, limits, first, last):
+        """Tiles of one log from p and r, which are left at their end; the tile that was not run.
+
+        A lane takes a chunk, the last may be less. Without ``WRITE`` only the rotations are found.
         """
-        c = Code(self.module, "along", [self.wholes, self.reals, self.reals, I64, I64, I64])
-        b, lanes = c.b, self.lanes
-        job, work, q, write, first, last = c.function.args
-        job, write = self.job(c, job), Int(c, write) > 0
-        rows, most, starts = (c.place(work, at) for at in (ATTITUDES, MOST, STARTS))
-        names = ("history", "span", "log", "first", "count")
-        history, span, log, begin, count = (job.whole(name) for name in names)
-        totals = job.array("totals", self.reals)
-        body, start = self.whole(c, work, LOGS), self.whole(c, work, FIRSTS)
-        p, r = self._quaternion(c), self._quaternion(c)
-        p.set([c.load(q, k) for k in range(4)])
-        r.set([c.load(q, k) for k in range(4, 8)])
+        samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
+        attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
+        memory = samples, spans, attitudes, state
+        data, gaps = reals(arrays[DATA], kind), reals(arrays[GAPS], kind)
+        q, out = reals(arrays[Q], kind), reals(arrays[OUT], kind)
+        totals = reals(arrays[TOTALS], kind)
+        history, span, log = settings[HISTORY], settings[SPAN], settings[LOG]
+        for tile in range(first, last):
+            left = settings[COUNT] - tile * TILE
+            width = min((left + CHUNK - 1) // CHUNK, LANES)
+            windows = (min(left, CHUNK) + span - 1) // span
+            begin, need = settings[FIRST] + tile * TILE, history + windows * span
+            for j in range(LANES):
+                at = begin + min(j, width - 1) * CHUNK - history
+                _gather(data, samples, arrays, settings, log, at, need + settings[EXTRA], j)
+                _gather_intervals(gaps, spans, settings, limits, at, need, j)
+                for k in range(4):
+                    attitudes[k * LANES + j] = 1.0 if k == 0 else 0.0
+            if not _run_windows(memory, arrays, settings, limits, windows):
+                return tile
+            for j in range(width):
+                own = min(left - j * CHUNK, CHUNK)
+                for k in range(4):
+                    turned = attitudes[(4 * own + k) * LANES + j]
+                    state[(TURNED + k) * LANES + j] = turned
+                    state[(START + k) * LANES + j] = q[k]
+                    if settings[WRITE] == 0:
+                        totals[((tile * LANES) + j) * 4 + k] = turned
+                if settings[WRITE] != 0:
+                    call_generated(settings[SMALL], JOIN, memory, (j, j + 1))
+                    for k in range(4):
+                        if own == CHUNK:
+                            q[k] = state[(NEXT + k) * LANES + j]
+                        else:
+                            q[4 + k] = state[(TURNED + k) * LANES + j]
+            if settings[WRITE] != 0:
+                call_generated(settings[SMALL], PLACE, memory, (0, min(left, CHUNK) + 1))
+                for j in range(width):
+                    at = begin + j * CHUNK
+                    place = log * settings[N_OUT] + at
+                    own = min(left - j * CHUNK, CHUNK)
+                    _write(attitudes, out, 4 * place, min(at, 1), own + 1, j)
+        return last
 
-        def keep() -> None:
-            for k, value in enumerate(p.get() + r.get()):
-                c.store(q, k, value)
+    return along
 
-        with c.loop(Int(c, first), Int(c, last)) as tile:
-            own = count - tile * (LANES * CHUNK)
-            width = ((own + (CHUNK - 1)) // CHUNK).at_most(LANES)
-            with c.loop(0, width) as j:
-                c.store(body, j, log.value)
-                c.store(start, j, (begin + (tile * LANES + j) * CHUNK).value)
-            with self.groups(c, width) as g:
-                self.put_vectors(c, rows, 0, g, [c.splat(x, lanes) for x in self.one(c)])
-                c.store_vector(most, g, c.splat(c.real(self.kind, 0.0), lanes))
-            windows = (own.at_most(CHUNK) + (span - 1)) // span
-            where = [job.pointer, work, body, start]
-            b.call(self.gather, [*where, width.value, c.raw(0), (history + windows * span).value])
 
-            def undone() -> None:
-                keep()
-                c.give(tile)
+def _chain(kind):
+    """The way of p through chunks."""
 
-            self.turn(c, job, work, windows, width, undone)
-            with c.loop(0, width) as j:
-                self.raise_peak(c, job, c.load(most, j))
-                left = (own - j * CHUNK).at_most(CHUNK)
-                turned = self.column(c, rows, left * 4, j)
-                with c.when(write):
-                    for k, value in enumerate(p.get()):
-                        c.store(starts, j + k * LANES, value)
-                    after = self.unit(c, 1, self.product(c, 1, p.get(), turned))
-                    whole = left.equals(CHUNK)
-                    for q_, ends in (p, (after, p.get())), (r, (self.one(c), turned)):
-                        q_.set([b.select(whole, *x) for x in zip(*ends, strict=True)])
-                with c.when(b.not_(write)):
-                    for k, value in enumerate(turned):
-                        c.store(totals, (tile * LANES + j) * 4 + k, value)
-            with c.when(write):
-                left = own.at_most(CHUNK).value
-                b.call(self.scatter, [*where, c.raw(0), left, width.value])
-        keep()
-        b.fence("seq_cst")
-        c.give(Int(c, last))
+    def chain(arrays, settings, limits, first, last):
+        """p after the chunks [first, last), from their rotations."""
+        samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
+        attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
+        memory = samples, spans, attitudes, state
+        q, totals = reals(arrays[Q], kind), reals(arrays[TOTALS], kind)
+        for i in range(first, last):
+            for k in range(4):
+                state[(START + k) * LANES] = q[k]
+                state[(TURNED + k) * LANES] = totals[4 * i + k]
+            call_generated(settings[SMALL], JOIN, memory, (0, 1))
+            for k in range(4):
+                q[k] = state[(NEXT + k) * LANES]
+        return last
 
-    def _chain(self) -> None:
-        """``chain(q, totals, n)``: p after n further chunks' turns, one after the other."""
-        c = Code(self.module, "chain", [self.reals, self.reals, I64])
-        q, totals, n = c.function.args
-        p = self._quaternion(c)
-        p.set([c.load(q, k) for k in range(4)])
-        with c.loop(0, Int(c, n)) as i:
-            turned = [c.load(totals, i * 4 + k) for k in range(4)]
-            p.set(self.unit(c, 1, self.product(c, 1, p.get(), turned)))
-        for k, value in enumerate(p.get()):
-            c.store(q, k, value)
-        c.give(0)
+    return chain
 
-    def one(self, c: Code) -> list[Any]:
-        """No turn."""
-        return [c.real(self.kind, x) for x in (1.0, 0.0, 0.0, 0.0)]
 
-    def _quaternion(self, c: Code) -> Cells:
-        return Cells(c, [self.real] * 4)
+_POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
+_SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
+_LOOPS: dict[str, Callable[[str], Callable[..., Any]]] = {
+    "sweep": _sweep,
+    "along": _along,
+    "chain": _chain,
+}
+
+
+@functools.cache
+def loop(name: str, kind: str) -> Callable[..., int]:
+    """``sweep``, ``along`` or ``chain`` for a precision.
+
+    They take (arrays, settings, limits, first, last), and give ``last``, or where they stopped.
+    """
+    return address_loop(_SIGNATURE, _LOOPS[name](kind))

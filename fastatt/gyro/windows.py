@@ -8,22 +8,27 @@ last fit that of the nearest whole window.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
 from fastatt.flat.functions import larger
 from fastatt.flat.graph import both, choose
+from fastatt.flat.trace import traceable
+from fastatt.gyro.loops import CHUNK
+from fastatt.kernels import quat
 
-#: intervals of a lane that are worked through at a time, a whole number of every window's span
-CHUNK = 48
-#: stretches of logs that run side by side
-LANES = 16
 #: most intervals that a window may look back
 MOST_HISTORY = 8
 # a state of some 1 that a pass moves by more will not come back
 _FAR = 1e6
+
+
+def products(q: Sequence[Any], d: Sequence[Any]) -> list[Any]:
+    """q∘d of each of the flat quaternions d, flat."""
+    mul = traceable(quat.mul)
+    return [x for i in range(0, len(d), 4) for x in mul(q, d[i : i + 4])]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from fastatt.kernels.trig import (
     sin_remainder,
     sin_second_remainder,
 )
-from fastatt.kernels.vec3 import cross, dot
+from fastatt.kernels.vec3 import cross, dot, scale
 
 
 @kernel
@@ -170,3 +170,20 @@ def dexp(phi, phidot):
     """w = Jr φ̇ in body axes, rad/s: the angular velocity of a changing rotation vector."""
     b, c = jacobian_coefficients(dot(phi, phi))
     return second_order_apply(-b, c, phi, phidot)
+
+
+@kernel
+def turned_integral(phi, f):
+    """∫₀¹ exp(sφ) f ds = Jl(φ) f."""
+    b, c = jacobian_coefficients(dot(phi, phi))
+    return second_order_apply(b, c, phi, f)
+
+
+@kernel
+def turned_second_integral(phi, f):
+    """∫₀¹ ∫₀ʳ exp(sφ) f ds dr = (½ + (θ − sin θ)/θ³ [φ] + (θ²/2 + cos θ − 1)/θ⁴ [φ]²) f."""
+    F = type(phi[0])
+    z = dot(phi, phi)
+    _, b = jacobian_coefficients(z)
+    g = second_order_apply(b + b, F(2.0) * second_integral_coefficient(z), phi, f)
+    return scale(F(0.5), g)

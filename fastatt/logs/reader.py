@@ -231,6 +231,11 @@ class Reader:
         if not len(t) or rest.all():
             raise self.layout.error(f"bias_seconds: found {wanted:g}; accepted: less than the log")
         rates = np.concatenate([c.values for c in first])[rest, :3]
+        if len(rates) == 1:
+            raise self.layout.error(
+                f"bias_seconds: found one sample in the first {wanted:g} s, which tells no rest; "
+                "accepted: at least two"
+            )
         bias = rates.mean(axis=0)
         turn = np.cumsum((rates[:-1] - bias) * np.diff(t[rest])[:, None], axis=0)
         if _largest(bias) > _LARGEST_BIAS or (len(turn) and _largest(turn) > _LARGEST_TURN):

@@ -24,7 +24,6 @@ from fastatt.methods import (
     rk8,
     rk9,
     rkmk4,
-    srkn,
     strang,
     trapezoid,
 )
@@ -49,7 +48,6 @@ _ALL = (
     strang.KAHAN_LI6,
     strang.KAHAN_LI8,
     *dmv.METHODS,
-    *srkn.METHODS,
     closed_form.METHOD,
     hold.METHOD,
     trapezoid.METHOD,

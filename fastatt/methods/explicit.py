@@ -192,7 +192,7 @@ def explicit_method(
         compensates=True,
         couples=True,
         limits=limits,
-        steps=Steps(rate=step if "rate" in scenes else None, body=step, at_times=True),
+        steps=Steps(rate=step if "rate" in scenes else None, body=step),
         **fields,
     )
 

@@ -53,7 +53,7 @@ METHOD = Method(
     rate_calls=_NODES,
     exponentials=0,
     limits=dict.fromkeys((*TURNED, "direction"), 3.0),
-    steps=Steps(rate=rate, at_times=True),
+    steps=Steps(rate=rate),
     reversible=("rate",),
     summary="power series of six Gauss nodes' polynomial; errors below 1e-9, reversible",
     source="Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), §II.1.2",

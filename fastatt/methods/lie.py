@@ -106,7 +106,6 @@ def lie_method(
         rate=lie_step(exponents, turns),
         constant=one_exponential if exact_for_constant else None,
         body=body,
-        at_times=True,
     )
     return Method(
         name=name,

@@ -40,8 +40,6 @@ class Steps:
     prepare: Callable[..., Any] | None = None
     enter: Callable[..., Any] | None = None
     leave: Callable[..., Any] | None = None
-    #: a look at some steps of ``rate`` will do, since its z is never infinite
-    at_times: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +48,7 @@ class Method:
 
     ``limits`` is the largest |w|h (rad a step) for which a step is trustworthy, by representation:
     its error is then at most 0.1 rad a rad turned, for rates that change no faster than the body
-    turns; of ``dmv`` and ``srkn`` the largest |m|h/I_min, of ``strang2`` and its compositions the
+    turns; of ``dmv`` the largest |m|h/I_min, of ``strang2`` and its compositions the
     largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment. That of a rigid body
     stands under "body", those of samples under "rates" and "increments". Beyond, the body's status
     says so, but where the rate is constant and the method ``exact_for_constant``.
@@ -95,7 +93,7 @@ class Method:
     damping_limit: float = math.inf
     #: whether it can carry what rounding loses
     compensates: bool = False
-    #: whether velocity and position can be part of what it steps, as what reads them needs
+    #: whether velocity and position can be part of what it steps, as a scene with mass needs
     couples: bool = False
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -114,8 +112,8 @@ class Method:
         return self.steps is None and self.window is None
 
     @property
-    def translates(self) -> bool:
-        """Whether velocity and position can be carried along: what is stepped is the state."""
+    def reduces(self) -> bool:
+        """Whether a reducer can see its steps: what is stepped is the state."""
         return self.steps is not None and self.steps.stage is None
 
     def order_of(self, scene: str) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.attitudes import Attitude
 from fastatt.device import Device
-from fastatt.engine.ensemble import Span
+from fastatt.engine.run import PerBody, Span
 from fastatt.methods.method import Method
 from fastatt.running.reducer import Reducer
 from fastatt.running.trajectory import Trajectory
@@ -38,7 +38,6 @@ class Choice:
     attitude: Attitude
     restore: int = 0
     raw: bool = False
-    looks: bool = True
     reducer: Reducer | None = None
     #: where it runs, if not on the processor
     device: Device | None = None
@@ -120,47 +119,49 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class OwnClock(Clock):
-    """Steps of each body's own, and saves at any times; it begins at ``begin``.
+    """Per-body step sizes, and saves at any times.
 
     ``h`` and ``n_steps`` of the base are those of the body with most steps.
     """
 
     own: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    #: times of the saves, s; the same since the start, and the slack of their rounding
     at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    begin: float = 0.0
+    since: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    slack: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     @property
     def steps(self) -> NDArray[np.float64]:
         """Each body's own step, s."""
         return self.own
 
-    @classmethod
-    def made(
-        cls, steps: NDArray[np.float64], n_steps: int, at: NDArray[np.float64], begin: float
-    ) -> OwnClock:
-        """Of steps (N,) or (1,), the number of the smallest, and the times of saves."""
-        smallest = float(steps[np.abs(steps).argmin()])
-        return cls(smallest, n_steps, None, 0, steps, at, begin)
-
-    def part(self, rows: NDArray[np.intp]) -> OwnClock:
-        """That of some bodies."""
-        steps = self.own[rows]
-        most = self.n_steps * abs(self.h) / float(np.abs(steps).min())
-        return OwnClock.made(steps, math.ceil(most), self.at, self.begin)
+    @cached_property
+    def order(self) -> NDArray[np.int64] | None:
+        """Bodies with most steps first, which threads take first; None if all have one step."""
+        if self.own.size == 1:
+            return None
+        return np.argsort(np.abs(self.own), kind="stable").astype(np.int64)
 
     @cached_property
-    def stops(self) -> dict[str, NDArray[Any]]:
-        """For the engine: times at which bodies wait for each other, which are saves, else −1."""
-        legs = np.diff(self.at, prepend=self.begin)
+    def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Times since the start at which bodies wait for each other, with slacks; saves, or −1."""
+        legs = np.diff(self.since, prepend=0.0)
         most = np.abs(legs / self.h)
         parts = np.maximum(1, np.ceil(most / _LEG)).astype(np.int64)
-        last = np.repeat(self.at, parts)
         ends = np.cumsum(parts) - 1
         left = np.repeat(ends, parts) - np.arange(parts.sum())
-        times = last - np.repeat(legs / parts, parts) * left
+        times = np.repeat(self.since, parts) - np.repeat(legs / parts, parts) * left
         slots = np.full(times.size, -1)
         slots[ends] = np.arange(self.at.size)
-        return {"times": times, "slots": slots, "dt": self.own}
+        return np.stack([times, np.repeat(self.slack, parts)], axis=1), slots
+
+    def per_body(self, n: int) -> PerBody:
+        """Orders, step sizes and stops of n bodies, for the engine."""
+        stops, slots = self._stops
+        order = np.arange(n) if self.order is None else self.order
+        return PerBody(
+            order, np.repeat(self.own, n) if self.own.size == 1 else self.own, stops, slots
+        )
 
     @property
     def saves(self) -> int:
@@ -172,18 +173,13 @@ class OwnClock(Clock):
         """Numbers of the saves."""
         return list(range(self.at.size))
 
-    @cached_property
-    def since(self) -> NDArray[np.float64]:
-        """Times of the saves from the begin on, s."""
-        return self.at - self.begin
-
     def times(self, begin: float) -> NDArray[np.float64]:
         """Times of the saves, s."""
         return self.at
 
     def span(self, restore: int) -> Span:
         """All of it, for the engine."""
-        n = self.stops["times"].size
+        n = self._stops[1].size
         return Span(0, n, n, 1, 0, restore)
 
 
@@ -233,7 +229,7 @@ def clock_of(
     counts = _counts(n_steps, steps.size)
     ends = counts * steps
     end = float(ends[0])
-    if np.ptp(ends) > 8.0 * _EPS * (abs(end) + abs(begin)):
+    if np.ptp(ends) > 16.0 * _EPS * abs(end):
         b = int(np.abs(ends - end).argmax())
         raise ValueError(
             f"n_steps: body {b} ends after {ends[b]:.17g} s, body 0 after {end:.17g} s; accepted: "
@@ -241,8 +237,14 @@ def clock_of(
         )
     if not np.isfinite(begin + end):
         raise ValueError(f"dt: the run overflows at {begin} + {end} s; accepted: shorter")
-    at = np.array([begin + end]) if save_at is None else _times(save_at, begin, begin + end)
-    return OwnClock.made(steps, int(counts.max()), at, begin)
+    if save_at is None:
+        at, since = np.array([begin + end]), np.array([end])
+        slack = 16.0 * _EPS * np.abs(since)
+    else:
+        at = _times(save_at, begin, begin + end)
+        since, slack = at - begin, 16.0 * _EPS * (np.abs(at) + abs(begin))
+    smallest = float(steps[np.abs(steps).argmin()])
+    return OwnClock(smallest, int(counts.max()), None, 0, steps, at, since, slack)
 
 
 def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:

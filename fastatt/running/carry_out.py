@@ -11,7 +11,6 @@ import numpy as np
 
 from fastatt.engine.pool import InterruptedRun
 from fastatt.engine.status import Status
-from fastatt.running import limits
 from fastatt.running.asked import Choice, Clock, Handling, OwnClock
 from fastatt.running.histories import History, check_memory
 from fastatt.running.initial import Given
@@ -45,8 +44,8 @@ def carry_out(
     kind = given.q.dtype
     shape = (clock.saves, given.bodies, choice.attitude.stored + given.y.shape[-1])
     if _is_in_parts(choice, clock, given.bodies, handling):
-        made = partial(Plan, choice=choice, kind=kind, position=position)
-        return _in_parts(made, scene, clock, given, t0, handling, shape)
+        plan = Plan(scene, given.bodies, choice, clock, kind, position=position)
+        return _in_parts(plan, given, t0, handling, shape)
     to_saves = handling.sink is not None or handling.out is not None
     if not to_saves:
         check_memory(shape, kind)
@@ -78,7 +77,7 @@ def carry_out(
             run = plan.run(given, t0, handling)
         except InterruptedRun as stopped:
             if history is not None and history.array is not None:
-                fields = {**plan.handed.told, **plan.handed.parts(history.array[: history.saves])}
+                fields = {**plan.handed.common, **plan.handed.parts(history.array[: history.saves])}
                 fields["t"] = clock.times(t0)[: history.saves]
                 fields["status"] = np.full(shape[1], Status.UNFINISHED, np.uint8)
                 stopped.trajectory = Trajectory(**fields, one_body=given.one_body)
@@ -90,11 +89,9 @@ def carry_out(
     return replace(run, t=clock.times(t0), **plan.handed.parts(history.array))
 
 
-def holds_end(resumable: bool | None, n: int, clock: Clock) -> bool:
-    """Whether the trajectory of n bodies holds its end: as asked, else where that is small."""
-    if isinstance(clock, OwnClock):
-        return False
-    return n <= min(MOST, PART) if resumable is None else resumable
+def holds_end(n: int, clock: Clock) -> bool:
+    """Whether the trajectory of n bodies holds its end: where that is small."""
+    return n <= min(MOST, PART) and not isinstance(clock, OwnClock)
 
 
 def _is_in_parts(choice: Choice, clock: Clock, n: int, handling: Handling) -> bool:
@@ -102,9 +99,7 @@ def _is_in_parts(choice: Choice, clock: Clock, n: int, handling: Handling) -> bo
     to_files = handling.sink or handling.checkpoint or handling.out or handling.start
     if to_files or choice.method.is_exact or choice.device:
         return False
-    if isinstance(clock, OwnClock):
-        return clock.steps.size > 1 or n > PART
-    return n > PART and not handling.ends
+    return n > PART or isinstance(clock, OwnClock)
 
 
 def _kept(
@@ -132,62 +127,32 @@ def _deliver(
 
 
 def _in_parts(
-    made: partial[Plan],
-    scene: Scene,
-    clock: Clock,
-    given: Given,
-    t0: float,
-    handling: Handling,
-    shape: tuple[int, int, int],
+    plan: Plan, given: Given, t0: float, handling: Handling, shape: tuple[int, int, int]
 ) -> Trajectory:
-    """The run of a large ensemble, of a part of its bodies at a time; those of like cost together.
-
-    A part lies in its place in the arrays; of bodies in another order it is copied there.
-    """
-    n, own = given.bodies, scene.rows is not None
-    kind, steps, (saves, _, width) = given.q.dtype, clock.steps, shape
-    check_memory(shape, kind)
-    own_steps = isinstance(clock, OwnClock) and steps.size > 1
-    # those with most steps first: no thread is left with them at the end
-    order = np.argsort(np.abs(steps)) if own_steps else None
-    plan: Plan | None = None
+    """A large ensemble, or one with per-body steps, some of its bodies at a time."""
+    check_memory(shape, plan.kind)
+    clock, n = plan.clock, shape[1]
+    times = plan.times(t0)
+    order = clock.order if isinstance(clock, OwnClock) else None
+    results, angles = Results.empty(*shape, plan.kind), np.empty(n, plan.kind)
 
     def whole() -> Trajectory:
-        assert plan is not None
-        fields = plan.handed.fields(clock.times(t0), memory, one_body=False)
-        return Trajectory(**{**fields, "packed": scene, "dt": steps})
+        return Trajectory(**plan.handed.fields(times, results, given.one_body))
 
-    with progress_bar(handling.progress, n * clock.span(0).last, "step") as done:
+    with progress_bar(handling.progress, n * plan.span.last, "step") as done:
         handling = handling._replace(done=done if handling.progress else None)
         for a in range(0, n, PART):
             m = min(PART, n - a)
-            rows: Any = slice(a, a + m) if order is None else order[a : a + m]
-            if plan is None or own or m < PART or own_steps:
-                part = clock.part(rows) if isinstance(clock, OwnClock) and own_steps else clock
-                plan = made(scene[rows] if own else scene, m, clock=part)
-            if a == 0:
-                if plan.by_time:
-                    plan.warn_of_times(t0)
-                memory, turns = Results.empty(saves, n, width, kind), np.empty(n, kind)
-                begun = np.zeros(n)  # what bodies turn in their first step, of parts that tell
-            chosen = given.part(rows, m)
-            in_place = order is None
-            into = memory.bodies(rows) if in_place else Results.empty(saves, m, width, kind)
             try:
-                turns[rows] = found = plan.fill(chosen, t0, handling, into)
-                if not plan.calm[0] <= found.max() <= plan.calm[1]:
-                    begun[rows] = plan.first_turns(chosen)
+                found = plan.fill(given, t0, handling, results, (a, m))
             except InterruptedRun as stopped:
-                rest = slice(a + m, n) if order is None else order[a + m :]
-                memory.out[:, rest] = memory.defect[:, rest] = np.nan
-                memory.status[rest] = Status.UNFINISHED
+                rest = slice(a, n) if order is None else order[a:]
+                results.out[:, rest] = results.defect[:, rest] = np.nan
+                results.status[rest] = Status.UNFINISHED
                 stopped.trajectory = whole()
                 raise
-            finally:
-                if not in_place:
-                    memory.out[:, rows], memory.defect[:, rows] = into.out, into.defect
-                    memory.status[rows] = into.status
-    assert plan is not None
-    damped = limits.decay(scene, steps)
-    _ = plan.warn(begun, damped, steps) or plan.warn(turns, damped, steps)
+            angles[slice(a, a + m) if order is None else order[a : a + m]] = found
+    least, most = plan.silent_range
+    if not (least <= angles.max() <= most and angles.min() >= least):
+        _ = plan.warn(plan.first_turns(given), plan.damped) or plan.warn(angles, plan.damped)
     return whole()

@@ -46,8 +46,7 @@ def fits(method: Method, scene: Scene, representation: str | Attitude | None = N
         scene.kind in method.scenes
         and (representation is None or method.stores(representation))
         and (scene.kind != "torqued" or _takes(method, scene))
-        and (method.translates or not scene.moves)
-        and (method.couples or not scene.couples)
+        and (method.couples or not scene.moves)
     )
 
 
@@ -131,7 +130,6 @@ def chosen(
     representation: str | Attitude,
     compensated: bool = False,
     normalise: str | int = "output",
-    looks: bool = True,
     reducer: Reducer | None = None,
     device: Device | None = None,
 ) -> Choice:
@@ -139,8 +137,8 @@ def chosen(
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
-    compensated, looks = bool(compensated), bool(looks)
-    key = ("choice", method, representation, compensated, normalise, looks)
+    compensated = bool(compensated)
+    key = ("choice", method, representation, compensated, normalise)
     of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
     is_kept = of_names and reducer is None and device is None
     # in one go: another thread may put it out
@@ -154,14 +152,14 @@ def chosen(
     if device is not None:
         need, why = "is_stepped", 'method with device "cuda"'
     if reducer is not None:
-        need, why = "translates", "method with reduce"
+        need, why = "reduces", "method with reduce"
     if compensated and method is None:
         need = "is_stepped"
     record = method_of(scene, method, attitude, need=need, why=why)
     if compensated:
         attitude = _compensated(record, attitude)
     restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    found = Choice(record, attitude, restore, normalise == "never", looks, reducer, device)
+    found = Choice(record, attitude, restore, normalise == "never", reducer, device)
     if is_kept:
         scene.memo[key] = found
     return found

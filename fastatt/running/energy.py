@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks, torques
 from fastatt.arrays import rotate
 from fastatt.attitudes import QUATERNION
+from fastatt.codegen.rows import rows
 from fastatt.flat.formulas import quat, rigid
-from fastatt.flat.rows import rows
 from fastatt.inertia import is_tensor
 from fastatt.motion import Body, RigidBody
 from fastatt.scene import Scene, as_scene

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt.engine.run import Fixed
 from fastatt.engine.status import Status
 
 if TYPE_CHECKING:
@@ -16,13 +17,23 @@ if TYPE_CHECKING:
 _MANY, _ROWS = 64, 1 << 16
 
 
-def fixed(plan: Plan, rates: Any, h: Any) -> dict[str, NDArray[Any]]:
-    """Parameters, turns a step that are known by rates, flags and stages, by names."""
-    params = np.ascontiguousarray(np.atleast_2d(plan.packed.params))
+def fixed(plan: Plan, rates: Any) -> Fixed:
+    """What the bodies of a plan have whose rates, rad/s, are known, or None."""
+    params = _numbers(plan)
     with np.errstate(over="ignore", invalid="ignore"):
-        turns = np.atleast_1d(np.multiply(0.0 if rates is None else rates, np.abs(h)))
-    stages = np.array(plan.choice.method.stages, dtype=np.float64).reshape(-1, 3)
-    return {"p": params, "known": turns, "flags": flags_of(plan, params), "stages": stages}
+        angles = np.multiply(0.0 if rates is None else rates, np.abs(plan.clock.steps))
+    known = np.ascontiguousarray(np.atleast_1d(angles), dtype=np.float64)
+    return Fixed(params, known, flags_of(plan, params))
+
+
+def fixed_with_other_numbers(plan: Plan, was: Fixed) -> Fixed:
+    """The same of a plan with other parameters."""
+    params = _numbers(plan)
+    return was._replace(params=params, flags=flags_of(plan, params))
+
+
+def _numbers(plan: Plan) -> NDArray[np.float64]:
+    return np.ascontiguousarray(np.atleast_2d(plan.packed.params), dtype=np.float64)
 
 
 def alike(plan: Plan, *, asked: bool) -> tuple[int, ...]:

@@ -32,9 +32,6 @@ class Given(NamedTuple):
         values = list(beside.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
         rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
-        if len(values) == 1 and start.dtype == values[0].dtype == kind:
-            y, q = np.ascontiguousarray(values[0]), np.ascontiguousarray(start)
-            return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
         with np.errstate(over="ignore"):
             if len(values) == 1:
                 y = np.ascontiguousarray(values[0], dtype=kind)
@@ -46,11 +43,10 @@ class Given(NamedTuple):
             q = np.ascontiguousarray(start, dtype=kind)
         return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
 
-    def part(self, rows: slice | NDArray[np.intp], n: int) -> Given:
-        """Some bodies, n of them."""
-        q = self.q if self.rows_q == 1 else self.q[rows]
-        y = self.y if self.rows_y == 1 else self.y[rows]
-        return Given(q, y, min(self.rows_q, n), min(self.rows_y, n), one_body=False)
+    @property
+    def rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Both with an axis of bodies, which is of length 1 where all share a row."""
+        return self.q.reshape(self.rows_q, -1), self.y.reshape(self.rows_y, self.y.shape[-1])
 
 
 def initial(
@@ -70,7 +66,7 @@ def initial(
     for name, value, wanted, needed in (
         ("w0", w0, has_inertia, True),
         ("v0", v0, scene.moves, True),
-        ("r0", r0, scene.moves, scene.couples),
+        ("r0", r0, scene.moves, scene.needs_position),
     ):
         if value is None:
             if wanted and needed:
@@ -85,7 +81,7 @@ def initial(
 
 def _taken(name: str, scene: Scene) -> str:
     """Which scenes take an initial value, and how it is given."""
-    placed = "whose torque or force reads it needs" if scene.couples else "with mass takes"
+    placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
     which, unit = {
         "w0": ("with inertia needs", "rad/s"), "v0": ("with mass needs", "m/s"), "r0": (placed, "m")
     }[name]  # fmt: skip

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rounding
+from fastatt.codegen.rows import kind_of, rows
 from fastatt.flat.formulas import dot, minus, plus, quat, scale, so3
-from fastatt.flat.rows import kind_of, rows
 
 _NODES = 4
 # rows that are gathered at a time

@@ -16,10 +16,6 @@ from fastatt.rates import bound, lengths
 from fastatt.running.energy import angular_momentum
 from fastatt.scene import Scene
 
-# |q| − 1 or ‖C Cᵀ − 1‖ that is no round-off any more: at 1e-3 RK4's attitude is wrong by more
-NORM_BOUND = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
-# relative change of the energy or of |m|² of a free body
-INVARIANT_BOUND = 1e-2
 # evaluations a step of one stage beside which a look at its turn is nothing
 _STAGES = 4
 
@@ -71,7 +67,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
     program. ``choice`` is that of a run.
     """
     method: Method = choice.method
-    if not choice.looks or choice.attitude.has_poles or scene.couples:
+    if choice.attitude.has_poles or scene.needs_position:
         return None
     if method.rate_calls > _STAGES and not method.stages:
         return None

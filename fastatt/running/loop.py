@@ -9,10 +9,10 @@ from numpy.typing import DTypeLike
 
 from fastatt import checks
 from fastatt.attitudes import Attitude
+from fastatt.codegen.rows import kind_of
 from fastatt.engine.job import Job
-from fastatt.engine.layout import WIDTH
+from fastatt.engine.loop import WIDTH
 from fastatt.flat import source
-from fastatt.flat.rows import kind_of
 from fastatt.methods import Method
 from fastatt.running.choosing import chosen
 from fastatt.running.reducer import Reducer

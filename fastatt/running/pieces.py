@@ -7,9 +7,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastatt.engine import pool
-from fastatt.engine.ensemble import Run, Span
+from fastatt.engine.loop import end_of_piece
+from fastatt.engine.run import Run, Span
 from fastatt.engine.status import Status
 from fastatt.running.asked import Handling, few
 from fastatt.running.trajectory import Results, Trajectory
@@ -22,16 +24,16 @@ _WRITTEN, _CHECKED = 10.0, 200_000_000
 
 
 def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) -> None:
-    """Steps of a span, of all bodies; ``found()`` gives the fields of their trajectory."""
-    run.told[:] = [0.0, 0.0]
-    width = plan.job.width
+    """Steps of a span, of a run's bodies; ``found()`` gives the fields of their trajectory."""
+    run.reset()
+    width, (_, n) = plan.job.width, run.bodies
     if plan.choice.device:
         run.part(span, 0, 1)
         if handling.done is not None:
-            handling.done(plan.n_bodies * (span.last - span.first))
+            handling.done(n * (span.last - span.first))
         return
     try:
-        pool.run_ensemble(run.part, span, (plan.n_bodies, width), handling.threads, handling.done)
+        pool.run_ensemble(run.part, span, (n, width), handling.threads, handling.done)
     except pool.InterruptedRun as stopped:
         if found is None:
             raise
@@ -47,12 +49,10 @@ def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) 
         raise
 
 
-def piecewise(
-    plan: Plan, run: Run, t0: float, results: Results, one_body: bool, how: Any
-) -> Trajectory:
+def piecewise(plan: Plan, run: Run, t: NDArray[np.float64], one_body: bool, how: Any) -> Trajectory:
     """A few saves at a time, each handed out once, or a few steps; the final states."""
     handling, begin, end = how
-    span, t = plan.span, plan.clock.times(t0)
+    span, results = plan.span, Results(*run.results)
     written = perf_counter()
     pieces = _pieces(plan, handling.sink is not None)
     if handling.sink is not None and begin not in {span.origin, *(last for last, _ in pieces)}:
@@ -91,6 +91,6 @@ def _pieces(plan: Plan, saves: bool) -> list[tuple[int, list[int]]]:
     saved, span = plan.clock.saved, plan.span
     if saves:
         return [(saved[slots[-1]], slots) for slots in few(len(saved))]
-    each = max(1, _CHECKED // plan.n_bodies)
-    ends = [*range(span.origin + each, span.n_steps, each), span.n_steps]
+    each = end_of_piece(0, _CHECKED // plan.n_bodies)
+    ends = [*range(end_of_piece(span.origin, each), span.n_steps, each), span.n_steps]
     return [(last, [0]) for last in ends]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -52,13 +51,10 @@ def propagate(
     normalise: str | int = "output",
     invalid: str = "raise",
     sink: Callable[[Trajectory], object] | None = None,
-    check: int = 0,
-    looks: bool = True,
     reduce: Reducer | None = None,
     out: str | os.PathLike[str] | None = None,
     resume: Trajectory | str | os.PathLike[str] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    resumable: bool | None = None,
     save_at: ArrayLike | None = None,
     device: str | None = None,
 ) -> Trajectory:
@@ -97,23 +93,17 @@ def propagate(
         the ensemble and flags those bodies, the others' results being what they are without them.
     sink : with ``save_every``, is handed each save once, 16 at a time (17 with the initial one), as
         a trajectory whose arrays are used again; the result then holds the final states only.
-    check : bodies on which the order of the method and the largest error over the run are looked
-        for besides, by halving the step as :func:`fastatt.self_check` does; the trajectory's
-        ``check`` is what was found.
-    looks : look at how far each step turns. Without, steps past a method's limit and turns beyond
-        π go unseen: for measuring what the looks cost.
     reduce : a function of one's own that sees every step of every body (:func:`fastatt.reducer`);
-        the trajectory's ``reduced`` is what it made. With methods whose record says ``translates``.
+        the trajectory's ``reduced`` is what it made. With methods whose record says ``reduces``.
     out : with ``save_every``, a file that the saves go to, 16 at a time: ``*.npy``, mapped into
         memory in the trajectory, or ``*.zarr``; (S, N, k), attitudes, then w, v and r.
-    resume : a trajectory, or a file of ``Trajectory.save_end``, where this run goes on, to the same
-        bits as without an end between; initial values, ``t0``, method and scene are its own, and
-        saves are counted from there.
+    resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end`` or
+        ``checkpoint``, where this run goes on, to the same bits as without an end between; initial
+        values, ``t0``, method and scene are its own, and saves are counted from there.
     checkpoint : a file that the run's end so far is written to every ten seconds, whole or not at
         all. Where it exists the run goes on from there: the same call again, after a crash.
     save_at : times within the run, s, in its order, at which states are kept instead: from the last
         step before by one shorter step of the same method.
-    resumable : whether the trajectory holds what ``resume`` needs; None: of up to 262144 bodies.
     device : "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``): the same
         steps, without the closed form ``exact``. Initial values may be CuPy's arrays or Numba's
         device arrays; ``q`` of quaternions, ``w``, ``v`` and ``r`` then stay there, but of a run
@@ -130,7 +120,6 @@ def propagate(
     Warns
     -----
     StepWarning : steps beyond the method's limits, or too small for the precision.
-    OrderWarning : with ``check``, an order below the declared one by more than 0.5.
 
     On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
     """
@@ -144,11 +133,8 @@ def propagate(
     end = None if resume is None else end_of(resume)
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
-    choice = chosen(scene, method, representation, compensated, normalise, looks, reduce, there)
+    choice = chosen(scene, method, representation, compensated, normalise, reduce, there)
     flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
-    sample = checks.whole("check", check, 0)
-    if sample and (flag or end is not None):
-        raise ValueError('check: found with invalid "flag" or resume; accepted without')
     begin = checks.real("t0", t0)
     values, position = (q0, w0, v0, r0), r0 is not None
     if end is None:
@@ -178,8 +164,7 @@ def propagate(
         # these go with one step for all bodies, counted from the begin, alone
         _check_alone(
             "save_at or steps of each body's own; accepted: without", sink=sink, out=out,
-            checkpoint=checkpoint, resumable=resumable or None, compensated=compensated,
-            normalise=choice.restore or None, check=sample or None,
+            checkpoint=checkpoint, compensated=compensated, normalise=choice.restore or None,
         )  # fmt: skip
     _check_sink(sink, out, clock.every)
     if checkpoint is not None and clock.every is not None and sink is None and out is None:
@@ -200,27 +185,12 @@ def propagate(
         out=out,
         progress=progress,
         start=end,
-        ends=holds_end(resumable, bodies, clock),
+        ends=holds_end(bodies, clock),
     )
     result = carry_out(scene, choice, clock, given, begin, handling, position=position)
     if late and not flag and result.has_flags:
         initial(scene, values, flag=False)
-    if not sample:
-        return result
-    seen = _check_order(
-        Ensemble.of(scene, start, w0, v0, r0),
-        dt,
-        n_steps,
-        sample,
-        method=choice.method,
-        representation=representation,
-        dtype=dtype,
-        n_threads=n_threads,
-        t0=t0,
-        compensated=compensated,
-        normalise=normalise,
-    )
-    return replace(result, check=seen)
+    return result
 
 
 def plan(
@@ -238,14 +208,13 @@ def plan(
     normalise: str | int = "output",
     invalid: str = "raise",
     position: bool = False,
-    looks: bool = True,
 ) -> Plan:
     """A run to be made many times: all is checked, laid out and compiled now, once.
 
-    ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some microseconds
-    besides the steps. ``position`` says that positions r0 will be given, of a scene with mass; the
-    other arguments are those of ``propagate``, ``dtype`` None being float64. A plan can be pickled
-    and copied, and called by several threads at a time.
+    ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some tens of
+    microseconds besides the steps. ``position`` says that positions r0 will be given, of a scene
+    with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64. A plan
+    can be pickled and copied, and called by several threads at a time.
 
     Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
 
@@ -263,7 +232,7 @@ def plan(
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
-    choice = chosen(scene, method, representation, compensated, normalise, looks)
+    choice = chosen(scene, method, representation, compensated, normalise)
     clock = Clock.of(dt, n_steps, save_every)
     checks.choice("invalid", invalid, exact.INVALID)
     if METHODS.get(choice.method.name) is choice.method:
@@ -285,27 +254,6 @@ def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
     if n_threads is None and n_bodies * n_steps < _SHORT:
         return 1
     return number_of(n_threads)
-
-
-def _check_order(
-    ensemble: Ensemble, dt: Any, n_steps: Any, sample: int, at: str = "run", **options: Any
-) -> SelfCheck:
-    """What the runs of a sample by ``propagate``, with its options, show of their order."""
-
-    def run_with(some: Ensemble, h: float, n: int, every: int) -> Trajectory:
-        return propagate(
-            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n,
-            save_every=every, **options,
-        )  # fmt: skip
-
-    return examine(
-        run_with,
-        ensemble,
-        checks.real("dt", dt, zero=False),
-        checks.whole("n_steps", n_steps, 1),
-        sample=sample,
-        at=at,
-    )
 
 
 def self_check(
@@ -349,10 +297,23 @@ def self_check(
     ------
     ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
     """
-    return _check_order(
-        Ensemble.of(scene, q0, w0, v0, r0), dt, n_steps, checks.whole("sample", sample, 1), at,
-        method=method, representation=representation, dtype=dtype, n_threads=n_threads, t0=t0,
-    )  # fmt: skip
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
+
+    def run(some: Ensemble, h: float, n: int, every: int) -> Trajectory:
+        return propagate(
+            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n,
+            save_every=every, method=method, representation=representation, dtype=dtype,
+            n_threads=n_threads, t0=t0,
+        )  # fmt: skip
+
+    return examine(
+        run,
+        ensemble,
+        checks.real("dt", dt, zero=False),
+        checks.whole("n_steps", n_steps, 1),
+        sample=checks.whole("sample", sample, 1),
+        at=at,
+    )
 
 
 def _check_sink(sink: Any, out: Any, every: int | None) -> None:

@@ -23,33 +23,24 @@ from fastatt.running.initial import Given
 if TYPE_CHECKING:
     from fastatt.running.plan import Plan
 
-_FORMAT = 1
-#: bodies of which a trajectory holds its end unasked
+_FORMAT = 2
+#: bodies of which a trajectory holds its end at most
 MOST = 1 << 18
 
 
-@dataclass(eq=False)  # not frozen: to make one takes a third of the time
+@dataclass(frozen=True, eq=False)
 class End:
     """A run's last state as the engine carries it, its begin, and what it was a run of."""
 
     given: Given
-    x: NDArray[Any]
-    watch: NDArray[Any]
+    states: NDArray[Any]
+    diagnostics: NDArray[Any]
     done: int
     t0: float
     about: dict[str, Any]
     params: NDArray[np.float64]
-    #: whose ``equations`` it goes by, or they themselves
-    by: Plan | str
-
-    def __getstate__(self) -> dict[str, Any]:
-        # a plan of propagate's own holds addresses, and is another one elsewhere
-        return {**self.__dict__, "by": self.equations}
-
-    @property
-    def equations(self) -> str:
-        """A hash of what a step computes."""
-        return self.by if isinstance(self.by, str) else self.by.equations
+    #: a hash of what a step computes
+    equations: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it to a file, whole or not at all."""
@@ -71,8 +62,8 @@ class End:
                     told=np.array(json.dumps(told)),
                     q=given.q,
                     y=given.y,
-                    x=self.x,
-                    watch=self.watch,
+                    states=self.states,
+                    diagnostics=self.diagnostics,
                     params=self.params,
                 )
                 file.flush()
@@ -97,7 +88,16 @@ def loaded(path: str | os.PathLike[str]) -> End:
             given = Given(file["q"], file["y"], rows_q, rows_y, one_body)
             done, t0 = told.pop("done"), float.fromhex(told.pop("t0"))
             equations = told.pop("equations")
-            return End(given, file["x"], file["watch"], done, t0, told, file["params"], equations)
+            return End(
+                given,
+                file["states"],
+                file["diagnostics"],
+                done,
+                t0,
+                told,
+                file["params"],
+                equations,
+            )
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
             f"resume: {path} is no file of a run's end ({error}); accepted: one that "
@@ -118,7 +118,7 @@ def end_of(resume: Any) -> End:
     if hasattr(resume, "status"):
         raise ValueError(
             "resume: this trajectory does not hold its end; accepted: one of propagate by a method "
-            f"that steps, of at most {MOST} bodies or with resumable=True"
+            f"that steps, of at most {MOST} bodies; a file that checkpoint= wrote, of any number"
         )
     raise TypeError(
         f"resume: found {checks.brief(resume)}; accepted: a trajectory or a file's path"

@@ -127,7 +127,7 @@ def examine(
             f"{check}: the error falls more slowly than it should; either the method is not what "
             "it says, or what acts on the bodies is not smooth",
             OrderWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return check
 

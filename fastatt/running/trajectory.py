@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fastatt import arrays
 from fastatt.attitudes import Attitude
+from fastatt.codegen.rows import rows
 from fastatt.engine.status import Status
-from fastatt.flat.rows import rows
 from fastatt.methods import METHODS
 from fastatt.models import Packed
 from fastatt.motion import GivenRate
@@ -24,7 +24,6 @@ from fastatt.scene import Scene
 if TYPE_CHECKING:
     from fastatt.methods.method import Method
     from fastatt.running.resume import End
-    from fastatt.running.self_check import SelfCheck
 
 
 class Results(NamedTuple):
@@ -47,10 +46,6 @@ class Results(NamedTuple):
         """Some saves."""
         return Results(self.out[slots], self.defect[slots], self.status)
 
-    def bodies(self, rows: Any) -> Results:
-        """Some bodies, by a slice."""
-        return Results(self.out[:, rows], self.defect[:, rows], self.status[rows])
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
@@ -62,7 +57,7 @@ class Trajectory:
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
     ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``defect``
     (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
-    ‖C Cᵀ − 1‖ of a matrix; ``check`` the order observed, where ``propagate`` was asked for it.
+    ‖C Cᵀ − 1‖ of a matrix.
     """
 
     t: NDArray[np.float64]
@@ -80,30 +75,18 @@ class Trajectory:
     record: Method = field(repr=False)
     #: w, v and r where the scene carries them, each (S, N, 3)
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    check: SelfCheck | None = None
-    #: the memory that a run wrote to, of which its arrays are views
-    raw: NDArray[np.uint8] | None = field(default=None, repr=False)
     #: where another run may go on
     end: End | None = field(default=None, repr=False)
 
-    def __getattr__(self, name: str) -> Any:
-        """What a plan left to be found when it is asked for."""
-        later = self.__dict__.get("_later")
-        if later is None or name not in self.__dataclass_fields__:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        found, *arguments = later
-        self.__dict__.update(found(*arguments, name))  # several threads may ask at a time
-        return self.__dict__[name]
-
     def __getstate__(self) -> dict[str, Any]:
-        """All fields, for a copy elsewhere: a given rate as numbers, neither plan nor memory."""
+        """All fields, for a copy elsewhere: a given rate as numbers."""
         state = {name: getattr(self, name) for name in self.__dataclass_fields__}
         rates = self.w.reshape(*self.state.shape[:2], 3)
         state["carried"] = {"w": rates, **self.carried}
         record = self.record
         if METHODS.get(record.name) is not record:  # one's own, of functions within functions
             record = replace(record, steps=None)
-        return {**state, "packed": None, "raw": None, "record": record}
+        return {**state, "packed": None, "record": record}
 
     @cached_property
     def q(self) -> NDArray[Any]:
@@ -225,8 +208,7 @@ class Trajectory:
     @property
     def has_flags(self) -> bool:
         """Whether any body has a status."""
-        found: bool | None = self.__dict__.get("_flagged")
-        return bool(self.status.any()) if found is None else found
+        return bool(self.status.any())
 
     def status_counts(self) -> dict[str, int]:
         """How many bodies carry each flag; empty when all are fine."""
@@ -249,8 +231,6 @@ class Trajectory:
             if where.size:
                 shown = ", ".join(str(b) for b in where[:5]) + (", …" if where.size > 5 else "")
                 lines.append(f"{flag.name} ({int(flag)}): {where.size} of {n}, body {shown}")
-        if self.check is not None:
-            lines.append(str(self.check))
         return "\n".join(lines)
 
     def save_end(self, path: str | os.PathLike[str]) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
-from fastatt.engine.layout import WIDTH
+from fastatt.engine.loop import WIDTH
 from fastatt.methods import Method
 from fastatt.rates import lengths
 from fastatt.rounding import noted

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
 from fastatt.attitudes import Attitude
+from fastatt.codegen.processor import processor
+from fastatt.codegen.rows import kind_of
 from fastatt.engine.job import Job
-from fastatt.engine.layout import WIDTH
+from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import Status
-from fastatt.flat.machine import processor
-from fastatt.flat.rows import kind_of
 from fastatt.methods import METHODS, Method
 from fastatt.rounding import noted
 from fastatt.running.drift import drift

@@ -227,23 +227,19 @@ def scaled(name: str, factor: float) -> Column:
 TORQUED_STEPS = 32
 
 
-def torqued(inertia: Array, drag: Array | None, weight: Array, arm: Array) -> fa.Scene:
-    """Gravity gradient, weight and, if not None, damping: one type of scene, zeros switch off."""
+def torqued(inertia: Array, drag: Array, weight: Array, arm: Array) -> fa.Scene:
+    """Gravity gradient, weight and damping: one type of scene, zeros switch off."""
     n = len(inertia)
-    terms: tuple[Any, ...] = (
+    terms = (
         fa.torques.GravityGradient(np.zeros(n)),
         fa.torques.HeavyTop(arm, weight),
+        fa.torques.Damping(drag),
     )
-    if drag is not None:
-        terms = (*terms, fa.torques.Damping(drag))
     return fa.Scene(inertia=inertia, torque=fa.torques.Sum(terms))
 
 
-def takes(case: Case, damped: bool) -> bool:
-    record = case.record
-    return "torqued" in record.scenes and (
-        not damped or record.takes != fa.torques.Dependence.POSITION
-    )
+def takes_torques(case: Case) -> bool:
+    return "torqued" in case.record.scenes
 
 
 def damping(x: float) -> Column:
@@ -275,7 +271,7 @@ def damping(x: float) -> Column:
         allowed = step / -np.expm1(-rate) + own
         return Outcome(error, allowed, got.status)
 
-    return Column(f"{x:g}", run, lambda case: takes(case, True))
+    return Column(f"{x:g}", run, takes_torques)
 
 
 def pendulum(x: float) -> Column:
@@ -295,8 +291,7 @@ def pendulum(x: float) -> Column:
         w0 = np.zeros((n, 3))
         w0[np.arange(n), axis] = single(2.0 * k * frequency)
         modulus = w0[np.arange(n), axis] / (2.0 * frequency)
-        damped = None if case.record.takes == fa.torques.Dependence.POSITION else np.zeros(n)
-        scene = torqued(rows, damped, weight, arm)
+        scene = torqued(rows, np.zeros(n), weight, arm)
         q0 = np.tile(ONE, (n, 1))
         error, turn = np.zeros(n), np.abs(w0).max(axis=1)
         got = propagate(case, scene, q0, w0, dt=1.0, n_steps=TORQUED_STEPS, save_every=1)
@@ -319,4 +314,4 @@ def pendulum(x: float) -> Column:
         allowed = along * (TORQUED_STEPS * step + own)
         return Outcome(error, allowed, got.status)
 
-    return Column(f"{x:g}", run, lambda case: takes(case, False))
+    return Column(f"{x:g}", run, takes_torques)

@@ -33,7 +33,7 @@ OF_BODIES = {
 }  # fmt: skip
 OF_PENDULA = {
     "rk4": 3e-4, "cf4": 3e-4, "rkmk4": 3e-4, "rk8": 1.2e-8, "strang2": 1.5e-3, "suzuki4": 4e-5,
-    "kahan_li6": 2e-6, "kahan_li8": 8e-9, "srkn4": 1.2e-7, "srkn6": 2e-9,
+    "kahan_li6": 2e-6, "kahan_li8": 8e-9,
 }  # fmt: skip
 # a matrix turns by the angle, a quaternion by half of it
 OF_PENDULA_IN_MATRICES = {"rk8": 2.8e-7}

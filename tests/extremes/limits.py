@@ -69,7 +69,7 @@ def limits_table() -> Iterable[str]:
     yield from ("## Where each method stops", "")
     yield (
         "The limit is of |w|h, rad a step or an interval of a log; of strang2 and its compositions "
-        "of |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), of dmv and srkn of |m|h/I_min, of cg3 of 24/17 "
+        "of |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), of dmv of |m|h/I_min, of cg3 of 24/17 "
         "|w|h. Errors are the worst of one step of status 0 on the cones and bodies below, from "
         "half the limit on; flags are those of steps of twice the limit."
     )

@@ -23,14 +23,14 @@ from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import signature
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
-from fastatt.flat.code import Code
+from fastatt.codegen.emitter import POINTERS
+from fastatt.codegen.instructions import Code
+from fastatt.codegen.rows import addresses
+from fastatt.codegen.writing import in_memory, in_python, unpacking, write
 from fastatt.flat.graph import flattened
-from fastatt.flat.llvm import POINTERS
 from fastatt.flat.recorded import Recorded
-from fastatt.flat.rows import addresses
 from fastatt.flat.trace import traceable
 from fastatt.flat.traced import Traced, Tuple, trace
-from fastatt.flat.writing import in_memory, in_python, unpacking, write
 
 _TYPES = {"double": types.float64, "single": types.float32, "truth": types.boolean}
 _KINDS = {types.float64: "double", types.float32: "single"}
@@ -197,7 +197,7 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
     def _lower(self, context: Any, builder: Any, sig: Any, args: Any) -> Any:
         forms = self._forms(sig.args)
         traced = self.scalar.traced(forms)
-        code = Code.within(builder)
+        code = Code(builder)
         _never_kept(builder.module)
         keys, pointers = traced.resources, {}
         for key, at in zip(keys, addresses(keys, self.scalar.tables), strict=True):

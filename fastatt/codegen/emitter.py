@@ -7,7 +7,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from fastatt.flat.code import BIT, I32, I64, REALS, Code
+from fastatt.codegen.instructions import BIT, I32, I64, REALS, Code
 from fastatt.flat.finished import Flat
 from fastatt.flat.nodes import COMPARISONS, LIBRARY, Node, operands
 
@@ -26,7 +26,7 @@ Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
 
 
 class Emitter:
-    """Writes the operations of a graph where a ``Code`` stands.
+    """Writes the operations of a graph.
 
     ``given(name, kind)`` gives the value of an input and whether it has a lane a body; what depends
     on none that has is written for one number. ``fuses`` says that the processor has fused
@@ -40,52 +40,17 @@ class Emitter:
         self.resources = resources or {}
         self._spread: dict[int, Any] = {}
 
-    def __call__(
-        self, flat: Flat, given: Given, before: Mapping[int, Any] | None = None
-    ) -> list[tuple[Any, bool]]:
-        """(value, whether it has lanes) of each result; ``before`` is what ``shared`` wrote."""
+    def __call__(self, flat: Flat, given: Given) -> list[tuple[Any, bool]]:
+        """(value, whether it has lanes) of each result."""
         self._spread.clear()
         values: list[tuple[Any, bool]] = []
-        known = before or {}
-        for i, node in enumerate(flat.nodes):
-            values.append(known[i] if i in known else self._node(node, values, given))
+        for node in flat.nodes:
+            values.append(self._node(node, values, given))
         return [values[i] for i in flat.results]
 
-    def wide(self, flat: Flat, given: Given, before: Mapping[int, Any] | None = None) -> list[Any]:
+    def wide(self, flat: Flat, given: Given) -> list[Any]:
         """The results as vectors."""
-        return [self.spread(*found) for found in self(flat, given, before)]
-
-    def shared(self, flat: Flat, scalars: Mapping[str, Any]) -> dict[int, tuple[Any, bool]]:
-        """Values of the operations on ``scalars`` alone, written here: before a loop over lanes.
-
-        ``scalars`` are numbers, or some of a sequence by their places, by the names of a graph's
-        inputs.
-        """
-        self._spread.clear()
-        found: dict[int, tuple[Any, bool]] = {}
-        values: list[Any] = []
-
-        def given(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-            group, *i = name
-            return (scalars[group][i[0]] if i else scalars[group]), False
-
-        def is_given(name: tuple[Any, ...]) -> bool:
-            return name[0] in scalars and (len(name) == 1 or name[1] in scalars[name[0]])
-
-        for i, node in enumerate(flat.nodes):
-            known = (
-                is_given(node.args) if node.op == "in" else all(k in found for k in operands(node))
-            )
-            values.append(self._node(node, values, given) if known else None)
-            if known:
-                found[i] = values[i]
-        # a number that meets others with lanes is spread once, not in every turn of the loop
-        for i, node in enumerate(flat.nodes):
-            if i not in found and self.lanes > 1:
-                for k in operands(node):
-                    if k in found and flat.nodes[k].op != "const" and flat.nodes[k].kind:
-                        found[k] = (self.spread(*found[k]), True)
-        return found
+        return [self.spread(*found) for found in self(flat, given)]
 
     def spread(self, value: Any, has_lanes: bool) -> Any:
         """A value as a vector, made once a graph."""

@@ -1,4 +1,4 @@
-"""Traced formulas in LLVM's language, derivatives side by side, and as functions of numbers."""
+"""Traced formulas in LLVM's language, derivatives side by side; and as functions of numbers."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
+from numba import types
 
-from fastatt.flat import machine
-from fastatt.flat.code import I64, REALS, Cells, Code, text_of
-from fastatt.flat.llvm import POINTERS, Emitter
+from fastatt.codegen.emitter import POINTERS, Emitter
+from fastatt.codegen.instructions import I64, REALS, Cells, Code
+from fastatt.codegen.modules import generated
+from fastatt.codegen.processor import processor
+from fastatt.flat.finished import Flat
 from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
+
+_NUMBERS, _WHOLE = types.CPointer(types.float64), types.CPointer(types.int64)
+_SCALAR = "def run(numbers, results, whole):\n    formula(numbers, results, whole)\n"
 
 
 def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
@@ -22,8 +28,8 @@ def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) 
     The graphs of a formula follow each other, with lanes for the directions of dual numbers.
     """
     lanes = traced.lanes
-    emit = Emitter(code, lanes, machine.processor().fuses, resources)
-    # what is given, and what a loop's step is given anew: the state with whether it has lanes
+    emit = Emitter(code, lanes, processor().fuses, resources)
+    # the inputs, and those of a loop's step: the state as pairs with whether it has lanes
     found: dict[str, Any] = {"x": given}
 
     def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
@@ -49,19 +55,21 @@ def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) 
             return [emit.spread(*x) if has_lanes else x[0] for x, has_lanes in pairs]
 
         first, table = alike(state[:n]), _table(code, loop)
-        # a vector of many directions is wider than what memory on the stack is aligned to
+        # a vector of many directions is wider than the alignment of the stack
         cells = Cells(code, [x.type for x in first], align=8)
         cells.set(first)
-        with code.loop(0, len(loop.table)) as i:
+        with code.loop(len(loop.table)) as i:
             found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
-            found["row"] = [code.load(table, i * size + k) for k in range(size)]
+            row = code.b.mul(i, ir.Constant(I64, size))
+            places = [code.b.add(row, ir.Constant(I64, k)) for k in range(size)]
+            found["row"] = [code.load(table, place) for place in places]
             cells.set(alike(emit(loop.step, find)))
         found["s"] = [*zip(cells.get(), wide, strict=True), *state[n:]]
     return [value for value, _ in emit(traced.flat, find)]
 
 
 def _table(code: Code, loop: Loop) -> Any:
-    """Where the constants of a loop are in the program."""
+    """Pointer to the constants of a loop, which are a part of the module."""
     kinds = (node.kind for node in loop.step.nodes if node.args[:1] == ("row",))
     kind = REALS[next(kinds, "double")]
     numbers = [x for row in loop.table for x in row]
@@ -72,6 +80,23 @@ def _table(code: Code, loop: Loop) -> Any:
     return code.b.bitcast(table, kind.as_pointer())
 
 
+def spelled(formula: Flat | Traced, resources: Sequence[tuple[str, Any]]) -> str:
+    """All that a formula computes, as text; tables and functions by their places."""
+    if isinstance(formula, Flat):
+        return formula.spelled(resources)
+    loop = formula.loop
+    rest = None if loop is None else (sorted(loop.wide), loop.table)
+    return repr((formula.lanes, rest, [flat.spelled(resources) for flat in formula.flats]))
+
+
+def pointers_of(code: Code, whole: Any, resources: Sequence[tuple[str, Any]]) -> dict[Any, Any]:
+    """Pointers of tables and opaque functions, whose addresses an array holds."""
+    return {
+        key: code.b.inttoptr(code.constant_load(whole, i), POINTERS[key[0]])
+        for i, key in enumerate(resources)
+    }
+
+
 # functions of numbers, for Python
 
 
@@ -80,13 +105,13 @@ def in_memory(
 ) -> Callable[[Sequence[float]], Any]:
     """A formula compiled, as a function of its arguments' numbers."""
     kinds = list(flattened_forms(forms))
-    pointer = ctypes.c_void_p
-    program = machine.compiled(_program(traced, kinds))
-    run = program.function("scalar", ctypes.c_char_p, pointer, pointer)
+    made = _compiled(traced, kinds)
+    run = ctypes.CFUNCTYPE(None, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_void_p)(made.address)
+    run.function = made  # type: ignore[attr-defined]  # it lives as long as its machine code
     count = len(traced.flat.results)
     room = ctypes.c_double * max(1, count)
     places = (ctypes.c_int64 * max(1, len(addresses)))(*addresses)
-    # Python's own way to lay numbers in a row takes a third of the time of ctypes'
+    # struct lays numbers in a row in a third of the time of ctypes
     pack, unpack = struct.Struct(f"{len(kinds)}d").pack, struct.Struct(f"{count}d").unpack_from
     assembled = _assembling(traced.form)
 
@@ -107,25 +132,21 @@ def in_python(
     return lambda numbers: assembled(run(numbers))
 
 
-def _program(traced: Traced, kinds: Sequence[str]) -> str:
-    """A program with ``scalar(arguments, results, addresses)``, of arrays of float64 and int64."""
-    module = ir.Module("scalar")
-    double = REALS["double"]
-    code = Code(module, "scalar", [double.as_pointer(), double.as_pointer(), I64.as_pointer()])
-    b = code.b
-    source, target, places = code.function.args
-    given = []
-    for k, kind in enumerate(kinds):
-        x = code.load(source, k)
-        given.append(x if kind == "double" else b.fptrunc(x, REALS[kind]))
-    pointers = {
-        key: b.inttoptr(code.load(places, i), POINTERS[key[0]])
-        for i, key in enumerate(traced.resources)
-    }
-    for i, x in enumerate(write(code, traced, given, pointers)):
-        code.store(target, i, x if x.type == double else b.fpext(x, double))
-    code.give(0)
-    return text_of(module)
+def _compiled(traced: Traced, kinds: Sequence[str]) -> Any:
+    """``run(numbers, results, whole)``, of arrays of doubles and addresses of resources."""
+    keys = traced.resources
+
+    def emit(code: Code, args: Sequence[Any]) -> None:
+        source, target, whole = args
+        given = [code.narrow(kind, code.load(source, k)) for k, kind in enumerate(kinds)]
+        values = write(code, traced, given, pointers_of(code, whole, keys))
+        for i, x in enumerate(values):
+            double = x.type == REALS["double"]
+            code.store(target, i, x if double else code.b.fpext(x, REALS["double"]))
+
+    arguments = _NUMBERS, _NUMBERS, _WHOLE
+    key = repr((kinds, [key[0] for key in keys])) + spelled(traced, keys)
+    return generated(_SCALAR, arguments, {"formula": (arguments, emit)}, key)
 
 
 def unpacking(forms: Sequence[Any]) -> Callable[[Any], tuple[float, ...] | None]:

@@ -1,0 +1,1 @@
+"""Graphs of operations as machine code: emitted by ``llvmlite``, compiled by Numba."""

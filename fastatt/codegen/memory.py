@@ -1,0 +1,30 @@
+"""Arrays as generated code and loops take them: their precision, alignment and addresses."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+DTYPES: dict[str, np.dtype[Any]] = {"double": np.dtype(np.float64), "single": np.dtype(np.float32)}
+#: bytes of a cache line
+LINE = 64
+_BYTE = ctypes.c_char
+
+
+def aligned(n: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Zeros, n of them, that begin at a multiple of a cache line."""
+    size = n * dtype.itemsize
+    memory = np.zeros(size + LINE, np.uint8)
+    first = -address_of(memory) % LINE
+    return memory[first : first + size].view(dtype)
+
+
+def address_of(x: NDArray[Any]) -> int:
+    """Where an array's first number lies."""
+    try:  # a quarter of the time of the other
+        return ctypes.addressof(_BYTE.from_buffer(cast(Any, x)))
+    except (TypeError, ValueError, BufferError):  # read-only, empty, or with gaps
+        return int(x.__array_interface__["data"][0])

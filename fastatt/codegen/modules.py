@@ -1,0 +1,372 @@
+"""Generated modules: a function of a few loops around emitted formulas, compiled by Numba.
+
+The module's text goes to a file named by the hash of everything that its machine code depends on:
+the loops, the graphs of operations, the processor, the versions of Numba and llvmlite, and the
+sources that emit it. Numba's disk cache keeps the machine code next to that file, so that a change
+anywhere leads to another file and nothing on disk is ever stale. A file of Numba's is loaded only
+if a mark with the hash of its contents is there, which its writer leaves last. A folder that may
+only be read is read; where nothing can be kept, the code is compiled in memory.
+
+``FASTATT_CACHE`` names the folder, or switches it off with ``0``; otherwise it is the folder for
+the user's caches.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib.util
+import inspect
+import itertools
+import os
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba import cfunc
+from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.types import void
+from numba.extending import intrinsic
+
+from fastatt.codegen.instructions import Code, prepare_for_vectors
+from fastatt.codegen.processor import processor
+
+#: bytes that the folder may hold before the files that were not used for longest are removed
+LIMIT = 256 << 20
+#: seconds of compiling after which a user at a terminal is informed
+LONG = 1.0
+_ABANDONED = 3600.0  # s
+_PREFIX, _MARK, _INSIDE = "fastatt_", ".ok", "__pycache__"
+_OPERATIONS = "flat/nodes.py"
+
+#: how many functions were loaded from disk, and how many compiled, since the process started
+hits = made = 0
+
+#: the arguments of an emission: their types, and ``emit(code, arguments)``
+Emission = tuple[Sequence[Any], Callable[[Code, Sequence[Any]], None]]
+
+
+def generated(
+    text: str, arguments: Sequence[Any], emissions: Mapping[str, Emission], key: str
+) -> Any:
+    """Numba's ``CFunc`` of the function ``run`` that a text defines.
+
+    Parameters
+    ----------
+    text : the source of ``run``, plain Python that Numba compiles.
+    arguments : Numba's types of its arguments; it returns nothing.
+    emissions : the functions that it calls by name, as (types of arguments, emission).
+    key : what the emissions depend on.
+    """
+    sources = "".join(sorted({_emitted_by(emit) for _, emit in emissions.values()}))
+    parts = text, key, sources, _surroundings()
+    digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
+    names = {name: _emitting(*emission) for name, emission in emissions.items()}
+    found = None
+    with global_compiler_lock:  # one thread at a time, and none while the process forks
+        begin, path = time.perf_counter(), folder()
+        if path is not None:
+            with contextlib.suppress(Exception):
+                found = _kept(path, _PREFIX + digest, text, arguments, names)
+        if found is None:
+            found = _in_memory(text, arguments, names)
+        _count(found, time.perf_counter() - begin)
+    return found
+
+
+def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], None]) -> Any:
+    """An intrinsic without result; its arguments' number is fixed by the types."""
+    signature = void(*arguments)
+
+    def lower(context: Any, builder: Any, _: Any, args: Any) -> Any:
+        prepare_for_vectors(builder.function)
+        emit(Code(builder), args)
+        return context.get_dummy_value()
+
+    names = ", ".join(f"a{i}" for i in range(len(arguments)))
+    scope: dict[str, Any] = {"found": (signature, lower)}
+    exec(f"def emission(typing_context, {names}):\n    return found", scope)
+    return intrinsic(scope["emission"])
+
+
+def _in_memory(text: str, arguments: Sequence[Any], names: Mapping[str, Any]) -> Any:
+    scope = dict(names)
+    exec(compile(text, "<fastatt>", "exec"), scope)
+    return cfunc(void(*arguments))(scope["run"])
+
+
+def _kept(
+    path: Path, name: str, text: str, arguments: Sequence[Any], names: Mapping[str, Any]
+) -> Any:
+    """The function from the folder, compiled and kept there if it was not; None if that fails."""
+    source = path / f"{name}.py"
+    may_write = os.access(path, os.W_OK | os.X_OK)
+    if not source.exists() or source.read_text() != text:
+        if not may_write:
+            return None
+        _write(source, text.encode())
+    if not (may_write or numba.config.CACHE_DIR):
+        source = _copied(source)
+    where = _numba_folder(source)
+    for file in where.glob(f"{name}.*.nb?"):
+        if not _is_whole(file):
+            file.unlink(missing_ok=True)
+    for _ in range(2):
+        try:
+            found = _imported(source, name, text, arguments, names)
+        except Exception:  # noqa: BLE001  # what another version of Numba left
+            for file in where.glob(f"{name}.*"):
+                file.unlink(missing_ok=True)
+        else:
+            if not found.cache_hits:
+                with contextlib.suppress(OSError):
+                    for file in where.glob(f"{name}.*.nb?"):
+                        _mark(file).touch()
+                    _trim(path)
+            return found
+    return None
+
+
+def _imported(
+    source: Path, name: str, text: str, arguments: Sequence[Any], names: Mapping[str, Any]
+) -> Any:
+    """The function of a module, under whose name Numba's cache finds it."""
+    spec = importlib.util.spec_from_file_location(name, source)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    module.__dict__.update(names)
+    sys.modules[name] = module
+    try:
+        exec(compile(text, str(source), "exec"), module.__dict__)
+        return cfunc(void(*arguments), cache=True)(module.__dict__["run"])
+    finally:
+        del sys.modules[name]
+
+
+def _numba_folder(source: Path) -> Path:
+    """Where Numba keeps the machine code of a module."""
+    scope: dict[str, Any] = {}
+    exec(compile("def run(): pass", str(source), "exec"), scope)
+    return Path(FunctionCache(scope["run"]).cache_path)
+
+
+def _mark(file: Path) -> Path:
+    """The mark of a file with these contents: two processes may write it, each its own."""
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()[:40]
+    return file.with_name(f"{file.name.partition('.')[0]}.{digest}{_MARK}")
+
+
+def _is_whole(file: Path) -> bool:
+    """Whether a file has a mark, which is a young one then."""
+    try:
+        os.utime(_mark(file))
+    except FileNotFoundError:  # of the mark, or another process removed the file
+        return False
+    return True
+
+
+def _copied(source: Path) -> Path:
+    """A module of a folder that may only be read, in one that Numba accepts."""
+    to = Path(_private_folder().name)
+    (to / _INSIDE).mkdir(exist_ok=True)
+    shutil.copy2(source, to)
+    for file in (source.parent / _INSIDE).glob(f"{source.stem}.*"):
+        shutil.copy2(file, to / _INSIDE)
+    return to / source.name
+
+
+@functools.cache
+def _private_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that goes with the process."""
+    return tempfile.TemporaryDirectory(prefix=_PREFIX)
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file under another name and rename it: no reader ever sees a part of it."""
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        # Numba compares the times of sources: that of all writers is the same
+        os.utime(name, (0.0, 0.0))
+        Path(name).replace(path)
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _trim(path: Path) -> None:
+    """Remove the modules that were not used for longest, and what a dead writer left."""
+    if made % 64:
+        return
+    with contextlib.suppress(OSError):
+        now = time.time()
+        for file in path.glob("*.part"):
+            if now - file.stat().st_mtime > _ABANDONED:
+                file.unlink(missing_ok=True)
+        modules: dict[str, list[tuple[float, int, Path]]] = {}
+        for file in _all_files():
+            if file.suffix == ".part":
+                continue
+            info = file.stat()
+            used = info.st_mtime if file.suffix == _MARK else 0.0
+            modules.setdefault(file.name.partition(".")[0], []).append((used, info.st_size, file))
+        excess = sum(size for files in modules.values() for _, size, _ in files) - LIMIT
+        for files in sorted(modules.values(), key=max):
+            if excess <= 0:
+                break
+            for _, size, file in files:
+                excess -= size
+                file.unlink(missing_ok=True)
+
+
+@functools.cache
+def _surroundings() -> str:
+    """What the machine code of any text depends on: processor, versions, the emitter's sources."""
+    folder = Path(__file__).parent
+    sources = [_hash(str(x)) for x in (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)]
+    versions = (llvmlite.__version__, numba.__version__, sys.version)
+    return "\0".join((processor().key, *versions, *sources))
+
+
+def _emitted_by(emit: Callable[..., None]) -> str:
+    """Hash of the source that an emission is in."""
+    function = emit.func if isinstance(emit, functools.partial) else emit
+    is_plain = inspect.isroutine(function)
+    return _hash(inspect.getfile(function if is_plain else type(function)))
+
+
+@functools.cache
+def _hash(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+# the folder
+
+
+def folder() -> Path | None:
+    """The folder, made if it was not there; None where nothing is kept."""
+    return _found()[0]
+
+
+def reason() -> str:
+    """Why nothing is kept; empty where it is."""
+    return _found()[1]
+
+
+@functools.cache
+def _found() -> tuple[Path | None, str]:
+    chosen = os.environ.get("FASTATT_CACHE")
+    if chosen is not None and chosen.strip().lower() in ("", "0", "off", "no"):
+        return None, f"FASTATT_CACHE={chosen} switches it off"
+    try:
+        path = Path(chosen).expanduser() if chosen else _user_folder() / "fastatt"
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        may_write = os.access(path, os.W_OK | os.X_OK)
+        if not may_write and not any(path.iterdir()):
+            return None, f"{path} may not be written to"
+        if may_write:
+            (path / _INSIDE).mkdir(mode=0o700, exist_ok=True)
+        for one in filter(Path.exists, (path, path / _INSIDE) if hasattr(os, "getuid") else ()):
+            info = one.stat()
+            if info.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                return None, f"{one} is not trusted: others may write to it"
+            if info.st_uid not in (os.getuid(), 0):
+                return None, f"{one} is not trusted: it is another user's"
+    except (OSError, RuntimeError) as error:
+        return None, str(error)
+    return path.resolve(), ""
+
+
+def _user_folder() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _all_files() -> list[Path]:
+    path = folder()
+    if path is None:
+        return []
+    roots = {path, path / _INSIDE}
+    for source in itertools.islice(path.glob(f"{_PREFIX}*.py"), 1):
+        with contextlib.suppress(RuntimeError):  # Numba has no folder
+            roots.add(_numba_folder(source))
+    files = [file for root in roots for file in root.glob(f"{_PREFIX}*.*")]
+    return [*files, *path.glob("*.part")]
+
+
+def usage() -> tuple[int, int]:
+    """(modules, bytes) in the folder."""
+    files = _all_files()
+    sizes = 0
+    for file in files:
+        with contextlib.suppress(OSError):  # another process may have removed it
+            sizes += file.stat().st_size
+    return sum(file.suffix == ".py" for file in files), sizes
+
+
+def clear() -> None:
+    """Remove every file.
+
+    Raises ``OSError`` where they may not be removed.
+    """
+    for file in _all_files():
+        file.unlink(missing_ok=True)
+
+
+# how long it takes
+
+
+class _Wait:
+    """The time that compiling has taken: reported once, to a user at a terminal."""
+
+    def __init__(self) -> None:
+        self.seconds, self.silent = 0.0, False
+
+    def add(self, seconds: float) -> None:
+        """Count some more."""
+        self.seconds += seconds
+        if self.seconds > LONG and not self.silent:
+            self.silent = True
+            if sys.stderr is not None and sys.stderr.isatty():
+                sys.stderr.write(
+                    "fastatt: compiling for this machine, once; 'fastatt warm' does it beforehand\n"
+                )
+
+
+_WAIT = _Wait()
+
+
+def say_nothing() -> None:
+    """Compile without a message about how long it takes."""
+    _WAIT.silent = True
+
+
+def _count(found: Any, seconds: float) -> None:
+    global hits, made  # noqa: PLW0603
+    if found.cache_hits:
+        hits += 1
+    else:
+        made += 1
+        _WAIT.add(seconds)
+
+
+# a process that forks while another thread compiles would leave Numba's lock held in the child
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )

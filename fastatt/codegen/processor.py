@@ -1,0 +1,44 @@
+"""What Numba compiles for: the width of a vector, and whether products and sums fuse."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+from numba.core.registry import cpu_target
+
+_BYTES = {"double": 8, "single": 4}
+
+
+class Processor(NamedTuple):
+    """The target of Numba's compiler: its name, the bytes of a vector, fused multiplications.
+
+    ``key`` distinguishes all that machine code depends on.
+    """
+
+    name: str
+    vector: int
+    fuses: bool
+    key: str
+
+    def lanes(self, kind: str) -> int:
+        """Numbers of a precision, "double" or "single", in one vector."""
+        return self.vector // _BYTES[kind]
+
+
+def described(triple: str, name: str, features: str) -> Processor:
+    """The processor of a target triple, a name and a list of features.
+
+    A 64-bit ARM has vectors of 16 bytes and fused multiplications, whether it says so or not.
+    """
+    found = {feature[1:] for feature in features.split(",") if feature.startswith("+")}
+    fuses = "fma" in found or triple.startswith(("aarch64", "arm64"))
+    vector = 64 if "avx512f" in found else 32 if "avx" in found else 16
+    return Processor(name, vector, fuses, f"{triple}\0{name}\0{features}")
+
+
+@functools.cache
+def processor() -> Processor:
+    """The processor that Numba compiles for, as ``NUMBA_CPU_NAME`` and others may set it."""
+    triple, name, features = cpu_target.target_context.codegen().magic_tuple()
+    return described(str(triple), str(name), str(features))

@@ -1,0 +1,324 @@
+"""A function of numbers on every row of arrays: traced and compiled once, a vector's lane a row.
+
+The loop is that of ``fastatt.codegen.row_loops``. Results depend neither on the number of rows nor
+on that of threads.
+
+Where derivatives go side by side, a vector holds those of one row's number in six or more
+directions, and the loop is over single rows: with a lane a row each direction would need operations
+of its own, six times as many to compile, at the same speed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from array import array
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import cached_property, partial
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import config
+from numpy.typing import NDArray
+
+from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
+from fastatt.codegen.memory import DTYPES, address_of
+from fastatt.codegen.processor import processor
+from fastatt.codegen.row_loops import row_loop
+from fastatt.flat.traced import WIDEST, Traced, Tuple, plain, trace
+from fastatt.threads import each_in_threads
+
+_VECTORS = 4  # of a block
+# rows that are worth a thread, of blocks and one by one
+_LEAST, _LEAST_ONE_BY_ONE = 1 << 13, 64
+_PIECE = 1 << 16  # rows between two looks at Ctrl-C
+_PIECES = 4  # of each thread
+_BYTE = ctypes.c_char
+
+Array = NDArray[Any]
+#: numbers in a row; None of an array that has one number a row, without an axis for it
+Width = int | None
+
+
+class Program:
+    """A function of numbers as a program over arrays: traced once, compiled at the first call."""
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        inputs: Mapping[str, Width],
+        outputs: Sequence[Width],
+        kind: str = "double",
+    ) -> None:
+        self._function = function
+        self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
+        self._dtype = DTYPES[kind]
+
+    @cached_property
+    def traced(self) -> Traced:
+        """The function's operations."""
+        return self._trace(0)
+
+    def _trace(self, widest: int) -> Traced:
+        forms = [
+            self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
+        ]
+        made = trace(self._function, forms, widest, self.kind)
+        count, wanted = len(made.flat.results), sum(map(_count, self.outputs))
+        if count != wanted:
+            raise ValueError(f"function: gives {count} numbers; accepted: {wanted}")
+        return made
+
+    @property
+    def _taken(self) -> int:
+        """Numbers of all inputs."""
+        return sum(map(_count, self.inputs.values()))
+
+    def _formula(self, results: Sequence[int]) -> LaneFormula:
+        """The formula on rows of lanes, its inputs in the first of them."""
+        traced = self.traced
+        inputs = {("x", k): k for k in range(self._taken)}
+        by_lanes = traced.lanes == 1 and traced.loop is None
+        return LaneFormula(traced.flat if by_lanes else traced, inputs, results)
+
+    def _memory(self, shape: Shape) -> Memory:
+        """What a loop works in."""
+        return Memory(shape, self._taken + sum(map(_count, self.outputs)), 3)
+
+
+class _Made(NamedTuple):
+    """A formula compiled for a shape: the function, which its address needs, and its memory."""
+
+    function: Any
+    entry: int
+    block: int
+    memory: Memory
+
+
+class Rows(Program):
+    """``function`` of numbers, applied to every row of arrays; compiled at the first call.
+
+    Parameters
+    ----------
+    function : takes a tuple of ``width`` recorded numbers an input (one number where the width is
+        None), in the order of ``inputs``, and gives numbers in tuples, nested at will: a kernel of
+        ``flat.formulas``, or what is made of such. It may look up tables (``graph.gather``), which
+        a call is given, and call opaque functions (``graph.opaque``), which have an ``address``.
+    inputs : widths by name.
+    outputs : widths of the arrays that the numbers are handed out to, in order.
+    kind : "double" or "single", the precision of inputs and outputs.
+    """
+
+    @cached_property
+    def traced(self) -> Traced:
+        """The function's operations."""
+        return self._trace(WIDEST)
+
+    @cached_property
+    def _shape(self) -> Shape:
+        """Of blocks of a few vectors; of single rows with derivatives or a recurrence."""
+        if self.traced.lanes > 1 or self.traced.loop is not None:
+            return Shape(self.kind, 1, 1)
+        lanes = lanes_of(self.kind)
+        return Shape(self.kind, _VECTORS * lanes, lanes)
+
+    @cached_property
+    def _made(self) -> _Made:
+        return self._compiled(self._shape)
+
+    @cached_property
+    def _made_for_few(self) -> _Made:
+        """Of single rows: with few of them most lanes of a vector would stay empty."""
+        return self._compiled(Shape(self.kind, 1, 1))
+
+    def _compiled(self, shape: Shape) -> _Made:
+        results = range(self._taken, self._taken + sum(map(_count, self.outputs)))
+        function = lane_function(shape, [self._formula(results)], self.traced.resources)
+        return _Made(function, function.address, shape.block, self._memory(shape))
+
+    def _table(
+        self,
+        made: _Made,
+        lengths: tuple[int, int],
+        sources: Sequence[tuple[Array, int, int, int]],
+        out: Sequence[Array],
+        whole: array[int],
+    ) -> array[int]:
+        """The table of ``run_rows``: ``sources`` are arrays with strides and width."""
+        head = made.entry, _first(whole), *lengths
+        numbers = [*head, len(sources), len(out)]
+        for x, *rest in sources:
+            numbers += [address_of(x), *rest]
+        for x, n in zip(out, self.outputs, strict=True):
+            numbers += [address_of(x), _count(n)]
+        return array("q", numbers)
+
+    def __call__(
+        self,
+        *arrays: Any,
+        tables: Mapping[int, Array] | None = None,
+        n_threads: int = 1,
+    ) -> tuple[Array, ...]:
+        """(..., width) of each output from (..., width) of each input.
+
+        The leading axes broadcast against each other; nothing is copied for it. ``tables`` are what
+        the function looks up, by number. Results do not depend on ``n_threads``.
+
+        Raises ``ValueError`` for shapes that do not fit.
+        """
+        given = [
+            self._checked(name, n, x)
+            for (name, n), x in zip(self.inputs.items(), arrays, strict=True)
+        ]
+        lead = np.broadcast_shapes(*[x.shape[:-1] for x in given])
+        if without_compiler():
+            return self._in_python(lead, given, tables or {})
+        total = math.prod(lead)
+        if len(lead) > 2 and total:
+            # more axes are two: a copy only where one of the first does not follow the next
+            given = [
+                np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, lead[-1], x.shape[-1])
+                for x in given
+            ]
+        out = [np.empty((*lead, *_tail(n)), self._dtype) for n in self.outputs]
+        if total:
+            kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
+            whole = array("q", addresses(self.traced.resources, kept))
+            sources = [(x, *_strides(x), x.shape[-1]) for x in given]
+            made = self._made
+            table = self._table(made, (total, lead[-1] if lead else 1), sources, out, whole)
+
+            loop = row_loop(self.kind, made.block)
+
+            def run(first: int, last: int) -> None:
+                _held, *at = made.memory.made()
+                loop(_first(table), *at, first, last)
+
+            least = _LEAST_ONE_BY_ONE if made.block == 1 else _LEAST
+            in_pieces(total, n_threads, run, least)
+        return tuple(out)
+
+    def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
+        """A function of nothing that works on what the arrays hold when it is called.
+
+        ``arrays`` are (n, width), (n,) of a width None, or one row for all, (1, width); ``out`` the
+        same without the last; all of the precision, C-contiguous. One that is in both is changed in
+        place. It knows where they lie: a copy of it works on the same arrays.
+        """
+        for x in (*arrays, *out):
+            if x.dtype != self._dtype or not x.flags.c_contiguous:
+                raise ValueError(f"arrays: found {x.dtype}; accepted: {self._dtype}, C-contiguous")
+        if without_compiler():
+
+            def slowly() -> None:
+                for x, found in zip(out, self(*arrays), strict=True):
+                    x[...] = found
+
+            return slowly
+        n = len(out[0])
+        made = self._made_for_few if 2 * n <= lanes_of(self.kind) else self._made
+        widths = [math.prod(x.shape[1:]) for x in arrays]
+        sources = [(x, 0, 0 if len(x) == 1 else k, k) for x, k in zip(arrays, widths, strict=True)]
+        whole, (memory, *at) = array("q"), made.memory.made()
+        table = self._table(made, (n, n), sources, out, whole)
+        run = row_loop(self.kind, made.block)
+        held, first = (arrays, out, whole, memory, table), _first(table)
+
+        def quickly() -> object:
+            assert held
+            return run(first, *at, 0, n)
+
+        return quickly
+
+    def _checked(self, name: str, n: Width, value: Any) -> Array:
+        """An input (..., n) in the precision, with the numbers of a row side by side."""
+        x = np.asarray(value, self._dtype)
+        x = x if x.flags.aligned else x.copy()
+        if n is None:
+            return x[..., None]
+        if x.shape[-1:] != (n,):
+            raise ValueError(f"{name}: has shape {x.shape}; accepted: (..., {n})")
+        return x if n < 2 or x.strides[-1] == x.itemsize else np.ascontiguousarray(x)
+
+    def _in_python(
+        self, lead: tuple[int, ...], given: list[Array], tables: Mapping[int, Array]
+    ) -> tuple[Array, ...]:
+        columns = [x[..., i] for x in given for i in range(x.shape[-1])]
+        run = plain(self._trace(0), tables)
+        made = [np.broadcast_to(np.asarray(x, self._dtype), lead) for x in run(columns)]
+        bounds = pairwise(accumulate(map(_count, self.outputs), initial=0))
+        return tuple(
+            np.stack(made[a:b], axis=-1).reshape((*lead, *_tail(n)))
+            for n, (a, b) in zip(self.outputs, bounds, strict=True)
+        )
+
+
+def _count(width: Width) -> int:
+    return 1 if width is None else width
+
+
+def _strides(x: Array) -> tuple[int, int]:
+    """From row to row in numbers, along the last two leading axes; 0 along one of length 1."""
+    lengths, strides = (1, 1, *x.shape[:-1]), (0, 0, *x.strides[:-1])
+    outer, inner = (0 if lengths[axis] == 1 else strides[axis] // x.itemsize for axis in (-2, -1))
+    return outer, inner
+
+
+def _first(numbers: array[int]) -> int:
+    """Address of the first of them."""
+    return numbers.buffer_info()[0]
+
+
+def _tail(width: Width) -> tuple[int, ...]:
+    return () if width is None else (width,)
+
+
+_KNOWN: dict[Hashable, Rows] = {}
+
+
+def rows(
+    function: Callable[..., Any],
+    inputs: Mapping[str, Width],
+    outputs: Sequence[Width],
+    kind: str = "double",
+    key: Hashable = None,
+) -> Rows:
+    """The ``Rows`` of a function, made once a process for a layout and a precision.
+
+    ``key`` stands for the function where that is made anew at each call; it says all that the
+    function's operations depend on.
+    """
+    layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), kind
+    found = _KNOWN.get(layout)
+    return found or _KNOWN.setdefault(layout, Rows(function, inputs, outputs, kind))
+
+
+def kind_of(dtype: Any) -> str:
+    """Precision in which arrays of a type are worked on."""
+    return "single" if np.dtype(dtype) == np.float32 else "double"
+
+
+def lanes_of(kind: str) -> int:
+    """Numbers in one of the processor's vectors."""
+    return processor().lanes(kind)
+
+
+def without_compiler() -> bool:
+    """Whether ``NUMBA_DISABLE_JIT`` asks for plain Python."""
+    return bool(config.DISABLE_JIT)
+
+
+def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: int) -> None:
+    """``call(first, last)`` over n rows, in pieces of at least ``least`` on each thread."""
+    pieces = max(min(_PIECES * n_threads if n_threads > 1 else 1, n // least), -(-n // _PIECE))
+    if pieces < 2:
+        call(0, n)
+        return
+    bounds = [n * i // pieces for i in range(pieces + 1)]
+    each_in_threads([partial(call, *ends) for ends in pairwise(bounds)], n_threads)
+
+
+def addresses(resources: Sequence[tuple[str, Any]], tables: Mapping[int, Array]) -> list[int]:
+    """Where they lie, of tables in double precision."""
+    return [address_of(tables[x]) if kind == "table" else x.address for kind, x in resources]

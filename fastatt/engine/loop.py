@@ -1,0 +1,395 @@
+"""The loop over tiles: plain Python on flat arrays, compiled by Numba.
+
+A tile is a few vectors of bodies that stay in the first-level cache for many steps. It always runs
+its full width (the last body fills it up), so that every body meets the same instructions whatever
+the size of the ensemble. ``rows`` and ``wide`` hold all that a step touches, a row of lanes for
+each number (``fastatt.engine.program.Layout``).
+
+Exponentials by polynomial hold up to a rotation of π in one step; the form for any angle takes a
+root and a division more. A block of steps runs in its small-angle form, and lanes in which that did
+not suffice take the result of the other form, from the start of the block. The form for any angle
+is compiled when a lane first needs it: the loop then returns the number of that tile, to be called
+again from there. Other lanes keep what the small-angle form gave them: a fast neighbour costs time,
+never a bit. Bodies whose rotation angles are known beforehand are not monitored.
+
+With per-body step sizes, bodies step together, each by its own step size, to the last of its steps
+before a save, and one that is there waits. The saved state is one shorter step of the same method
+from there, on a copy: the steps of a body depend neither on its neighbours nor on the saves.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+from numba import types
+
+from fastatt._jit import address_loop, loop_part
+from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
+
+#: bodies side by side in a tile at most; few bodies take one vector
+WIDTH = 64
+#: steps between two checks of how far a tile's bodies rotated: what is done once a block costs the
+#: cheapest step next to nothing
+BLOCK = 256
+
+#: parts of a program's function
+BEGIN, ADVANCE, SAVE, PROJECT, REGRID = range(5)
+
+#: ``arrays``: the program's numbers; initial attitudes and what is carried with them, parameters,
+#: known rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,);
+#: states and diagnostics of the part, and the largest angle of a step, rad; of per-body steps the
+#: order of the bodies, their step sizes, the stops as (time since the start, slack), and the slots
+#: of those that are saves, else −1; then the memory of a tile
+(
+    NUMBERS, WHOLE, Q0, Y0, PARAMS, KNOWN_ANGLES, FLAGS, OUT, ERRORS, STATUS, STATES,
+    DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, ROWS, WIDE, KEPT, MARKS, BODY_OF,
+    WAITING, LEFT, COPY, WIDE_COPY,
+) = range(26)  # fmt: skip
+
+#: ``settings``: the functions for small angles and for any, or 0; steps (of per-body steps: stops)
+#: [first, last) of a run of ``n_steps``; saves every so many steps from ``origin`` on, the first in
+#: slot ``slot``; steps between two projections, 0 of none; bodies of the part, the first of them,
+#: and of the ensemble; the lengths of what a run starts from; the layout of a tile
+(
+    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BODIES, BODY, ENSEMBLE,
+    Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH, TILE_WIDTH, N_ROWS, N_WIDE,
+    SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW, IO_ROW, CLOCK_ROW, MONITOR,
+    DIAGNOSTICS, FLAG_CODES,
+) = range(32)  # fmt: skip
+
+#: how rotation angles are monitored: no other form for large ones, every step, known beforehand
+#: from an array, or from a row of the tile
+NEVER, ALWAYS, KNOWN, BOUNDED = range(4)
+#: the first rows of the diagnostics (``fastatt.engine.status.DIAGNOSTICS``)
+ANGLE, NORM = range(2)
+#: ``limits``: the angle up to which known ones are not monitored; then bounds of the diagnostics
+QUIET, BOUNDS = range(2)
+NON_FINITE = 1
+#: per-body clocks, rows of ``wide`` from ``CLOCK_ROW`` on
+DT, BEFORE, BEGUN, OTHER = range(4)
+
+PI_SQUARED = math.pi * math.pi
+EPS = 2.0**-52
+
+
+def end_of_piece(first: int, steps: int) -> int:
+    """Where a piece of about so many steps ends that begins at ``first``: with a block."""
+    return (first // BLOCK + max(1, steps // BLOCK)) * BLOCK
+
+
+@loop_part
+def _load(source, length, size, body_of, rows, first, width):
+    """Columns of an array into rows; its last row serves all bodies after it."""
+    for j in range(width):
+        row = min(body_of[j], length - 1)
+        for i in range(size):
+            rows[(first + i) * width + j] = source[row * size + i]
+
+
+@loop_part
+def _raise(values, at, value):
+    """Keep the larger of two numbers, or NaN."""
+    if not (values[at] >= value or values[at] != values[at]):
+        values[at] = value
+
+
+@loop_part
+def _on_grid(time, slack, step):
+    """(whole steps to a time since the start, what remains); rounding leaves nothing."""
+    count = math.floor(time / step * (1.0 + 4.0 * EPS))
+    rest = time - count * step
+    return count, rest if abs(rest) > slack else 0.0
+
+
+@loop_part
+def _begin(settings, limits, tile, body_of, marks, known, watched):
+    """Begin a tile: its states, and their known rotation angles; whether one may be too large.
+
+    ``watched`` are the states and the diagnostics of the part, and the tile's first position.
+    """
+    rows, _, _, _ = tile
+    states, diagnostics, base = watched
+    width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
+    call_generated(settings[SMALL], BEGIN, tile, (0, 0))
+    unbounded = False
+    for j in range(width):
+        position, angle = min(base + j, n - 1), 0.0
+        if settings[MONITOR] >= KNOWN:
+            angle = known[min(body_of[j], settings[KNOWN_LENGTH] - 1)] ** 2
+            if settings[MONITOR] == BOUNDED:
+                angle = float(rows[settings[BOUND_ROW] * width + j])
+            marks[j] = 0 if angle <= limits[QUIET] ** 2 else 1
+            if marks[j] != 0:
+                unbounded, angle = True, 0.0
+        if settings[FIRST] > 0:
+            for i in range(size):
+                rows[i * width + j] = states[position * size + i]
+        elif base + j < n:
+            for k in range(settings[DIAGNOSTICS]):
+                diagnostics[k * n + position] = angle if k == ANGLE else 0.0
+    return unbounded
+
+
+@loop_part
+def _advance(settings, tile, kept, marks, unbounded, first, last):
+    """A block of steps; whether the form for any angle was there if a lane needed it."""
+    rows, _, _, _ = tile
+    width, angle_row = settings[TILE_WIDTH], settings[ANGLE_ROW]
+    carried, monitored = (angle_row + 1) * width, settings[MONITOR] == ALWAYS
+    if monitored or unbounded:
+        for i in range(carried):
+            kept[i] = rows[i]
+    call_generated(settings[SMALL], ADVANCE, tile, (first, last))
+    repeats = unbounded
+    if monitored:
+        for j in range(width):
+            marks[j] = 1 if rows[angle_row * width + j] > PI_SQUARED else 0
+            repeats = repeats or marks[j] != 0
+    if not repeats:
+        return True
+    if settings[ANY] == 0:
+        return False
+    for i in range(carried):
+        before = kept[i]
+        kept[i] = rows[i]
+        rows[i] = before
+    call_generated(settings[ANY], ADVANCE, tile, (first, last))
+    for i in range(carried):
+        if marks[i % width] == 0:
+            rows[i] = kept[i]
+    return True
+
+
+@loop_part
+def _save(settings, tile, body_of, saved, slot, steps):
+    """Write what a trajectory holds of a tile; ``saved`` are (out, errors, diagnostics, base)."""
+    rows, _, _, _ = tile
+    out, errors, diagnostics, base = saved
+    width, size, n = settings[TILE_WIDTH], settings[SAVED], settings[BODIES]
+    io_row = settings[IO_ROW]
+    call_generated(settings[SMALL], SAVE, tile, (steps, 0))
+    for j in range(min(n - base, width)):
+        place = slot * settings[ENSEMBLE] + body_of[j]
+        for i in range(size):
+            out[place * size + i] = rows[(io_row + i) * width + j]
+        errors[place] = rows[(io_row + size) * width + j]
+        for k in range(NORM, settings[DIAGNOSTICS]):
+            value = abs(rows[(io_row + size + k - NORM) * width + j])
+            _raise(diagnostics, k * n + base + j, value)
+
+
+@loop_part
+def _set_status(states, diagnostics, arrays, settings, limits, first, count):
+    """Flags of the bodies at positions from ``first`` on, from their states and diagnostics."""
+    status, flags = octets(arrays[STATUS]), octets(arrays[FLAGS])
+    largest, body_of = doubles(arrays[LARGEST]), wholes(arrays[BODY_OF])
+    size, n = settings[SIZE], settings[BODIES]
+    for j in range(count):
+        position, body = first + j, body_of[j]
+        spoilt = 0.0
+        for i in range(size):
+            spoilt += states[position * size + i] * 0.0
+        finite = spoilt == 0.0
+        found = int(flags[min(body, settings[FLAGS_LENGTH] - 1)])
+        if not finite:
+            found |= NON_FINITE
+        for k in range(settings[DIAGNOSTICS]):
+            value = float(diagnostics[k * n + position])
+            if k == ANGLE:
+                value = math.sqrt(value)
+                largest[0] = max(largest[0], value)
+            if value == math.inf:
+                found |= settings[FLAG_CODES + settings[DIAGNOSTICS] + k] if finite else 0
+            elif (finite or k == ANGLE) and not value <= limits[BOUNDS + k]:
+                found |= settings[FLAG_CODES + k]
+        status[body] = found
+
+
+@loop_part
+def _count_steps(settings, tile, waiting, left, time, slack):
+    """Steps of each lane to its last before a stop; a lane without any waits. The most of them."""
+    rows, wide, _, _ = tile
+    width, clock, most = settings[TILE_WIDTH], settings[CLOCK_ROW], 0
+    for j in range(width):
+        count, _ = _on_grid(time, slack, wide[(clock + DT) * width + j])
+        left[j] = int(count - wide[(clock + BEFORE) * width + j])
+        most = max(most, left[j])
+        if left[j] <= 0:
+            for i in range(settings[SIZE]):
+                waiting[i * width + j] = rows[i * width + j]
+    return most
+
+
+@loop_part
+def _step_to_save(settings, tile, copied, left, time, slack):
+    """Step a copy of a tile to a save; whether the form that it takes was there."""
+    rows, wide, _, _ = tile
+    copy, wide_copy, _, _ = copied
+    width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
+    n_rows, n_wide = settings[N_ROWS], settings[N_WIDE]
+    for i in range(n_rows * width):
+        copy[i] = rows[i]
+    for i in range(n_wide * width):
+        wide_copy[i] = wide[i]
+    partial = False
+    for j in range(width):
+        _, rest = _on_grid(time, slack, wide[(clock + DT) * width + j])
+        left[j] = 1 if rest != 0.0 else 0
+        wide_copy[(clock + OTHER) * width + j] = rest
+        partial = partial or rest != 0.0
+    if not partial:
+        return True
+    form = settings[SMALL] if settings[MONITOR] == NEVER else settings[ANY]
+    if form == 0:
+        return False
+    call_generated(settings[SMALL], REGRID, copied, (0, 0))
+    for j in range(width):
+        before, step = (clock + BEFORE) * width + j, (clock + DT) * width + j
+        # the time where the shorter step begins, by those before it
+        wide_copy[(clock + BEGUN) * width + j] += wide[before] * wide[step]
+        wide_copy[before] = 0.0
+        wide_copy[step] = wide_copy[(clock + OTHER) * width + j]
+    call_generated(form, ADVANCE, copied, (0, 1))
+    for j in range(width):
+        wide_copy[(clock + BEFORE) * width + j] = 1.0
+        if left[j] == 0:
+            for i in range(n_rows):
+                copy[i * width + j] = rows[i * width + j]
+            for i in range(n_wide):
+                wide_copy[i * width + j] = wide[i * width + j]
+    return True
+
+
+def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
+    """The loop for a precision, and for one step size for all or per-body ones."""
+
+    def run_tiles(arrays, settings, limits, first_tile, last_tile):
+        """Steps of a span on tiles; the tile at which the form for any angle was missing."""
+        width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
+        angle_row, io_row, clock = settings[ANGLE_ROW], settings[IO_ROW], settings[CLOCK_ROW]
+        numbers, whole = doubles(arrays[NUMBERS]), wholes(arrays[WHOLE])
+        rows, wide = reals(arrays[ROWS], kind), doubles(arrays[WIDE])
+        kept, waiting = reals(arrays[KEPT], kind), reals(arrays[WAITING], kind)
+        marks, body_of, left = wholes(arrays[MARKS]), wholes(arrays[BODY_OF]), wholes(arrays[LEFT])
+        states, diagnostics = reals(arrays[STATES], kind), reals(arrays[DIAGNOSTIC_ROWS], kind)
+        out, errors = reals(arrays[OUT], kind), reals(arrays[ERRORS], kind)
+        q0, y0 = reals(arrays[Q0], kind), reals(arrays[Y0], kind)
+        params, known = doubles(arrays[PARAMS]), doubles(arrays[KNOWN_ANGLES])
+        step_sizes, stops = doubles(arrays[STEP_SIZES]), doubles(arrays[STOPS])
+        order, slots = wholes(arrays[ORDER]), wholes(arrays[SLOTS])
+        tile = rows, wide, numbers, whole
+        copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
+        for number in range(first_tile, last_tile):
+            base = number * width
+            count = min(n - base, width)
+            for j in range(width):
+                body = min(base + j, n - 1) + settings[BODY]
+                body_of[j] = order[body] if per_body else body
+            attitude, carried = settings[COORDINATES], settings[CARRIED]
+            _load(q0, settings[Q0_LENGTH], attitude, body_of, rows, io_row, width)
+            _load(y0, settings[Y0_LENGTH], carried, body_of, rows, io_row + attitude, width)
+            _load(params, settings[PARAMS_LENGTH], settings[N_PARAMS], body_of, wide, 0, width)
+            if per_body:
+                _load(step_sizes, settings[ENSEMBLE], 1, body_of, wide, clock, width)
+                for j in range(width):
+                    before = 0.0
+                    if settings[FIRST] > 0:
+                        stop = 2 * (settings[FIRST] - 1)
+                        step = wide[(clock + DT) * width + j]
+                        before, _ = _on_grid(stops[stop], stops[stop + 1], step)
+                    wide[(clock + BEFORE) * width + j] = before
+                    wide[(clock + BEGUN) * width + j] = numbers[0]
+            watched, saved = (states, diagnostics, base), (out, errors, diagnostics, base)
+            unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
+            at, slot = settings[FIRST], -1
+            if not per_body and at == settings[ORIGIN]:
+                slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
+            while True:
+                if slot >= 0:
+                    _save(settings, copied if per_body else tile, body_of, saved, slot, at)
+                if at >= settings[LAST]:
+                    break
+                # up to the next save or projection, or the steps of each lane to the next stop
+                if per_body:
+                    time, slack = stops[2 * at], stops[2 * at + 1]
+                    begin, end = 0, _count_steps(settings, tile, waiting, left, time, slack)
+                else:
+                    begin, every = at, settings[EVERY]
+                    end = ((at - settings[ORIGIN]) // every + 1) * every + settings[ORIGIN]
+                    end = min(end, settings[LAST])
+                    if settings[PROJECTION] > 0:
+                        end = min(end, (at // settings[PROJECTION] + 1) * settings[PROJECTION])
+                while begin < end:
+                    # at multiples of a block, wherever a call begins: bits do not depend on it
+                    stop = min((begin // BLOCK + 1) * BLOCK, end)
+                    if per_body:
+                        for j in range(width):
+                            stop = min(stop, left[j]) if left[j] > begin else stop
+                    if not _advance(settings, tile, kept, marks, unbounded, begin, stop):
+                        return number
+                    for j in range(count):
+                        angle = float(rows[angle_row * width + j])
+                        reached = left[j] >= stop if per_body else True
+                        if reached and angle > diagnostics[ANGLE * n + base + j]:
+                            diagnostics[ANGLE * n + base + j] = angle
+                    if per_body:
+                        for j in range(width):
+                            if left[j] == stop:
+                                for i in range(size):
+                                    waiting[i * width + j] = rows[i * width + j]
+                    begin = stop
+                if per_body:
+                    for i in range(size * width):
+                        rows[i] = waiting[i]
+                    for j in range(width):
+                        wide[(clock + BEFORE) * width + j] += max(left[j], 0)
+                    slot = slots[at]
+                    if slot >= 0 and not _step_to_save(settings, tile, copied, left, time, slack):
+                        return number
+                    at += 1
+                else:
+                    at, slot = end, -1
+                    if settings[PROJECTION] > 0 and at % settings[PROJECTION] == 0:
+                        call_generated(settings[SMALL], PROJECT, tile, (0, 0))
+                        for j in range(count):
+                            _raise(diagnostics, NORM * n + base + j, rows[io_row * width + j])
+                    since = at - settings[ORIGIN]
+                    if since % settings[EVERY] == 0 or at == settings[N_STEPS]:
+                        slot = (since - 1) // settings[EVERY] + settings[SLOT]
+            for j in range(count):
+                for i in range(size):
+                    states[(base + j) * size + i] = rows[i * width + j]
+            _set_status(states, diagnostics, arrays, settings, limits, base, count)
+        return last_tile
+
+    return run_tiles
+
+
+def _set_all_status(kind: str) -> Callable[..., Any]:
+    """The flags of a part's bodies alone, whose states came about elsewhere."""
+
+    def set_all_status(arrays, settings, limits, first, count):
+        states, diagnostics = reals(arrays[STATES], kind), reals(arrays[DIAGNOSTIC_ROWS], kind)
+        _set_status(states, diagnostics, arrays, settings, limits, first, count)
+        return count
+
+    return set_all_status
+
+
+_POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
+_SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
+
+
+@functools.cache
+def tile_loop(kind: str, *, per_body: bool) -> Callable[..., int]:
+    """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
+    return address_loop(_SIGNATURE, _run_tiles(kind, per_body))
+
+
+@functools.cache
+def status_loop(kind: str) -> Callable[..., int]:
+    """``set_all_status(arrays, settings, limits, first, count)`` for a precision."""
+    return address_loop(_SIGNATURE, _set_all_status(kind))

@@ -1,0 +1,205 @@
+"""A run of a job's program over an ensemble: its arrays, its numbers, and the calls of the loop."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import config
+from numpy.typing import NDArray
+
+from fastatt.codegen.call import call_loop
+from fastatt.codegen.memory import DTYPES, address_of
+from fastatt.engine import loop
+from fastatt.engine.job import Job
+from fastatt.engine.program import Program
+from fastatt.engine.status import DIAGNOSTICS
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Span:
+    """Steps [first, last) of a run of ``n_steps``, or stops of per-body steps.
+
+    Saves are every ``save_every`` steps from ``origin`` on, with which the run began, and at the
+    end, the first in slot ``slot`` of the output: 1 where slot 0 holds the initial state, else 0.
+    The state is projected onto its group every ``projection`` steps, or never if that is 0.
+    """
+
+    first: int
+    last: int
+    n_steps: int
+    save_every: int
+    slot: int
+    projection: int = 0
+    origin: int = 0
+
+    def part(self, first: int, last: int) -> Span:
+        """Some of its steps."""
+        return replace(self, first=first, last=last)
+
+
+class Fixed(NamedTuple):
+    """What bodies have in all runs of a plan, each (1, ...) or (N, ...).
+
+    Parameters (N, k), known rotation angles of a step, rad, and flags that they have beforehand.
+    """
+
+    params: NDArray[np.float64]
+    known: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+
+
+class PerBody(NamedTuple):
+    """The order in which bodies are run, their step sizes, s, and where they stop.
+
+    ``stops`` are (time since the start, slack of its rounding), s; ``slots`` the saves, or −1.
+    """
+
+    order: Array
+    dt: Array
+    stops: Array
+    slots: Array
+
+
+@lru_cache(maxsize=256)
+def program(job: Job, *, plain: bool) -> Program:
+    """The program of a job, made once a process; ``plain`` is without machine code."""
+    return Program(job, plain=plain)
+
+
+def prepare(job: Job) -> Program:
+    """The program of a job, compiled if it was not."""
+    return program(job, plain=bool(config.DISABLE_JIT))
+
+
+def width_for(bodies: int, lanes: int) -> int:
+    """Width of a tile for a number of bodies: a power of two of vectors, at most ``loop.WIDTH``."""
+    width = lanes
+    while width < min(bodies, loop.WIDTH):
+        width *= 2
+    return width
+
+
+class Setup:
+    """What all runs of a plan have in common: program, tables, bounds, and the bodies' numbers.
+
+    ``bounds`` are the rotation angle of a step, rad, up to which known ones are not monitored, and
+    those of the diagnostics.
+    """
+
+    def __init__(
+        self, made: Any, resources: Mapping[Any, Any], bounds: Sequence[float], numbers: Fixed
+    ) -> None:
+        #: a ``Program``, or that of a device
+        self.program = made
+        self.bodies, self.bounds = numbers, tuple(bounds)
+        formulas, layout, job = made.formulas, made.layout, made.job
+        monitor = loop.ALWAYS if job.has_careful_form else loop.NEVER
+        if job.known:
+            monitor = loop.BOUNDED if job.bounds else loop.KNOWN
+        rows = layout.rows.first
+        self.settings = [
+            job.width,
+            layout.rows.count,
+            layout.wide.count,
+            formulas.size,
+            formulas.handed_out,
+            formulas.coordinates,
+            formulas.given - formulas.coordinates,
+            0 if job.shared else formulas.parameters,
+            rows["angle"],
+            rows["bound"],
+            rows["io"],
+            layout.wide.first["dt"],
+            monitor,
+            len(DIAGNOSTICS),
+            *(x.flag(job.attitude) for x in DIAGNOSTICS),
+            *(x.infinite for x in DIAGNOSTICS),
+        ]
+        self.tables = [(name, resources[name]) for name in formulas.resources]
+        at = [
+            len(job.method.stages),
+            *(x if isinstance(x, int) else address_of(x) for _, x in self.tables),
+        ]
+        self._whole = np.array(at, dtype=np.int64)
+        stages = np.ravel(np.array(job.method.stages, dtype=np.float64))
+        self.numbers = np.concatenate([numbers.params[0], stages])
+        #: tables, parameters, known angles and flags as the loop takes them; no per-body steps
+        self.fixed: list[Any] = [self.tables, *numbers]
+        self.uniform: list[Any] = [np.zeros(0)] * 4
+        if not config.DISABLE_JIT:
+            self.fixed = [address_of(x) for x in (self._whole, *numbers)]
+            self.uniform = [0] * 4
+
+
+class Run:
+    """A run over some bodies of an ensemble: (first body, how many).
+
+    ``q`` and ``y``, attitudes and what is carried with them, are (1, k) or (N, k); ``times`` are
+    (t0, h, edge); ``results`` saved values (S, N, k), norm errors (S, N) and status (N,). The
+    ``states`` (n, k) and ``diagnostics`` (3, n) are those of the part; ``largest_angle`` of a step,
+    rad, is what calls found since ``reset``.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        bodies: tuple[int, int],
+        start: tuple[Array, Array],
+        times: tuple[float, float, float],
+        results: tuple[Array, Array, Array],
+        per_body: PerBody | None = None,
+    ) -> None:
+        self.setup, self.bodies, self.start, self.times = setup, bodies, start, times
+        self.results, self.per_body = results, per_body
+        made = setup.program
+        kind = DTYPES[made.job.kind]
+        self.states = np.empty((bodies[1], made.formulas.size), kind)
+        self.diagnostics = np.empty((len(DIAGNOSTICS), bodies[1]), kind)
+        self._numbers = np.concatenate([times, setup.numbers])
+        whole, params, known, flags = setup.fixed
+        self._arrays = [
+            self._numbers, whole, *start, params, known, flags, *results, self.states,
+            self.diagnostics,
+        ]  # fmt: skip
+        lengths = [len(x) for x in (*start, *setup.bodies)]
+        self._settings = [*bodies[::-1], results[2].size, *lengths, *setup.settings]
+        self._lock = threading.Lock()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what calls found so far."""
+        self.largest_angle = 0.0
+
+    def part(self, span: Span, first: int, last: int) -> None:
+        """Steps of a span on the tiles [first, last); several threads may call it at a time."""
+        made, bounds, largest = self.setup.program, self.setup.bounds, np.zeros(1)
+        settings = [made.entry, made.any_angle, *span.__dict__.values(), *self._settings]
+        arrays = [*self._arrays, largest, *(self.per_body or self.setup.uniform)]
+        if not isinstance(made, Program):
+            made.run(self, span)
+            status = loop.status_loop(made.job.kind)
+            arrays += _unused(len(self.states))
+            call_loop(status, arrays, settings, bounds, 0, len(self.states))
+        else:
+            arrays += made.memory()
+            run_tiles = loop.tile_loop(made.job.kind, per_body=made.job.own_steps)
+            while first < last:
+                first = call_loop(run_tiles, arrays, settings, bounds, first, last)
+                if first < last:
+                    made.compile_any_angle()
+                    settings[loop.ANY] = made.any_angle
+        with self._lock:
+            self.largest_angle = max(self.largest_angle, float(largest[0]))
+
+
+def _unused(n: int) -> list[Array]:
+    """Memory of a tile where only the status of n bodies is found."""
+    nothing = np.zeros(0, np.int64)
+    return [*(nothing for _ in range(4)), np.arange(n), *(nothing for _ in range(4))]

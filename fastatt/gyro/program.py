@@ -1,0 +1,196 @@
+"""A method's windows as a generated function over the lanes of a chunk.
+
+``run(part, samples, spans, attitudes, state, first, last)`` works on arrays of rows with a number
+of each lane. ``part`` chooses what is done:
+
+- ``WINDOWS``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
+- ``PLACE``: attitudes [first, last) become p∘r, p those in the rows ``START`` of ``state``.
+- ``JOIN``: of the lanes [first, last), p at the start of the next chunk, ``NEXT``, from ``START``
+  and the rotation of this chunk, ``TURNED``.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numba import config, types
+
+from fastatt.codegen.memory import DTYPES, aligned
+from fastatt.codegen.modules import generated
+from fastatt.codegen.processor import processor
+from fastatt.flat.finished import Flat
+from fastatt.flat.graph import Graph
+from fastatt.flat.trace import traceable
+from fastatt.gyro.formula import WindowFormula
+from fastatt.gyro.loops import CHUNK, ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
+from fastatt.gyro.windows import MOST_HISTORY, Iteration, Window, products
+from fastatt.kernels import quat
+
+_SAMPLES, _SPANS, _ATTITUDES, _STATE = range(4)
+_KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
+_TYPES = {"double": types.float64, "single": types.float32}
+_CALL = "{name}(samples, spans, attitudes, state, {offsets})"
+_Formulas = dict[str, WindowFormula]
+
+
+class Program:
+    """The function of a method's window; the form for any rotation angle is compiled when needed.
+
+    ``uneven`` intervals stand in rows, equal ones are one number. ``entry`` is an address, or a
+    Python function where Numba is switched off.
+    """
+
+    def __init__(
+        self, window: Window, increments: bool, precision: np.dtype[Any], uneven: bool
+    ) -> None:
+        self.window, self.increments, self.uneven = window, increments, uneven
+        self.precision, self.kind = precision, _KINDS[precision]
+        self._vector = LANES if config.DISABLE_JIT else processor().lanes(self.kind)
+        self._state = ITERATION
+        self._lock = threading.Lock()
+        self._made = self._compiled(small_angle=True)
+        # an iteration has one form for all angles
+        self._any_angle = self._made if window.iteration else None
+
+    @property
+    def entry(self) -> Any:
+        """The function for rotations of at most π in an interval."""
+        return _entry(self._made)
+
+    @property
+    def any_angle(self) -> Any:
+        """The function for rotations of any angle; 0 where it is not compiled yet."""
+        return 0 if self._any_angle is None else _entry(self._any_angle)
+
+    def compile_any_angle(self) -> None:
+        """Compile the form for any angle, if it is not there."""
+        with self._lock:
+            if self._any_angle is None:
+                self._any_angle = self._compiled(small_angle=False)
+
+    def memory(self) -> list[Any]:
+        """Samples, intervals, attitudes and state of a chunk's lanes."""
+        rows = (3 * (CHUNK + MOST_HISTORY + 1), CHUNK + MOST_HISTORY, 4 * CHUNK + 4, self._state)
+        return [aligned(n * LANES, self.precision) for n in rows]
+
+    def _compiled(self, *, small_angle: bool) -> Any:
+        formulas = self._windows(small_angle)
+        if small_angle:
+            formulas |= self._chain()
+        text = "\n".join([*self._text(formulas), ""])
+        if config.DISABLE_JIT:
+            scope: dict[str, Any] = {name: x.in_python() for name, x in formulas.items()}
+            exec(text, scope)
+            return scope["run"]
+        arrays = (types.CPointer(_TYPES[self.kind]),) * 4
+        whole = types.int64
+        emissions = {name: ((*arrays, *[whole] * 4), x.emit) for name, x in formulas.items()}
+        key = self.kind + "".join(x.key for x in formulas.values())
+        return generated(text, (whole, *arrays, whole, whole), emissions, key)
+
+    def _text(self, formulas: _Formulas) -> Iterator[str]:
+        lanes = f"for j in range(0, {LANES}, {self._vector}):"
+        yield "def run(part, samples, spans, attitudes, state, first, last):"
+        yield f"    if part == {WINDOWS}:"
+        yield f"        {lanes}"
+        yield "            for n in range(first, last):"
+        span = self.window.span * LANES
+        at = f"n * {3 * span} + j, n * {span} + j, n * {4 * span} + j, j"
+        if self.window.iteration is None:
+            yield f"                {_CALL.format(name='window', offsets=at)}"
+        else:
+            yield from _passes(self.window.iteration, at, self._state - 1, self._vector)
+        if "place" in formulas:
+            yield f"    if part == {PLACE}:"
+            yield "        for i in range(first, last):"
+            place = _CALL.format(name="place", offsets=f"j, j, i * {4 * LANES} + j, j")
+            yield f"            {lanes} {place}"
+            join = _CALL.format(name="join", offsets="j, j, j, j")
+            yield f"    if part == {JOIN}:"
+            yield f"        for j in range(first, last): {join}"
+
+    # the formulas
+
+    def _formula(self, flat: Flat, gives: Any, lanes: int | None = None) -> WindowFormula:
+        takes = {
+            "v": (_SAMPLES, 0), "h": (_SPANS, 0), "q": (_ATTITUDES, 0), "p": (_STATE, START),
+            "turned": (_STATE, TURNED), "state": (_STATE, ITERATION),
+        }  # fmt: skip
+        shared = () if self.uneven else ("h",)
+        return WindowFormula(flat, takes, gives, LANES, lanes or self._vector, shared)
+
+    def _chain(self) -> _Formulas:
+        """p∘r, and p of the next chunk at unit length, by a Newton step."""
+        place, join = Graph(), Graph()
+        p, q = (place.inputs(self.kind, name, 4) for name in "pq")
+        placed = Flat(place, products(p, q), self.kind)
+        p, turned = (join.inputs(self.kind, name, 4) for name in ("p", "turned"))
+        joined = Flat(join, traceable(quat.renormalise)(tuple(products(p, turned))), self.kind)
+        return {
+            "place": self._formula(placed, [(_ATTITUDES, k) for k in range(4)]),
+            "join": self._formula(joined, [(_STATE, NEXT + k) for k in range(4)], 1),
+        }
+
+    def _windows(self, small_angle: bool) -> _Formulas:
+        """The attitudes of a window, the last of which is the next one's first."""
+        gives = [(_ATTITUDES, 4 + i) for i in range(4 * self.window.span)]
+        if self.window.iteration is not None:
+            return self._iterated(self.window.iteration, gives)
+        graph = Graph()
+        vectors = traceable(self.window.formula(self.increments))(*self._given(graph))
+        exp = traceable(quat.exp_short if small_angle else quat.exp)
+        turned = [x for i in range(0, len(vectors), 3) for x in exp(vectors[i : i + 3])]
+        found = products(graph.inputs(self.kind, "q", 4), turned)
+        return {"window": self._formula(Flat(graph, found, self.kind), gives)}
+
+    def _iterated(self, iteration: Iteration, gives: Any) -> _Formulas:
+        begin, again, end = Graph(), Graph(), Graph()
+        state = iteration.begin(self.increments, *self._given(begin))
+        size, first = len(state), [(_STATE, ITERATION + i) for i in range(len(state))]
+        self._state = ITERATION + size
+        before = again.inputs(self.kind, "state", size)
+        after = iteration.again(before)
+        changed = [i for i in range(size) if after[i] is not before[i]]
+        found = iteration.read(end.inputs(self.kind, "state", size)[:-1])
+        read = products(end.inputs(self.kind, "q", 4), found)
+        improved = Flat(again, [after[i] for i in changed], self.kind)
+        return {
+            "begin": self._formula(Flat(begin, state, self.kind), first),
+            "improve": self._formula(improved, [first[i] for i in changed]),
+            "read": self._formula(Flat(end, read, self.kind), gives),
+        }
+
+    def _given(self, graph: Graph) -> tuple[Any, Any]:
+        """Samples and intervals of a window."""
+        v = graph.inputs(self.kind, "v", 3 * self.window.samples(self.increments))
+        n = self.window.intervals
+        h = graph.inputs(self.kind, "h", n) if self.uneven else graph.inputs(self.kind, "h", 1) * n
+        return v, h
+
+
+def _passes(iteration: Iteration, at: str, row: int, lanes: int) -> Iterator[str]:
+    """Passes as long as a lane moves: a row of the state says which do."""
+    begin, improve, read = (
+        _CALL.format(name=name, offsets=at) for name in ("begin", "improve", "read")
+    )
+    depth = " " * 16
+    yield f"{depth}{begin}"
+    yield f"{depth}moves, left = True, {iteration.passes}"
+    yield f"{depth}while moves and left > 0:"
+    yield f"{depth}    {improve}"
+    yield f"{depth}    moves, left = False, left - 1"
+    yield f"{depth}    for k in range({row * LANES} + j, {row * LANES + lanes} + j):"
+    yield f"{depth}        moves = moves or state[k] > 0.0"
+    yield f"{depth}{read}"
+
+
+def _entry(made: Any) -> Any:
+    return made if config.DISABLE_JIT else made.address
+
+
+#: the program of a window, made once a process
+program = functools.cache(Program)
