@@ -24,7 +24,7 @@ settings.load_profile("fastatt")
 
 # the compiler's short-lived objects: collecting them on the way takes an eighth of the time
 gc.disable()
-_MANY = 14_000_000  # of them, about 4 GB: two processes that share the suite stay below
+_MANY = 18_000_000  # of them, about 5 GB: two processes that share the suite hold 4 GB each
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -34,7 +34,7 @@ SCENES = {
     ),
 }
 CASES = [
-    ("cones", "magnus4"), ("cones", "rk4"), ("orbit", "rk4"), ("orbit", "rk8"), ("orbit", "gbs16"),
+    ("cones", "magnus4"), ("cones", "rk4"), ("orbit", "rk4"), ("orbit", "rk8"),
     ("orbit", "strang2"), ("orbit", "suzuki4"), ("function", "rk4"), ("moved", "rk4"),
 ]  # fmt: skip
 

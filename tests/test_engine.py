@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import os
 import subprocess
 import sys
 import threading
-import time
 import tracemalloc
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +28,9 @@ from machine_code import (
 from numba import njit
 
 import fastatt as fa
-from fastatt.codegen.processor import processor
-from fastatt.engine import pool
+from fastatt.engine.loop import status_loop, tile_loop
 from fastatt.engine.run import Run
+from fastatt.gyro.loops import loop as gyro_loop
 
 ROOT = Path(fa.__file__).resolve().parents[1]
 BODIES = generic(64)
@@ -132,65 +131,6 @@ def test_an_opaque_call_makes_the_loop_another(monkeypatch):
     scene = fa.Scene(rate=with_gamma, params=BODIES.c[:, 0])
     for loops in steps_of(monkeypatch, scene, "lie_midpoint"):
         assert not all(map(is_packed, loops))
-
-
-# the same bits whatever the vectors' width
-
-
-def widths():
-    """q and w of runs, the first half of them in double precision."""
-    bodies = generic(70)
-    q0 = np.tile(START, (70, 1))
-    free = fa.Scene(inertia=np.sort(1.0 + 0.5 * np.abs(bodies.c[:, 0])))
-    top = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 2.0))
-    found = []
-    for dtype in ("float64", "float32"):
-        for scene, method, w0 in (
-            (bodies.scene, "magnus4", None),
-            (bodies.scene, "rk4", None),
-            (free, "rk4", bodies.c[:, 1]),
-            (free, "dmv6", bodies.c[:, 1]),
-            (top, "strang2", bodies.c[:, 1]),
-        ):
-            run = fa.propagate(scene, q0, w0, dt=0.05, n_steps=40, method=method, dtype=dtype)
-            found += [run.q.astype(float), run.w.astype(float)]
-    return found
-
-
-VECTORS = {
-    # name: what is switched off of this machine, whether the same bits are promised
-    "256": (("avx512",), True),
-    "unfused": (("avx512", "fma", "avx2"), False),
-    "128": (("avx", "fma", "xop", "f16c"), False),
-}
-
-
-def features_without(prefixes):
-    """Features of this machine with some switched off."""
-    each = processor().key.split("\0")[2].split(",")
-    return ",".join("-" + f[1:] if f[1:].startswith(prefixes) else f for f in each)
-
-
-@needs_avx
-def test_the_width_of_vectors_changes_no_bit(tmp_path):
-    """Nor does it without fused products change more than their rounding."""
-    whole, own = widths(), processor().vector
-    code = "import sys, numpy, test_engine; numpy.savez(sys.argv[1], *test_engine.widths())"
-    code += "; print(test_engine.processor().vector)"
-    for name, (off, same) in VECTORS.items():
-        path = tmp_path / f"{name}.npz"
-        vector = fresh(code, str(path), NUMBA_CPU_FEATURES=features_without(off))
-        assert int(vector) == min(own, 16 if name == "128" else 32)
-        with np.load(path) as file:
-            found = list(file.values())
-        for k, (a, b) in enumerate(zip(whole, found, strict=True)):
-            if same:
-                assert a.tobytes() == b.tobytes(), (name, k)
-            else:
-                # 40 steps of a few roundings each, the first half in double precision
-                eps = np.finfo(float if k < len(found) // 2 else np.float32).eps
-                assert np.abs(a - b).max() < 40 * 16 * eps, (name, k)
-                assert k % 2 or np.abs(a - b).max() > 0.0, (name, k)
 
 
 # the disk cache
@@ -303,35 +243,20 @@ def test_memory_of_a_log_is_that_of_its_attitudes(peak):
     assert each < 8 * (4 + 3)
 
 
-def test_program_releases_the_gil(monkeypatch):
-    """Another thread counts at some share of its own speed while one long call runs."""
-    monkeypatch.setattr(pool, "_PIECE", 10**12)  # the whole run in one call of the program
-    n = 100_000
-    run(method="magnus6", n=10)
-
-    def counted(done):
-        total = 0
-        while not done():
-            total += 1
-        return total
-
-    begin = time.perf_counter()
-    alone = counted(lambda: time.perf_counter() - begin > 0.1) / 0.1
-    with ThreadPoolExecutor(1) as worker:
-        started = threading.Event()
-
-        def work():
-            started.set()
-            begin = time.perf_counter()
-            run(method="magnus6", n=n)
-            return time.perf_counter() - begin
-
-        future = worker.submit(work)
-        started.wait()
-        beside = counted(future.done)
-        seconds = future.result()
-    assert seconds > 0.05
-    assert beside > 0.1 * alone * seconds
+@pytest.mark.parametrize(
+    "loop",
+    [
+        tile_loop("double", per_body=False),
+        tile_loop("single", per_body=True),
+        status_loop("double"),
+        *(gyro_loop(name, "double") for name in ("sweep", "along", "chain")),
+    ],
+)
+def test_a_loop_releases_the_gil(loop):
+    """A function that ctypes calls keeps it only where its flags name Python's own interface."""
+    own_interface = ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_
+    assert own_interface
+    assert not loop._flags_ & own_interface
 
 
 def test_bodies_run_on_several_threads(monkeypatch):
@@ -368,19 +293,6 @@ def test_an_error_in_one_piece_stops_the_run(monkeypatch):
 
 def burst(t, p):
     return p[0], 0.2, 400.0 if 2.6 < t < 2.61 else 0.3
-
-
-def test_pieces_of_a_run_change_no_bit(monkeypatch):
-    """Blocks end at the same steps: the form for any angle begins where it does in one go."""
-    scene = fa.Scene(rate=burst, params=(0.1,))
-    options = {"method": "lie_midpoint", "dt": 0.01, "n_steps": 600, "save_every": 100}
-    with pytest.warns(fa.StepWarning):
-        whole = fa.propagate(scene, Q0, n_threads=1, **options)
-        monkeypatch.setattr(pool, "_PIECE", 1)
-        monkeypatch.setattr(pool, "_SECONDS", 0.0)
-        pieces = fa.propagate(scene, Q0, n_threads=2, **options)
-    assert whole.status.all()
-    assert pieces.state.tobytes() == whole.state.tobytes()
 
 
 def test_progress_counts_every_step(monkeypatch):

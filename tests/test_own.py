@@ -412,17 +412,18 @@ def test_representation_of_ones_own_has_the_methods_order(attitude, method):
 
 @pytest.mark.parametrize("attitude", OWN, **by_name)
 def test_every_method_that_fits_steps_bodies(attitude):
-    """Free ones, and heavy tops with principal axes that are not the body's."""
+    """Heavy tops with principal axes that are not the body's, and free bodies by the others."""
     c = fa.quat_to_dcm(exp([0.3, -0.5, 0.7]))
     tensor = c @ (INERTIA[..., None] * c.T)
     tensor = 0.5 * (tensor + np.swapaxes(tensor, -1, -2))
     top = fa.torques.HeavyTop((0.1, 0.2, 0.3), 2.0)
-    for scene in (fa.Scene(inertia=INERTIA), fa.Scene(inertia=tensor, torque=top)):
+    tops, free = fa.Scene(inertia=tensor, torque=top), fa.Scene(inertia=INERTIA)
+    of_tops, of_free = (fa.methods_for(scene, attitude) for scene in (tops, free))
+    assert {"rk4", "rk8", "cf4"} - ({"cf4"} if attitude is MRP else set()) <= set(of_tops)
+    assert "dmv6" in set(of_free) - set(of_tops)
+    for scene, methods in ((tops, of_tops), (free, sorted(set(of_free) - set(of_tops)))):
         reference = run(scene, "rk8", 400, START4, SPIN4)
-        fitting = fa.methods_for(scene, attitude)
-        assert {"rk4", "rk8", *(() if scene.torque else ("dmv6",))} <= set(fitting)
-        assert ("cf4" in fitting) is (attitude is DOUBLED)
-        for method in fitting:
+        for method in methods:
             traj = run(scene, method, 400, START4, SPIN4, attitude)
             off = angle(traj.q[-1], reference.q[-1]).max()
             assert off < (1e-9 if fa.METHODS[method].order >= 4 else 1e-3), method

@@ -61,7 +61,7 @@ def test_a_body_is_what_it_is_alone(kind, method):
     assert angle(together.q[0], begin.q[0]).max() < 2e-15  # to rounding
 
 
-@pytest.mark.parametrize(("kind", "method"), STEPPED)
+@pytest.mark.parametrize(("kind", "method"), sorts())
 def test_a_save_between_is_one_shorter_step(kind, method):
     """As far from the truth as whole steps are; on the grid the same bits."""
     n, at = 30, [0.05, 0.513, 1.0, END]

@@ -84,6 +84,8 @@ RUNS = {
     "falling": (FALLING, "rk4", "quat", {"r0": V0}),
     "gliding": (GLIDING, "rk4", "quat", {}),
 }
+SINGLE = ("each coning", "matrices", "compensated", "called", "beyond", "symmetric", "torqued")
+CASES = [(name, "float64") for name in RUNS] + [(name, "float32") for name in SINGLE]
 
 
 def run(name, dtype="float64", **options):
@@ -126,8 +128,7 @@ def in_python(tmp_path_factory):
 
 
 @pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize(("name", "dtype"), CASES)
 def test_python_gives_what_machine_code_gives(name, dtype, in_python):
     """But for fused products: 20 steps of some roundings each."""
     eps = EPS if dtype == "float64" else 2.0**-23
@@ -150,8 +151,7 @@ if __name__ == "__main__":
     from fastatt.codegen import modules
 
     found = {}
-    for name in RUNS:
-        for dtype in ("float64", "float32"):
-            found |= {f"{name}/{dtype}/{k}": v for k, v in results(name, dtype).items()}
+    for name, dtype in CASES:
+        found |= {f"{name}/{dtype}/{k}": v for k, v in results(name, dtype).items()}
     np.savez(sys.argv[1], **found)
     print(modules.hits + modules.made, "programs")

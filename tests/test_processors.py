@@ -19,10 +19,11 @@ from fastatt.codegen.processor import described, processor
 from fastatt.running.loop import job_of
 
 ROOT = Path(fa.__file__).resolve().parents[1]
-N = 5
+N = 70
 BODIES = generic(N)
 Q0 = np.tile(START, (N, 1))
 W0 = np.random.default_rng(3).normal(size=(N, 3))
+MOMENTS = np.sort(1.0 + 0.5 * np.abs(BODIES.c[:, 0]))
 FAST = fa.rates.Polynomial(BODIES.c * np.linspace(1.0, 100.0, N)[:, None, None])
 # name: what NUMBA_CPU_NAME and NUMBA_CPU_FEATURES say, bytes of a vector, whether it fuses
 PROCESSORS = {
@@ -38,9 +39,13 @@ def free():
 def results():
     """Of each run, state, defect and status; scenes are new, and remember no program."""
     found = {}
+    top = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 2.0))
     for name, scene, method, dtype in (
         ("free", free(), "rk4", "float64"),
         ("fast", fa.Scene(rate=FAST), "lie_midpoint", "float32"),
+        ("moments", fa.Scene(inertia=MOMENTS), "dmv6", "float64"),
+        ("top", top, "strang2", "float32"),
+        ("rate", BODIES.scene, "magnus4", "float64"),
     ):
         w0 = None if scene.kind == "rate" else W0
         traj = fa.propagate(

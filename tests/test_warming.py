@@ -159,7 +159,7 @@ def test_everything_is_every_representation_and_precision():
     assert len(tasks) == len(set(map(str, tasks)))
 
 
-@pytest.mark.parametrize("representation", fa.METHODS["rk4"].representations)
+@pytest.mark.parametrize("representation", ["rotation_vector", "euler313"])
 @pytest.mark.parametrize("scene", ["coning", "free"])
 def test_every_representation_is_run(scene, representation):
     """Coordinates too, which have poles."""
