@@ -25,7 +25,7 @@ import numpy as np
 
 import fastatt as fa
 from fastatt.kernels.trig import sincos
-from fastatt.running.ensemble import Ensemble
+from fastatt.propagation.ensemble import Ensemble
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, machine_line, write_csv
 from fastatt.trade.reference import Reference, reference, turns

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.running.loop import job_of
+from fastatt.propagation.inspect_step import job_of
 from fastatt.trade.measure import best_time
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))

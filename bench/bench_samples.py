@@ -11,7 +11,7 @@ import quaternion
 from problems import Coning
 
 import fastatt as fa
-from fastatt.integrate import methods_for_samples
+from fastatt.gyro.integrate import methods_for_samples
 from fastatt.trade.ensembles import coning_rates
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))

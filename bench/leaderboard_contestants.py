@@ -20,9 +20,9 @@ from leaderboard_problems import MANY, ONE, Log, Problem
 from leaderboard_solvers import PYTHON, QUICK, Contestant, Run, at_tolerance, tolerances
 
 import fastatt as fa
-from fastatt.integrate import methods_for_samples
+from fastatt.gyro.integrate import methods_for_samples
 from fastatt.kernels import free_body, heavy_top
-from fastatt.running.loop import job_of
+from fastatt.propagation.inspect_step import job_of
 
 OURS = "fastatt"
 _STEPS = [round(8 * 2 ** (k / 2)) for k in range(18)]

@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 import fastatt as fa
-from fastatt.running.loop import job_of
+from fastatt.propagation.inspect_step import job_of
 
 
 def largest(t, q, w, s):

@@ -20,32 +20,79 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 __all__ = [
-    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "Log", "LogError",
-    "LogWarning", "Method", "OrderWarning", "OwnSteps", "Plan", "Recommendation", "Reducer",
-    "Scene", "SelfCheck", "Status", "StepWarning", "Table", "Trajectory", "WorkPrecision",
-    "angle_between", "angular_momentum", "angular_velocity", "dcm_to_quat", "drift", "error_budget",
-    "estimation", "euler313_to_quat", "exact", "explicit", "forces", "from_scipy",
-    "integrate_rates", "integrator", "interchange", "interpolate", "kernels", "kinetic_energy",
-    "kinetic_energy_symmetric", "lie", "mean_attitude", "methods_for", "own_steps", "plan", "plots",
-    "potential_energy", "propagate", "propagate_directions", "quat_multiply", "quat_to_dcm",
-    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
-    "rotate", "rotate_inverse", "rotation_vector_to_quat", "self_check", "show_loop", "single_step",
-    "steps", "to_scipy", "torques", "watch_drift", "work_precision",
+    "METHODS",
+    "Attitude",
+    "Drift",
+    "DriftStatistics",
+    "ErrorBudget",
+    "Log",
+    "LogError",
+    "LogWarning",
+    "Method",
+    "OrderWarning",
+    "OwnSteps",
+    "Plan",
+    "Recommendation",
+    "Reducer",
+    "Scene",
+    "SelfCheck",
+    "Status",
+    "StepWarning",
+    "Table",
+    "Trajectory",
+    "WorkPrecision",
+    "angle_between",
+    "angular_momentum",
+    "angular_velocity",
+    "closed_form",
+    "dcm_to_quat",
+    "drift",
+    "error_budget",
+    "estimation",
+    "euler313_to_quat",
+    "explicit",
+    "forces",
+    "from_scipy",
+    "gyro_steps",
+    "integrate_rates",
+    "integrator",
+    "interchange",
+    "interpolate",
+    "kernels",
+    "kinetic_energy",
+    "kinetic_energy_symmetric",
+    "lie",
+    "mean_attitude",
+    "methods_for",
+    "own_steps",
+    "plan",
+    "plots",
+    "potential_energy",
+    "propagate",
+    "propagate_directions",
+    "quat_multiply",
+    "quat_to_dcm",
+    "quat_to_euler313",
+    "quat_to_rotation_vector",
+    "rates",
+    "read_log",
+    "recommend",
+    "reducer",
+    "rotate",
+    "rotate_inverse",
+    "rotation_vector_to_quat",
+    "self_check",
+    "show_loop",
+    "single_step",
+    "to_scipy",
+    "torques",
+    "watch_drift",
+    "work_precision",
 ]  # fmt: skip
 
 # imported when it is first asked for, so that a process pays for what it uses
 if TYPE_CHECKING:
-    from fastatt import (
-        estimation,
-        exact,
-        forces,
-        interchange,
-        kernels,
-        plots,
-        rates,
-        steps,
-        torques,
-    )
+    from fastatt import estimation, interchange, kernels, plots
     from fastatt.arrays import (
         angle_between,
         dcm_to_quat,
@@ -61,34 +108,37 @@ if TYPE_CHECKING:
     from fastatt.attitudes import Attitude
     from fastatt.engine.status import Status
     from fastatt.estimation.filters import mean_attitude
-    from fastatt.integrate import integrate_rates
+    from fastatt.estimation.single_steps import single_step
+    from fastatt.gyro import gyro_steps
+    from fastatt.gyro.integrate import integrate_rates
+    from fastatt.gyro.streaming import integrator
     from fastatt.interchange import from_scipy, to_scipy
     from fastatt.logs import Log, LogError, LogWarning, read_log
     from fastatt.methods import METHODS, Method
-    from fastatt.methods.explicit import explicit
-    from fastatt.methods.lie import lie
-    from fastatt.rounding import StepWarning
-    from fastatt.running.angular_velocity import angular_velocity
-    from fastatt.running.choosing import methods_for
-    from fastatt.running.drift import Drift, drift
-    from fastatt.running.energy import (
+    from fastatt.methods.lie_group import lie
+    from fastatt.methods.runge_kutta import explicit
+    from fastatt.propagation import closed_form
+    from fastatt.propagation.angular_velocity import angular_velocity
+    from fastatt.propagation.choice_of_method import methods_for
+    from fastatt.propagation.convergence import OrderWarning, SelfCheck
+    from fastatt.propagation.drift import Drift, drift
+    from fastatt.propagation.drift_statistics import DriftStatistics, watch_drift
+    from fastatt.propagation.energy import (
         angular_momentum,
         kinetic_energy,
         kinetic_energy_symmetric,
         potential_energy,
     )
-    from fastatt.running.interpolation import interpolate
-    from fastatt.running.loop import show_loop
-    from fastatt.running.plan import Plan
-    from fastatt.running.propagate import plan, propagate, propagate_directions, self_check
-    from fastatt.running.reducer import Reducer, reducer
-    from fastatt.running.self_check import OrderWarning, SelfCheck
-    from fastatt.running.trajectory import Trajectory
-    from fastatt.running.watch import DriftStatistics, watch_drift
-    from fastatt.scene import Scene
-    from fastatt.steps import single_step
-    from fastatt.streaming import integrator
-    from fastatt.tables import Table
+    from fastatt.propagation.inspect_step import show_loop
+    from fastatt.propagation.interpolation import interpolate
+    from fastatt.propagation.plan import Plan
+    from fastatt.propagation.propagate import plan, propagate, propagate_directions, self_check
+    from fastatt.propagation.reducer import Reducer, reducer
+    from fastatt.propagation.trajectory import Trajectory
+    from fastatt.rounding import StepWarning
+    from fastatt.scene import forces, rates, torques
+    from fastatt.scene.scene import Scene
+    from fastatt.scene.time_series import Table
     from fastatt.trade.advice import recommend
     from fastatt.trade.each import OwnSteps, own_steps
     from fastatt.trade.error_budget import ErrorBudget, error_budget
@@ -111,9 +161,10 @@ def _held_by() -> dict[str, str]:
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'fastatt' has no attribute {name!r}")
-    module = _held_by()[name]
-    found = importlib.import_module(f"fastatt.{name}" if module == "fastatt" else module)
-    globals()[name] = value = found if module == "fastatt" else getattr(found, name)
+    module = importlib.import_module(_held_by()[name])
+    if not hasattr(module, name):
+        importlib.import_module(f"{module.__name__}.{name}")
+    globals()[name] = value = getattr(module, name)
     return value
 
 

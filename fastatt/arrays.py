@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.codegen.rows import kind_of, rows
-from fastatt.flat.formulas import dcm, euler313, quat
+from fastatt.tracing.formulas import dcm, euler313, quat
 
 
 def _on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:

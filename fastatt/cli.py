@@ -13,17 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from fastatt import __version__, listing, warming
+from fastatt import __version__, listing
+from fastatt import precompile as warming
 from fastatt.checks import attitudes, choice, real, whole
 from fastatt.codegen import modules
-from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.logs.attitudes import integrate_chunks, writing
 from fastatt.logs.log import in_one
 from fastatt.logs.names import TIME_UNITS, UNITS
 from fastatt.logs.reader import Options, reading
 from fastatt.logs.reference import against_reference, read_attitudes
 from fastatt.logs.stamps import BAD, Chunk
-from fastatt.scene import Scene
+from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.advice import recommend
 from fastatt.trade.recordings import compare_on_log

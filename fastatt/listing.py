@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fastatt import warming
-from fastatt.closed_forms import LEVERS
+from fastatt import precompile as warming
 from fastatt.methods import METHODS, Method
-from fastatt.running.choosing import fits
-from fastatt.running.loop import job_of
-from fastatt.torques import Dependence
+from fastatt.propagation.choice_of_method import fits
+from fastatt.propagation.closed_forms import LEVERS
+from fastatt.propagation.inspect_step import job_of
+from fastatt.scene.torques import Dependence
 
 # how a method's list of scenes is read: name on the command line, in words, as records have it
 SCENES = {

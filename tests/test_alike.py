@@ -9,7 +9,7 @@ import pytest
 from machine_code import texts
 
 import fastatt as fa
-from fastatt.running import fixed
+from fastatt.propagation import fixed
 
 N = 70
 FEW = [0, 33, N - 1]  # too few for what they have in common to be looked for

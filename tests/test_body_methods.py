@@ -21,8 +21,8 @@ from oracle import floats
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.methods import gbs16
-from fastatt.motion import RigidBody, motion_of
-from fastatt.torques import Dependence, pack
+from fastatt.scene.equations import RigidBody, motion_of
+from fastatt.scene.torques import Dependence, pack
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 INERTIA = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])

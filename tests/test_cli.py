@@ -12,7 +12,7 @@ import pytest
 import fastatt as fa
 from fastatt import cli
 from fastatt.cli import main
-from fastatt.running.loop import show_loop
+from fastatt.propagation.inspect_step import show_loop
 from fastatt.trade.recordings import compare_on_log
 from fastatt.trade.scene_file import read_scene
 

@@ -20,8 +20,8 @@ from exact import EPS, START, generic
 
 import fastatt as fa
 from fastatt.device import kernel, program
-from fastatt.running.choosing import method_of
-from fastatt.running.loop import job_of
+from fastatt.propagation.choice_of_method import method_of
+from fastatt.propagation.inspect_step import job_of
 
 ROOT = Path(fa.__file__).resolve().parents[1]
 N, STEPS = 2, 6

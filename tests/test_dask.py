@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.running.watch import Measure
+from fastatt.propagation.drift_statistics import Measure
 
 N = 70
 RNG = np.random.default_rng(4)

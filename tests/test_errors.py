@@ -138,7 +138,11 @@ def test_propagate_directions(arguments, error, message):
 
 R = fa.rates
 SCENES = [
-    ({"rate": 3.0}, TypeError, "rate: found float; accepted is a model of fastatt.rates (Coning"),
+    (
+        {"rate": 3.0},
+        TypeError,
+        "rate: found float; accepted is a model of fastatt.rates (Coning",
+    ),
     ({"rate": None}, ValueError, "rate, inertia: found neither; accepted: one of them"),
     (
         {"rate": R.Constant([1, 2])},

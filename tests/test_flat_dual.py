@@ -12,13 +12,13 @@ import pytest
 from each import each
 from oracle import EPS, quat_exp, right_jacobian
 
-from fastatt.flat import dual, functions, graph, nodes, source
-from fastatt.flat.dual import Dual, derivatives, seed, value
-from fastatt.flat.finished import Flat
-from fastatt.flat.formulas import dcm, free_body, moser_veselov, quat, rigid, so3, trig
-from fastatt.flat.graph import Double, Graph, Single, flattened
-from fastatt.flat.nodes import NotStraight
-from fastatt.flat.trace import traceable
+from fastatt.tracing import dual, functions, graph, nodes, source
+from fastatt.tracing.dual import Dual, derivatives, seed, value
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.formulas import dcm, free_body, moser_veselov, quat, rigid, so3, trig
+from fastatt.tracing.graph import Double, Graph, Single, flattened
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.trace import traceable
 
 IN_MP = {
     "+": operator.add,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.flat.finished import Constants, Flat
-from fastatt.flat.graph import Graph
-from fastatt.flat.nodes import operands
-from fastatt.flat.source import function
-from fastatt.running.loop import job_of
+from fastatt.propagation.inspect_step import job_of
+from fastatt.tracing.finished import Constants, Flat
+from fastatt.tracing.graph import Graph
+from fastatt.tracing.nodes import operands
+from fastatt.tracing.source import function
 
 # what a body's own numbers give alone is computed once
 

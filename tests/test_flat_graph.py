@@ -18,12 +18,12 @@ from test_kernels_grammar import ARGUMENTS, KERNELS, cast, leaves
 from fastatt.codegen.emitter import Emitter
 from fastatt.codegen.modules import generated
 from fastatt.codegen.processor import processor
-from fastatt.flat import source
-from fastatt.flat.finished import Flat
-from fastatt.flat.functions import larger
-from fastatt.flat.graph import Double, Graph, choose, flattened
-from fastatt.flat.nodes import NotStraight, operands
-from fastatt.flat.trace import traceable
+from fastatt.tracing import source
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import Double, Graph, choose, flattened
+from fastatt.tracing.nodes import NotStraight, operands
+from fastatt.tracing.trace import traceable
 
 FLOATS = {"double": np.float64, "single": np.float32}
 every_precision = pytest.mark.parametrize("kind", ["double", "single"])
@@ -342,7 +342,7 @@ def test_names_are_told_apart():
 
 
 def test_tables_and_opaque_functions():
-    from fastatt.flat.functions import gather, opaque
+    from fastatt.tracing.functions import gather, opaque
 
     graph, x, y = numbers()
     a, b = opaque("swap", 2, [x, y], x)

@@ -9,9 +9,9 @@ from test_flat_scalar import MACHINE, SINGLE, TABLE, looked_up
 from fastatt.codegen.fold import Fold
 from fastatt.codegen.rows import Rows
 from fastatt.codegen.scalar import scalar_function
-from fastatt.flat import dual, functions, graph
-from fastatt.flat.formulas import axpy, quat, scale
-from fastatt.flat.traced import Recurrence
+from fastatt.tracing import dual, functions, graph
+from fastatt.tracing.formulas import axpy, quat, scale
+from fastatt.tracing.traced import Recurrence
 
 
 def normalised(t, x, p):

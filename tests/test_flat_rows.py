@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from each import each
 
-from fastatt import closed_forms, exact
 from fastatt.codegen import lanes
 from fastatt.codegen import rows as module
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import Rows, rows
-from fastatt.flat import formulas, functions, graph
+from fastatt.propagation import closed_form as exact
+from fastatt.propagation import closed_forms
+from fastatt.tracing import formulas, functions, graph
 
 RNG = np.random.default_rng(5)
 LANES = {kind: processor().lanes(kind) for kind in ("double", "single")}

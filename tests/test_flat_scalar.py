@@ -15,13 +15,13 @@ from numba.core.errors import TypingError
 from oracle import EPS
 
 from fastatt.codegen.scalar import scalar_function
-from fastatt.flat import dual, functions, graph, nodes
-from fastatt.flat.finished import Flat
-from fastatt.flat.formulas import axpy, quat, rigid, scale, so3
-from fastatt.flat.graph import Graph
-from fastatt.flat.nodes import NotStraight
-from fastatt.flat.traced import Traced
 from fastatt.kernels import quat as kernels
+from fastatt.tracing import dual, functions, graph, nodes
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.formulas import axpy, quat, rigid, scale, so3
+from fastatt.tracing.graph import Graph
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.traced import Traced
 
 SINGLE = np.float32
 P = (0.25, 0.5, 0.75, -0.5, 0.75, -0.4)

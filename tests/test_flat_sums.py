@@ -2,11 +2,11 @@
 
 import pytest
 
-from fastatt.flat import source
-from fastatt.flat.finished import Flat
-from fastatt.flat.graph import Graph
-from fastatt.flat.nodes import operands
-from fastatt.flat.sums import onto
+from fastatt.tracing import source
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Graph
+from fastatt.tracing.nodes import operands
+from fastatt.tracing.sums import onto
 
 FUSED = ("fma", "fms", "fnma")
 X = (3.0, 5.0, 7.0, 11.0)

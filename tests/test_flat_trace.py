@@ -11,12 +11,12 @@ from each import each
 from numba import njit
 
 from fastatt import kernels
-from fastatt.flat import source
-from fastatt.flat.finished import Flat
-from fastatt.flat.graph import Graph, flattened
-from fastatt.flat.nodes import NotStraight
-from fastatt.flat.trace import LONGEST, traceable
 from fastatt.kernels import quat
+from fastatt.tracing import source
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Graph, flattened
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.trace import LONGEST, traceable
 
 GAIN = 2.5
 TABLE = np.array([[0.5, -1.0], [2.0, 4.0]])

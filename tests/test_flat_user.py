@@ -15,11 +15,11 @@ from numba import njit, types
 import fastatt as fa
 from fastatt.codegen.emitter import POINTERS, Emitter
 from fastatt.codegen.modules import generated
-from fastatt.flat import source, user
-from fastatt.flat.finished import Flat
-from fastatt.flat.graph import Double, Graph
-from fastatt.flat.nodes import NotStraight
-from fastatt.flat.user import UserFunction, user_function
+from fastatt.tracing import source, user
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Double, Graph
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.user import UserFunction, user_function
 
 P = (0.3, -0.7)
 
@@ -415,7 +415,7 @@ def calls_nowhere(t, p):
 SCRIPT = """
     import math, numpy as np
     from numba import njit
-    from fastatt.flat.user import user_function
+    from fastatt.tracing.user import user_function
 
     @njit
     def straight(t, p):

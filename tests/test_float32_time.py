@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.flat.nodes import operands
-from fastatt.running.loop import job_of
+from fastatt.propagation.inspect_step import job_of
+from fastatt.tracing.nodes import operands
 
 N, STEPS, H = 5, 400, 0.01
 ANGLE, OMEGA = np.linspace(0.3, 1.4, N), np.linspace(0.7, 3.1, N)

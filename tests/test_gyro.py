@@ -17,7 +17,7 @@ from fastatt.codegen.processor import processor
 from fastatt.gyro import formula as lanes
 from fastatt.gyro import program
 from fastatt.gyro.loops import CHUNK, LANES
-from fastatt.gyro.windows import Window
+from fastatt.methods.windows import Window
 
 LOG = np.random.default_rng(2).normal(size=(3000, 3))
 SAMPLED = [

@@ -11,7 +11,7 @@ from each import each
 from exact import EPS, exp, matrix
 
 import fastatt as fa
-from fastatt.inertia import (
+from fastatt.scene.inertia import (
     TRIANGLE,
     is_spherical,
     is_symmetric,

@@ -12,7 +12,7 @@ import fastatt as fa
 from fastatt.attitudes import COMPENSATED
 from fastatt.codegen.rows import rows
 from fastatt.kernels import compensated
-from fastatt.running.watch import Measure
+from fastatt.propagation.drift_statistics import Measure
 
 STEP = 1.0 / 128.0  # a power of two: products with it are exact
 N = 64

@@ -27,7 +27,7 @@ import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.engine.job import Job
 from fastatt.kernels.vec3 import add, axpy, cross, scale
-from fastatt.motion import Body, Turning
+from fastatt.scene.equations import Body, Turning
 
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))

@@ -13,7 +13,7 @@ from numba import njit
 
 import fastatt as fa
 from fastatt.methods import rk4, rk8, rk9
-from fastatt.methods.explicit import Tableau
+from fastatt.methods.runge_kutta import Tableau
 
 SPAN = 2.0
 BODIES = generic(3)

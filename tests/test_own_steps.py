@@ -105,7 +105,7 @@ def test_representations_precisions_and_threads_agree():
 @pytest.mark.parametrize("kind", ["free", "rate"])
 def test_an_ensemble_in_parts_is_the_same(kind, steps, monkeypatch):
     whole = run(kind, "rk4", **steps, save_at=[0.4, END])
-    monkeypatch.setattr("fastatt.running.carry_out.PART", 32)
+    monkeypatch.setattr("fastatt.propagation.execute.PART", 32)
     parts = run(kind, "rk4", **steps, save_at=[0.4, END])
     for name in ("t", "q", "w", "status", "defect"):
         assert (getattr(parts, name) == getattr(whole, name)).all()

@@ -16,7 +16,7 @@ from machine_code import innermost_loops, texts
 
 import fastatt as fa
 from fastatt.codegen.processor import described, processor
-from fastatt.running.loop import job_of
+from fastatt.propagation.inspect_step import job_of
 
 ROOT = Path(fa.__file__).resolve().parents[1]
 N = 70

@@ -8,10 +8,10 @@ from exact import EPS, START, angle, attitude, coning, exp, mul, precession
 from numba import njit
 
 import fastatt as fa
-from fastatt import rates
 from fastatt.codegen.rows import rows
-from fastatt.models import SUM, Law, pack, pack_user
-from fastatt.rates import RECORDS, USER
+from fastatt.scene import rates
+from fastatt.scene.models import SUM, Law, pack, pack_user
+from fastatt.scene.rates import RECORDS, USER
 
 TIMES = [0.0, 0.3, 1.7, -2.4, 60.0]
 A, B, C, D = np.array([[0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2.0, -1.0]])

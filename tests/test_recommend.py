@@ -10,7 +10,7 @@ import pytest
 import fastatt as fa
 from fastatt.arrays import normalised
 from fastatt.cli import main
-from fastatt.running.ensemble import Ensemble
+from fastatt.propagation.ensemble import Ensemble
 from fastatt.trade import advice, sample
 from fastatt.trade.measure import Case, Problem
 from fastatt.trade.recommendation import Point

@@ -107,7 +107,7 @@ def test_a_run_that_goes_on_or_is_run_in_parts(monkeypatch, tmp_path):
         assert np.array_equal(again.reduced, whole.reduced)
     with pytest.raises(ValueError, match="reduce: found 0; accepted: 3, with which the run began"):
         fa.propagate(BODY, resume=first, **half)
-    monkeypatch.setattr("fastatt.running.carry_out.PART", 32)
+    monkeypatch.setattr("fastatt.propagation.execute.PART", 32)
     assert np.array_equal(fa.propagate(BODY, Q0, W0, reduce=WATCH, **STEP).reduced, whole.reduced)
 
 

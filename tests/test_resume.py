@@ -20,7 +20,7 @@ from test_plan import BODY, OWN, PAIRS, Q0, RNG, SCENES, W0, bits, rates_of, swi
 import fastatt as fa
 from fastatt.engine import run as engine_run
 from fastatt.engine.pool import InterruptedRun
-from fastatt.running import carry_out, histories, resume
+from fastatt.propagation import carry_out, histories, resume
 
 UNFINISHED = fa.Status.UNFINISHED
 MANY = 200  # bodies, three tiles and a part of one
@@ -230,7 +230,7 @@ KILLED = """
 import os, signal, sys, warnings
 import numpy as np
 import fastatt as fa
-from fastatt.running import pieces, resume
+from fastatt.propagation import pieces, resume
 
 pieces._WRITTEN, pieces._CHECKED = 0.0, 5 * 64  # at every look, each of so many body-steps
 folder = sys.argv[1]

@@ -12,7 +12,7 @@ import pytest
 from each import each
 
 import fastatt as fa
-from fastatt.models import Sum
+from fastatt.scene.models import Sum
 
 N = 5
 rng = np.random.default_rng(3)

@@ -11,9 +11,9 @@ import pytest
 
 import fastatt as fa
 from fastatt.kernels.vec3 import cross
-from fastatt.methods.explicit import stepped
 from fastatt.methods.method import Steps
-from fastatt.running.self_check import OrderWarning
+from fastatt.methods.runge_kutta import stepped
+from fastatt.propagation.convergence import OrderWarning
 
 CONING = fa.Scene(rate=fa.rates.Coning(np.linspace(0.2, 1.2, 40), np.linspace(0.5, 2.0, 40)))
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))

@@ -12,11 +12,11 @@ import scipy
 from each import each
 
 import fastatt as fa
-from fastatt import forces, torques
 from fastatt.codegen.rows import rows
 from fastatt.estimation.tangent import own_numbers
-from fastatt.flat.user import user_function
-from fastatt.torques import Pose, torque_of
+from fastatt.scene import forces, torques
+from fastatt.scene.torques import Pose, torque_of
+from fastatt.tracing.user import user_function
 
 EPS = np.finfo(np.float64).eps
 RNG = np.random.default_rng(5)

@@ -22,11 +22,11 @@ from numba import njit
 from oracle import floats
 
 import fastatt as fa
-from fastatt import torques as ft
 from fastatt.attitudes import ATTITUDES
 from fastatt.codegen.rows import rows
-from fastatt.models import Sum
-from fastatt.torques import Dependence, Pose, torque_of
+from fastatt.scene import torques as ft
+from fastatt.scene.models import Sum
+from fastatt.scene.torques import Dependence, Pose, torque_of
 
 INERTIA = np.array([0.6, 0.8, 1.0])
 AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
@@ -755,7 +755,11 @@ WRONG = [
     (T.Sampled(np.ones((4, 3)), 1.0, np.nan), ValueError, "Sampled.start: found nan"),
     (T.Sum(()), ValueError, "torque: Sum.terms is empty"),
     (T.Sum((T.Damping(1.0), 3.0)), TypeError, "torque: Sum: found float; accepted is a model of"),
-    (3.0, TypeError, "torque: found float; accepted is a model of fastatt.torques (AxisDamping"),
+    (
+        3.0,
+        TypeError,
+        "torque: found float; accepted is a model of fastatt.torques (AxisDamping",
+    ),
     (fa.rates.Constant([1.0, 0.0, 0.0]), TypeError, "torque: found Constant; accepted is a model"),
     (T.Custom("function"), TypeError, "torque: found 'function'; accepted: a function torque("),
 ]

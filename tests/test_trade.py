@@ -11,9 +11,9 @@ import pytest
 
 import fastatt as fa
 from fastatt.cli import main
-from fastatt.integrate import methods_for_samples
+from fastatt.gyro.integrate import methods_for_samples
+from fastatt.propagation.ensemble import Ensemble
 from fastatt.rounding import StepWarning
-from fastatt.running.ensemble import Ensemble
 from fastatt.trade import ensembles, motions, recordings, run
 from fastatt.trade.ensembles import BODY_SCENES, coning_rates
 from fastatt.trade.measure import (

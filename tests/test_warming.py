@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt import warming
+from fastatt import precompile as warming
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = """

@@ -15,8 +15,8 @@ import fastatt as fa
 from fastatt.attitudes import ATTITUDES
 from fastatt.codegen import modules
 from fastatt.codegen.processor import processor
-from fastatt.running.ensemble import Ensemble
-from fastatt.running.loop import show_loop
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.inspect_step import show_loop
 from fastatt.trade.measure import Case, Problem, measure
 from fastatt.trade.peak import CHAINS, UNROLLED, chains, peak
 from fastatt.trade.reference import confirm, reference

@@ -4,7 +4,7 @@ import math
 
 from fastatt import arrays
 from fastatt.attitudes.attitude import Attitude, coordinate_speed
-from fastatt.flat.formulas import euler313, quat
+from fastatt.tracing.formulas import euler313, quat
 
 ANGLES = Attitude(
     name="euler313",

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from fastatt.codegen.rows import kind_of, rows
-from fastatt.flat.formulas import Vector, dot, plus, quat, scale
-from fastatt.flat.graph import Graph, flattened
-from fastatt.flat.nodes import NotStraight
-from fastatt.flat.trace import traceable
+from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
+from fastatt.tracing.graph import Graph, flattened
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.trace import traceable
 
 #: a function of tuples of recorded numbers; None where a representation has none
 Formula = Any

@@ -1,8 +1,8 @@
 """One inertial direction in body axes, three numbers: Poisson's equation in vector form."""
 
 from fastatt.attitudes.attitude import Attitude, composed
-from fastatt.flat.formulas import dcm, dot, quat
-from fastatt.flat.graph import apply
+from fastatt.tracing.formulas import dcm, dot, quat
+from fastatt.tracing.graph import apply
 
 DIRECTION = Attitude(
     name="direction",

@@ -1,7 +1,7 @@
 """Direction cosine matrices: nine numbers."""
 
 from fastatt.attitudes.attitude import Attitude, composed
-from fastatt.flat.formulas import dcm, quat
+from fastatt.tracing.formulas import dcm, quat
 
 MATRIX = Attitude(
     name="dcm",

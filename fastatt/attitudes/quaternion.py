@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from fastatt.attitudes.attitude import Attitude, composed
-from fastatt.flat.formulas import Vector, compensated, quat
-from fastatt.flat.graph import apply, choose
+from fastatt.tracing.formulas import Vector, compensated, quat
+from fastatt.tracing.graph import apply, choose
 
 
 def defect(x: Vector) -> Any:

@@ -2,7 +2,7 @@
 
 from fastatt import arrays
 from fastatt.attitudes.attitude import Attitude, coordinate_speed
-from fastatt.flat.formulas import opposite, quat, so3
+from fastatt.tracing.formulas import opposite, quat, so3
 
 ROTATION_VECTOR = Attitude(
     name="rotation_vector",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastatt.attitudes.attitude import Attitude, composed
-from fastatt.flat.formulas import Vector, dcm, quat
+from fastatt.tracing.formulas import Vector, dcm, quat
 
 
 def compose(x: Vector, q: Vector) -> Vector:

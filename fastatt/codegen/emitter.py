@@ -8,8 +8,8 @@ from typing import Any
 from llvmlite import ir
 
 from fastatt.codegen.instructions import BIT, I32, I64, REALS, Code
-from fastatt.flat.finished import Flat
-from fastatt.flat.nodes import COMPARISONS, LIBRARY, Node, operands
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.nodes import COMPARISONS, LIBRARY, Node, operands
 
 _INSTRUCTIONS = {
     "abs": "llvm.fabs",

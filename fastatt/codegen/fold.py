@@ -14,7 +14,7 @@ from fastatt.codegen.lanes import Shape, lane_function
 from fastatt.codegen.memory import address_of
 from fastatt.codegen.row_loops import log_loop
 from fastatt.codegen.rows import Program, in_pieces, lanes_of, without_compiler
-from fastatt.flat.traced import plain
+from fastatt.tracing.traced import plain
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from fastatt.codegen.memory import DTYPES, LINE
 from fastatt.codegen.modules import Emission, generated
 from fastatt.codegen.processor import processor
 from fastatt.codegen.writing import pointers_of, spelled, write
-from fastatt.flat.finished import Flat
-from fastatt.flat.traced import Traced
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.traced import Traced
 
 _WHOLE = types.CPointer(types.int64)
 _PART = "    if part == {part}:\n        {loop}"

@@ -46,7 +46,7 @@ LIMIT = 256 << 20
 LONG = 1.0
 _ABANDONED = 3600.0  # s
 _PREFIX, _MARK, _INSIDE = "fastatt_", ".ok", "__pycache__"
-_OPERATIONS = "flat/nodes.py"
+_OPERATIONS = "tracing/nodes.py"
 
 #: how many functions were loaded from disk, and how many compiled, since the process started
 hits = made = 0

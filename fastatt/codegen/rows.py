@@ -26,8 +26,8 @@ from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.codegen.processor import processor
 from fastatt.codegen.row_loops import row_loop
-from fastatt.flat.traced import WIDEST, Traced, Tuple, plain, trace
 from fastatt.threads import each_in_threads
+from fastatt.tracing.traced import WIDEST, Traced, Tuple, plain, trace
 
 _VECTORS = 4  # of a block
 # rows that are worth a thread, of blocks and one by one

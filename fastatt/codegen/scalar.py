@@ -27,10 +27,10 @@ from fastatt.codegen.emitter import POINTERS
 from fastatt.codegen.instructions import Code
 from fastatt.codegen.rows import addresses
 from fastatt.codegen.writing import in_memory, in_python, unpacking, write
-from fastatt.flat.graph import flattened
-from fastatt.flat.recorded import Recorded
-from fastatt.flat.trace import traceable
-from fastatt.flat.traced import Traced, Tuple, trace
+from fastatt.tracing.graph import flattened
+from fastatt.tracing.recorded import Recorded
+from fastatt.tracing.trace import traceable
+from fastatt.tracing.traced import Traced, Tuple, trace
 
 _TYPES = {"double": types.float64, "single": types.float32, "truth": types.boolean}
 _KINDS = {types.float64: "double", types.float32: "single"}
@@ -40,7 +40,7 @@ class ScalarFunction:
     """A formula as a function for ``@njit`` code, and for Python.
 
     ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
-    ``rewritten`` one that is written as kernels are (``fastatt.flat.trace``); or a ``Recurrence``.
+    ``rewritten`` one that is written as kernels are (``tracing.trace``); or a ``Recurrence``.
     It takes floats and tuples of them, nested and named ones too, and gives such; results are of
     single precision where all arguments are. What the formula is made of is looked up when it is
     first called with arguments of some types. ``tables`` are the arrays that it looks up;

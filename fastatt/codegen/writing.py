@@ -15,8 +15,8 @@ from fastatt.codegen.emitter import POINTERS, Emitter
 from fastatt.codegen.instructions import I64, REALS, Cells, Code
 from fastatt.codegen.modules import generated
 from fastatt.codegen.processor import processor
-from fastatt.flat.finished import Flat
-from fastatt.flat.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.traced import Loop, Traced, Tuple, flattened_forms, plain, trace
 
 _NUMBERS, _WHOLE = types.CPointer(types.float64), types.CPointer(types.int64)
 _SCALAR = "def run(numbers, results, whole):\n    formula(numbers, results, whole)\n"

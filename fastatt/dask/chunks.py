@@ -18,8 +18,8 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
-from fastatt.running.initial import initial
-from fastatt.scene import Scene, as_scene
+from fastatt.propagation.initial import initial
+from fastatt.scene.scene import Scene, as_scene
 
 # bodies of a chunk: 0.5 s of a thousand steps, 6 MB of states
 _CHUNK = 100_000

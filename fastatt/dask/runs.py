@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import arrays, checks, exact
+from fastatt import arrays, checks
 from fastatt.attitudes import Attitude
 from fastatt.dask.chunks import Bodies, like, nothing
 from fastatt.methods import METHODS, Method
-from fastatt.running.asked import Clock
-from fastatt.running.choosing import chosen
-from fastatt.running.propagate import propagate as run_chunk
-from fastatt.scene import Scene, as_scene
+from fastatt.propagation import closed_form as exact
+from fastatt.propagation.choice_of_method import chosen
+from fastatt.propagation.options import Clock
+from fastatt.propagation.propagate import propagate as run_chunk
+from fastatt.scene.scene import Scene, as_scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,10 @@ from fastatt.attitudes import Attitude
 from fastatt.dask.chunks import Bodies
 from fastatt.dask.runs import sent
 from fastatt.methods import Method
-from fastatt.running.ensemble import Ensemble
-from fastatt.running.watch import Measure
-from fastatt.running.watch import watch_drift as watch_chunk
-from fastatt.scene import Scene, as_scene
+from fastatt.propagation.drift_statistics import Measure
+from fastatt.propagation.drift_statistics import watch_drift as watch_chunk
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.measure import Case, Problem, Rung, ladder_rows, last_state
 from fastatt.trade.reference import reference as found_reference
 from fastatt.trade.work_precision import WorkPrecision, duration

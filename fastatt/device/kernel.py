@@ -20,9 +20,9 @@ from numba import config
 from fastatt.engine.job import Forms, Job
 from fastatt.engine.loop import BLOCK
 from fastatt.engine.status import DIAGNOSTICS
-from fastatt.flat import source
-from fastatt.flat.finished import Flat
-from fastatt.flat.nodes import LIBRARY, Node
+from fastatt.tracing import source
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.nodes import LIBRARY, Node
 
 #: arguments of a kernel before its tables
 ARGUMENTS = (

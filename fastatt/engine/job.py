@@ -10,11 +10,8 @@ from typing import Any
 from fastatt.attitudes import Attitude
 from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import SAVED
-from fastatt.flat.finished import Constants, Flat, resources_of
-from fastatt.flat.formulas import Vector, as_like, dot, quat
-from fastatt.flat.graph import Graph, Number, choose
 from fastatt.methods.method import Method
-from fastatt.motion import (
+from fastatt.scene.equations import (
     Body,
     GivenRate,
     Motion,
@@ -23,8 +20,11 @@ from fastatt.motion import (
     carried,
     motion_of,
 )
-from fastatt.rates import is_constant
-from fastatt.translation import Coupled
+from fastatt.scene.rates import is_constant
+from fastatt.scene.translation import Coupled
+from fastatt.tracing.finished import Constants, Flat, resources_of
+from fastatt.tracing.formulas import Vector, as_like, dot, quat
+from fastatt.tracing.graph import Graph, Number, choose
 
 # a relative change is taken from invariants above this
 _TINY = 1e-37

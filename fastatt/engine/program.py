@@ -25,9 +25,9 @@ from fastatt.codegen.processor import processor
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.loop import ADVANCE, BEGIN, PROJECT, REGRID, SAVE
 from fastatt.engine.status import SAVED
-from fastatt.flat import source
-from fastatt.flat.finished import Flat, without_shared_calls
-from fastatt.flat.nodes import Node
+from fastatt.tracing import source
+from fastatt.tracing.finished import Flat, without_shared_calls
+from fastatt.tracing.nodes import Node
 
 #: the first of ``numbers``; parameters that bodies share follow, then a method's stages
 T0, H, EDGE, PARAMETERS = range(4)

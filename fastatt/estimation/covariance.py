@@ -16,8 +16,8 @@ from fastatt import checks, kernels
 from fastatt.arrays import normalised, quat_to_dcm
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.estimation.amounts import at_least_zero, common_number, covariances, interval
-from fastatt.flat.formulas import Vector, scale
-from fastatt.flat.trace import stand_in
+from fastatt.tracing.formulas import Vector, scale
+from fastatt.tracing.trace import stand_in
 
 Formula = Callable[..., Any]
 

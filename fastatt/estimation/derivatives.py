@@ -19,13 +19,13 @@ from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, of_logs
 from fastatt.estimation.filters import attitude_error
 from fastatt.gyro.ends import beyond
-from fastatt.inertia import axis_order
-from fastatt.integrate import integrate_rates, intervals, methods_for_samples
+from fastatt.gyro.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
-from fastatt.models import Packed
-from fastatt.motion import GivenRate
-from fastatt.running.choosing import method_of
-from fastatt.scene import Scene, as_scene
+from fastatt.propagation.choice_of_method import method_of
+from fastatt.scene.equations import GivenRate
+from fastatt.scene.inertia import axis_order
+from fastatt.scene.models import Packed
+from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
 
 _TRIPLE = (0.0, 0.0, 0.0)
@@ -381,7 +381,7 @@ def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any
     """The same of a method for gyro samples, ``f(v, h)``, a function for ``@njit`` code.
 
     v are the window's samples less the bias, flat, and h its intervals (s), as the functions of
-    ``fastatt.steps`` take them in this order. Gives (turn, Φ11, Φ12) of each interval that the
+    ``fastatt.gyro_steps`` take them in this order. Gives (turn, Φ11, Φ12) of each interval that the
     method steps over, one after the other.
 
     Raises ``ValueError`` for another method, or one that has no such function ("picard").

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks, rates
+from fastatt import checks
 from fastatt.arrays import normalised, quat_multiply, quat_to_rotation_vector
 from fastatt.estimation.amounts import common_number, covariances, root, variance
-from fastatt.running.propagate import propagate
-from fastatt.scene import Scene
+from fastatt.propagation.propagate import propagate
+from fastatt.scene import rates
+from fastatt.scene.scene import Scene
 
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]

@@ -18,9 +18,9 @@ from fastatt.codegen.fold import Fold
 from fastatt.codegen.rows import Rows, rows
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
-from fastatt.flat.formulas import Vector, minus
-from fastatt.integrate import intervals
+from fastatt.gyro.integrate import intervals
 from fastatt.threads import number_of
+from fastatt.tracing.formulas import Vector, minus
 
 _TRIPLE = (0.0, 0.0, 0.0)
 # numbers of a state's parts, those of its rotation first

@@ -36,10 +36,10 @@ from fastatt.estimation.filters import (
     largest_square,
     measured_attitudes,
 )
-from fastatt.flat.formulas import Vector
-from fastatt.flat.trace import stand_in
 from fastatt.kernels import dcm, error_state, quat, sym3, trig
 from fastatt.kernels.vec3 import add, axpy, dot, scale, sub
+from fastatt.tracing.formulas import Vector
+from fastatt.tracing.trace import stand_in
 
 _formula = partial(scalar_function, rewritten=True)
 _error_state: Any = stand_in(error_state)

@@ -27,10 +27,10 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from fastatt.codegen.scalar import scalar_function
-from fastatt.flat import formulas
-from fastatt.flat.dual import derivatives, seed, value
 from fastatt.kernels import dcm, error_state, quat, so3, sym3
 from fastatt.kernels.vec3 import add, axpy, scale
+from fastatt.tracing import formulas
+from fastatt.tracing.dual import derivatives, seed, value
 
 _formula = partial(scalar_function, rewritten=True)
 

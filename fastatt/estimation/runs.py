@@ -13,9 +13,9 @@ from fastatt import checks
 from fastatt.estimation import tangent
 from fastatt.estimation.derivatives import of_body, tangent_rows
 from fastatt.methods import Method
-from fastatt.running.propagate import propagate
-from fastatt.running.trajectory import Trajectory
-from fastatt.scene import Scene
+from fastatt.propagation.propagate import propagate
+from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

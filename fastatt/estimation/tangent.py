@@ -1,6 +1,6 @@
 """Derivatives of the step that a method takes: of the attitude's error, of a body's, to parameters.
 
-The step itself is called with dual numbers (``fastatt.flat.dual``), so that every method, model and
+The step itself is called with dual numbers (``tracing.dual``), so that every method, model and
 user's function has its derivatives from its own formula, exact but for rounding.
 
 The error of an attitude is a rotation in body axes, C_true = C exp [δθ]; that of a body's angular
@@ -14,15 +14,15 @@ from itertools import pairwise
 from typing import Any
 
 from fastatt.attitudes import QUATERNION
-from fastatt.flat.dual import derivatives, seed, value
-from fastatt.flat.formulas import Vector, dcm, minus, quat, rigid, scale
-from fastatt.flat.functions import larger
-from fastatt.flat.trace import traceable
-from fastatt.flat.traced import Recurrence
-from fastatt.gyro.windows import Window
 from fastatt.methods.method import Method
-from fastatt.models import SUM, Law
-from fastatt.motion import Body, GivenRate, RigidBody, Turning
+from fastatt.methods.windows import Window
+from fastatt.scene.equations import Body, GivenRate, RigidBody, Turning
+from fastatt.scene.models import SUM, Law
+from fastatt.tracing.dual import derivatives, seed, value
+from fastatt.tracing.formulas import Vector, dcm, minus, quat, rigid, scale
+from fastatt.tracing.functions import larger
+from fastatt.tracing.trace import traceable
+from fastatt.tracing.traced import Recurrence
 
 Formula = Callable[..., Any]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.gyro.windows import Window
+from fastatt.methods.windows import Window
 
 Array = NDArray[Any]
 

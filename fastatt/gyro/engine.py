@@ -16,7 +16,7 @@ from fastatt.codegen.call import call_loop
 from fastatt.gyro import ends
 from fastatt.gyro.loops import CHUNK, LANES, TILE, loop
 from fastatt.gyro.program import program
-from fastatt.gyro.windows import Window
+from fastatt.methods.windows import Window
 from fastatt.threads import each_in_threads, in_threads, number_of
 
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])

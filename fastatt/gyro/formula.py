@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fastatt.codegen.emitter import Emitter
 from fastatt.codegen.instructions import Code
 from fastatt.codegen.processor import processor
-from fastatt.flat import source
-from fastatt.flat.finished import Flat
+from fastatt.tracing import source
+from fastatt.tracing.finished import Flat
 
 
 @dataclass(frozen=True)

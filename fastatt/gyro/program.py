@@ -22,13 +22,13 @@ from numba import config, types
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.modules import generated
 from fastatt.codegen.processor import processor
-from fastatt.flat.finished import Flat
-from fastatt.flat.graph import Graph
-from fastatt.flat.trace import traceable
 from fastatt.gyro.formula import WindowFormula
 from fastatt.gyro.loops import CHUNK, ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
-from fastatt.gyro.windows import MOST_HISTORY, Iteration, Window, products
 from fastatt.kernels import quat
+from fastatt.methods.windows import MOST_HISTORY, Iteration, Window, products
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Graph
+from fastatt.tracing.trace import traceable
 
 _SAMPLES, _SPANS, _ATTITUDES, _STATE = range(4)
 _KINDS = {dtype: kind for kind, dtype in DTYPES.items()}

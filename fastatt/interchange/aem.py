@@ -22,7 +22,7 @@ from fastatt.interchange import epochs
 from fastatt.interchange.conventions import from_scalar_last, to_passive, to_scalar_last
 
 if TYPE_CHECKING:
-    from fastatt.running.trajectory import Trajectory
+    from fastatt.propagation.trajectory import Trajectory
 
 _DERIVATIVE = "QUATERNION/DERIVATIVE"
 # by version: numbers of a data line after its time, by type; the keyword of the rates' frame

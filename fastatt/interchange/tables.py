@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from fastatt.running.trajectory import Trajectory
+    from fastatt.propagation.trajectory import Trajectory
 
 # rows that are turned into text at a time, and those that a notebook shows
 _ROWS = 1 << 16

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import rounding
+from fastatt.gyro.streaming import Integrator, integrator
 from fastatt.logs.names import LogError
 from fastatt.logs.reader import Reader
 from fastatt.logs.stamps import Chunk
-from fastatt.streaming import Integrator, integrator
 
 _NAMES = ("t", "q0", "q1", "q2", "q3")
 _ZARR_ROWS = 1 << 17  # of a chunk

@@ -1,7 +1,6 @@
 """Coning-2: two intervals at a time."""
 
 from fastatt._jit import helper
-from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
     increments_linear,
     rates_quadratic,
@@ -10,6 +9,7 @@ from fastatt.kernels.coning import (
 )
 from fastatt.kernels.vec3 import scale, sub
 from fastatt.methods.sampled import sampled_method
+from fastatt.methods.windows import Window
 
 
 @helper

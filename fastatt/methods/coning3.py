@@ -1,7 +1,6 @@
 """Coning-3: three intervals at a time, polynomial or optimal for pure coning."""
 
 from fastatt._jit import helper
-from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
     increments_quadratic,
     miller,
@@ -10,6 +9,7 @@ from fastatt.kernels.coning import (
     rotation_vector_quadratic,
 )
 from fastatt.methods.sampled import sampled_method
+from fastatt.methods.windows import Window
 
 
 @helper

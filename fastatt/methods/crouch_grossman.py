@@ -8,10 +8,10 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any
 
-from fastatt.flat.formulas import Vector, dot, scale
-from fastatt.flat.functions import larger
-from fastatt.methods.lie import lie_method
+from fastatt.methods.lie_group import lie_method
 from fastatt.methods.method import Method
+from fastatt.tracing.formulas import Vector, dot, scale
+from fastatt.tracing.functions import larger
 
 
 def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:

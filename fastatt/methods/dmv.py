@@ -12,10 +12,10 @@ import math
 from functools import partial
 from typing import Any
 
-from fastatt.flat.formulas import Vector, dot, plus, scale
-from fastatt.flat.formulas import moser_veselov as mv
-from fastatt.flat.graph import Single, choose
 from fastatt.methods.method import FREE, Method, Steps
+from fastatt.tracing.formulas import Vector, dot, plus, scale
+from fastatt.tracing.formulas import moser_veselov as mv
+from fastatt.tracing.graph import Single, choose
 
 # numbers of each level of coefficients, from the second power of the step on
 _SIZES = (4, 6, 8, 10)

@@ -11,10 +11,10 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any
 
-from fastatt.flat.formulas import Vector, dot, plus, quat, scale
-from fastatt.flat.functions import larger
-from fastatt.methods.lie import gauss_polynomial
+from fastatt.methods.lie_group import gauss_polynomial
 from fastatt.methods.method import TURNED, Method, Steps
+from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
+from fastatt.tracing.functions import larger
 
 _NODES = 6
 #: terms beside the first; of an odd number the next one cancels too

@@ -14,11 +14,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fastatt.flat.formulas import Vector, axpy, largest, minus, plus, product, rigid, scale
-from fastatt.flat.graph import choose
-from fastatt.flat.sums import onto
 from fastatt.methods.method import BODIES, Method, Steps
-from fastatt.motion import Body
+from fastatt.scene.equations import Body
+from fastatt.tracing.formulas import Vector, axpy, largest, minus, plus, product, rigid, scale
+from fastatt.tracing.graph import choose
+from fastatt.tracing.sums import onto
 
 #: substeps of each column: few, but far enough apart for small weights, which multiply rounding
 COLUMNS = (4, 6, 8, 10, 12, 14, 18, 24)

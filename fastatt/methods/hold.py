@@ -1,9 +1,9 @@
 """Hold: each sample's rate kept over the interval that follows; increments taken as they are."""
 
 from fastatt._jit import helper
-from fastatt.gyro.windows import Window
 from fastatt.kernels.vec3 import scale
 from fastatt.methods.sampled import sampled_method
+from fastatt.methods.windows import Window
 
 
 @helper

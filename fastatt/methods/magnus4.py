@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.flat.formulas import axpy, minus, plus, scale, vec3
-from fastatt.methods.lie import lie_method
+from fastatt.methods.lie_group import lie_method
+from fastatt.tracing.formulas import axpy, minus, plus, scale, vec3
 
 
 def exponents(w: Any, t: Any, h: Any) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fastatt.attitudes import Attitude
-from fastatt.torques import Dependence
+from fastatt.scene.torques import Dependence
 
 #: key of the limits of a rigid body
 BODY = "body"
@@ -23,7 +23,7 @@ class Steps:
     """The formulas of a method: plain functions on recorded numbers.
 
     ``rate(motion, t, h, x)`` and ``body(motion, t, h, x)`` give (x(t + h), z) of a
-    ``fastatt.motion.Turning`` and a ``Body``, z the squared angle (rad²) that the step turns at a
+    ``scene.equations.Turning`` and a ``Body``, z the squared angle (rad²) that the step turns at a
     time, infinite where an iteration did not converge. ``constant`` is ``rate`` of a rate that
     never changes, where that is another one.
 

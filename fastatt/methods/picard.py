@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from fastatt.flat.formulas import Vector, dot, quat, scale
-from fastatt.gyro.windows import Iteration, Window
 from fastatt.methods.sampled import sampled_method
+from fastatt.methods.windows import Iteration, Window
+from fastatt.tracing.formulas import Vector, dot, quat, scale
 
 SPAN = 6
 # at the limits noise, whose polynomial goes far beyond the samples, takes some 70, a cone 20 or 30

@@ -1,7 +1,6 @@
 """Previous: an interval and the one before it, the causal coning correction."""
 
 from fastatt._jit import helper
-from fastatt.gyro.windows import Window
 from fastatt.kernels.coning import (
     increments_linear,
     rates_quadratic,
@@ -9,6 +8,7 @@ from fastatt.kernels.coning import (
     rotation_vector_quadratic,
 )
 from fastatt.methods.sampled import sampled_method
+from fastatt.methods.windows import Window
 
 
 @helper

@@ -1,6 +1,6 @@
 """RK4: the classical method on the numbers of the representation."""
 
-from fastatt.methods.explicit import Tableau, explicit_method
+from fastatt.methods.runge_kutta import Tableau, explicit_method
 
 TABLEAU = Tableau(
     order=4,

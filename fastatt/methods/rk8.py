@@ -4,8 +4,8 @@ It has 12 stages. Those of order 8 with 11, of Cooper and Verner (1972), are les
 than a stage saves.
 """
 
-from fastatt.methods.explicit import Tableau, explicit_method
 from fastatt.methods.method import BODIES
+from fastatt.methods.runge_kutta import Tableau, explicit_method
 
 # fmt: off
 TABLEAU = Tableau(

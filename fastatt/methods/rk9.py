@@ -3,8 +3,8 @@
 Fifteen stages take more time than the twelve of ``rk8``, and fewer steps at tight tolerances.
 """
 
-from fastatt.methods.explicit import Tableau, explicit_method
 from fastatt.methods.method import BODIES
+from fastatt.methods.runge_kutta import Tableau, explicit_method
 
 # fmt: off
 TABLEAU = Tableau(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.flat.formulas import Vector, axpy, dot, plus, scale, so3
-from fastatt.flat.functions import larger
-from fastatt.methods.lie import lie_method
+from fastatt.methods.lie_group import lie_method
+from fastatt.tracing.formulas import Vector, axpy, dot, plus, scale, so3
+from fastatt.tracing.functions import larger
 
 
 def exponents(w: Any, t: Any, h: Any) -> Any:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fastatt.gyro.windows import Window
 from fastatt.methods.method import Method
+from fastatt.methods.windows import Window
 
 
 def sampled_method(

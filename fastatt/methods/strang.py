@@ -15,9 +15,9 @@ import math
 from itertools import accumulate, pairwise
 from typing import Any
 
-from fastatt.flat.formulas import Vector, dot, scale, trig, vec3
 from fastatt.methods.method import BODIES, Method, Steps
-from fastatt.torques import Dependence
+from fastatt.scene.torques import Dependence
+from fastatt.tracing.formulas import Vector, dot, scale, trig, vec3
 
 
 def _rotor(turn: Any, half: Any, a: Vector) -> Any:

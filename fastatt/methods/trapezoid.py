@@ -1,9 +1,9 @@
 """Trapezoid: the mean of the rates at both ends of an interval."""
 
 from fastatt._jit import helper
-from fastatt.gyro.windows import Window
 from fastatt.kernels.vec3 import add, scale
 from fastatt.methods.sampled import sampled_method
+from fastatt.methods.windows import Window
 
 
 @helper

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.arrays import quat_to_dcm
 from fastatt.plots.drawing import COLOURS, check_run, space_on
-from fastatt.running.interpolation import interpolate
-from fastatt.running.trajectory import Trajectory
+from fastatt.propagation.interpolation import interpolate
+from fastatt.propagation.trajectory import Trajectory
 
 # half lengths of the box: no two alike, so that every attitude looks different
 _BOX = np.array([0.75, 0.5, 0.2])

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.running.trajectory import Trajectory
+from fastatt.propagation.trajectory import Trajectory
 
 # Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")

@@ -23,10 +23,10 @@ from fastatt.plots.drawing import (
     sphere_and_plane,
     tints_of,
 )
-from fastatt.running.drift import drift
-from fastatt.running.energy import angular_momentum
-from fastatt.running.trajectory import Trajectory
-from fastatt.scene import Scene, as_scene
+from fastatt.propagation.drift import drift
+from fastatt.propagation.energy import angular_momentum
+from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.scene import Scene, as_scene
 
 # saves of an ensemble that are drawn; more can't be told apart
 _SAVES = 500

@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fastatt import checks, torques
+from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.attitudes import Attitude
 from fastatt.methods import Method
-from fastatt.models import Sum
-from fastatt.running.choosing import methods_for
-from fastatt.running.ensemble import Ensemble
-from fastatt.scene import Scene
+from fastatt.propagation.choice_of_method import methods_for
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.scene import torques
+from fastatt.scene.models import Sum
+from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.each import share_of
 from fastatt.trade.measure import Case, Problem, best_time

@@ -12,12 +12,12 @@ from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.engine.loop import WIDTH
 from fastatt.methods import Method
-from fastatt.rates import lengths
+from fastatt.propagation.choice_of_method import method_of
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.propagate import propagate
 from fastatt.rounding import noted
-from fastatt.running.choosing import method_of
-from fastatt.running.ensemble import Ensemble
-from fastatt.running.propagate import propagate
-from fastatt.scene import as_scene
+from fastatt.scene.rates import lengths
+from fastatt.scene.scene import as_scene
 
 # classes of like rates, times that errors are looked at
 _CLASSES, _LOOKS = 12, 16

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import rates, torques
 from fastatt.arrays import angle_between, euler313_to_quat, quat_multiply
 from fastatt.attitudes import ATTITUDES
-from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
+from fastatt.propagation.choice_of_method import methods_for
+from fastatt.propagation.ensemble import Ensemble
 from fastatt.rounding import noted
-from fastatt.running.choosing import methods_for
-from fastatt.running.ensemble import Ensemble
-from fastatt.scene import Scene
+from fastatt.scene import rates, torques
+from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, Rung, State, best_time, ladder_rows
 from fastatt.trade.reference import Confirmation, Reference, confirm, coning_attitudes, reference

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
-from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
 

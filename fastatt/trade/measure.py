@@ -25,12 +25,12 @@ from fastatt.engine.job import Job
 from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import Status
 from fastatt.methods import METHODS, Method
+from fastatt.propagation.drift import drift
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.inspect_step import job_of
+from fastatt.propagation.propagate import propagate, threads_of
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.rounding import noted
-from fastatt.running.drift import drift
-from fastatt.running.ensemble import Ensemble
-from fastatt.running.loop import job_of
-from fastatt.running.propagate import propagate, threads_of
-from fastatt.running.trajectory import Trajectory
 from fastatt.threads import default_threads
 from fastatt.trade.peak import peak
 

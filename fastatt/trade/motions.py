@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import exact
 from fastatt.arrays import euler313_to_quat, rotate, rotate_inverse
-from fastatt.running.energy import angular_momentum, kinetic_energy
-from fastatt.running.propagate import propagate
+from fastatt.propagation import closed_form as exact
+from fastatt.propagation.energy import angular_momentum, kinetic_energy
+from fastatt.propagation.propagate import propagate
 from fastatt.trade.ensembles import TOP, TRIAXIAL
 
 if TYPE_CHECKING:

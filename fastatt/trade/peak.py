@@ -9,8 +9,8 @@ from typing import Any
 
 from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
 from fastatt.codegen.processor import processor
-from fastatt.flat.finished import Flat
-from fastatt.flat.graph import Graph
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Graph
 
 # enough that no chain waits: two units of a latency of four or five cycles; they fit the registers
 CHAINS = 12

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
-from fastatt.integrate import integrate_rates, methods_for_samples
+from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.logs import Log
 from fastatt.rounding import noted
 from fastatt.trade.error_budget import LEAST, error_budget

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import rates, torques
 from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
-from fastatt.closed_forms import Motion, form_of, rows
 from fastatt.methods import METHODS
-from fastatt.running.choosing import methods_for
-from fastatt.running.self_check import EARLY, beginnings
-from fastatt.running.trajectory import Trajectory
+from fastatt.propagation.choice_of_method import methods_for
+from fastatt.propagation.closed_forms import Motion, form_of, rows
+from fastatt.propagation.convergence import EARLY, beginnings
+from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene import rates, torques
 from fastatt.threads import number_of
 from fastatt.trade.measure import Case, Problem, State
 

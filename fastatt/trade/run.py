@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fastatt import checks
-from fastatt.integrate import methods_for_samples
+from fastatt.gyro.integrate import methods_for_samples
 from fastatt.logs import Log, read_log
 from fastatt.trade import ensembles, recordings
 from fastatt.trade.ensembles import BODY_SCENES, CONING, RATE, SAMPLES

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
-from fastatt.running.self_check import EARLY, beginnings
+from fastatt.propagation.convergence import EARLY, beginnings
 from fastatt.trade.measure import Case, Problem, best_time, is_flat
 from fastatt.trade.recommendation import Point
 from fastatt.trade.reference import Reference, intervals, reference, speeds

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks, rates, torques
-from fastatt.scene import Scene
+from fastatt import checks
+from fastatt.scene import rates, torques
+from fastatt.scene.scene import Scene
 
 _KEYS = ("inertia", "rate", "torque", "frame", "allow_unphysical")
 _MODULES = {"rate": rates, "torque": torques}

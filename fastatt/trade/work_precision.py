@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, Attitude
 from fastatt.methods import METHODS, Method
-from fastatt.running.choosing import attitude_of, fits, methods_for
-from fastatt.running.ensemble import Ensemble
-from fastatt.scene import Scene
+from fastatt.propagation.choice_of_method import attitude_of, fits, methods_for
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import (
     Case,

@@ -1,0 +1,216 @@
+"""Lie-group methods for a given rate: a method is its exponents.
+
+Every such method's state only ever turns, q∘exp(u1)∘exp(u2)…, so that it stays on the group by
+construction. Iserles, Munthe-Kaas, Nørsett and Zanna, Acta Numerica 9 (2000) 215.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache, reduce
+from typing import Any
+
+import numpy as np
+
+from fastatt import checks
+from fastatt.methods.method import BODIES, BODY, TURNED, Method, Steps
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.formulas import Vector, axpy, dot, minus, plus, scale, weighted
+from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import Graph, Number
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.source import function
+from fastatt.tracing.trace import traceable
+
+
+def one_exponential(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+    """The exponential of the rate at the middle of the step: exact for a constant rate."""
+    u = scale(h, motion.rate(t + 0.5 * h))
+    return motion.turned(x, u), dot(u, u)
+
+
+def gauss_polynomial(w: Any, t: Any, h: Any, n: int) -> list[Vector]:
+    """h times the coefficients of the rate's polynomial through n Gauss nodes, n even.
+
+    In powers of the time from the middle of the step over h. Of a constant rate all but the first
+    are exactly 0.
+    """
+    nodes, even, odd = _fits(n)
+    pairs = [(w(t + (0.5 - x) * h), w(t + (0.5 + x) * h)) for x in nodes]
+    sums = [plus(*pair) for pair in pairs]
+    moved = [minus(s, sums[0]) for s in sums[1:]]
+    gaps = [minus(b, a) for a, b in pairs]
+    found = []
+    for of_sums, of_gaps in zip(even, odd, strict=True):
+        for weights, vectors in ((of_sums[1:], moved), (of_gaps, gaps)):
+            k, v = weighted(weights, vectors)
+            found.append(scale(h * k, v))
+    found[0] = axpy(0.5 * h, sums[0], found[0])
+    return found
+
+
+@cache
+def _fits(n: int) -> tuple[Any, Any, Any]:
+    """Nodes on one side of the middle; coefficients from sums over both sides, and from gaps."""
+    nodes = 0.5 * np.polynomial.legendre.leggauss(n)[0][n // 2 :]
+    even = 2.0 * np.vander(nodes**2, increasing=True)
+    fits = (np.linalg.inv(even), np.linalg.inv(even * nodes[:, None]))
+    return nodes.tolist(), *(fit.tolist() for fit in fits)
+
+
+def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
+    """Squared turn of a method of one exponential or of equal ones.
+
+    The exponents alone shrink again where a series fails; the first rate that was asked for does
+    not.
+    """
+    n = float(len(exponents) ** 2)
+    turns = [n * dot(u, u) for u in exponents]
+    return reduce(larger, [*turns, h * h * dot(rates[0], rates[0])])
+
+
+def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callable[..., Any]:
+    """The step of ``exponents(w, t, h) -> (u1, u2, …)``, w(t) the rate."""
+
+    def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+        asked: list[Vector] = []
+
+        def rate(at: Any) -> Vector:
+            w: Vector = motion.rate(at)
+            asked.append(w)
+            return w
+
+        found = [tuple(u) for u in exponents(rate, t, h)]
+        for u in found:
+            x = motion.turned(x, u)
+        return x, turns(found, asked, h)
+
+    return step
+
+
+def lie_method(
+    name: str,
+    order: int,
+    exponents: Callable[..., Any],
+    *,
+    turns: Callable[..., Any] = turn_of_sum,
+    body: Callable[..., Any] | None = None,
+    limit: float = math.pi,
+    body_limit: float = math.inf,
+    exact_for_constant: bool = True,
+    **fields: Any,
+) -> Method:
+    """Record of a method that turns the state by its exponents, a body's by a step of its own."""
+    steps = Steps(
+        rate=lie_step(exponents, turns),
+        constant=one_exponential if exact_for_constant else None,
+        body=body,
+    )
+    return Method(
+        name=name,
+        order=order,
+        scenes=("rate",) if body is None else ("rate", *BODIES),
+        representations=TURNED,
+        uses=("turn",),
+        conserves=("norm",),
+        limits={**dict.fromkeys((*TURNED, "direction"), limit), BODY: body_limit},
+        steps=steps,
+        exact_for_constant=exact_for_constant,
+        compensates=True,
+        **fields,
+    )
+
+
+def lie(name: str, *, order: int, exponents: Callable[..., Any], limit: float = 1.0) -> Method:
+    """A Lie-group method of one's own for given rates, wherever a method's name is taken.
+
+    Parameters
+    ----------
+    name : what tables call it.
+    order : the order declared, which ``fastatt.self_check`` compares with what is measured.
+    exponents : ``f(w, t, h) -> (u1, u2, …)``, tuples of three: the step is q∘exp(u1)∘exp(u2)…, in
+        body axes, rad. ``w(t)`` gives the rate, rad/s. Ordinary arithmetic, ``math`` and the
+        kernels of ``fastatt.kernels``; it is called once, with numbers that record it.
+    limit : largest |w| h of a step, rad, beyond which the status says so.
+
+    Raises
+    ------
+    TypeError, ValueError : an argument that does not fit, by name, with what is accepted.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> def midpoint(w, t, h):
+    ...     u = w(t + 0.5 * h)
+    ...     return ((h * u[0], h * u[1], h * u[2]),)
+    >>> mine = fa.lie("mine", order=2, exponents=midpoint)
+    >>> scene = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
+    >>> fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=100, method=mine).method
+    'mine'
+    """
+    if not callable(exponents):
+        raise TypeError(f"exponents: found {checks.brief(exponents)}; accepted: a function")
+    found_limit = checks.above_zero("limit", limit, "above 0, rad")
+    try:
+        formula = traceable(exponents)
+        asked, found = _recorded(formula)
+    except NotStraight as error:
+        raise TypeError(f"exponents: {error}; accepted: f(w, t, h) -> (u1, u2, …)") from error
+    return lie_method(
+        named(name),
+        checks.whole("order", order, 1),
+        formula,
+        rate_calls=asked,
+        exponentials=found,
+        limit=found_limit,
+        exact_for_constant=False,
+        source="a user's own",
+        summary="a user's own",
+    )
+
+
+def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
+    """How often exponents ask for the rate, and how many there are.
+
+    Raises ``ValueError`` where what is given is no tuple of exponents, or where at a constant rate
+    they do not add up to the turn of a step: no method is of order 1 else.
+    """
+    graph = Graph()
+    asked = 0
+
+    def rate(at: Any) -> Vector:
+        nonlocal asked
+        asked += 1
+        return graph.inputs("double", "w", 3)
+
+    found = formula(rate, graph.input("double", "t"), graph.input("double", "h"))
+    fits = isinstance(found, (tuple, list)) and all(
+        isinstance(u, (tuple, list))
+        and len(u) == 3
+        and all(isinstance(x, (Number, float, int)) for x in u)
+        for u in found
+    )
+    if not fits or not found or not asked:
+        raise ValueError(
+            "exponents: found a function that gives no tuple of exponents made from w(t); "
+            "accepted: f(w, t, h) -> (u1, u2, …), each of three numbers"
+        )
+    total = Flat(graph, plus(*map(tuple, found)), "double")
+    values = {("w", 0): 0.3, ("w", 1): -0.5, ("w", 2): 0.7, ("t",): 0.4, ("h",): 1e-6}
+    turned = function(total)(*(values[name] for name in total.inputs()))
+    wanted = [values["h",] * values["w", k] for k in range(3)]
+    if not all(abs(a - b) <= 1e-4 * values["h",] for a, b in zip(turned, wanted, strict=True)):
+        rates = tuple(round(x / values["h",], 6) for x in turned)
+        raise ValueError(
+            f"exponents: at the constant rate (0.3, -0.5, 0.7) they add up to h {rates}; accepted: "
+            "h w"
+        )
+    return asked, len(found)
+
+
+def named(name: Any) -> str:
+    """A name, and nothing else."""
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"name: found {name!r}; accepted: a name")
+    return name

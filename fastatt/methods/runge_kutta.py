@@ -1,0 +1,312 @@
+"""Explicit Runge-Kutta methods on the numbers of the state: a method is its tableau.
+
+A tableau is checked when it is made: row sums, and the order conditions of every rooted tree up to
+its order. Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations I* (1993), §II.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fastatt import checks
+from fastatt.methods.lie_group import named
+from fastatt.methods.method import BODIES, Method, Steps
+from fastatt.tracing.formulas import Vector, axpy, largest, scale, weighted
+
+#: representations whose numbers obey a differential equation
+STEPPED = ("quat", "dcm", "dcm_rows", "euler313", "rotation_vector")
+# of trees beyond, 719 of order 10 and more, the conditions are not looked at
+_CHECKED = 9
+_CLOSE = 1e-12
+# what w is multiplied by on the right: −i/2 times Pauli's matrices, and [e_k×]
+_QUATERNIONS = -0.5j * np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
+_MATRICES = np.cross(np.eye(3)[None], np.eye(3)[:, None])
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """c, a and b of a method of s stages: a has a row for each stage but the first.
+
+    Raises ``ValueError`` where a row does not sum to its node, or an order condition does not hold.
+    """
+
+    order: int
+    c: tuple[float, ...]
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        numbers = (*self.c, *(x for row in self.a for x in row), *self.b)
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("c, a, b: found numbers that are not finite; accepted: finite ones")
+        s = len(self.b)
+        if len(self.c) != s or len(self.a) != s - 1:
+            raise ValueError(
+                f"c, a, b: found {len(self.c)} nodes, {len(self.a)} rows and {s} weights; "
+                "accepted: as many nodes as weights, and a row for each stage but the first"
+            )
+        for i, row in enumerate(self.a, 1):
+            if len(row) != i:
+                raise ValueError(f"a[{i - 1}]: found {len(row)} numbers; accepted: {i}")
+            if abs(math.fsum(row) - self.c[i]) > _CLOSE * max(1.0, *map(abs, row)):
+                raise ValueError(
+                    f"a[{i - 1}]: its sum is {math.fsum(row)!r}; accepted: the node c[{i}], "
+                    f"{self.c[i]!r}"
+                )
+        if self.c[0] != 0.0:
+            raise ValueError(f"c[0]: found {self.c[0]!r}; accepted: 0, of an explicit method")
+        self._check_order()
+
+    def _check_order(self) -> None:
+        s = len(self.b)
+        matrix = np.zeros((s, s))
+        for i, row in enumerate(self.a, 1):
+            matrix[i, :i] = row
+        b = np.array(self.b)
+        size = max(1.0, float(np.abs(matrix).sum(axis=1).max()), float(np.abs(b).sum()))
+        values: dict[Any, Any] = {(): np.ones(s)}
+        stems: dict[Any, Any] = {}
+
+        def of(tree: Any) -> Any:
+            if tree not in values:
+                *rest, branch = tree
+                if branch not in stems:
+                    stems[branch] = matrix @ of(branch)
+                values[tree] = of(tuple(rest)) * stems[branch]
+            return values[tree]
+
+        for n in range(1, min(self.order, _CHECKED) + 1):
+            for tree in trees(n):
+                found, wanted = float(b @ of(tree)), 1.0 / density(tree)
+                if abs(found - wanted) > _CLOSE * size**2:
+                    raise ValueError(
+                        f"a, b: a condition of order {n} gives {found:.15g}, not {wanted:.15g}; "
+                        f"accepted: a tableau of order {self.order}, or a lower order declared"
+                    )
+
+    @property
+    def stages(self) -> int:
+        """Evaluations a step."""
+        return len(self.b)
+
+
+@cache
+def trees(n: int) -> tuple[Any, ...]:
+    """Rooted trees of n nodes: a tree is the sorted tuple of its root's branches."""
+    if n == 1:
+        return ((),)
+    found = set()
+    for k in range(1, n):
+        for rest in trees(n - k):
+            for branch in trees(k):
+                found.add(tuple(sorted((*rest, branch))))
+    return tuple(sorted(found))
+
+
+def nodes(tree: Any) -> int:
+    """Number of nodes."""
+    return 1 + sum(nodes(branch) for branch in tree)
+
+
+def density(tree: Any) -> int:
+    """γ: the product of the sizes of all subtrees."""
+    return nodes(tree) * math.prod(density(branch) for branch in tree)
+
+
+def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
+    """The step of a tableau on any motion.
+
+    z is that of the fastest stage; ``first_turn`` takes the body's own rate of its start rather
+    than that of the last stage.
+    """
+    s = len(tableau.b)
+    # after which stage's state each slope of the sum is needed no more
+    rows = (*((), *tableau.a), ())
+    last = [max((i for i in range(j + 1, s) if rows[i][j]), default=s) for j in range(s)]
+    done = [[j for j in range(s) if last[j] == i and tableau.b[j]] for i in range(s + 1)]
+    # weights are taken over the first one's, a product less, or over the largest if that is small
+    k = next(tableau.b[j] for part in done for j in part)
+    k = k if abs(k) > 0.1 * max(map(abs, tableau.b)) else max(tableau.b, key=abs)
+
+    def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+        start = motion.base(x)
+        given: dict[float, Any] = {}
+        slopes: list[Vector] = []
+        d: Vector | None = None
+        y = start
+        for i, (c, row) in enumerate(zip(tableau.c, ((), *tableau.a), strict=True)):
+            if any(row):
+                factor, sum_ = weighted(row, slopes)
+                y = axpy(h * factor, sum_, start)
+            # a slope that no later stage needs is added now: fewer numbers wait in registers
+            for j in done[i]:
+                d = _added(tableau.b[j] / k, slopes[j], d)
+            if c not in given:
+                given[c] = motion.at(t + c * h)
+            slopes.append(motion.field(given[c], y))
+        for j in done[len(tableau.b)]:
+            d = _added(tableau.b[j] / k, slopes[j], d)
+        assert d is not None
+        # of coordinates, which a stage may bring nearer to their pole than the start is
+        most = largest(slopes) if motion.attitude.has_poles else slopes[0]
+        z = h * h * motion.turning(given[tableau.c[0]], most, start if first_turn else y)
+        return motion.advanced(x, scale(h * k, d)), z
+
+    return step
+
+
+def _added(weight: float, slope: Vector, total: Vector | None) -> Vector:
+    return scale(weight, slope) if total is None else axpy(weight, slope, total)
+
+
+def explicit_method(
+    name: str,
+    tableau: Tableau,
+    of_quaternions: float,
+    of_matrices: float,
+    *,
+    scenes: tuple[str, ...] = ("rate", *BODIES),
+    first_turn: bool = False,
+    **fields: Any,
+) -> Method:
+    """Record of a tableau, with its limits."""
+    # the angles' rates grow without bound near their poles
+    limits = {"quat": of_quaternions, "euler313": 0.3, "rotation_vector": 0.3}
+    limits |= dict.fromkeys(("dcm", "dcm_rows", "direction"), of_matrices)
+    step = stepped(tableau, first_turn=first_turn)
+    return Method(
+        name=name,
+        order=tableau.order,
+        scenes=scenes,
+        representations=STEPPED,
+        uses=("derivative",),
+        conserves=(),
+        rate_calls=len(set(tableau.c)) if "rate" in scenes else tableau.stages,
+        exponentials=0,
+        compensates=True,
+        couples=True,
+        limits=limits,
+        steps=Steps(rate=step if "rate" in scenes else None, body=step),
+        **fields,
+    )
+
+
+def explicit(
+    name: str,
+    *,
+    order: int,
+    c: Sequence[float],
+    a: Sequence[Sequence[float]],
+    b: Sequence[float],
+) -> Method:
+    """An explicit Runge-Kutta method of one's own, wherever a method's name is taken.
+
+    Parameters
+    ----------
+    name : what tables call it.
+    order : the order declared; up to order 9 all its conditions are checked here.
+    c : the nodes, the first of them 0.
+    a : a row for each stage but the first, of one number, two, and so on.
+    b : the weights.
+
+    Raises
+    ------
+    ValueError, TypeError : numbers that are no tableau, rows that do not sum to their nodes, an
+        order condition that does not hold, with what was found.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> rk3 = fa.explicit(
+    ...     "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)),
+    ...     b=(2 / 9, 1 / 3, 4 / 9),
+    ... )
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> fa.propagate(scene, [1, 0, 0, 0], [0.1, 0.2, 0.3], dt=0.01, n_steps=10, method=rk3).method
+    'ralston3'
+    """
+    try:
+        numbers = (
+            tuple(map(float, c)),
+            tuple(tuple(map(float, row)) for row in a),
+            tuple(map(float, b)),
+        )
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"c, a, b: {error}; accepted: sequences of numbers") from error
+    tableau = Tableau(checks.whole("order", order, 1), *numbers)
+    return explicit_method(
+        named(name),
+        tableau,
+        min(_of_cones(tableau, _QUATERNIONS), _trusted(tableau, 0.5)),
+        min(_of_cones(tableau, _MATRICES), _trusted(tableau, 1.0)),
+        damping_limit=_damping(tableau),
+        summary="a user's own",
+        source="a user's own",
+    )
+
+
+def _growth(tableau: Tableau, z: complex) -> complex:
+    """The factor of one step of y' = z y."""
+    slopes: list[complex] = []
+    for row in ((), *tableau.a):
+        slopes.append(z * (1.0 + sum(w * k for w, k in zip(row, slopes, strict=True))))
+    return 1.0 + sum(w * k for w, k in zip(tableau.b, slopes, strict=True))
+
+
+def _trusted(tableau: Tableau, k: float) -> float:
+    """Largest turn (rad) at a constant rate whose angle is right to 5 % and whose size to 20 %."""
+    for theta in np.arange(0.05, 6.0, 0.05):
+        factor = _growth(tableau, 1j * k * theta)
+        angle = math.atan2(factor.imag, factor.real) / k
+        if abs(angle - theta) > 0.05 * theta or abs(abs(factor) - 1.0) > 0.2:
+            return max(0.05, float(theta) - 0.05)
+    return 6.0
+
+
+def _of_cones(tableau: Tableau, generators: Any) -> float:
+    """Largest turn (rad) about a cone of half angle 1/2 whose angle is right to 10 %.
+
+    There w turns twice as fast as the body. Ẋ = X Σ w_k G_k, whose X(1) is
+    exp(w(0) + Ω e3) exp(−Ω e3), is what quaternions obey or matrices, as ``generators`` G say.
+    """
+    theta = np.arange(0.05, 6.01, 0.05)
+    frequency = theta / (2.0 * math.sin(0.25))
+
+    def turned(t: float) -> Any:
+        s, c = np.sin(frequency * t), np.cos(frequency * t)
+        across = math.sin(0.5) * frequency
+        w = np.stack([-across * s, across * c, -math.sin(0.25) * theta], axis=-1)
+        return np.tensordot(w, generators, 1)
+
+    def exponential(x: Any) -> Any:
+        values, v = np.linalg.eigh(1j * x)
+        return (v * np.exp(-1j * values)[:, None]) @ v.conj().swapaxes(1, 2)
+
+    slopes: list[Any] = []
+    size = generators.shape[-1]
+    for t, row in zip(tableau.c, ((), *tableau.a), strict=True):
+        x = np.eye(size) + sum(k * d for k, d in zip(row, slopes, strict=True))
+        slopes.append(x @ turned(t))
+    end = np.eye(size) + sum(k * d for k, d in zip(tableau.b, slopes, strict=True))
+    u, _, v = np.linalg.svd(end)
+    spin = frequency[:, None, None] * generators[2]
+    true = exponential(turned(0.0) + spin) @ exponential(-spin)
+    trace = np.einsum("nij,nij->n", true.conj(), u @ v).real
+    # that of a turn by φ is 2 cos φ/2 or 1 + 2 cos φ
+    half = 0.5 * (trace if size == 2 else np.sqrt(np.maximum(trace + 1.0, 0.0)))
+    wrong = 2.0 * np.arccos(np.clip(half, 0.0, 1.0)) > 0.1 * theta
+    return float(theta[max(0, int(wrong.argmax()) - 1)]) if wrong.any() else 6.0
+
+
+def _damping(tableau: Tableau) -> float:
+    """Largest c h/I whose factor is right to 0.1."""
+    for x in np.arange(0.05, 8.0, 0.05):
+        if abs(_growth(tableau, -x) - math.exp(-x)) > 0.1:
+            return max(0.05, float(x) - 0.05)
+    return 8.0

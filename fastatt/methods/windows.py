@@ -1,0 +1,114 @@
+"""What a method for gyro samples is: a window of them in, its turns out.
+
+A window covers ``span`` intervals and looks ``history`` intervals back. Of rates it holds the
+samples at the ends of all these intervals, of increments the angles over them. Beyond the ends of a
+log it holds samples extrapolated by the polynomial that the method fits, which makes the first and
+last fit that of the nearest whole window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+from fastatt.kernels import quat
+from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import both, choose
+from fastatt.tracing.trace import traceable
+
+#: most intervals that a window may look back
+MOST_HISTORY = 8
+# a state of some 1 that a pass moves by more will not come back
+_FAR = 1e6
+
+
+def products(q: Sequence[Any], d: Sequence[Any]) -> list[Any]:
+    """q∘d of each of the flat quaternions d, flat."""
+    mul = traceable(quat.mul)
+    return [x for i in range(0, len(d), 4) for x in mul(q, d[i : i + 4])]
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """A method whose attitudes come of passes over a state, until it stays as it is.
+
+    ``rates(v, h)`` and ``increments(v, h)`` give the first state, a flat tuple of numbers of some
+    1, from the window's samples and intervals, ``improve(state)`` the next, at most ``passes``
+    times, and ``read(state)`` the flat unit quaternions from the window's start to the end of each
+    interval. They are called with recorded numbers.
+    """
+
+    rates: Callable[..., Any]
+    increments: Callable[..., Any]
+    improve: Callable[..., Any]
+    read: Callable[..., Any]
+    passes: int
+
+    def begin(self, increments: bool, v: Any, h: Any) -> Any:
+        """The first state, and 1, for one that moves."""
+        return (*(self.increments if increments else self.rates)(v, h), 1.0)
+
+    def again(self, state: Any) -> Any:
+        """The next, and whether it moves on: not after a pass that moved it by 8 ulps of 1 at most.
+
+        Each window so has as many passes as it needs, whatever others beside it do. One that is far
+        off, which no limit of a method allows, stays too.
+        """
+        *before, moving = state
+        after = self.improve(tuple(before))
+        pairs = [(a, b) for a, b in zip(after, before, strict=True) if a is not b]
+        far = reduce(larger, (abs(a - b) for a, b in pairs))
+        moves = moving > 0.5
+        ends = (a if a is b else choose(moves, a, b) for a, b in zip(after, before, strict=True))
+        on = both(moves, both(1.0 + 0.0625 * far > 1.0, far < _FAR))
+        return (*ends, choose(on, 1.0, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Shape of a method's window, and its formulas by kind of samples.
+
+    ``rates(v, h)`` and ``increments(v, h)`` give the rotation vectors (rad) from the window's start
+    to the end of each interval, flat: v are its samples, flat (rad/s or rad), h its intervals (s),
+    the oldest first. They are plain functions, called with numbers, with recorded ones and from
+    ``@njit`` code. A method that is no such formula has an ``iteration``; one whose coefficients
+    hold for equal intervals alone is ``even``.
+
+    Raises ``ValueError`` for a shape that the engine's chunks do not hold.
+    """
+
+    history: int
+    span: int
+    rates: Callable[..., Any] | None = None
+    increments: Callable[..., Any] | None = None
+    iteration: Iteration | None = None
+    even: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.history <= MOST_HISTORY:
+            raise ValueError(f"history: found {self.history}; accepted: 0 to {MOST_HISTORY}")
+
+    @property
+    def near(self) -> float:
+        """Angle (rad) of the largest component over an interval below which no turn passes π."""
+        # a polynomial through samples stays below 4 times the largest where it is used
+        return 3.0 / (8.0 * self.intervals)
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals in the window."""
+        return self.history + self.span
+
+    def samples(self, increments: bool) -> int:
+        """Number of samples in the window."""
+        return self.intervals + (not increments)
+
+    def takes(self, increments: bool) -> bool:
+        """Whether it takes samples of a kind."""
+        return self.iteration is not None or self.formula(increments) is not None
+
+    def formula(self, increments: bool) -> Callable[..., Any] | None:
+        """The rotation vectors' formula for a kind of samples; None if there is none."""
+        return self.increments if increments else self.rates

@@ -1,0 +1,190 @@
+"""Which method, in which representation: what fits a scene, and what was asked for."""
+
+from __future__ import annotations
+
+from fastatt import checks
+from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
+from fastatt.device import Device
+from fastatt.methods import METHODS, Method
+from fastatt.propagation.closed_forms import form_of
+from fastatt.propagation.options import Choice
+from fastatt.propagation.reducer import Reducer
+from fastatt.scene.scene import Scene, as_scene
+from fastatt.scene.torques import Dependence
+
+# in this order, the first that fits the scene and the representation
+DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
+# steps between two looks at the norm of a compensated state
+_RESTORE = 64
+
+
+def methods_for(
+    scene: Scene, representation: str | Attitude | None = None, *, need: str = ""
+) -> list[str]:
+    """Names of the methods that fit a scene and a representation, by name or one's own.
+
+    ``need`` is what a record has to say besides, such as "is_stepped".
+
+    Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
+    """
+    as_scene(scene)
+    if representation is not None:
+        representation = attitude_of(representation)
+    return [
+        m.name
+        for m in METHODS.values()
+        if fits(m, scene, representation) and (not need or getattr(m, need))
+    ]
+
+
+def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
+    """Whether a method takes a scene, in a representation, by name or one's own."""
+    if isinstance(representation, Attitude):
+        name = representation.name
+        representation = name if ATTITUDES.get(name) is representation else representation
+    return (
+        scene.kind in method.scenes
+        and (representation is None or method.stores(representation))
+        and (scene.kind != "torqued" or _takes(method, scene))
+        and (method.couples or not scene.moves)
+    )
+
+
+def _takes(method: Method, scene: Scene) -> bool:
+    if method.is_exact:
+        try:
+            return bool(form_of(scene))
+        except ValueError:
+            return False
+    if method.takes is Dependence.RATE:
+        return True
+    return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
+
+
+def attitude_of(representation: str | Attitude) -> Attitude:
+    """The representation of a name, or one's own."""
+    if isinstance(representation, Attitude):
+        return representation
+    return ATTITUDES[checks.choice("representation", representation, ATTITUDES)]
+
+
+def _name_of(representation: str | Attitude) -> str:
+    return representation if isinstance(representation, str) else representation.name
+
+
+def method_of(
+    scene: Scene,
+    method: str | Method | None,
+    representation: str | Attitude,
+    *,
+    need: str = "",
+    why: str = "method",
+) -> Method:
+    """The method of a name, or one's own, that fits a scene in a representation.
+
+    None is the first of magnus4, exact, rk8 and rk4 that fits, else of all; ``need`` as of
+    ``methods_for``, and ``why`` what is said to be refused then.
+
+    Raises ``ValueError`` for one that does not fit, with those that do, and where none does.
+    """
+    if isinstance(method, Method):
+        if not fits(method, scene, representation):
+            able = ", ".join(methods_for(scene, representation, need=need))
+            raise ValueError(
+                f"method: found {method.name}, for {', '.join(method.scenes)} in "
+                f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
+                f'"{_name_of(representation)}": {able}'
+            )
+        found = method
+    else:
+        found = METHODS[_named(scene, method, representation, need)]
+    if need and not getattr(found, need):
+        checks.choice(why, found.name, methods_for(scene, representation, need=need))
+    return found
+
+
+def _named(scene: Scene, method: str | None, representation: str | Attitude, need: str) -> str:
+    """The name of a method that fits, or of the first that does."""
+    # anything may come, and a list has no hash
+    known = METHODS.get(method) if isinstance(method, str) else None
+    if known is not None and fits(known, scene, representation):
+        return known.name
+    if known is not None and known.is_exact and scene.kind == "torqued":
+        form_of(scene)  # says why there is none
+    if method is not None:
+        checks.choice("method", method, methods_for(scene, need=need))
+        name = f'method for representation "{_name_of(representation)}"'
+        return checks.choice(name, method, methods_for(scene, representation, need=need))
+    fitting = methods_for(scene, representation, need=need)
+    if not fitting:
+        raise ValueError(
+            f"representation: found {_name_of(representation)}, for which no method takes this "
+            f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
+        )
+    return next((name for name in DEFAULTS if name in fitting), fitting[0])
+
+
+def chosen(
+    scene: Scene,
+    method: str | Method | None,
+    representation: str | Attitude,
+    compensated: bool = False,
+    normalise: str | int = "output",
+    reducer: Reducer | None = None,
+    device: Device | None = None,
+) -> Choice:
+    """How a scene is propagated, from what a user asks for.
+
+    Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
+    """
+    compensated = bool(compensated)
+    key = ("choice", method, representation, compensated, normalise)
+    of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
+    is_kept = of_names and reducer is None and device is None
+    # in one go: another thread may put it out
+    known: Choice | None = scene.memo.get(key) if is_kept else None
+    if known is not None:
+        return known
+    if not (reducer is None or isinstance(reducer, Reducer)):
+        raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
+    attitude = attitude_of(representation)
+    need, why = "", "method"
+    if device is not None:
+        need, why = "is_stepped", 'method with device "cuda"'
+    if reducer is not None:
+        need, why = "reduces", "method with reduce"
+    if compensated and method is None:
+        need = "is_stepped"
+    record = method_of(scene, method, attitude, need=need, why=why)
+    if compensated:
+        attitude = _compensated(record, attitude)
+    restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
+    found = Choice(record, attitude, restore, normalise == "never", reducer, device)
+    if is_kept:
+        scene.memo[key] = found
+    return found
+
+
+def _compensated(method: Method, attitude: Attitude) -> Attitude:
+    if attitude is not QUATERNION:
+        raise ValueError(
+            f'compensated: found with representation "{attitude.name}"; accepted with "quat"'
+        )
+    if not method.compensates:
+        able = ", ".join(m.name for m in METHODS.values() if m.compensates)
+        raise ValueError(f"compensated: found with method {method.name}; accepted with {able}")
+    return COMPENSATED
+
+
+def _restore(normalise: str | int) -> int:
+    """Steps between two returns to the group, 0 for none."""
+    if isinstance(normalise, str) and normalise in ("output", "never"):
+        return 0
+    try:
+        return checks.whole("normalise", normalise, 1)
+    except (TypeError, ValueError) as error:
+        kind = ValueError if isinstance(normalise, str) else type(error)
+        raise kind(
+            f"normalise: found {checks.brief(normalise)}; accepted: output, never, or a whole "
+            "number of steps from 1 on"
+        ) from None

@@ -1,0 +1,418 @@
+"""Closed forms of motions: which one bodies have, traced, compiled and run at many times."""
+
+from __future__ import annotations
+
+import functools
+import math
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import accumulate, product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt._jit import address_loop
+from fastatt.codegen.call import call_generated, reals, wholes
+from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
+from fastatt.codegen.memory import address_of
+from fastatt.codegen.processor import processor
+from fastatt.codegen.rows import kind_of, without_compiler
+from fastatt.scene import torques
+from fastatt.scene.inertia import Principal, about_arm
+from fastatt.scene.scene import Scene
+from fastatt.threads import each_in_threads
+from fastatt.tracing import formulas
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Graph, flattened
+
+_SIDE_BY_SIDE = 2  # vectors: while one waits for a root or a quotient the other goes on
+_TOGETHER = 64  # a few bodies go side by side at so many groups of times
+_PIECE = 1 << 20  # attitudes between two looks at Ctrl-C
+_STEPS = 1 << 12  # times that share one preparation of their bodies
+_SMALL = 1 << 14  # attitudes that are not worth a thread
+
+# what a body is given by, with the numbers of each; axes are those of ``Principal``, if any
+_GIVEN = {"q": 4, "w": 3, "moments": 3, "axes": 4, "pull": 3}
+
+
+class Solution(NamedTuple):
+    """A motion: the formula of its constants, and (attitude, w) from them, the moments and t.
+
+    Constants are of (q, w, moments), or with the ``pull`` last.
+    """
+
+    prepare: Callable[..., Any]
+    state: Callable[[Any, Any, Any], tuple[Any, Any]]
+    pulled: bool = False
+
+
+def _free(constants: Any, moments: Any, t: Any) -> tuple[Any, Any]:
+    q, m = formulas.free_body.evaluate(constants, t)
+    return q, tuple(a / b for a, b in zip(m, moments, strict=True))
+
+
+def _symmetric(constants: Any, moments: Any, t: Any) -> Any:
+    return formulas.free_body.symmetric_evaluate(constants, t)
+
+
+def _top(constants: Any, moments: Any, t: Any) -> Any:
+    return formulas.heavy_top.evaluate(constants, t)
+
+
+FREE_BODY = Solution(formulas.free_body.setup_rate, _free)
+SYMMETRIC_TOP = Solution(formulas.free_body.symmetric_setup, _symmetric)
+_HEAVY_TOP = Solution(formulas.heavy_top.setup, _top, pulled=True)
+
+
+class Form(NamedTuple):
+    """The closed form of bodies: which, of what bodies, and what pulls at their third axes, N·m.
+
+    ``pull`` is (3,) or (N, 3), along inertial axes; ``gain``, rad/s, of each body or of all, is
+    what the square root of the sum of squares of |w| and it never exceeds in |w|.
+    """
+
+    solution: Solution
+    body: Principal
+    pull: NDArray[np.float64] | None = None
+    gain: NDArray[np.float64] = np.zeros(())
+
+
+#: torques that have a closed form, by name
+LEVERS = tuple(m.__name__ for m, record in torques.RECORDS.items() if record.lever is not None)
+_Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def heavy_top_form(body: Principal, lever: _Lever) -> Form:
+    """The closed form of bodies with a lever, as of ``torques.lever_of``.
+
+    Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, by its number.
+    """
+    arm, pull = lever
+    found, reach = about_arm(body, arm)
+    check_above_zero(found)
+    pull = reach[..., None] * pull
+    # A |w|² is at most what it was and 4 |pull|
+    gain = 2.0 * np.sqrt(np.linalg.norm(pull, axis=-1) / found.moments[..., 0])
+    return Form(_HEAVY_TOP, found, pull, gain)
+
+
+def form_of(scene: Scene) -> Form:
+    """The closed form of a scene's motion.
+
+    Raises ``ValueError`` where there is none, with the body or the torque that has none.
+    """
+    known = scene.memo.get("closed form")
+    if known is None:
+        try:
+            known = _form_of(scene)
+        except ValueError as reason:
+            known = str(reason)
+        scene.memo["closed form"] = known
+    if isinstance(known, str):
+        raise ValueError(known)  # noqa: TRY004
+    assert isinstance(known, Form)
+    return known
+
+
+def _form_of(scene: Scene) -> Form:
+    if scene.torque is None:
+        check_above_zero(scene.principal)
+        return Form(FREE_BODY, scene.principal)
+    lever = torques.lever_of(scene.torque)
+    if lever is None:
+        raise ValueError(
+            f"torque: found {checks.brief(scene.torque)}; accepted by the closed form: none, or "
+            f"{' or '.join(LEVERS)} of numbers"
+        )
+    return heavy_top_form(scene.principal, lever)
+
+
+def check_above_zero(body: Principal) -> None:
+    """Refuse moments of no body for which there is no closed form."""
+    if (body.moments < 0.0).any():
+        raise ValueError(
+            f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
+            "form: above 0, though allow_unphysical lets it pass elsewhere"
+        )
+
+
+class _Traced(NamedTuple):
+    """The constants of a body, and attitude and angular velocity at a time."""
+
+    prepare: Flat
+    state: Flat
+
+
+@functools.cache
+def _traced(
+    solution: Solution, kind: str, turned: bool, stored: Any = None, *, native: bool = False
+) -> _Traced:
+    """``turned``: the principal axes are not those of the body; ``stored`` as of ``Motion``."""
+    quat = formulas.quat
+    graph = Graph(native=native)
+    q, w, moments, axes, pull = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
+    if turned:
+        q, w = quat.mul(q, axes), quat.rotate_inverse(axes, w)
+    pulls = (pull,) if solution.pulled else ()
+    constants = flattened(solution.prepare(quat.normalise(q), w, moments, *pulls))
+    prepare = Flat(graph, constants, kind)
+
+    graph = Graph(native=native)
+    moments, axes = (graph.inputs(kind, name, _GIVEN[name]) for name in ("moments", "axes"))
+    given = graph.inputs(kind, "constant", len(constants))
+    q, w = solution.state(given, moments, graph.input(kind, "t", 0))
+    if turned:
+        q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
+    return _Traced(prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind))
+
+
+#: the formulas; the first of the rows of their inputs, of the time, of what is not zero where a
+#: result was not finite, and of the results; constants follow
+PREPARE, STATE = range(2)
+_FIRST = dict(zip(_GIVEN, accumulate(_GIVEN.values(), initial=0), strict=False))
+TIME = sum(_GIVEN.values())
+FINITE, RESULTS = TIME + 1, TIME + 2
+#: the table of a loop: address of the function, of the times, of attitudes and w; the numbers from
+#: row to row of both; bodies, times, the times of a lane, and lanes in all. Address and stride of
+#: each input follow
+ENTRY, T, Q_OUT, W_OUT, Q_STRIDE, W_STRIDE, BODIES, TIMES, SPAN, TOTAL, INPUTS = range(11)
+
+
+def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
+    rates, finite, time, first = (x * lanes for x in (_FIRST["w"], FINITE, TIME, RESULTS))
+    row_of = (*_FIRST.values(), TIME)
+
+    def run_closed_form(
+        numbers: int, memory: int, places: int, most: float,
+        first_block: int, last_block: int, first_step: int, last_step: int,
+    ) -> int:  # fmt: skip
+        """Blocks of lanes and the times of each, from the address of the table.
+
+        Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many
+        times fill vectors as well as many bodies do. A last block is filled up with the last lane,
+        and times after the last are the last again. ``memory`` is the address of the rows, and
+        ``places`` that of 2 blocks of numbers. The result is 1 where a body starts with more than
+        |w|² = ``most``, or a result is not finite.
+        """
+        table = wholes(numbers)
+        entry, bodies, times = table[ENTRY], table[BODIES], table[TIMES]
+        span, total = table[SPAN], table[TOTAL]
+        rows, place, t = reals(memory, kind), wholes(places), reals(table[T], kind)
+        q_out, w_out = reals(table[Q_OUT], kind), reals(table[W_OUT], kind)
+        q_stride, w_stride = table[Q_STRIDE], table[W_STRIDE]
+        found = 0
+        for j in range(lanes):
+            rows[finite + j] = 0.0
+        for block in range(first_block, last_block):
+            base = block * lanes
+            body, group = base % bodies, base // bodies
+            for j in range(lanes):
+                place[j], place[lanes + j] = body, group * span
+                if base + j + 1 < total:
+                    body += 1
+                    if body == bodies:
+                        body, group = 0, group + 1
+            for i in range(5):
+                source, stride = reals(table[INPUTS + 2 * i], kind), table[INPUTS + 2 * i + 1]
+                # what all bodies share stays
+                if stride > 0 or block == first_block:
+                    to = row_of[i] * lanes
+                    for j in range(lanes):
+                        at = place[j] * stride
+                        for k in range(3):
+                            rows[to + k * lanes + j] = source[at + k]
+                    if row_of[i + 1] - row_of[i] == 4:
+                        for j in range(lanes):
+                            rows[to + 3 * lanes + j] = source[place[j] * stride + 3]
+            for j in range(lanes):
+                x, y, z = rows[rates + j], rows[rates + lanes + j], rows[rates + 2 * lanes + j]
+                if x * x + y * y + z * z > most:
+                    found = 1
+            call_generated(entry, PREPARE, (rows, place), (lanes,))
+            for j in range(lanes):
+                rows[time + j] = t[min(place[lanes + j] + first_step, times - 1)]
+            for step in range(first_step, last_step):
+                call_generated(entry, STATE, (rows, place), (lanes,))
+                # the next times, stored well before vectors of them are loaded
+                for j in range(lanes):
+                    rows[time + j] = t[min(place[lanes + j] + step + 1, times - 1)]
+                for j in range(lanes):
+                    row = min(place[lanes + j] + step, times - 1) * bodies + place[j]
+                    for k in range(stored):
+                        q_out[row * q_stride + k] = rows[first + k * lanes + j]
+                    for k in range(3):
+                        w_out[row * w_stride + k] = rows[first + (stored + k) * lanes + j]
+        for j in range(lanes):
+            if rows[finite + j] != 0.0:
+                found = 1
+        return found
+
+    return run_closed_form
+
+
+_SIGNATURE = types.int64(*[types.int64] * 3, types.float64, *[types.int64] * 4)
+
+
+@functools.cache
+def _loop(kind: str, lanes: int, stored: int) -> Callable[..., int]:
+    return address_loop(_SIGNATURE, _run_closed_form(kind, lanes, stored))
+
+
+class _Compiled(NamedTuple):
+    """The formulas compiled, in rows of a shape, with the loop that calls them."""
+
+    shape: Shape
+    memory: Memory
+    function: Any
+    loop: Callable[..., int]
+
+
+@functools.cache
+def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -> _Compiled:
+    traced = _traced(solution, kind, turned, stored, native=processor().fuses)
+    lanes = _SIDE_BY_SIDE * processor().lanes(kind)
+    shape, results = Shape(kind, lanes, lanes), len(traced.state.results)
+    constants = RESULTS + results
+    n = constants + len(traced.prepare.results)
+    inputs = {(name, i): _FIRST[name] + i for name, k in _GIVEN.items() for i in range(k)}
+    inputs |= {("t", 0): TIME} | {("constant", k - constants): k for k in range(constants, n)}
+    prepare = LaneFormula(traced.prepare, inputs, range(constants, n))
+    state = LaneFormula(traced.state, inputs, range(RESULTS, constants), FINITE)
+    made = lane_function(shape, (prepare, state))
+    return _Compiled(shape, Memory(shape, n, 2), made, _loop(kind, lanes, results - 3))
+
+
+class Motion:
+    """Motion of the same bodies from any start, at as many times: laid out once.
+
+    ``stored`` makes what is handed out of quaternions, these themselves unless it is given.
+    """
+
+    def __init__(
+        self,
+        form: Form,
+        kind: np.dtype[Any],
+        shape: tuple[int, int],
+        stored: Callable[[Any], Any] | None = None,
+    ) -> None:
+        size, n = shape
+        moments, axes = form.body
+        self._formulas = (form.solution, kind_of(kind), axes is not None, stored)
+        given = {"moments": moments, "axes": axes, "pull": form.pull}
+        self._bodies = {name: rows(x, kind) for name, x in given.items() if x is not None}
+        self._span = -(-size // max(1, min(size, _TOGETHER // n)))
+        lanes = n * -(-size // self._span)
+        self._lengths, self._small = (n, size, self._span, lanes), size * n <= _SMALL
+        #: whether there is no machine code
+        self.is_plain = without_compiler()
+        if not self.is_plain:
+            self._made = made = _compiled(*self._formulas)
+            self._entry, self._blocks = made.function.address, -(-lanes // made.shape.block)
+            ordered = [self._bodies.get(name, self._bodies["moments"]) for name in given]
+            self._last = [number for x in ordered for number in (address_of(x), _stride(x))]
+
+    def fill(
+        self,
+        start: tuple[NDArray[Any], NDArray[Any]],
+        t: NDArray[Any],
+        out: tuple[NDArray[Any], NDArray[Any]],
+        threads: int,
+    ) -> None:
+        """Attitudes (T, N, k) and w (T, N, 3), rows with gaps or not, at times (T,).
+
+        All are in the same precision; q and w that bodies start with are (N, k), one row for all,
+        or (k,).
+        """
+        if self.is_plain:
+            self._in_python(start, t, out)
+            return
+        places = [(x.__array_interface__["data"][0], x.strides[1] // x.itemsize) for x in out]
+        self.write(start, t, places, threads)
+
+    def write(
+        self,
+        start: tuple[NDArray[Any], NDArray[Any]],
+        t: NDArray[Any],
+        places: Sequence[tuple[int, int]],
+        threads: int,
+        most: float = math.inf,
+    ) -> bool:
+        """The same in machine code: where rows lie, and how many numbers apart.
+
+        Gives whether results are not finite, or a body begins with more than |w|² = ``most``.
+        """
+        (q_out, q_stride), (w_out, w_stride) = places
+        q, w = start
+        numbers = [
+            self._entry, address_of(t), q_out, w_out, q_stride, w_stride, *self._lengths,
+            address_of(q), _stride(q), address_of(w), _stride(w), *self._last,
+        ]  # fmt: skip
+        table, made = array("q", numbers), self._made
+        found = []
+
+        def run(*bounds: int) -> None:
+            _held, *at = made.memory.made()
+            found.append(made.loop(table.buffer_info()[0], *at, most, *bounds))
+
+        span, blocks = self._span, self._blocks
+        if self._small:
+            run(0, blocks, 0, span)
+            return any(found)
+        together = max(1, _PIECE // (made.shape.block * min(span, _STEPS)))
+        together = max(1, min(together, blocks // threads))
+        pieces = product(range(0, blocks, together), range(0, span, _STEPS))
+        each_in_threads(
+            (
+                partial(run, i, min(i + together, blocks), k, min(k + _STEPS, span))
+                for i, k in pieces
+            ),
+            threads,
+        )
+        return any(found)
+
+    def _in_python(
+        self,
+        start: tuple[NDArray[Any], NDArray[Any]],
+        t: NDArray[Any],
+        out: tuple[NDArray[Any], NDArray[Any]],
+    ) -> None:
+        """Without a compiler, on one thread: a column a number of the formulas."""
+        traced = _traced(*self._formulas)
+        bodies = {**self._bodies, **dict(zip("qw", map(np.atleast_2d, start), strict=True))}
+        given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
+        constants = _plain(traced.prepare, given)
+        given |= {("constant", i): x for i, x in enumerate(constants)}
+        given["t", 0] = t[:, None]
+        columns = [x[..., k] for x in out for k in range(x.shape[-1])]
+        for column, x in zip(columns, _plain(traced.state, given), strict=True):
+            column[...] = x
+
+
+def _stride(x: NDArray[Any]) -> int:
+    """From a body's row to the next, in numbers: none where all share one."""
+    return x.shape[-1] if x.ndim == 2 and len(x) > 1 else 0
+
+
+def rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Numbers of bodies as ``Motion`` takes them."""
+    if x.dtype is not kind or not x.flags.carray:
+        x = np.require(x, kind, ["C", "A"])
+    return x if x.ndim == 2 else np.atleast_2d(x)
+
+
+def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest |w| t of each body, rad; ``gain`` as of a ``Form``."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rates = np.asarray(w, dtype=np.float64)
+        squares = (rates * rates) @ np.ones(3) + gain * gain
+        return np.asarray(np.sqrt(squares) * np.abs(t).max(initial=0.0))
+
+
+def _plain(flat: Flat, columns: Mapping[tuple[Any, ...], NDArray[Any]]) -> tuple[Any, ...]:
+    from fastatt.tracing.source import function
+
+    return function(flat)(*(columns[name] for name in flat.inputs()))

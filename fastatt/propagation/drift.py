@@ -1,0 +1,106 @@
+"""How far a trajectory has drifted from what the exact motion keeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.arrays import angle_between, rotate
+from fastatt.propagation.energy import angular_momentum, kinetic_energy, potential_energy
+from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene import torques
+from fastatt.scene.scene import Scene, as_scene
+from fastatt.scene.time_series import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Departures from the invariants, each (S, N), or (S,) for one body.
+
+    ``norm``: | |q| − 1 |; ``orthogonality``: ‖C Cᵀ − 1‖ (Frobenius); both of the propagated state,
+    before it was brought back to the group for output. ``energy``: kinetic and potential energy
+    less the first save's, over the largest kinetic energy saved, of what turns, and of what moves
+    too where the torque reads the position; None where the torque has no potential or the rate is
+    given. ``momentum``: length of what the angular momentum in space,
+    wheels included, has changed since the first save, over the largest saved; None under a torque.
+    """
+
+    norm: NDArray[Any]
+    orthogonality: NDArray[Any]
+    energy: NDArray[Any] | None
+    momentum: NDArray[Any] | None
+    trajectory: Trajectory
+
+    def angle_to(self, reference: ArrayLike) -> Any:
+        """Geodesic angle to reference attitudes, rad; quaternions or matrices that broadcast."""
+        return angle_between(self.trajectory.q, reference)
+
+
+def drift(trajectory: Trajectory, scene: Scene) -> Drift:
+    """Departures of a trajectory from its scene's invariants, per save and body.
+
+    Raises ``TypeError`` when the arguments are not a trajectory and a scene.
+    """
+    if not isinstance(trajectory, Trajectory):
+        raise TypeError(f"trajectory: found {checks.brief(trajectory)}; accepted: a Trajectory")
+    as_scene(scene)
+    defect = np.abs(trajectory.defect[:, 0] if trajectory.one_body else trajectory.defect)
+    C = trajectory.C
+    matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))
+    length = np.abs(np.linalg.norm(trajectory.q, axis=-1) - 1.0)
+    attitude = trajectory.attitude
+    of_matrix = attitude.to_dcm_array is not None
+    of_quaternion = not of_matrix and attitude.to_quat_array is None
+    return Drift(
+        norm=defect if of_quaternion else length,
+        orthogonality=defect if of_matrix else matrix,
+        energy=_energy(trajectory, scene),
+        momentum=_momentum(trajectory, scene),
+        trajectory=trajectory,
+    )
+
+
+def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
+    if scene.inertia is None or not scene.has_potential:
+        return None
+    kinetic = kinetic_energy(trajectory.w, scene.inertia)
+    q = trajectory.q[:, None] if trajectory.one_body else trajectory.q
+    r = None
+    with np.errstate(over="ignore", invalid="ignore"):
+        if scene.reads_position:
+            r = np.reshape(trajectory.r, (*q.shape[:-1], 3))
+            v = trajectory.v.astype(np.float64)
+            kinetic = kinetic + 0.5 * np.asarray(scene.mass) * (v * v).sum(axis=-1)
+        total = kinetic + potential_energy(scene, q, trajectory.t, r).reshape(kinetic.shape)
+        return _relative(np.abs(total - total[0]), kinetic)
+
+
+def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
+    rotor = isinstance(scene.torque, torques.Rotor)
+    if scene.inertia is None or not (scene.torque is None or rotor):
+        return None
+    inside = angular_momentum(trajectory.w, scene.inertia)
+    if rotor:
+        inside = inside + _of_wheels(scene.torque.momentum, trajectory)
+    total = rotate(trajectory.q, inside)
+    change = np.linalg.norm(total - total[0], axis=-1)
+    return _relative(change, np.linalg.norm(total, axis=-1))
+
+
+def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:
+    """Momentum of wheels, that broadcasts against (S, N, 3), or (S, 3) of one body."""
+    if not isinstance(momentum, Table):
+        return np.asarray(momentum)
+    found = momentum.at(trajectory.t)
+    if trajectory.one_body:
+        return found.reshape(-1, 3)
+    return found if found.ndim == 3 else found[:, None]
+
+
+def _relative(change: NDArray[Any], scale: NDArray[Any]) -> NDArray[Any]:
+    most = scale.max(axis=0)
+    return change / np.where(most > 0.0, most, 1.0)

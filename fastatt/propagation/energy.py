@@ -1,0 +1,120 @@
+"""Energy and angular momentum of one body or many, from what a trajectory holds."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.arrays import rotate
+from fastatt.attitudes import QUATERNION
+from fastatt.codegen.rows import rows
+from fastatt.scene import torques
+from fastatt.scene.equations import Body, RigidBody
+from fastatt.scene.inertia import is_tensor
+from fastatt.scene.scene import Scene, as_scene
+from fastatt.tracing.formulas import quat, rigid
+
+
+def angular_momentum(
+    w: ArrayLike, inertia: ArrayLike, q: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Angular momentum I w, N·m·s, along body axes or, with attitudes ``q``, along inertial axes.
+
+    ``w`` (3,), (N, 3) or (S, N, 3) is in rad/s along body axes, ``q`` has 4 in place of 3;
+    ``inertia`` is that of a scene: moments or a tensor, for all bodies or each. A body whose rates
+    are not finite has no number, here and in what follows.
+
+    Raises ``ValueError`` for shapes that do not fit.
+    """
+    rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", flag=True)
+    given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
+    tensor = is_tensor(given)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            m = np.einsum("...ij,...j->...i", given, rates) if tensor else given * rates
+        return np.asarray(m if q is None else rotate(q, m))
+    except ValueError:
+        raise ValueError(
+            f"w: has shape {rates.shape}, inertia {given.shape}, q {np.asarray(q).shape}; "
+            "accepted: one number of bodies"
+        ) from None
+
+
+def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
+    """½ w·I w, J: (), (N,) or (S, N); arguments as of :func:`angular_momentum`."""
+    m = angular_momentum(w, inertia)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(0.5 * np.einsum("...i,...i->...", np.asarray(w, dtype=np.float64), m))
+
+
+def kinetic_energy_symmetric(
+    angles: ArrayLike, rates: ArrayLike, inertia: ArrayLike
+) -> NDArray[np.float64]:
+    """Kinetic energy of a symmetric top, J, in 3-1-3 angles (φ, θ, ψ) and their rates.
+
+    ½ I1 (φ̇² sin²θ + θ̇²) + ½ I3 (φ̇ cosθ + ψ̇)²; ``angles`` and ``rates`` are (..., 3) in rad and
+    rad/s, ``inertia`` is (I1, I3). Goldstein, *Classical Mechanics*, eq. 5.52.
+
+    Raises ``ValueError`` for other shapes.
+    """
+    a, d = (
+        checks.numbers(name, value, "real numbers (..., 3)").astype(np.float64, copy=False)
+        for name, value in (("angles", angles), ("rates", rates))
+    )
+    if a.shape != d.shape or a.shape[-1:] != (3,):
+        raise ValueError(f"angles, rates: have shapes {a.shape}, {d.shape}; accepted: (..., 3)")
+    moments = checks.array("inertia", inertia, "(2,)")
+    (out,) = rows(_symmetric, {"angles": 3, "rates": 3, "inertia": 2}, (None,))(a, d, moments)
+    return np.asarray(out)
+
+
+def _symmetric(angles: Any, rates: Any, inertia: Any) -> Any:
+    return (rigid.kinetic_energy_symmetric(angles, rates, inertia),)
+
+
+def potential_energy(
+    scene: Scene, q: ArrayLike, t: ArrayLike = 0.0, r: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Potential energy of a scene's torque, J: (), (N,) or (S, N) as of attitudes q.
+
+    ``q`` is (4,), (N, 4) or (S, N, 4), not of length zero, ``t`` a number or (S,), s. Zero where
+    nothing acts. ``r``, m, is the position, with 3 in place of 4, where the torque reads it: the
+    energy is then that of torque and force together.
+
+    Raises ``ValueError`` for a torque that has none: ``fastatt.torques`` says which do; it and
+    ``TypeError`` for other shapes and things.
+    """
+    as_scene(scene)
+    attitudes = checks.array("q", q, "(4,), (N, 4) or (S, N, 4)", flag=True)
+    found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
+    packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
+    turning = packed.structure.turning
+    if not isinstance(turning, RigidBody) or not torques.has_potential(turning.law):
+        raise ValueError("scene: its torque has no potential; accepted: one that has, or none")
+    if (r is None) == scene.reads_position:
+        told, wanted = ("none", "positions") if r is None else ("positions", "none")
+        raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
+    shape = (*attitudes.shape[:-1], 3)
+    places = np.zeros(shape) if r is None else checks.array("r", r, str(shape), flag=True)
+    times = checks.array("t", t, f"a number or ({len(found)},)")
+    times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
+    p = packed.params[..., : turning.n_params]
+    inputs = {"t": None, "q": 4, "r": 3, "p": turning.n_params}
+    potential = rows(partial(_potential, turning), inputs, (None,), key=(_potential, turning))
+    at = places.reshape(*found.shape[:-1], 3)
+    (energies,) = potential(times[:, None], found, at, p, tables=packed.tables)
+    return np.asarray(energies).reshape(attitudes.shape[:-1])
+
+
+def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
+    """Potential energy at an attitude of the body axes and a position."""
+    motion, q = Body(QUATERNION, structure, p, q[0]), quat.normalise(q)
+    if motion.axes is not None:
+        q = quat.mul(q, motion.axes)
+    none = (0.0, 0.0, 0.0)
+    pose = torques.Pose(QUATERNION, q, none, motion.moments, (none, r), motion.axes_given)
+    return (torques.potential_of(structure.law, t, pose, motion.torque_numbers),)

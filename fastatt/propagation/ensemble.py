@@ -1,0 +1,57 @@
+"""Bodies with their initial states, and some of them with what acts on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt.propagation.initial import initial
+from fastatt.scene.scene import Scene, as_scene
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """A scene with initial states, as ``propagate`` takes them."""
+
+    scene: Scene
+    q0: NDArray[Any]
+    w0: NDArray[Any] | None = None
+    v0: NDArray[Any] | None = None
+    r0: NDArray[Any] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        q0: ArrayLike,
+        w0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        r0: ArrayLike | None = None,
+    ) -> Ensemble:
+        """The same from whatever numbers a user gives.
+
+        Raises ``TypeError`` for what is no scene, else as ``propagate`` does.
+        """
+        start, beside = initial(as_scene(scene), (q0, w0, v0, r0), flag=False)
+        found = cls(scene, start, *map(beside.get, ("w0", "v0", "r0")))
+        scene.packed(found.size)
+        return found
+
+    @cached_property
+    def size(self) -> int:
+        """Number of bodies."""
+        states = (self.q0, self.w0, self.v0, self.r0)
+        return max((len(x) for x in states if x is not None and x.ndim == 2), default=1)
+
+    def take(self, rows: NDArray[np.intp]) -> Ensemble:
+        """The bodies of some rows, each with its own numbers."""
+
+        def chosen(x: NDArray[Any] | None) -> Any:
+            return None if x is None else np.broadcast_to(x, (self.size, x.shape[-1]))[rows]
+
+        states = [chosen(x) for x in (self.q0, self.w0, self.v0, self.r0)]
+        return Ensemble(self.scene[rows], *states)

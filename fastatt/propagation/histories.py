@@ -1,0 +1,110 @@
+"""Histories that do not fit into memory: a file that grows by a few saves at a time."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fastatt import checks
+from fastatt.propagation.trajectory import Trajectory
+
+# bytes that need no look at what is free
+_LITTLE = 1 << 30
+
+
+class History:
+    """A file of (S, N, k) numbers: attitudes, w, v and r where they are carried, departures last.
+
+    ``*.npy`` is mapped into memory, as ``array``; ``*.zarr`` a Zarr array, in chunks of 16 saves of
+    at most 65536 bodies. One of which the first saves are there is opened, else it is made.
+    """
+
+    def __init__(
+        self, path: Any, shape: tuple[int, int, int], kind: np.dtype[Any], first: int
+    ) -> None:
+        if not isinstance(path, (str, os.PathLike)):
+            raise TypeError(f"out: found {checks.brief(path)}; accepted: a path, *.npy or *.zarr")
+        target = Path(path)
+        #: how many there are
+        self.saves = first
+        if target.suffix not in (".npy", ".zarr"):
+            raise ValueError(f"out: found {target.name}; accepted: *.npy or *.zarr")
+        if not first:
+            _check_room(shape, kind, _free_on_disk(target), "disk")
+        shape = (*shape[:2], shape[2] + 1)
+        opened = (_mapped if target.suffix == ".npy" else _zarr)(target, shape, kind, first > 0)
+        if opened.shape != shape or opened.dtype != kind:
+            raise ValueError(
+                f"out: {target} holds {opened.shape} of {opened.dtype}; accepted to go on: {shape} "
+                f"of {kind}"
+            )
+        self._file = opened
+        self.array = opened if isinstance(opened, np.memmap) else None
+
+    def __call__(self, piece: Trajectory) -> None:
+        """Write a few saves."""
+        rows = slice(self.saves, self.saves + piece.t.size)
+        columns = [piece.state, *piece.carried.values(), piece.defect[..., None]]
+        self._file[rows] = np.concatenate(columns, axis=-1)
+        self.saves = rows.stop
+
+
+def _mapped(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
+    if goes_on:
+        return np.lib.format.open_memmap(path, mode="r+")
+    return np.lib.format.open_memmap(path, mode="w+", dtype=kind, shape=shape)
+
+
+def _zarr(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
+    try:
+        import zarr
+    except ImportError:
+        raise ImportError("out: *.zarr needs zarr; install it with pip install zarr") from None
+    if goes_on:
+        return zarr.open_array(str(path), mode="r+")
+    chunks = (min(16, shape[0]), min(65536, shape[1]), shape[2])
+    return zarr.open_array(str(path), mode="w", shape=shape, chunks=chunks, dtype=kind)
+
+
+def check_memory(shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:
+    """Refuse what memory will not hold.
+
+    Raises ``MemoryError``, with the sizes.
+    """
+    if _bytes(shape, kind) > _LITTLE and (free := _available()) is not None:
+        _check_room(shape, kind, free, "memory")
+
+
+def _bytes(shape: tuple[int, int, int], kind: np.dtype[Any]) -> int:
+    return shape[0] * shape[1] * (shape[2] + 1) * kind.itemsize
+
+
+def _check_room(shape: tuple[int, int, int], kind: Any, free: int, where: str) -> None:
+    saves, bodies, _ = shape
+    need = _bytes(shape, kind)
+    if need > _LITTLE and need > free:
+        raise MemoryError(
+            f"save_every: {saves} saves of {bodies} bodies take {need / 1e9:.3g} GB, of "
+            f"{free / 1e9:.3g} GB of free {where}; accepted: fewer saves, a sink, or "
+            'out="history.npy" on a disk that holds them'
+        )
+
+
+def _free_on_disk(path: Path) -> int:
+    return shutil.disk_usage(path.resolve().parent).free
+
+
+def _available() -> int | None:
+    """Bytes of memory that can be had, None where the system does not tell."""
+    try:
+        with Path("/proc/meminfo").open() as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return None

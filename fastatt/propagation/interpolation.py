@@ -1,0 +1,230 @@
+"""Attitudes and rates between the saves of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks, rounding
+from fastatt.codegen.rows import kind_of, rows
+from fastatt.tracing.formulas import dot, minus, plus, quat, scale, so3
+
+_NODES = 4
+# rows that are gathered at a time
+_ROWS = 1 << 16
+# rad, between the interpolants through four saves and through two: the saves say too little
+_DOUBT = 0.1
+
+
+def interpolate(
+    t: ArrayLike, q: ArrayLike, w: ArrayLike, times: ArrayLike, *, invalid: str = "raise"
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Attitudes and angular velocities between saves, from those at the saves.
+
+    Over an interval q = q_a∘exp(s φ)∘exp(ψ(s)), where φ = log(q_a*∘q_b) and ψ is the Hermite
+    polynomial that has the attitudes and the rates of the four saves around it: of degree 7, so
+    that the error falls as the interval to the 8th power, that of the rates as the 7th. Two saves
+    give orders 4 and 3, three 6 and 5. At a save it is what was saved, to rounding.
+
+    Parameters
+    ----------
+    t : (S,), times of the saves, s, rising or falling; two at least.
+    q : (S, 4) or (S, N, 4), attitudes there, body to inertial, scalar first, of either sign.
+    w : (S, 3) or (S, N, 3), angular velocities there along body axes, rad/s.
+    times : a number or (T,), in any order, none outside of ``t``.
+    invalid : "raise" refuses what is not finite, zero quaternions, and bodies that turn too far
+        between saves; "flag" gives NaN for what rests on those, and the other bodies as without
+        them.
+
+    Returns
+    -------
+    q, w : (T, 4) or (T, N, 4), unit, and (T, 3) or (T, N, 3); without the first axis for one time.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit; with "raise", a body whose rate turns it
+        by more than π from one save to the next: how often it went round is not known then.
+
+    Warns
+    -----
+    StepWarning : where the polynomials through four and through two saves are more than 0.1 rad
+        apart: the motion changes too fast between saves.
+
+    References
+    ----------
+    Error of Hermite's polynomial: Davis, *Interpolation and Approximation* (1975), theorem 3.5.1;
+    polynomials in the logarithm: Park and Ravani, ACM Trans. Graphics 16 (1997) 277.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=1.0, n_steps=8, save_every=1)
+    >>> q, w = fa.interpolate(run.t, run.q, run.w, 2.5)
+    >>> exact, _ = fa.exact.free_body([1, 0, 0, 0], [0.1, 0.3, -0.2], body.inertia, 2.5)
+    >>> bool(fa.angle_between(q, exact) < 1e-6)
+    True
+    """
+    flag = checks.choice("invalid", invalid, ("raise", "flag")) == "flag"
+    when = checks.array("t", t, "(S,)").astype(np.float64)
+    count = when.size
+    gaps = np.diff(when)
+    if count < 2 or not ((gaps > 0.0).all() or (gaps < 0.0).all()):
+        raise ValueError(f"t: found {checks.brief(when)}; accepted: two or more, rising or falling")
+    attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
+    wanted = (*attitudes.shape[:-1], 3)
+    rates = checks.array("w", w, str(wanted), flag=flag)
+    asked = checks.array("times", times, "a number or (T,)").astype(np.float64)
+    low, high = sorted((when[0], when[-1]))
+    outside = np.flatnonzero((asked < low) | (asked > high))
+    if outside.size:
+        raise ValueError(
+            f"times[{outside[0]}] is {asked.ravel()[outside[0]]}; accepted: {low} to {high}, "
+            "the saves' span"
+        )
+    shape = asked.shape
+    kind = np.result_type(attitudes, rates)
+    tails = attitudes.shape[1:-1]
+    attitudes = attitudes.reshape(count, -1, 4).astype(kind, copy=False)
+    rates = rates.reshape(count, -1, 3).astype(kind, copy=False)
+    found = _between(when, attitudes, rates, asked.ravel(), flag=flag)
+    q_out, w_out = (x.reshape(*shape, *tails, x.shape[-1]) for x in found)
+    return q_out, w_out
+
+
+def _between(
+    t: NDArray[np.float64],
+    q: NDArray[Any],
+    w: NDArray[Any],
+    times: NDArray[np.float64],
+    *,
+    flag: bool,
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The same of checked arguments, (T, N, 4) and (T, N, 3)."""
+    count, bodies, kind = t.size, q.shape[1], q.dtype
+    way = np.sign(t[1] - t[0])
+    left = np.clip(np.searchsorted(way * t, way * times, side="right") - 1, 0, count - 2)
+    many = min(_NODES, count)
+    first = np.clip(left - 1, 0, count - many)
+    far = _far(t, w, np.unique(first[:, None] + np.arange(many - 1)), flag=flag)
+    # the interval's own ends come first
+    own = left[:, None] + np.arange(2)
+    around = first[:, None] + np.arange(many)
+    other = around[(around != own[:, :1]) & (around != own[:, 1:])].reshape(times.size, many - 2)
+    nodes = np.concatenate([own, other], axis=1)
+    span = np.diff(t[own])
+    at = (t[nodes] - t[own[:, :1]]) / span
+    s = (times - t[own[:, 0]]) / span[:, 0]
+    clock = np.concatenate(
+        [s[:, None], span, at[:, 2:], _weights(at[:, :2], s), _weights(at, s)], axis=1
+    ).astype(kind)
+    formula = rows(
+        _through,
+        {
+            "clock": clock.shape[1],
+            **{f"q{k}": 4 for k in range(many)},
+            **{f"w{k}": 3 for k in range(many)},
+        },
+        (4, 3, None),
+        kind_of(kind),
+    )
+    q_out = np.empty((times.size, bodies, 4), kind)
+    w_out = np.empty((times.size, bodies, 3), kind)
+    doubt = np.zeros(bodies)
+    step = max(1, _ROWS // bodies)
+    for a in range(0, times.size, step):
+        part = slice(a, a + step)
+        taken = nodes[part].T
+        with np.errstate(all="ignore"):
+            q_out[part], w_out[part], apart = formula(
+                clock[part, None], *(q[k] for k in taken), *(w[k] for k in taken)
+            )
+        doubt = np.fmax(doubt, apart.max(axis=0))
+    q_out[:, far], w_out[:, far] = np.nan, np.nan
+    poor = np.flatnonzero((doubt > _DOUBT) & ~far)
+    if poor.size:
+        rounding.warn(
+            f"t: saves of {poor.size} of {bodies} bodies are too far apart for their motion, up to "
+            f"{doubt[poor].max():.2g} rad between the polynomials through four and two of them "
+            f"(body {poor[0]}): save more often"
+        )
+    return q_out, w_out
+
+
+def _far(
+    t: NDArray[np.float64], w: NDArray[Any], used: NDArray[np.intp], *, flag: bool
+) -> NDArray[np.bool_]:
+    """Which bodies turn by more than π over the intervals that are used, (N,); refused unless."""
+    size = np.sqrt((w.astype(np.float64) ** 2).sum(axis=-1))
+    span = np.abs(t[used + 1] - t[used])[:, None]
+    turn = np.fmax(size[used], size[used + 1]) * span
+    far = (turn > np.pi).any(axis=0)
+    if far.any() and not flag:
+        k, body = np.argwhere(turn > np.pi)[0]
+        raise ValueError(
+            f"t: between saves {used[k]} and {used[k] + 1} body {body} turns by {turn[k, body]:.3g}"
+            f" rad ({np.count_nonzero(far)} of {far.size} bodies); accepted: at most π, with saves "
+            f'{np.pi / turn[k, body] * span[k, 0]:.3g} s apart; invalid="flag" leaves them out'
+        )
+    return np.asarray(far)
+
+
+def _weights(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (T, 4 n) at s of values, then slopes, at n nodes; then of both in the derivative."""
+    n = nodes.shape[1]
+    gaps = nodes[:, :, None] - nodes[:, None, :]
+    ahead = (s[:, None] - nodes)[:, None, :] + np.zeros((n, 1))
+    itself = np.arange(n)
+    gaps[:, itself, itself] = 1.0
+    ratio = ahead / gaps
+    ratio[:, itself, itself] = 1.0
+    lagrange = ratio.prod(axis=2)
+    slope = np.zeros_like(lagrange)
+    for k in range(n):
+        rest = ratio.copy()
+        rest[:, :, k] = 1.0 / gaps[:, :, k]
+        rest[:, k, :] = 0.0
+        slope += rest.prod(axis=2)
+    inverse = 1.0 / gaps
+    inverse[:, itself, itself] = 0.0
+    c, x = inverse.sum(axis=2), s[:, None] - nodes
+    square, double = lagrange**2, 2.0 * lagrange * slope
+    value = 1.0 - 2.0 * x * c
+    return np.concatenate(
+        [value * square, x * square, value * double - 2.0 * c * square, square + x * double], axis=1
+    )
+
+
+def _through(clock: Any, *saves: Any) -> Any:
+    """(q, w, how far it is from the cubic through two saves) from n attitudes, then their rates."""
+    n = len(saves) // 2
+    q, w = saves[:n], saves[n:]
+    s, h, at = clock[0], clock[1], clock[2:n]
+    two, all_of = clock[n : n + 8], clock[n + 8 :]
+    phi = quat.log(quat.mul(quat.conj(q[0]), quat.normalise(q[1])))
+
+    def slope(psi: Any, rate: Any) -> Any:
+        seen = quat.rotate_inverse(quat.exp(psi), phi)
+        return so3.dexpinv(psi, minus(scale(h, rate), seen))
+
+    start = quat.normalise(q[0])
+    values, slopes = [], [minus(scale(h, x), phi) for x in w[:2]]
+    for k, x, rate in zip(at, q[2:], w[2:], strict=True):
+        reference = quat.mul(start, quat.exp(scale(k, phi)))
+        psi = quat.log(quat.mul(quat.conj(reference), quat.normalise(x)))
+        values.append(psi)
+        slopes.append(slope(psi, rate))
+
+    def at_s(weights: Any, m: int) -> Any:
+        terms = [scale(b, x) for b, x in zip(weights[m : 2 * m], slopes[:m], strict=True)]
+        terms += [scale(a, x) for a, x in zip(weights[2:m], values[: m - 2], strict=True)]
+        return plus(*terms)
+
+    psi, change = at_s(all_of, n), at_s(all_of[2 * n :], n)
+    turn = quat.exp(psi)
+    rate = plus(quat.rotate_inverse(turn, phi), so3.dexp(psi, change))
+    apart = minus(psi, at_s(two, 2))
+    attitude = quat.normalise(quat.mul(quat.mul(start, quat.exp(scale(s, phi))), turn))
+    return attitude, tuple(x / h for x in rate), dot(apart, apart) ** 0.5

@@ -1,0 +1,143 @@
+"""Where a run leaves what its method can do: each body's status, warnings with a remedy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from fastatt import rounding
+from fastatt.methods.method import Method
+from fastatt.propagation.energy import angular_momentum
+from fastatt.scene import torques
+from fastatt.scene.equations import GivenRate
+from fastatt.scene.models import Packed
+from fastatt.scene.rates import bound, lengths
+from fastatt.scene.scene import Scene
+
+# evaluations a step of one stage beside which a look at its turn is nothing
+_STAGES = 4
+
+
+def turn_limit(
+    scene: Scene, method: Method, representation: str, dtype: DTypeLike = np.float64
+) -> float:
+    """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
+    if scene.is_constant and method.exact_for_constant:
+        return rounding.most_turned(dtype)
+    return method.limit(representation, body=scene.kind != "rate")
+
+
+def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
+    """What the method's limit holds for, of the first step of each body, rad; w (3,) or (N, 3)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if method.measure == "turn":
+            return np.asarray(lengths(_finite(w)) * abs(h))
+        m = np.asarray(_fastest(scene, w) * abs(h))
+        if method.measure == "momentum":
+            return m
+        least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
+        between = (1.0 - least / middle) * (least / middle - least / most)
+        return np.asarray(m * np.sqrt(np.abs(between)))
+
+
+def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
+    rates = np.atleast_2d(w).astype(np.float64, copy=False)
+    if np.isfinite((rates @ np.ones(3)).sum()):  # a tenth of the time
+        return rates
+    return np.nan_to_num(rates, posinf=0.0, neginf=0.0)
+
+
+def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
+    """|m|/I_min of each body, rad/s: a free one never turns faster."""
+    given = np.asarray(scene.inertia)
+    least = scene.principal.moments.min(axis=-1)
+    rates = _finite(w)
+    if given.shape == (3,):  # a fifth of the time
+        return np.asarray(np.sqrt(np.square(rates) @ np.square(given / least)))
+    return np.asarray(lengths(angular_momentum(rates, given)) / least)
+
+
+def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64] | float | None:
+    """Whether turns are known beforehand: rates (rad/s) of each body that they never exceed, or 0.
+
+    0 of free bodies, whose own initial momentum says it; None where nothing does. Coordinates have
+    poles, a planet's gravity has a centre; beside many stages the look is not worth a second
+    program. ``choice`` is that of a run.
+    """
+    method: Method = choice.method
+    if choice.attitude.has_poles or scene.needs_position:
+        return None
+    if method.rate_calls > _STAGES and not method.stages:
+        return None
+    turning = packed.structure.turning
+    if isinstance(turning, GivenRate):
+        with np.errstate(over="ignore", invalid="ignore"):
+            return bound(turning.law, packed.params[..., : turning.n_params])
+    return None if scene.kind == "torqued" else 0.0
+
+
+def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
+    """Largest known turn, rad a step, of bodies whose steps need no look."""
+    if scene.is_constant and method.exact_for_constant:
+        return 3.0  # of exponentials good up to π
+    if method.measure == "asymmetry":
+        return limit
+    # within π with all a method's brackets; DMV converges up to 0.5
+    return min(limit, 0.4 if method.measure == "momentum" else 1.0)
+
+
+def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
+    """Largest c h/I of the damping in a scene, of each body or of all."""
+    if scene.kind != "torqued":
+        return np.zeros(1)
+    with np.errstate(over="ignore"):
+        return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
+
+
+def warn(
+    turn: NDArray[Any],
+    damped: NDArray[np.float64],
+    limit: float,
+    method: Method,
+    h: Any,
+    kind: np.dtype[Any],
+    *,
+    compensated: bool,
+) -> bool:
+    """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
+    seen = np.asarray(turn)
+    most = float(seen.max()) if seen.size else 0.0
+    if not math.isfinite(most):
+        seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
+        most = float(seen.max())
+    eps = float(np.finfo(kind).eps)
+    if isinstance(h, np.ndarray):
+        worst_of = seen if most > limit or not (damped > method.damping_limit).any() else damped
+        h = float(np.broadcast_to(h, worst_of.shape)[worst_of.argmax()] if seen.size else 0.0)
+    text = ""
+    if most > limit:
+        text = (
+            f"dt: a step of body {seen.argmax()} is {most:.3g} rad, {method.name}'s limit is "
+            f"{limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
+            f"|dt| <= {abs(h) * limit / most:.3g}"
+        )
+    elif (damped > method.damping_limit).any():
+        worst = float(damped.max())
+        text = (
+            f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
+            f"to {method.damping_limit:.3g}: take |dt| <= "
+            f"{abs(h) * method.damping_limit / worst:.3g}"
+        )
+    elif 0.0 < most < eps and not compensated:
+        text = (
+            f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
+            f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"
+        )
+    elif found := rounding.of_angles(seen, kind):
+        text = f"dt: found steps of {found}"
+    if text:
+        rounding.warn(text)
+    return bool(text)

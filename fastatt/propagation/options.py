@@ -1,0 +1,276 @@
+"""What is asked of a run: by which method, which steps and saves, on how many threads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.attitudes import Attitude
+from fastatt.device import Device
+from fastatt.engine.run import PerBody, Span
+from fastatt.methods.method import Method
+from fastatt.propagation.reducer import Reducer
+from fastatt.propagation.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from fastatt.propagation.resume import End
+
+#: saves that are kept at a time where all of them are not
+RING = 16
+_EPS = float(np.finfo(np.float64).eps)
+# steps of the fastest body between two times at which bodies wait for each other
+_LEG = 4096
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How a scene is propagated: by which method, in which representation, mended when."""
+
+    method: Method
+    attitude: Attitude
+    restore: int = 0
+    raw: bool = False
+    reducer: Reducer | None = None
+    #: where it runs, if not on the processor
+    device: Device | None = None
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Steps and saves of a run, which goes on after ``done`` steps."""
+
+    h: float
+    n_steps: int
+    every: int | None
+    done: int = 0
+
+    @classmethod
+    def of(cls, dt: Any, n_steps: Any, save_every: Any, done: int = 0) -> Clock:
+        """The same from what a user gives.
+
+        Raises ``ValueError`` or ``TypeError`` for what is no step and no number of steps.
+        """
+        return cls(
+            checks.real("dt", dt, zero=False),
+            checks.whole("n_steps", n_steps, 0),
+            None if save_every is None else checks.whole("save_every", save_every, 1),
+            done,
+        )
+
+    @property
+    def end(self) -> int:
+        """Number of the last step."""
+        return self.done + self.n_steps
+
+    @property
+    def saves(self) -> int:
+        """How many saves there are: all their numbers may be more than memory holds."""
+        return 1 if self.every is None else -(-self.n_steps // self.every) + 1
+
+    @cached_property
+    def saved(self) -> list[int]:
+        """Numbers of the steps after which states are saved."""
+        return (
+            [self.end]
+            if self.every is None
+            else [*range(self.done, self.end, self.every), self.end]
+        )
+
+    @cached_property
+    def since(self) -> NDArray[np.float64]:
+        """Times of the saves from step 0 on, s."""
+        with np.errstate(over="ignore"):
+            return np.array(self.saved, dtype=np.float64) * self.h
+
+    def times(self, begin: float) -> NDArray[np.float64]:
+        """Times of the saves, s, where step 0 begins at ``begin``.
+
+        Raises ``ValueError`` where they overflow.
+        """
+        if not math.isfinite(begin + self.end * self.h):
+            raise ValueError(
+                f"dt: {self.end} steps of {self.h} s from {begin} s overflow; accepted: shorter"
+            )
+        return self.since + begin
+
+    @property
+    def steps(self) -> Any:
+        """The step, s, or each body's own."""
+        return self.h
+
+    def longest(self, begin: float) -> float:
+        """Largest |t| of the run, s."""
+        return max(abs(begin), abs(begin + self.end * self.h))
+
+    def span(self, restore: int) -> Span:
+        """All of it, for the engine."""
+        every = self.every or max(self.n_steps, 1)
+        slot = int(self.every is not None)
+        return Span(self.done, self.end, self.end, every, slot, restore, self.done)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnClock(Clock):
+    """Per-body step sizes, and saves at any times.
+
+    ``h`` and ``n_steps`` of the base are those of the body with most steps.
+    """
+
+    own: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    #: times of the saves, s; the same since the start, and the slack of their rounding
+    at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    since: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    slack: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """Each body's own step, s."""
+        return self.own
+
+    @cached_property
+    def order(self) -> NDArray[np.int64] | None:
+        """Bodies with most steps first, which threads take first; None if all have one step."""
+        if self.own.size == 1:
+            return None
+        return np.argsort(np.abs(self.own), kind="stable").astype(np.int64)
+
+    @cached_property
+    def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Times since the start at which bodies wait for each other, with slacks; saves, or −1."""
+        legs = np.diff(self.since, prepend=0.0)
+        most = np.abs(legs / self.h)
+        parts = np.maximum(1, np.ceil(most / _LEG)).astype(np.int64)
+        ends = np.cumsum(parts) - 1
+        left = np.repeat(ends, parts) - np.arange(parts.sum())
+        times = np.repeat(self.since, parts) - np.repeat(legs / parts, parts) * left
+        slots = np.full(times.size, -1)
+        slots[ends] = np.arange(self.at.size)
+        return np.stack([times, np.repeat(self.slack, parts)], axis=1), slots
+
+    def per_body(self, n: int) -> PerBody:
+        """Orders, step sizes and stops of n bodies, for the engine."""
+        stops, slots = self._stops
+        order = np.arange(n) if self.order is None else self.order
+        return PerBody(
+            order, np.repeat(self.own, n) if self.own.size == 1 else self.own, stops, slots
+        )
+
+    @property
+    def saves(self) -> int:
+        """How many saves there are."""
+        return self.at.size
+
+    @cached_property
+    def saved(self) -> list[int]:
+        """Numbers of the saves."""
+        return list(range(self.at.size))
+
+    def times(self, begin: float) -> NDArray[np.float64]:
+        """Times of the saves, s."""
+        return self.at
+
+    def span(self, restore: int) -> Span:
+        """All of it, for the engine."""
+        n = self._stops[1].size
+        return Span(0, n, n, 1, 0, restore)
+
+
+class Handling(NamedTuple):
+    """What has no effect on results: threads, a bar, where saves go; and what invalid bodies do."""
+
+    threads: int = 1
+    #: is told of body-steps
+    done: Callable[[int], object] | None = None
+    sink: Callable[[Trajectory], object] | None = None
+    invalid: str = "raise"
+    #: where the run's end is written, again and again
+    checkpoint: Path | None = None
+    #: a file that saves go to
+    out: Any = None
+    progress: bool = False
+    #: where the run goes on
+    start: End | None = None
+    #: whether the trajectory holds its end
+    ends: bool = False
+
+
+def few(saves: int) -> list[list[int]]:
+    """The initial save with each few that follow it."""
+    return [[0, *range(first, min(first + RING, saves))] for first in range(1, max(saves, 2), RING)]
+
+
+def clock_of(
+    dt: Any, n_steps: Any, saves: tuple[Any, Any], begin: float, bodies: int
+) -> Clock | OwnClock:
+    """The clock of a run; ``saves`` are ``save_every`` and ``save_at``.
+
+    Raises ``ValueError`` and ``TypeError`` for what does not fit.
+    """
+    save_every, save_at = saves
+    if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
+        return Clock.of(dt, n_steps, save_every)
+    if save_every is not None:
+        other = "save_at" if save_at is not None else "steps of each body's own"
+        raise ValueError(f"save_every: found with {other}; accepted: save_at alone")
+    steps = checks.array("dt", dt, "a number or (N,)").astype(np.float64)
+    steps = np.ascontiguousarray(np.atleast_1d(steps))
+    if steps.size not in (1, bodies):
+        raise ValueError(f"dt: found {steps.size} steps; accepted: one, or {bodies} of the bodies")
+    if not ((steps > 0.0).all() or (steps < 0.0).all()):
+        raise ValueError("dt: found steps of both signs or 0; accepted: all above 0, or all below")
+    counts = _counts(n_steps, steps.size)
+    ends = counts * steps
+    end = float(ends[0])
+    if np.ptp(ends) > 16.0 * _EPS * abs(end):
+        b = int(np.abs(ends - end).argmax())
+        raise ValueError(
+            f"n_steps: body {b} ends after {ends[b]:.17g} s, body 0 after {end:.17g} s; accepted: "
+            "dt * n_steps the same of all bodies, to rounding"
+        )
+    if not np.isfinite(begin + end):
+        raise ValueError(f"dt: the run overflows at {begin} + {end} s; accepted: shorter")
+    if save_at is None:
+        at, since = np.array([begin + end]), np.array([end])
+        slack = 16.0 * _EPS * np.abs(since)
+    else:
+        at = _times(save_at, begin, begin + end)
+        since, slack = at - begin, 16.0 * _EPS * (np.abs(at) + abs(begin))
+    smallest = float(steps[np.abs(steps).argmin()])
+    return OwnClock(smallest, int(counts.max()), None, 0, steps, at, since, slack)
+
+
+def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:
+    if np.ndim(n_steps) == 0:
+        return np.full(n, checks.whole("n_steps", n_steps, 0), dtype=np.int64)
+    found = np.asarray(n_steps)
+    if found.dtype.kind not in "iu" or found.shape != (n,) or (found < 0).any():
+        raise ValueError(
+            f"n_steps: found {checks.brief(n_steps)}; accepted: a whole number, or ({n},) of them, "
+            "at least 0"
+        )
+    return found.astype(np.int64)
+
+
+def _times(save_at: Any, begin: float, end: float) -> NDArray[np.float64]:
+    at = checks.array("save_at", save_at, "(S,) times, s").astype(np.float64)
+    forward = end >= begin
+    slack = 16.0 * _EPS * (abs(begin) + abs(end))
+    first, last = (begin, end) if forward else (end, begin)
+    outside = (at < first - slack) | (at > last + slack)
+    if outside.any():
+        k = int(outside.argmax())
+        raise ValueError(
+            f"save_at[{k}] is {at[k]:.17g}; accepted: from {first:.17g} to {last:.17g}"
+        )
+    steps = np.diff(at)
+    if ((steps < 0.0) if forward else (steps > 0.0)).any():
+        raise ValueError("save_at: found times out of order; accepted: in the order of the run")
+    return np.ascontiguousarray(at)

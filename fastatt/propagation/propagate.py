@@ -1,0 +1,373 @@
+"""The library call: an ensemble through a scene."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from fastatt import checks
+from fastatt.attitudes import DIRECTION, Attitude
+from fastatt.methods import METHODS, Method
+from fastatt.propagation import closed_form as exact
+from fastatt.propagation.choice_of_method import chosen, method_of
+from fastatt.propagation.convergence import SelfCheck, examine
+from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.execute import carry_out, holds_end
+from fastatt.propagation.initial import Given, initial, same_number
+from fastatt.propagation.options import Choice, Clock, Handling, OwnClock, clock_of
+from fastatt.propagation.plan import LONG, Plan
+from fastatt.propagation.reducer import Reducer
+from fastatt.propagation.resume import end_of
+from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.scene import Scene, as_scene
+from fastatt.threads import number_of
+
+# body-steps, 2 ms of the slowest, that one thread takes no longer than several do
+_SHORT = 65_536
+
+
+def propagate(
+    scene: Scene,
+    q0: ArrayLike | None = None,
+    w0: ArrayLike | None = None,
+    *,
+    v0: ArrayLike | None = None,
+    r0: ArrayLike | None = None,
+    dt: float | ArrayLike,
+    n_steps: int | ArrayLike,
+    method: str | Method | None = None,
+    representation: str | Attitude = "quat",
+    save_every: int | None = None,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    progress: bool = False,
+    t0: float = 0.0,
+    compensated: bool = False,
+    normalise: str | int = "output",
+    invalid: str = "raise",
+    sink: Callable[[Trajectory], object] | None = None,
+    reduce: Reducer | None = None,
+    out: str | os.PathLike[str] | None = None,
+    resume: Trajectory | str | os.PathLike[str] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    save_at: ArrayLike | None = None,
+    device: str | None = None,
+) -> Trajectory:
+    """Propagate one attitude or an ensemble with a fixed step.
+
+    Parameters
+    ----------
+    scene : what acts.
+    q0 : (4,) or (N, 4), initial attitudes, body to inertial, scalar first, of any length but zero.
+    w0 : (3,) or (N, 3), initial angular velocities along body axes, rad/s; a rate scene takes none.
+    v0, r0 : (3,) or (N, 3), of a scene with mass: initial velocities along body axes, m/s, and
+        positions along inertial axes, m, which are carried if given.
+    dt : step, s; negative runs backwards. Each body may have its own, (N,).
+    n_steps : number of steps, at least 0; with steps of each body's own (N,), so that all end at
+        one time, to rounding.
+    method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.explicit``,
+        ``fastatt.lie``); None takes the first of magnus4, exact, rk8 and rk4 that fits the scene
+        and the representation; the trajectory names it.
+    representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
+        ``Attitude`` of one's own.
+    save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
+        the final ones.
+    dtype : float64 or float32; None takes float32 when the arrays given are all float32, else
+        float64.
+    n_threads : None takes every processor that this process may use, for a short run one; results
+        do not depend on it.
+    progress : show a bar (needs tqdm).
+    t0 : time of ``q0``, s.
+    compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
+        grows with the square root of the number of steps; at 0.5 to 0.9 of the speed. Of
+        quaternions, and of methods whose record says ``compensates``.
+    normalise : when the state is brought back to its group: "output" (in what is handed out only),
+        "never", or every so many steps, besides. The status looks at the departure from the group
+        before it is mended. A compensated state is mended every 64 steps unless said otherwise.
+    invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
+        the ensemble and flags those bodies, the others' results being what they are without them.
+    sink : with ``save_every``, is handed each save once, 16 at a time (17 with the initial one), as
+        a trajectory whose arrays are used again; the result then holds the final states only.
+    reduce : a function of one's own that sees every step of every body (:func:`fastatt.reducer`);
+        the trajectory's ``reduced`` is what it made. With methods whose record says ``reduces``.
+    out : with ``save_every``, a file that the saves go to, 16 at a time: ``*.npy``, mapped into
+        memory in the trajectory, or ``*.zarr``; (S, N, k), attitudes, then w, v and r.
+    resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end`` or
+        ``checkpoint``, where this run goes on, to the same bits as without an end between; initial
+        values, ``t0``, method and scene are its own, and saves are counted from there.
+    checkpoint : a file that the run's end so far is written to every ten seconds, whole or not at
+        all. Where it exists the run goes on from there: the same call again, after a crash.
+    save_at : times within the run, s, in its order, at which states are kept instead: from the last
+        step before by one shorter step of the same method.
+    device : "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``): the same
+        steps, without the closed form ``exact``. Initial values may be CuPy's arrays or Numba's
+        device arrays; ``q`` of quaternions, ``w``, ``v`` and ``r`` then stay there, but of a run
+        with ``sink``, ``out`` or ``checkpoint``.
+
+    Returns
+    -------
+    Trajectory : times, attitudes and a status for each body.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+
+    Warns
+    -----
+    StepWarning : steps beyond the method's limits, or too small for the precision.
+
+    On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
+    """
+    as_scene(scene)
+    there = None
+    if device is not None:
+        from fastatt.device.program import taken
+
+        stays = sink is None and out is None and checkpoint is None
+        there, (q0, w0, v0, r0) = taken(device, (q0, w0, v0, r0), stays=stays)
+    end = None if resume is None else end_of(resume)
+    if end is not None:
+        method, compensated = method or end.about["method"], end.about["compensated"]
+    choice = chosen(scene, method, representation, compensated, normalise, reduce, there)
+    flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
+    begin = checks.real("t0", t0)
+    values, position = (q0, w0, v0, r0), r0 is not None
+    if end is None:
+        start, beside = initial(scene, values, flag=True)
+        if reduce is not None:
+            beside["s0"] = reduce.start
+            same_number({**beside, "q0": start})
+        given = Given.of(start, beside, checks.precision(dtype, *values))
+    else:
+        # initial values come from there, and saves are counted from its end
+        given_too = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
+        _check_alone(
+            "resume; accepted: one of them", **given_too, save_at=save_at, checkpoint=checkpoint
+        )
+        given, begin, position = end.given, end.t0, bool(end.about["r0"])
+        if dtype is not None and checks.precision(dtype) != given.q.dtype:
+            raise ValueError(
+                f"dtype: found {checks.brief(dtype)} with resume; accepted: {given.q.dtype}, with "
+                "which the run began, or None"
+            )
+    bodies = given.bodies
+    if end is None:
+        clock = clock_of(dt, n_steps, (save_every, save_at), begin, bodies)
+    else:
+        clock = Clock.of(dt, n_steps, save_every, end.done)
+    if isinstance(clock, OwnClock):
+        # these go with one step for all bodies, counted from the begin, alone
+        _check_alone(
+            "save_at or steps of each body's own; accepted: without", sink=sink, out=out,
+            checkpoint=checkpoint, compensated=compensated, normalise=choice.restore or None,
+        )  # fmt: skip
+    _check_sink(sink, out, clock.every)
+    if checkpoint is not None and clock.every is not None and sink is None and out is None:
+        raise ValueError(
+            "checkpoint: found with save_every alone; accepted: with out or a sink, which have the "
+            "saves so far, or without save_every"
+        )
+    steps = bodies * clock.n_steps
+    # a look at the initial values only if a body is flagged
+    late = steps <= LONG and sink is None and end is None
+    if end is None and not (flag or late):
+        initial(scene, values, flag=False)
+    handling = Handling(
+        threads_of(n_threads, 1, steps),
+        sink=sink,
+        invalid=invalid,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+        out=out,
+        progress=progress,
+        start=end,
+        ends=holds_end(bodies, clock),
+    )
+    result = carry_out(scene, choice, clock, given, begin, handling, position=position)
+    if late and not flag and result.has_flags:
+        initial(scene, values, flag=False)
+    return result
+
+
+def plan(
+    scene: Scene,
+    n_bodies: int,
+    *,
+    dt: float,
+    n_steps: int,
+    method: str | Method | None = None,
+    representation: str | Attitude = "quat",
+    save_every: int | None = None,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    compensated: bool = False,
+    normalise: str | int = "output",
+    invalid: str = "raise",
+    position: bool = False,
+) -> Plan:
+    """A run to be made many times: all is checked, laid out and compiled now, once.
+
+    ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some tens of
+    microseconds besides the steps. ``position`` says that positions r0 will be given, of a scene
+    with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64. A plan
+    can be pickled and copied, and called by several threads at a time.
+
+    Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> step = fa.plan(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), 1, dt=0.01, n_steps=1, method="rk4")
+    >>> run = step([1, 0, 0, 0], [0.1, 0.2, 0.3])
+    >>> run = step(run.q[-1], run.w[-1], t0=0.01)
+    >>> run.t
+    array([0.02])
+    """
+    again = dict(locals())  # for one that was pickled
+    as_scene(scene)
+    bodies = checks.whole("n_bodies", n_bodies, 1)
+    if position and not scene.moves:
+        raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
+    choice = chosen(scene, method, representation, compensated, normalise)
+    clock = Clock.of(dt, n_steps, save_every)
+    checks.choice("invalid", invalid, exact.INVALID)
+    if METHODS.get(choice.method.name) is choice.method:
+        again["method"] = choice.method.name
+    return Plan(
+        scene,
+        bodies,
+        choice,
+        clock,
+        checks.precision(dtype),
+        position=position,
+        handling=Handling(threads_of(n_threads, bodies, clock.n_steps), invalid=invalid),
+        asked=(partial(plan, **again), ()),
+    )
+
+
+def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
+    """Threads of a run: those asked for; else all, but one where starting more takes longer."""
+    if n_threads is None and n_bodies * n_steps < _SHORT:
+        return 1
+    return number_of(n_threads)
+
+
+def self_check(
+    scene: Scene,
+    q0: ArrayLike,
+    w0: ArrayLike | None = None,
+    *,
+    v0: ArrayLike | None = None,
+    r0: ArrayLike | None = None,
+    dt: float,
+    n_steps: int,
+    method: str | Method | None = None,
+    representation: str | Attitude = "quat",
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    t0: float = 0.0,
+    sample: int = 64,
+    at: str = "run",
+) -> SelfCheck:
+    """Order and error that a run shows of itself, by halving its step on a sample of its bodies.
+
+    Takes 3 to some 100 times as long as the run takes on ``sample`` bodies: the step is halved
+    twice, and again while the order is below the declared one. Arguments are those of
+    :func:`fastatt.propagate`. Results are compared over the "run", after each of its steps or, of
+    more than 1024, at so many even times of it and of its beginnings; with ``at="end"`` at its end
+    alone. The check sees any error of the method that lowers its order, such as a wrong weight or
+    sign or a stale rate; it sees none that a method of the same order for other equations would
+    make.
+
+    Returns
+    -------
+    SelfCheck : ``order``, ``declared``, ``error``, ``limited_by``, ``norm``, ``passed``.
+
+    Warns
+    -----
+    OrderWarning : the order observed is below the declared one by more than 0.5: the method is
+        broken, or what acts is not smooth, such as a sampled torque between whose samples a step
+        is no whole fraction.
+
+    Raises
+    ------
+    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    """
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
+
+    def run(some: Ensemble, h: float, n: int, every: int) -> Trajectory:
+        return propagate(
+            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n,
+            save_every=every, method=method, representation=representation, dtype=dtype,
+            n_threads=n_threads, t0=t0,
+        )  # fmt: skip
+
+    return examine(
+        run,
+        ensemble,
+        checks.real("dt", dt, zero=False),
+        checks.whole("n_steps", n_steps, 1),
+        sample=checks.whole("sample", sample, 1),
+        at=at,
+    )
+
+
+def _check_sink(sink: Any, out: Any, every: int | None) -> None:
+    if sink is not None and not callable(sink):
+        raise TypeError(f"sink: found {checks.brief(sink)}; accepted: a function")
+    for name, value in (("sink", sink), ("out", out)):
+        if value is not None and every is None:
+            raise ValueError(f"{name}: found without save_every; accepted: with it")
+
+
+def _check_alone(why: str, **asked: Any) -> None:
+    """Refuse what does not go with something else."""
+    for name, value in asked.items():
+        if value is not None and value is not False:
+            raise ValueError(f"{name}: found with {why}")
+
+
+def propagate_directions(
+    scene: Scene,
+    v0: ArrayLike,
+    *,
+    dt: float,
+    n_steps: int,
+    method: str | None = None,
+    save_every: int | None = None,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    t0: float = 0.0,
+) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """Poisson's equation v̇ = v×w: fixed inertial directions seen from the turning body.
+
+    A star, the field of gravity: three numbers a direction instead of a whole attitude. ``v0`` is
+    (3,), (M, 3) for M directions from one body, or (N, M, 3) for M from each of N bodies; any
+    length. With ``frame="inertial"`` the vectors are fixed in the body and seen from inertial axes.
+    The other arguments are those of :func:`propagate`. Gives the times (S,) and the vectors
+    (S, *v0.shape).
+
+    Raises ``ValueError`` or ``TypeError`` as :func:`propagate` does.
+    """
+    if as_scene(scene).kind != "rate" or scene.moves:
+        raise ValueError("scene: found inertia or mass; accepted: a scene with a rate alone")
+    record = method_of(scene, method, "quat")
+    v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)")
+    if v.ndim == 3 and scene.rows is not None:
+        scene.packed(len(v))  # refuses another number of bodies
+        scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
+    given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
+    plan = Plan(
+        scene,
+        given.rows_q,
+        Choice(record, DIRECTION),
+        Clock.of(dt, n_steps, save_every),
+        given.q.dtype,
+    )
+    flat = plan.run(given, checks.real("t0", t0), Handling(number_of(n_threads)))
+    return flat.t, flat.state.reshape((flat.t.size, *v.shape))

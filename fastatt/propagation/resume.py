@@ -1,0 +1,157 @@
+"""Where a run ended: what another needs to go on as if there had been no end, kept or in a file.
+
+A restart from an attitude and a rate that were handed out is another run: the state was brought
+back to its group, low parts are lost, invariants begin anew.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.propagation.initial import Given
+
+if TYPE_CHECKING:
+    from fastatt.propagation.plan import Plan
+
+_FORMAT = 2
+#: bodies of which a trajectory holds its end at most
+MOST = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """A run's last state as the engine carries it, its begin, and what it was a run of."""
+
+    given: Given
+    states: NDArray[Any]
+    diagnostics: NDArray[Any]
+    done: int
+    t0: float
+    about: dict[str, Any]
+    params: NDArray[np.float64]
+    #: a hash of what a step computes
+    equations: str
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a file, whole or not at all."""
+        target = Path(path)
+        given = self.given
+        told = {
+            "format": _FORMAT,
+            "done": self.done,
+            "t0": self.t0.hex(),
+            "equations": self.equations,
+            "rows": [given.rows_q, given.rows_y, given.one_body],
+            **self.about,
+        }
+        handle, name = tempfile.mkstemp(prefix=target.name, dir=target.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(
+                    file,
+                    told=np.array(json.dumps(told)),
+                    q=given.q,
+                    y=given.y,
+                    states=self.states,
+                    diagnostics=self.diagnostics,
+                    params=self.params,
+                )
+                file.flush()
+                os.fsync(file.fileno())
+            Path(name).replace(target)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+
+def loaded(path: str | os.PathLike[str]) -> End:
+    """The end of a run from a file.
+
+    Raises ``ValueError`` for a file that is none, ``OSError`` for one that can't be read.
+    """
+    try:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            told = json.loads(str(file["told"]))
+            if told.pop("format") != _FORMAT:
+                raise KeyError("format")
+            rows_q, rows_y, one_body = told.pop("rows")
+            given = Given(file["q"], file["y"], rows_q, rows_y, one_body)
+            done, t0 = told.pop("done"), float.fromhex(told.pop("t0"))
+            equations = told.pop("equations")
+            return End(
+                given,
+                file["states"],
+                file["diagnostics"],
+                done,
+                t0,
+                told,
+                file["params"],
+                equations,
+            )
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"resume: {path} is no file of a run's end ({error}); accepted: one that "
+            "Trajectory.save_end or checkpoint= wrote"
+        ) from None
+
+
+def end_of(resume: Any) -> End:
+    """The end of a trajectory, or of a file.
+
+    Raises ``TypeError`` and ``ValueError`` for what has none.
+    """
+    if isinstance(resume, (str, os.PathLike)):
+        return loaded(resume)
+    end = getattr(resume, "end", None)
+    if isinstance(end, End):
+        return end
+    if hasattr(resume, "status"):
+        raise ValueError(
+            "resume: this trajectory does not hold its end; accepted: one of propagate by a method "
+            f"that steps, of at most {MOST} bodies; a file that checkpoint= wrote, of any number"
+        )
+    raise TypeError(
+        f"resume: found {checks.brief(resume)}; accepted: a trajectory or a file's path"
+    )
+
+
+def check(end: End, plan: Plan) -> None:
+    """Refuse to go on with anything else than what was begun."""
+    for name, value in plan.about.items():
+        if end.about[name] != value:
+            raise ValueError(
+                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, with which "
+                "the run began that is resumed"
+            )
+    if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
+        raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")
+
+
+def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:
+    """Refuse to go on with a run that began elsewhere, or got further."""
+    begin = end.given
+    same = np.array_equal(begin.q, given.q, equal_nan=True)
+    if end.t0 != t0 or not (same and np.array_equal(begin.y, given.y, equal_nan=True)):
+        raise ValueError(
+            "checkpoint: the file is of a run from other initial values; accepted: the same call "
+            "again, or no file"
+        )
+    if end.done > n_steps:
+        raise ValueError(
+            f"n_steps: found {n_steps}; accepted: at least {end.done}, after which the checkpoint "
+            "was written"
+        )
+
+
+def _plain(value: Any) -> Any:
+    return float.fromhex(value) if isinstance(value, str) and value[:3] in ("0x1", "-0x") else value

@@ -1,0 +1,252 @@
+"""What a run gives back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import arrays
+from fastatt.attitudes import Attitude
+from fastatt.codegen.rows import rows
+from fastatt.engine.status import Status
+from fastatt.methods import METHODS
+from fastatt.scene.equations import GivenRate
+from fastatt.scene.models import Packed
+from fastatt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from fastatt.methods.method import Method
+    from fastatt.propagation.resume import End
+
+
+class Results(NamedTuple):
+    """What a run writes: (S, N, k) handed out, (S, N) departures from the group, (N,) flags."""
+
+    out: NDArray[Any]
+    defect: NDArray[Any]
+    status: NDArray[np.uint8]
+
+    @classmethod
+    def empty(cls, saves: int, bodies: int, width: int, kind: Any) -> Results:
+        """New ones."""
+        return cls(
+            np.empty((saves, bodies, width), kind),
+            np.empty((saves, bodies), kind),
+            np.empty(bodies, np.uint8),
+        )
+
+    def saves(self, slots: slice) -> Results:
+        """Some saves."""
+        return Results(self.out[slots], self.defect[slots], self.status)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
+    """Saved attitudes of one body or of an ensemble, time first.
+
+    At a prompt it prints its summary, in a notebook a table of the last save besides.
+
+    ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
+    in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
+    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``defect``
+    (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
+    ‖C Cᵀ − 1‖ of a matrix.
+    """
+
+    t: NDArray[np.float64]
+    state: NDArray[Any]
+    defect: NDArray[Any]
+    status: NDArray[np.uint8]
+    method: str
+    representation: str
+    #: the step, s, or each body's own
+    dt: Any
+    one_body: bool
+    #: numbers of what acts, or the scene to find them from; none where w is carried
+    packed: Packed | Scene | None = field(repr=False)
+    attitude: Attitude = field(repr=False)
+    record: Method = field(repr=False)
+    #: w, v and r where the scene carries them, each (S, N, 3)
+    carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    #: where another run may go on
+    end: End | None = field(default=None, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All fields, for a copy elsewhere: a given rate as numbers."""
+        state = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        rates = self.w.reshape(*self.state.shape[:2], 3)
+        state["carried"] = {"w": rates, **self.carried}
+        record = self.record
+        if METHODS.get(record.name) is not record:  # one's own, of functions within functions
+            record = replace(record, steps=None)
+        return {**state, "packed": None, "record": record}
+
+    @cached_property
+    def q(self) -> NDArray[Any]:
+        """Unit quaternions, body to inertial."""
+        if self.attitude.to_quat_array is not None:
+            return self._shaped(self.attitude.to_quat_array(self.state))
+        if self.attitude.to_dcm_array is not None:
+            return arrays.quaternions_of(self.C)
+        return self._shaped(self.state)
+
+    @cached_property
+    def C(self) -> NDArray[Any]:
+        """Direction cosine matrices, body to inertial."""
+        if self.attitude.to_dcm_array is not None:
+            return self._shaped(self.attitude.to_dcm_array(self.state))
+        return arrays.quat_to_dcm(self.q)
+
+    @cached_property
+    def euler313(self) -> NDArray[Any]:
+        """3-1-3 Euler angles (φ, θ, ψ), rad."""
+        if self.representation == "euler313":
+            return self._shaped(self.state)
+        return arrays.quat_to_euler313(self.q)
+
+    @cached_property
+    def w(self) -> NDArray[Any]:
+        """Angular velocity in body axes at the saved times, rad/s."""
+        if "w" in self.carried:
+            return self._shaped(self.carried["w"])
+        packed = self.packed
+        if isinstance(packed, Scene):
+            packed = packed.packed(self.status.size)
+        assert packed is not None
+        turning = packed.structure.turning
+        assert isinstance(turning, GivenRate)
+        w = self._shaped(self._given(turning, packed))
+        if turning.inertial:
+            w = np.einsum("...ji,...j->...i", self.C, w)
+        with np.errstate(over="ignore"):
+            return w.astype(self.state.dtype, copy=False)
+
+    def _given(self, turning: GivenRate, packed: Packed) -> NDArray[np.float64]:
+        """w (S, N, 3) of a rate that is given, along the axes in which it is."""
+        law = turning.law
+        rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)
+        params = packed.params[..., : law.count]
+        (found,) = rates(self.t[:, None], params, tables=packed.tables)
+        return np.broadcast_to(found, (*self.state.shape[:2], 3))
+
+    @property
+    def v(self) -> NDArray[Any]:
+        """Velocity in body axes, m/s, of a scene with mass."""
+        return self._shaped(self._carried("v", "mass"))
+
+    @property
+    def r(self) -> NDArray[Any]:
+        """Position in inertial axes, m, of a scene with mass where r0 was given."""
+        return self._shaped(self._carried("r", "mass, propagated from an r0"))
+
+    @property
+    def reduced(self) -> NDArray[Any]:
+        """What ``propagate``'s ``reduce`` made of every body, (N, k), or (k,) of one body."""
+        if "s" not in self.carried:
+            raise ValueError(
+                "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
+            )
+        return np.asarray(self._shaped(self.carried["s"])[-1])
+
+    def _carried(self, name: str, needs: str) -> NDArray[Any]:
+        if name not in self.carried:
+            raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
+        return self.carried[name]
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, ``status``.
+
+        See :func:`fastatt.interchange.write_csv`.
+        """
+        from fastatt.interchange import write_csv
+
+        write_csv(self, path)
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame of a row for each save and body, its columns those of ``to_csv``.
+
+        Raises ``ImportError`` without pandas.
+        """
+        from fastatt.interchange import dataframe
+
+        return dataframe(self)
+
+    def to_aem(self, path: str | Path, **options: Any) -> None:
+        """Write one body as an attitude ephemeris message of the CCSDS.
+
+        ``options`` are those of :func:`fastatt.interchange.aem_of`: ``epoch`` and ``frame`` at
+        least.
+        """
+        from fastatt.interchange import aem_of
+
+        aem_of(self, **options).write(path)
+
+    def plot(self, path: str | Path, scene: Scene | None = None) -> None:
+        """Draw attitude, |w| and drift over time to a file; of many bodies percentiles.
+
+        See :func:`fastatt.plots.history`. Needs matplotlib.
+        """
+        from fastatt import plots
+
+        plots.history(self, path, scene)
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        from fastatt.interchange.tables import table
+
+        return table(self)
+
+    @property
+    def has_flags(self) -> bool:
+        """Whether any body has a status."""
+        return bool(self.status.any())
+
+    def status_counts(self) -> dict[str, int]:
+        """How many bodies carry each flag; empty when all are fine."""
+        found = {f.name or "": int(np.count_nonzero(self.status & f)) for f in Status if f}
+        return {name: count for name, count in found.items() if count}
+
+    def summary(self) -> str:
+        """What was run and what went wrong, in a few lines."""
+        n = self.status.size
+        bodies = "1 body" if n == 1 else f"{n} bodies"
+        far = np.nan_to_num(np.abs(self.defect)).max()
+        first = (
+            f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
+            f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest departure from "
+            f"the group {far:.1e}"
+        )
+        lines = [first]
+        for flag in (f for f in Status if f):
+            where = np.flatnonzero(self.status & flag)
+            if where.size:
+                shown = ", ".join(str(b) for b in where[:5]) + (", …" if where.size > 5 else "")
+                lines.append(f"{flag.name} ({int(flag)}): {where.size} of {n}, body {shown}")
+        return "\n".join(lines)
+
+    def save_end(self, path: str | os.PathLike[str]) -> None:
+        """Write where the run ended to a file, whole or not at all: for ``propagate(resume=path)``.
+
+        Raises ``ValueError`` where the trajectory does not hold it.
+        """
+        if self.end is None:
+            raise ValueError("end: this trajectory does not hold it; accepted: one of propagate")
+        self.end.save(path)
+
+    @property
+    def _step(self) -> str:
+        steps = np.atleast_1d(self.dt)
+        few = f"{steps.min():g}"
+        return few if np.ptp(steps) == 0.0 else f"{few} to {steps.max():g}"
+
+    def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
+        return value[:, 0] if self.one_body else value

@@ -1,0 +1,331 @@
+"""The equations of motion that a method steps: of an attitude whose rate is given, or of a body.
+
+The state is a tuple: the attitude's numbers, then what the scene makes the body carry, its angular
+momentum along principal axes. What acts is a structure of laws (``scene.models``), whose numbers
+are given beside it, flat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from fastatt.attitudes import Attitude
+from fastatt.scene.models import Law
+from fastatt.scene.torques import Pose, damping_rates, is_free, torque_of
+from fastatt.tracing.formulas import (
+    Vector,
+    as_like,
+    axpy,
+    dcm,
+    dot,
+    opposite,
+    plus,
+    quat,
+    rigid,
+)
+from fastatt.tracing.user import UserFunction
+
+
+class GivenRate(NamedTuple):
+    """Structure of a scene whose rate is given, along body axes or inertial ones.
+
+    Its parameters are the law's.
+    """
+
+    law: Law
+    inertial: bool = False
+
+    @property
+    def n_params(self) -> int:
+        """Number of parameters."""
+        return self.law.count
+
+    @property
+    def tail(self) -> int:
+        """Numbers carried beside the attitude."""
+        return 0
+
+
+class RigidBody(NamedTuple):
+    """Structure of a rigid body; ``turned`` where principal axes are not the body's.
+
+    Its parameters: ½/I (3), I (3), c of ``rigid.gyroscopic_coefficients`` (3), the quaternion p of
+    the principal axes (4 or none), the torque's.
+    """
+
+    law: Law
+    turned: bool = False
+
+    @property
+    def axes(self) -> int:
+        """Numbers that say where principal axes lie."""
+        return 4 if self.turned else 0
+
+    @property
+    def n_params(self) -> int:
+        """Number of parameters."""
+        return 9 + self.axes + self.law.count
+
+    @property
+    def tail(self) -> int:
+        """Numbers carried beside the attitude."""
+        return 3
+
+
+class Structure(NamedTuple):
+    """What acts in a scene, without its numbers.
+
+    Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's.
+    """
+
+    turning: GivenRate | RigidBody
+    force: Law | None = None
+    #: whether the position is carried too
+    position: bool = False
+    #: a user's function that reduces states to so many numbers a body
+    watcher: UserFunction | None = None
+    watched: int = 0
+
+    @property
+    def n_params(self) -> int:
+        """Number of parameters."""
+        return self.turning.n_params + (0 if self.force is None else 1 + self.force.count)
+
+    @property
+    def reads_position(self) -> bool:
+        """Whether the torque or the force reads the position."""
+        if self.force is None:
+            return False
+        return self.force.reads_position or self.turning.law.reads_position
+
+    @property
+    def moved(self) -> int:
+        """Numbers of velocity and position."""
+        return (0 if self.force is None else 3) + (3 if self.position else 0)
+
+    @property
+    def tail(self) -> int:
+        """Numbers carried beside the attitude."""
+        return self.turning.tail + self.moved + self.watched
+
+
+class Motion:
+    """What a method's step needs of a scene in a representation."""
+
+    attitude: Attitude
+
+    def __init__(self, attitude: Attitude) -> None:
+        self.attitude = attitude
+
+    @cached_property
+    def plain(self) -> Attitude:
+        """The attitude without low parts."""
+        return self.attitude.plain
+
+    def turned(self, x: Vector, u: Vector) -> Any:
+        """An attitude turned by a rotation vector."""
+        return self.attitude.turn(x, u)
+
+    def at(self, t: Any) -> Any:
+        """What ``field`` needs of the time t, evaluated once where several stages share it."""
+        raise NotImplementedError
+
+    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
+        """Time derivative of a state without low parts; ``place`` moves beside it and is read."""
+        raise NotImplementedError
+
+    def base(self, x: Vector) -> Vector:
+        """The state without its low parts."""
+        raise NotImplementedError
+
+    def advanced(self, x: Vector, d: Vector) -> Vector:
+        """x + d with what rounding loses kept."""
+        raise NotImplementedError
+
+    def turning(self, g: Any, xdot: Vector, x: Vector) -> Any:
+        """Square of the rate (rad/s) that limits an explicit step."""
+        raise NotImplementedError
+
+    def begin(self, q: Vector, beside: Vector) -> Vector:
+        """The state at an attitude, as given, and what is carried beside it."""
+        raise NotImplementedError
+
+    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+        """(what the trajectory holds, departure from the group); ``finish`` is the attitude's."""
+        raise NotImplementedError
+
+    def invariants(self, x: Vector) -> Vector:
+        """What the motion keeps, () if nothing does."""
+        return ()
+
+    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+        """(q, w): attitude and angular velocity of the body axes."""
+        raise NotImplementedError
+
+
+class Turning(Motion):
+    """An attitude whose rate is given."""
+
+    def __init__(self, attitude: Attitude, structure: GivenRate, p: Vector, like: Any) -> None:
+        super().__init__(attitude)
+        self.structure, self.p, self._like = structure, p, like
+
+    def rate(self, t: Any) -> Vector:
+        """w(t), rad/s, along the body axes of the state that is stepped, in its precision."""
+        w = self.structure.law.formula(t, self.p)
+        w = opposite(w) if self.structure.inertial else w
+        return tuple(as_like(x, self._like) for x in w)
+
+    def at(self, t: Any) -> Vector:
+        return self.rate(t)
+
+    def field(self, g: Vector, x: Vector, place: Vector = ()) -> Any:
+        return self.plain.derivative(x, g)
+
+    def base(self, x: Vector) -> Vector:
+        return self.attitude.value(x)
+
+    def advanced(self, x: Vector, d: Vector) -> Any:
+        return self.attitude.add(x, d)
+
+    def turning(self, g: Vector, xdot: Vector, x: Vector) -> Any:
+        return self.attitude.speed_squared(xdot, g)
+
+    def begin(self, q: Vector, beside: Vector) -> Any:
+        a = self.attitude.start(q)
+        return self.attitude.flip(a) if self.structure.inertial else a
+
+    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
+        return finish(self.attitude.flip(x) if self.structure.inertial else x)
+
+    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+        if not self.structure.inertial:
+            return self.attitude.quaternion(x), self.rate(t)
+        q = self.attitude.quaternion(self.attitude.flip(x))
+        return q, quat.rotate_inverse(q, opposite(self.rate(t)))
+
+
+class Body(Motion):
+    """A rigid body: its state is the attitude and the momentum m, principal axes, N·m·s."""
+
+    def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector, like: Any) -> None:
+        super().__init__(attitude)
+        self.structure = structure
+        own = as_like(tuple(p[: 9 + structure.axes]), like)
+        self.half_inverse, self.moments, self.gyroscopic = own[:3], own[3:6], own[6:9]
+        self.axes = own[9:] if structure.turned else None
+        #: the same as they were given, for torques
+        self.axes_given = p[9:13] if structure.turned else None
+        self.torque_numbers = p[9 + structure.axes :]
+        self.is_free = is_free(structure.law)
+
+    def attitude_of(self, x: Vector) -> Vector:
+        """The attitude's part of a state."""
+        return x[: self.attitude.size]
+
+    def momentum_of(self, x: Vector) -> Vector:
+        """The momentum's part of a state, and its low part."""
+        return x[self.attitude.size :]
+
+    def angular_velocity(self, m: Vector) -> Vector:
+        """w = I⁻¹ m, rad/s, principal axes."""
+        v = [k * u for k, u in zip(self.half_inverse, m, strict=False)]
+        return tuple(a + a for a in v)
+
+    def torque(self, t: Any, a: Vector, w: Vector, place: Vector = ()) -> Vector:
+        """Torque (N·m, principal axes) at attitude a, of the plain form, and rate w.
+
+        ``place`` is (velocity, position) where something reads them.
+        """
+        pose = Pose(self.plain, a, w, self.moments, place, self.axes_given)
+        torque = torque_of(self.structure.law, t, pose, self.torque_numbers)
+        return tuple(as_like(x, a[0]) for x in torque)
+
+    def momentum_rate(self, t: Any, a: Vector, m: Vector, place: Vector = ()) -> Vector:
+        """ṁ = m×w + τ at attitude a and momentum m."""
+        own: Vector = rigid.gyroscopic(m, self.gyroscopic)
+        if self.is_free:
+            return own
+        return plus(own, self.torque(t, a, self.angular_velocity(m), place))
+
+    def at(self, t: Any) -> Any:
+        return t
+
+    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
+        n = self.plain.size
+        a, m = x[:n], x[n:]
+        v = tuple(k * u for k, u in zip(self.half_inverse, m, strict=True))
+        return (*self.plain.half_derivative(a, v), *self.momentum_rate(g, a, m, place))
+
+    def base(self, x: Vector) -> Vector:
+        a, m = self.attitude_of(x), self.momentum_of(x)
+        return (*self.attitude.value(a), *m[:3])
+
+    def advanced(self, x: Vector, d: Vector) -> Vector:
+        n = self.plain.size
+        a, m = self.attitude_of(x), self.momentum_of(x)
+        return (*self.attitude.add(a, d[:n]), *self.attitude.add_vector(m, d[n:]))
+
+    def turning(self, g: Any, xdot: Vector, x: Vector) -> Any:
+        n = self.plain.size
+        w = self.angular_velocity(x[n:])
+        return self.attitude.speed_squared(xdot[:n], w)
+
+    def kick(self, t: Any, h: Any, a: Vector, m: Vector) -> Vector:
+        """The momentum after h s of torque at a standstill, of linear damping exactly."""
+        torque = self.torque(t, a, (0.0, 0.0, 0.0))
+        law, turned = self.structure.law, self.structure.turned
+        rates = damping_rates(law, self.moments, self.torque_numbers, turned=turned)
+        if rates is None:
+            return axpy(h, torque, m)
+        decays = [rigid.exp_decay(k * h) for k in rates]
+        return tuple(e * u + h * f * b for (e, f), u, b in zip(decays, m, torque, strict=True))
+
+    def begin(self, q: Vector, beside: Vector) -> Vector:
+        a = self.attitude.start(q)
+        w = beside
+        if self.axes is not None:
+            # by the matrix, whose zeros are exact for a permutation of axes: a needle's spin that
+            # leaks into the other axes would be multiplied by their moments
+            w = dcm.rotate_inverse(dcm.from_quat(self.axes), w)
+            a = self.attitude.compose(a, self.axes)
+        return (*a, *self.attitude.carry(rigid.momentum(w, self.moments)))
+
+    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+        a, w = self.attitude_of(x), self.angular_velocity(self.momentum_of(x)[:3])
+        if self.axes is not None:
+            w = dcm.rotate(dcm.from_quat(self.axes), w)
+            a = self.attitude.compose(a, quat.conj(self.axes))
+        y, d = finish(a)
+        return (*y, *w), d
+
+    def invariants(self, x: Vector) -> Vector:
+        """|m|² and 2T, of a free body."""
+        if not self.is_free:
+            return ()
+        m = self.momentum_of(x)[:3]
+        return dot(m, m), dot(m, self.angular_velocity(m))
+
+    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+        q = self.attitude.quaternion(self.attitude_of(x))
+        w = self.angular_velocity(self.momentum_of(x)[:3])
+        if self.axes is None:
+            return q, w
+        return quat.mul(q, quat.conj(self.axes)), quat.rotate(self.axes, w)
+
+
+def motion_of(
+    structure: GivenRate | RigidBody, attitude: Attitude, p: Vector, like: Any
+) -> Turning | Body:
+    """The motion of a structure with parameters p; ``like`` has the state's precision."""
+    if isinstance(structure, GivenRate):
+        return Turning(attitude, structure, p, like)
+    return Body(attitude, structure, p, like)
+
+
+def carried(attitude: Attitude, structure: Structure) -> int:
+    """Numbers of state a body."""
+    low = structure.turning.tail if attitude.compensated else 0
+    return attitude.size + low + structure.tail

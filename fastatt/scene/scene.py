@@ -1,0 +1,344 @@
+"""What acts on a body: only what the scene requires."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt._jit import plain
+from fastatt.kernels import rigid
+from fastatt.scene import forces, models, rates, torques
+from fastatt.scene.equations import GivenRate, RigidBody, Structure
+from fastatt.scene.inertia import (
+    Principal,
+    is_sorted,
+    is_spherical,
+    is_symmetric,
+    principal,
+    sort_axes,
+)
+from fastatt.scene.models import Law, Packed, join, numbers
+from fastatt.scene.time_series import Table
+from fastatt.tracing.sources import keep, sources
+from fastatt.tracing.user import UserFunction
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is propagated.
+
+    A kinematic scene has a ``rate``: a model of ``fastatt.rates``, whose numbers may be one for
+    all bodies or a row each, or an ``@njit`` function ``rate(t, p) -> (w1, w2, w3)`` in rad/s, with
+    t in s and p the tuple of ``params``, (P,) for all bodies or (N, P). ``frame`` says along which
+    axes the rate is given: "body" (q̇ = ½ q∘w) or "inertial" (q̇ = ½ w∘q).
+
+    A scene with ``inertia`` (kg·m²) carries w too, by Euler's dynamic equations: principal moments
+    (3,), a tensor (3, 3), or one of them for each body. ``torque`` is a model of
+    ``fastatt.torques`` or an ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along
+    body axes, with ``params``. ``allow_unphysical`` admits inertia that no body has.
+
+    A scene with ``mass`` (kg, a number or (N,)) and ``force`` also carries the velocity V in body
+    axes, by μ(V̇ + Ω×V) = F. ``force`` is a model of ``fastatt.forces``, (3,) or (N, 3) in N along
+    body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters. Where a torque
+    or a force reads the position, all is stepped as one system, to the method's order.
+
+    A scene keeps read-only copies of its numbers: a change to the arrays that it was given does not
+    reach it, ``dataclasses.replace`` makes another. Scenes of equal numbers are equal.
+    ``scene[bodies]``, an index, a slice or an array, is the scene of these alone; numbers that all
+    bodies share stay shared.
+
+    Raises ``TypeError`` or ``ValueError`` for an unknown model, frame, or numbers of wrong shape,
+    and for bodies that can't exist.
+    """
+
+    rate: Any = None
+    params: ArrayLike | None = None
+    frame: str = "body"
+    inertia: ArrayLike | None = None
+    torque: Any = None
+    allow_unphysical: bool = False
+    mass: ArrayLike | None = None
+    force: Any = None
+    #: how many bodies have numbers of their own; None where all share theirs
+    rows: ClassVar[int | None] = None
+    #: whether a torque or a force reads the position, which is then carried
+    needs_position: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        checks.choice("frame", self.frame, ("body", "inertial"))
+        if (self.rate is None) == (self.inertia is None):
+            found = "neither" if self.rate is None else "both"
+            raise ValueError(f"rate, inertia: found {found}; accepted: one of them")
+        if self.params is not None and not callable(self._acting):
+            raise ValueError(
+                f"params: found {checks.brief(self.params)} beside the model "
+                f"{type(self._acting).__name__}; accepted: params with an @njit function only"
+            )
+        if (self.mass is None) != (self.force is None):
+            missing = "force" if self.force is None else "mass"
+            raise ValueError(f"{missing}: is missing; mass and force go together")
+        if self.rate is not None and self.torque is not None:
+            raise ValueError("torque: found beside a rate; accepted: with inertia only")
+        if self.rate is None and self.frame != "body":
+            raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
+        structure, params, _ = self.packed(None)
+        if self.mass is None and structure.turning.law.reads_position:
+            raise ValueError(
+                "torque: found one that reads the position, but the scene carries none; accepted: "
+                "with mass and force"
+            )
+        # those of all bodies take long to find again
+        object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
+        object.__setattr__(self, "needs_position", structure.reads_position)
+        for field in fields(self):
+            object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
+
+    @property
+    def _given(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    @property
+    def _key(self) -> tuple[Any, ...]:
+        return tuple(map(_key, self._given))
+
+    def __reduce__(self) -> Any:
+        """What was given, and what one's own functions are traced from; the rest is found again."""
+        return _received, (type(self), self._given, sources(_own_functions(self._given)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scene) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __getitem__(self, bodies: Any) -> Scene:
+        if self.rows is None:
+            return self
+        rows = np.arange(self.rows)[bodies]
+        dims = {"rate": 1, "params": 1, "torque": 1, "mass": 0, "force": 1}
+        own = {name: _of_rows(getattr(self, name), rows, n) for name, n in dims.items()}
+        inertia: Any = self.inertia
+        if inertia is not None and self.principal.moments.ndim == 2:
+            own["inertia"] = chosen = inertia[rows]
+            if inertia.ndim == 2 and chosen.shape == (3, 3):  # else taken for one tensor
+                own["inertia"] = chosen[:, :, None] * np.eye(3)
+        return replace(self, **own)
+
+    __iter__ = None  # numbers that all bodies share have no end
+
+    @property
+    def _acting(self) -> Any:
+        return self.torque if self.rate is None else self.rate
+
+    @cached_property
+    def kind(self) -> str:
+        """What the numbers say: "rate", "spherical", "symmetric", "free" or "torqued".
+
+        Moments are equal within 1e-12 of the largest; of an ensemble, all bodies'.
+        """
+        if self.rate is not None:
+            return "rate"
+        if self.torque is not None:
+            return "torqued"
+        moments = self.principal.moments
+        if is_spherical(moments).all():
+            return "spherical"
+        return "symmetric" if is_symmetric(moments).all() else "free"
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the rate never changes along its axes; then one exponential is exact."""
+        return isinstance(self.rate, rates.Constant)
+
+    @cached_property
+    def principal(self) -> Principal:
+        """Principal moments and axes of ``inertia``."""
+        if self.inertia is None:
+            raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
+        return _kept(principal(self.inertia, allow_unphysical=self.allow_unphysical))  # type: ignore[no-any-return]
+
+    @cached_property
+    def _law(self) -> Law:
+        found: Law = self._body(None).structure.turning.law
+        return found
+
+    def dependence(self, *, sorted_axes: bool = False) -> torques.Dependence:
+        """How the torque depends on w."""
+        found = self.principal
+        turned = found.axes is not None or (sorted_axes and not is_sorted(found.moments))
+        return torques.dependence(self._law, turned=turned)
+
+    @property
+    def reads_position(self) -> bool:
+        """Whether the torque reads the position that the scene carries."""
+        return self.rate is None and self._law.reads_position
+
+    @cached_property
+    def has_potential(self) -> bool:
+        """Whether kinetic plus potential energy is constant."""
+        return self.rate is None and torques.has_potential(self._law)
+
+    @cached_property
+    def functions(self) -> tuple[UserFunction, ...]:
+        """One's own functions in it: each says whether it is traced (``straight``) or why not.
+
+        A function that is traced becomes part of the loop: it vectorises, and is kept on disk. One
+        that is not is called for each body (``reason`` says why); a rate whose parameters all
+        bodies share once for a tile of them.
+        """
+        structure = self.packed(None).structure
+        laws = (structure.turning.law, structure.force)
+        leaves = [leaf for law in laws if law is not None for leaf in law.leaves()]
+        found = [f for leaf in leaves for f in (leaf.function, leaf.potential)]
+        return tuple(f for f in found if f is not None)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the velocity is carried."""
+        return self.mass is not None
+
+    def packed(
+        self, n_bodies: int | None, *, sorted_axes: bool = False, position: bool = False
+    ) -> Packed:
+        """The structure and the flat parameters of all that acts, for a number of bodies.
+
+        The intermediate principal axis may be wanted second, and the position carried.
+        """
+        key = "packed", sorted_axes, position
+        found: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
+        if found.params.ndim == 1:
+            found.params.setflags(write=False)
+            self.memo[key] = found
+        return found
+
+    @cached_property
+    def memo(self) -> dict[Any, Any]:
+        """What was found once: numbers that all bodies share, packed; methods that fit, plans."""
+        return {}
+
+    def _packed(self, n_bodies: int | None, sorted_axes: bool, position: bool) -> Packed:
+        packed = (
+            self._rate(n_bodies) if self.rate is not None else self._body(n_bodies, sorted_axes)
+        )
+        if self.mass is None:
+            return packed
+        mass = _masses(self.mass)
+        model = self.force
+        if isinstance(model, (list, tuple, np.ndarray)) and not hasattr(model, "_fields"):
+            model = forces.Constant(model)
+        elif callable(model):
+            model = forces.Custom(model)
+        pushing = forces.pack(model, n_bodies, mass).with_tables_from(len(packed.resources))
+        columns = [packed.params, 1.0 / mass[..., None], pushing.params]
+        params = join(columns, n_bodies, "mass, force")
+        structure = packed.structure._replace(force=pushing.structure)
+        structure = structure._replace(position=position or structure.reads_position)
+        return Packed(structure, params, {**packed.resources, **pushing.resources})
+
+    def _rate(self, n_bodies: int | None) -> Packed:
+        if callable(self.rate):
+            packed = models.pack_user(self.rate, "rate", rates.USER, self.params, n_bodies)
+        else:
+            packed = models.pack(self.rate, n_bodies, "rate", rates.RECORDS)
+        structure = Structure(GivenRate(packed.structure, self.frame == "inertial"))
+        return packed._replace(structure=structure)
+
+    def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:
+        found = self.principal
+        rows = found.moments.shape[0] if found.moments.ndim == 2 else None
+        if rows is not None and n_bodies not in (None, rows):
+            raise ValueError(f"inertia: found {rows} bodies; accepted: {n_bodies}, or (3,)")
+        if sorted_axes:
+            found = sort_axes(found)
+        model = self.torque
+        if callable(model):
+            model = torques.Custom(model, self.params)
+        acting = torques.pack(model, n_bodies)
+        columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
+        # the kernel's own formula, on whole columns
+        gyroscopic = np.stack(plain(rigid.gyroscopic_coefficients)(columns_of_moments), axis=-1)
+        columns = [0.5 / found.moments, found.moments, gyroscopic]
+        if found.axes is not None:
+            columns.append(found.axes)
+        params = join([*columns, acting.params], n_bodies, "inertia, torque")
+        structure = Structure(RigidBody(acting.structure, found.axes is not None))
+        return acting._replace(structure=structure, params=params)
+
+
+def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str]) -> Scene:
+    """A scene as it comes from another process."""
+    keep(texts)
+    return scene(*given)
+
+
+def _own_functions(value: Any) -> list[Any]:
+    """The functions in what a scene was given."""
+    if isinstance(value, tuple):
+        return [function for each in value for function in _own_functions(each)]
+    return [value] if callable(value) else []
+
+
+def _kept(value: Any) -> Any:
+    """Numbers, a model's too, that can't be changed: tuples of numbers, else copies."""
+    if isinstance(value, models.Sum):
+        return models.Sum(tuple(map(_kept, value.terms)))
+    if hasattr(value, "_fields"):
+        return type(value)(*map(_kept, value))
+    if isinstance(value, (list, tuple)) and all(map(np.isscalar, value)):
+        return tuple(value)
+    if value is None or callable(value):
+        return value
+    array = np.array(value)
+    array.setflags(write=False)
+    return array if array.ndim else array.item()
+
+
+def _key(value: Any) -> Any:
+    """What is equal, and has a hash, for equal numbers."""
+    if isinstance(value, models.Sum):
+        return (models.Sum, *map(_key, value.terms))
+    if hasattr(value, "_fields"):
+        return (type(value), *map(_key, value))
+    if isinstance(value, (tuple, np.ndarray)):
+        return np.shape(value), (np.asarray(value, np.float64) + 0.0).tobytes()  # −0 equals 0
+    return value
+
+
+def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
+    """Numbers, a model's too, of some bodies; those of one body have so many axes."""
+    if isinstance(value, models.Sum):
+        return models.Sum(tuple(_of_rows(term, rows) for term in value.terms))
+    if isinstance(value, (torques.Custom, forces.Custom)):
+        return value._replace(params=_of_rows(value.params, rows))
+    if type(value) in _RECORDS:
+        each = zip(value, _RECORDS[type(value)].fields, strict=True)
+        return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
+    if isinstance(value, Table):
+        return value[rows] if value.form.own else value
+    if isinstance(value, torques.Sampled) or np.ndim(value) <= dims:  # shared
+        return value
+    return np.asarray(value)[rows]
+
+
+_RECORDS: dict[type, models.Record] = {**rates.RECORDS, **torques.RECORDS, **forces.RECORDS}
+
+
+def as_scene(scene: object) -> Scene:
+    """A scene, and nothing else."""
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
+    return scene
+
+
+def _masses(value: ArrayLike) -> NDArray[np.float64]:
+    mass = numbers("mass", value)
+    if mass.ndim > 1 or not mass.size:
+        raise ValueError(f"mass: {checks.shape(mass)}; accepted: a number or (N,), kg")
+    with np.errstate(divide="ignore", over="ignore"):
+        checks.refuse("mass", mass, (mass <= 0.0) | np.isinf(1.0 / mass), "above 0, kg")
+    return mass

@@ -1,0 +1,330 @@
+"""Tables sampled in time, of what no model gives: orbit position, field, Sun, density, commands.
+
+A table lies in memory as a row of numbers: a head that says how it is read, an index where times
+are not equally spaced, then the samples. Formulas find all of it by place, so that other numbers
+need no other program.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.tracing import functions, graph
+from fastatt.tracing.graph import Double
+from fastatt.tracing.recorded import Recorded
+
+Numbers = NDArray[np.float64]
+
+# the head: times from and to which the samples go, the width of an interval (or of a bucket of the
+# index) and the last one's number, times from and to which it may be asked, numbers of rows and of
+# numbers in one, the last interval's number, where the times (the index) and the samples begin
+_FIRST, _END, _WIDTH, _LAST, _LOW, _HIGH, _ROWS, _ROW, _INTERVAL, _TIMES, _SAMPLES = range(11)
+_HEAD = 11
+_BUCKETS = 2**22
+# the time that a run adds up ends a few roundings beside what a table says
+_SLACK = 16.0 * float(np.finfo(np.float64).eps)
+
+
+class Form(NamedTuple):
+    """What the formula of a look-up depends on: numbers a sample, and how they are read."""
+
+    size: int
+    cubic: bool
+    uniform: bool
+    holds: bool
+    own: bool
+
+
+class Table:
+    """Numbers sampled in time, for one's own rate, torque or force, and for fields of models.
+
+    Called as ``table(t)``, or ``table(t, row)`` of (N, T, k), a table gives a tuple of k floats, of
+    (T,) a float; ``table.slope`` gives the time derivatives so. Both may be called in a function
+    that is traced, with ``row`` a parameter of the body such as ``p[0]``. Tables of equal numbers
+    are equal; ``table[rows]`` has some of the rows.
+
+    Parameters
+    ----------
+    t
+        (T,) ascending times, s, at least 2. Equally spaced ones are found the fastest.
+    values
+        (T,) or (T, k) numbers for all bodies; (N, T, k) in rows 0, 1, …
+    kind
+        "cubic", with a continuous derivative, or "linear".
+    slopes
+        Derivatives of the values, of their shape, where they are known, as the velocities of an
+        ephemeris are. Else those of the quartics through five samples.
+    outside
+        What other times give: "nan", which ends as a body's status, or "hold", the nearest sample.
+        A row that is none gives NaN.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Times that do not ascend, numbers that are not finite or of other shapes, spacings so unlike
+        that the index would be too large.
+
+    Notes
+    -----
+    Samples h apart of a function whose derivatives are at most M2, M4, M5 give it within h² M2/8
+    (linear) and h⁴ M4/384 + h⁵ M5/20 (cubic; the second term is gone where slopes are given). De
+    Boor, *A Practical Guide to Splines* (2001), ch. II and IV.
+
+    Examples
+    --------
+    >>> density = Table([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
+    >>> density(1.5), density.slope(1.5)
+    (2.25, 3.0)
+    """
+
+    def __init__(
+        self,
+        t: ArrayLike,
+        values: ArrayLike,
+        *,
+        kind: str = "cubic",
+        slopes: ArrayLike | None = None,
+        outside: str = "nan",
+    ) -> None:
+        times = checks.array("t", t, "(T,)").astype(np.float64)
+        if len(times) < 2:
+            raise ValueError("t: found 1 time; accepted: at least 2")
+        gaps = np.diff(times)
+        if not (gaps > 0.0).all():
+            k = int(np.argmin(gaps > 0.0)) + 1
+            raise ValueError(
+                f"t[{k}] is {times[k]} after {times[k - 1]}; accepted: ascending times"
+            )
+        cubic = checks.choice("kind", kind, ("cubic", "linear")) == "cubic"
+        holds = checks.choice("outside", outside, ("nan", "hold")) == "hold"
+        shape = np.shape(values)
+        samples = _samples("values", values, len(times))
+        if slopes is not None and (not cubic or np.shape(slopes) != shape):
+            raise ValueError(
+                f"slopes: found of shape {np.shape(slopes)} for {kind} values {shape}; accepted: "
+                "of the same shape, for cubic ones"
+            )
+        if cubic:
+            if slopes is None:
+                known = derivatives(times, samples.swapaxes(0, 1), min(5, len(times)))
+                known = known.swapaxes(0, 1)
+            else:
+                known = _samples("slopes", slopes, len(times))
+            samples = np.concatenate([samples, known], axis=-1)
+        n = len(times)
+        slack = _SLACK * float(np.abs(times[[0, -1]]).max())
+        width = (times[-1] - times[0]) / (n - 1)
+        uniform = bool(np.abs(times[0] + width * np.arange(n) - times).max() <= slack)
+        index = np.zeros(0) if uniform else _index(times)
+        buckets = n - 1 if uniform else len(index) - n
+        self.scalar = len(shape) == 1
+        size = samples.shape[-1] // (2 if cubic else 1)
+        self.form = Form(size, cubic, uniform, holds, own=len(shape) == 3)
+        head = (
+            times[0], times[-1], width if uniform else gaps.min(), buckets - 1.0, times[0] - slack,
+            times[-1] + slack, len(samples), samples[0].size, n - 2.0, _HEAD + len(index) - n,
+            _HEAD + len(index),
+        )  # fmt: skip
+        self._keep(head, index, samples)
+
+    def _keep(self, *parts: ArrayLike) -> None:
+        #: all of it, as formulas find it
+        self.data: Numbers = np.concatenate([np.ravel(x) for x in parts])
+        self.data.setflags(write=False)
+
+    @cached_property
+    def digest(self) -> str:
+        """The same of equal tables."""
+        form = repr((self.form, self.scalar)).encode()
+        return hashlib.sha256(form + self.data.tobytes()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Table) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __repr__(self) -> str:
+        rows = f"{self.rows} rows of " if self.form.own else ""
+        start, end = self.span
+        return f"<Table: {rows}{self.form.size} numbers, {start:g} s to {end:g} s>"
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last time, s."""
+        return float(self.data[_FIRST]), float(self.data[_END])
+
+    @property
+    def rows(self) -> int:
+        """Number of rows, 1 of a table for all bodies."""
+        return int(self.data[_ROWS])
+
+    @property
+    def samples(self) -> Numbers:
+        """The values, (rows, T, k)."""
+        numbers = self.data[int(self.data[_SAMPLES]) :]
+        return numbers.reshape(self.rows, -1, 1 + self.form.cubic, self.form.size)[:, :, 0]
+
+    def __getitem__(self, rows: Any) -> Table:
+        if not self.form.own:
+            raise TypeError(f"table[rows]: found {self!r}; accepted: a table of values (N, T, k)")
+        begin = int(self.data[_SAMPLES])
+        chosen = np.atleast_2d(self.data[begin:].reshape(self.rows, -1)[rows])
+        made = object.__new__(Table)
+        made.form, made.scalar = self.form, self.scalar
+        head = self.data[:_HEAD].copy()
+        head[_ROWS] = len(chosen)
+        made._keep(head, self.data[_HEAD:begin], chosen)
+        return made
+
+    __iter__ = None
+
+    def __call__(self, t: Any, row: Any = None) -> Any:
+        """The numbers at t s, of a row."""
+        return self._read(t, row)[0]
+
+    def slope(self, t: Any, row: Any = None) -> Any:
+        """Their time derivatives."""
+        return self._read(t, row)[1]
+
+    def _read(self, t: Any, row: Any) -> Any:
+        if (row is None) == self.form.own:
+            accepted = "table(t, row)" if self.form.own else "table(t), one row is for all"
+            raise TypeError(f"row: found {row!r}; accepted: {accepted}")
+        if any(isinstance(x, Recorded) for x in (t, row)):
+            found = recorded(self, self.form, t, row)
+        else:
+            numbers = checks.real("t", t), 0.0 if row is None else checks.real("row", row)
+            found = tuple(tuple(map(float, x)) for x in self._of_arrays(*map(np.float64, numbers)))
+        return tuple(x[0] for x in found) if self.scalar else found
+
+    def at(self, times: Numbers) -> Numbers:
+        """Values at times (S,): (S, k), or of rows (S, N, k)."""
+        found = self._of_arrays(times[:, None], np.arange(float(self.rows)))[0]
+        return np.stack(found, axis=-1) if self.form.own else np.concatenate(found, axis=-1)
+
+    def _of_arrays(self, t: Any, row: Any) -> Any:
+        def take(place: Any) -> Any:
+            return self.data[np.asarray(place).astype(np.int64)]
+
+        with np.errstate(invalid="ignore", over="ignore"):
+            return _look_up(self.form, t, row, _Ways(take, np.floor, np.where))
+
+
+class _Ways(NamedTuple):
+    """How a formula takes the number at a place, rounds down and chooses."""
+
+    take: Callable[[Any], Any]
+    floor: Callable[[Any], Any]
+    choose: Callable[[Any, Any, Any], Any]
+
+
+def recorded(name: Any, form: Form, t: Any, row: Any = None) -> Any:
+    """(values, slopes) of recorded numbers, of the table that memory has under a name."""
+    # the floor of a dual number is one of its graph too
+    of = graph.apply("floor", t if isinstance(t, Recorded) else row).graph
+
+    def double(x: Any) -> Any:
+        return Double(x) if isinstance(x, Recorded) else graph.number(of, x, "double")
+
+    def take(place: Any) -> Any:
+        return functions.gather(name, double(place), "double")
+
+    ways = _Ways(take, lambda x: graph.apply("floor", x), graph.choose)
+    return _look_up(form, double(t), double(0.0 if row is None else row), ways)
+
+
+def _look_up(form: Form, t: Any, row: Any, ways: _Ways) -> Any:
+    """(values, slopes) at t of a row. No place lies outside the table, whatever the numbers."""
+    take, floor, choose = ways
+    inside = (t >= take(_LOW)) & (t <= take(_HIGH))
+    if form.holds:
+        t = choose(t < take(_FIRST), take(_FIRST), t)
+        t = choose(t > take(_END), take(_END), t)
+    s = (t - take(_FIRST)) / take(_WIDTH)
+    k = floor(choose(s > 0.0, s, 0.0))
+    k = choose(k < take(_LAST), k, take(_LAST))
+    width = take(_WIDTH)
+    if form.uniform:
+        f = s - k
+    else:
+        begin = take(_TIMES)
+        k = take(_HEAD + k)
+        k = choose(t >= take(begin + k + 1.0), k + 1.0, k)
+        k = choose(k < take(_INTERVAL), k, take(_INTERVAL))
+        width = take(begin + k + 1.0) - take(begin + k)
+        f = (t - take(begin + k)) / width
+    at = take(_SAMPLES) + (1.0 + form.cubic) * form.size * k
+    if form.own:
+        there = (row >= 0.0) & (row < take(_ROWS)) & (floor(row) == row)
+        at = at + choose(there, row, 0.0) * take(_ROW)
+    else:
+        there = inside
+    if form.own or not form.holds:
+        known = there if form.holds else inside & there
+        f, width = choose(known, f, np.nan), choose(known, width, np.nan)
+    found = [_between(form, at + float(c), f, width, take) for c in range(form.size)]
+    values, slopes = zip(*found, strict=True)
+    return values, tuple(choose(inside, x, 0.0) for x in slopes) if form.holds else slopes
+
+
+def _between(form: Form, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
+    """(value, slope) at a fraction f of the interval of a width between two samples."""
+    size = float(form.size)
+    a, b = take(at), take(at + (1.0 + form.cubic) * size)
+    rise = b - a
+    if not form.cubic:
+        return a + f * rise, rise / width
+    da, db = width * take(at + size), width * take(at + 3.0 * size)
+    two, three = 3.0 * rise - 2.0 * da - db, da + db - 2.0 * rise
+    value = a + f * (da + f * (two + f * three))
+    return value, (da + f * (2.0 * two + f * (3.0 * three))) / width
+
+
+def _samples(name: str, value: ArrayLike, n: int) -> Numbers:
+    """(rows, T, k)."""
+    found = checks.array(name, value, f"({n},), ({n}, k) or (N, {n}, k)")
+    found = found[:, None] if found.ndim == 1 else found
+    return found.reshape((-1, *found.shape[-2:])).astype(np.float64)
+
+
+def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
+    """Derivatives (T, ...) of the polynomials through n values (T, ...) about each time.
+
+    They are centred where there are neighbours (Berrut and Trefethen, SIAM Rev. 46 (2004), eq.
+    9.4).
+    """
+    itself = np.arange(len(t))
+    first = np.clip(itself - (n - 1) // 2, 0, len(t) - n)
+    places = first[:, None] + np.arange(n)
+    own = itself - first
+    gaps = t[places][:, :, None] - t[places][:, None, :]
+    gaps[:, range(n), range(n)] = 1.0
+    barycentric = 1.0 / gaps.prod(axis=2)
+    weights = barycentric / barycentric[itself, own][:, None] / gaps[itself, own]
+    weights[itself, own] = 0.0
+    weights[itself, own] = -weights.sum(axis=1)
+    return np.asarray(np.einsum("tn,tn...->t...", weights, values[places]))
+
+
+def _index(t: Numbers) -> Numbers:
+    """Of buckets as wide as the shortest interval the interval of their start; then the times."""
+    gaps = np.diff(t)
+    n = np.ceil((t[-1] - t[0]) / gaps.min())
+    if n > _BUCKETS:
+        raise ValueError(
+            f"t: found intervals from {gaps.min():g} to {gaps.max():g} s; accepted: the shortest "
+            f"at least the whole span through {_BUCKETS}"
+        )
+    starts = t[0] + gaps.min() * np.arange(n)
+    return np.concatenate([np.searchsorted(t, starts, side="right") - 1.0, t])
+
+
+__all__ = ["Table"]

@@ -1,0 +1,96 @@
+"""Functions of recorded numbers that are no operator: powers, remainders, look-ups, calls."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fastatt.tracing.graph import Double, Number, _lifted, _made, _pair, apply, choose
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.recorded import Composed, Recorded, composed_of
+
+
+def raised(x: Any, power: Any) -> Any:
+    """x to the power of a whole number or of half of one, at most 64 in size."""
+    if isinstance(power, Recorded):
+        raise NotStraight("a power that is not known beforehand")
+    if isinstance(x, Composed):
+        return x.raised(power)
+    if not abs(power) <= 64 or 2 * power != int(2 * power):
+        raise NotStraight(f"a power of {power}; accepted are whole ones and halves, up to 64")
+    if power != int(power):
+        whole = int(abs(power) - 0.5)
+        result = apply("sqrt", x) * raised(x, whole)
+        return 1.0 / result if power < 0 else result
+    n, result, square = abs(int(power)), 1.0, x
+    while n:
+        if n & 1:
+            result = result * square
+        square = square * square if n > 1 else square
+        n >>= 1
+    return 1.0 / result if power < 0 else result
+
+
+def divided(x: Any, y: Any) -> tuple[Any, Any]:
+    """(x // y, x % y) as Python's: the whole number below, and a remainder of the sign of y.
+
+    With fused multiplications the remainder is Python's to the bit while |x/y| < 2⁵³; without, they
+    are those of x moved by an ulp. By 0 the remainder is NaN.
+    """
+    below, size = y < 0.0, abs(y)
+    dividend = choose(below, -x, x)
+    whole = dividend / size
+    whole = apply("floor", whole) if isinstance(whole, Recorded) else math.floor(whole)
+    rest = dividend - whole * size
+    # a quotient may be rounded up to the next whole number, never down below one
+    past = rest < 0.0
+    rest = choose(past, rest + size, rest)
+    return choose(past, whole - 1.0, whole), choose(below, -rest, rest)
+
+
+def larger(a: Any, b: Any) -> Any:
+    """The larger of two numbers that are not negative; NaN counts as the largest."""
+    if (composed := composed_of(a, b)) is not None:
+        return composed.larger(a, b)
+    if not isinstance(a, Number) and not isinstance(b, Number):
+        return max(a, b)
+    a, b = _pair(a, b)
+    return _made(a.graph, "larger", a.kind, a.at, b.at)
+
+
+def gather(table: int, index: Any, kind: str) -> Any:
+    """The number at a whole ``index`` (a number of double precision) of an array of numbers."""
+    return _made(index.graph, "gather", kind, table, index.at)
+
+
+def lane(x: Number, k: int) -> Any:
+    """The number in lane k of one that has a lane a direction."""
+    return _made(x.graph, "lane", x.kind, k, x.at)
+
+
+def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tuple[Any, ...]:
+    """What a compiled function that is no straight line gives of some numbers, as doubles."""
+    if (composed := composed_of(*args)) is not None:
+        return composed.opaque(function, results, args)  # type: ignore[no-any-return]
+    at = [Double(_lifted(x, like)).at for x in args]
+    called = like.graph.add("opaque", "", function, results, *at)
+    return tuple(_made(like.graph, "item", "double", called, i) for i in range(results))
+
+
+def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
+    """``formula(*args)``, the traced form of ``function``, or what is shorter there."""
+    composed = composed_of(*args)
+    if composed is not None:
+        return composed.called(formula, function, args)
+    shorter = _shorter().get(function)
+    found = None if shorter is None else shorter(*args)
+    return formula(*args) if found is None else found
+
+
+@functools.cache
+def _shorter() -> dict[Any, Callable[..., Any]]:
+    from fastatt.tracing.native import SHORTER
+
+    return SHORTER

@@ -1,0 +1,403 @@
+"""Numbers that remember how they were made: formulas called with them leave a graph of operations.
+
+Equal operations are one, zeros and ones that are known beforehand drop out, order is otherwise
+kept. A number is ``Double`` or ``Single``; a Python float is a constant of whatever precision it
+meets, so that known numbers are folded by Python itself.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import operator
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from fastatt.tracing.nodes import Node, NotStraight, operands
+from fastatt.tracing.recorded import Composed, Recorded, composed_of, functions_of_numbers
+
+
+class Graph:
+    """Operations in the order of their making.
+
+    ``lanes`` is how many directions of dual numbers go side by side as one number, 0 if none do:
+    inputs ("direction", k) are then 1 in lane k and 0 in others.
+
+    Where numbers of two precisions meet, the result has the wider one; or, if the graph is
+    ``narrow``, the narrower, but for sums of what is made of a time (``time``) and a ``span`` of
+    it. Sines of what is made of a time are narrow too if the graph is ``many``, for many bodies.
+    A graph for machine code alone may be ``native`` (``fastatt.tracing.native``).
+    """
+
+    def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
+        self.lanes, self.native = lanes, native
+        self.narrow = self.many = False
+        self.nodes: list[Node] = []
+        self._known: dict[tuple[Any, ...], int] = {}
+        self._times: set[int] = set()
+        self._spans: set[int] = set()
+        self._of_time: list[tuple[bool, bool]] = []
+
+    def add(self, op: str, kind: str, *args: Any) -> int:
+        """Number of the operation, made if it was not there."""
+        # 0.0 and -0.0 are equal as keys, and NaN is not itself
+        key = (op, kind, tuple(map(float.hex, args)) if op == "const" else args)
+        found = self._known.get(key)
+        if found is None:
+            found = self._known[key] = len(self.nodes)
+            self.nodes.append(Node(op, kind, args))
+        return found
+
+    def input(self, kind: str, *name: Any) -> Number:
+        """A number that is given: ``name`` is what a program finds it by."""
+        return _of(self, self.add("in", kind, *name), kind)  # type: ignore[no-any-return]
+
+    def inputs(self, kind: str, group: str, n: int) -> tuple[Number, ...]:
+        """Numbers (group, 0) to (group, n − 1)."""
+        return tuple(self.input(kind, group, i) for i in range(n))
+
+    def time(self, t: Number) -> Number:
+        """A number that is a time from now on."""
+        return self._marked(self._times, t)
+
+    def span(self, h: Number) -> Number:
+        """A number that is a span of time from now on."""
+        return self._marked(self._spans, h)
+
+    def _marked(self, among: set[int], x: Number) -> Number:
+        among.add(x.at)
+        self._of_time.clear()
+        return x
+
+    def of_time(self, at: int) -> tuple[bool, bool]:
+        """Whether an operation depends on a time, and whether on spans of time alone."""
+        for i in range(len(self._of_time), at + 1):
+            parts = [self._of_time[k] for k in operands(self.nodes[i])]
+            timed = i in self._times or any(a for a, _ in parts)
+            span = i in self._spans or self.nodes[i].op == "const"
+            self._of_time.append((timed, span or (bool(parts) and all(b for _, b in parts))))
+        return self._of_time[at]
+
+
+class _Deciding(threading.local):
+    """What answers where Python asks whether a condition holds, set while ways are followed."""
+
+    by: Callable[[Any], bool] | None = None
+
+
+deciding = _Deciding()
+
+
+def _lifted(x: Any, like: Number) -> Number:
+    if isinstance(x, Number):
+        return x
+    if isinstance(x, Condition):
+        return _lifted(choose(x, 1.0, 0.0), like)
+    if not isinstance(x, (int, float, np.number, np.bool_)):
+        raise NotStraight(f"arithmetic with {type(x).__name__}")
+    value = float(x)
+    return _made(like.graph, "const", like.kind, value)  # type: ignore[no-any-return]
+
+
+def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
+    """Both as numbers of one precision: see ``Graph``."""
+    like = a if isinstance(a, Number) else b
+    a, b = _lifted(a, like), _lifted(b, like)
+    if a.kind != b.kind:
+        graph = a.graph
+        wide, other = (a, b) if a.kind == "double" else (b, a)
+        later = op in ("+", "-") and graph.of_time(wide.at)[0] and graph.of_time(other.at)[1]
+        keeps = not graph.narrow or later
+        kind = Double if keeps else Single
+        a, b = kind(a), kind(b)
+    return a, b
+
+
+def _binary(op: str, a: Any, b: Any) -> Any:
+    if type(a) is not type(b):
+        if isinstance(b, Composed):
+            return NotImplemented
+        a, b = _pair(a, b, op)
+    return _made(a.graph, op, a.kind, a.at, b.at)
+
+
+def _is(x: Any, value: float) -> bool:
+    return not isinstance(x, Number) and isinstance(x, (int, float, np.number)) and x == value
+
+
+def _negative(x: Any) -> Any:
+    """y where x is −y, else None."""
+    if isinstance(x, Number) and x.graph.nodes[x.at].op == "neg":
+        return -x
+    return None
+
+
+def _sum(a: Any, b: Any) -> Any:
+    if _is(a, 0.0) or _is(b, 0.0):
+        return b if _is(a, 0.0) else a
+    if (y := _negative(b)) is not None:
+        return _difference(a, y)
+    if (x := _negative(a)) is not None and not isinstance(b, Composed):
+        return _difference(b, x)
+    return _binary("+", a, b)
+
+
+def _difference(a: Any, b: Any) -> Any:
+    if _is(b, 0.0):
+        return a
+    if _is(a, 0.0):
+        return -b
+    if isinstance(a, Number) and isinstance(b, Number) and a.at == b.at:
+        return 0.0  # the bracket of a constant rate disappears
+    if (y := _negative(b)) is not None:
+        return _sum(a, y)
+    return _binary("-", a, b)
+
+
+def _product(a: Any, b: Any) -> Any:
+    for x, y in ((a, b), (b, a)):
+        if not isinstance(x, Recorded):
+            if _is(x, 0.0):
+                return 0.0
+            if _is(x, 1.0):
+                return y
+            if _is(x, -1.0):
+                return -y
+        # a sign goes outwards, where a sum takes it up: −k b beside k b is one product
+        elif (positive := _negative(x)) is not None and not isinstance(y, Composed):
+            return -_product(positive, y)
+    return _binary("*", a, b)
+
+
+def _quotient(a: Any, b: Any) -> Any:
+    if _is(a, 0.0):
+        return 0.0
+    return a if _is(b, 1.0) else _binary("/", a, b)
+
+
+def _turned(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda b, a: operation(a, b)
+
+
+def _comparison(op: str) -> Callable[[Any, Any], Any]:
+    def compare(a: Any, b: Any) -> Any:
+        if not isinstance(b, (Number, int, float, np.number)):
+            return NotImplemented
+        a, b = _pair(a, b)
+        return _condition(a.graph, op, a.at, b.at)
+
+    return compare
+
+
+class Number(Recorded):
+    """A number of a graph."""
+
+    __slots__ = ("at", "graph")
+    kind = ""
+    at: int
+    graph: Graph
+
+    def __new__(cls, x: Any) -> Any:
+        """x in this precision: what ``type(y)(x)`` means in a kernel."""
+        if isinstance(x, Number):
+            return x if x.kind == cls.kind else _made(x.graph, "cast", cls.kind, x.at)
+        return x.cast(cls) if isinstance(x, Composed) else cls.rounded(x)
+
+    @staticmethod
+    def rounded(x: Any) -> float:
+        """A known number as one of this precision: kernels test what is left of the smallest."""
+        return float(x)
+
+    __add__, __radd__ = _sum, _turned(_sum)
+    __sub__, __rsub__ = _difference, _turned(_difference)
+    __mul__, __rmul__ = _product, _turned(_product)
+    __truediv__, __rtruediv__ = _quotient, _turned(_quotient)
+
+    def __pow__(self, power: Any) -> Any:
+        return functions_of_numbers().raised(self, power)
+
+    def __neg__(self) -> Any:
+        node = self.graph.nodes[self.at]
+        if node.op == "neg":
+            return _of(self.graph, node.args[0], self.kind)
+        return _made(self.graph, "neg", self.kind, self.at)
+
+    def __abs__(self) -> Any:
+        return apply("abs", self)
+
+    __lt__, __le__, __gt__, __ge__ = map(_comparison, ("<", "<=", ">", ">="))
+    __eq__, __ne__ = map(_comparison, ("==", "!="))
+    __hash__ = None
+
+
+class Double(Number):
+    """A number of double precision."""
+
+    __slots__ = ()
+    kind = "double"
+
+
+class Single(Number):
+    """A number of single precision."""
+
+    __slots__ = ()
+    kind = "single"
+
+    @staticmethod
+    def rounded(x: Any) -> float:
+        """A known number rounded to single precision."""
+        return ctypes.c_float(x).value
+
+
+def both(a: Any, b: Any) -> Any:
+    """a and b, of conditions."""
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, (bool, np.bool_)):
+            return y if x else False
+    return _condition(a.graph, "and", a.at, b.at)
+
+
+def either(a: Any, b: Any) -> Any:
+    """a or b, of conditions."""
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, (bool, np.bool_)):
+            return True if x else y
+    return _condition(a.graph, "or", a.at, b.at)
+
+
+def negated(a: Any) -> Any:
+    """not a."""
+    if not isinstance(a, Condition):
+        return not a
+    node = a.graph.nodes[a.at]
+    if node.op == "not":
+        made = object.__new__(Condition)
+        made.graph, made.at = a.graph, node.args[0]
+        return made
+    return _condition(a.graph, "not", a.at)
+
+
+def _as_number(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda test, other: operation(choose(test, 1.0, 0.0), other)
+
+
+class Condition:
+    """A truth value of a graph."""
+
+    __slots__ = ("at", "graph")
+    kind = ""
+    at: int
+    graph: Graph
+
+    # in arithmetic 1 or 0, as in Python
+    __add__ = __radd__ = _as_number(operator.add)
+    __mul__ = __rmul__ = _as_number(operator.mul)
+    __sub__, __rsub__ = _as_number(operator.sub), _as_number(_turned(operator.sub))
+    __and__ = __rand__ = both
+    __or__ = __ror__ = either
+    __invert__ = negated
+
+    def __eq__(self, other: object) -> Any:
+        return negated(self != other)
+
+    def __ne__(self, other: object) -> Any:
+        if isinstance(other, bool):
+            return negated(self) if other else self
+        if not isinstance(other, Condition):
+            return NotImplemented
+        return _condition(self.graph, "!=", self.at, other.at)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __bool__(self) -> bool:
+        if deciding.by is None:
+            raise NotStraight("a branch on a condition that is not known beforehand")
+        return deciding.by(self)
+
+
+CLASSES: dict[str, type[Number]] = {"double": Double, "single": Single}
+
+
+def _of(graph: Graph, at: int, kind: str) -> Any:
+    number = object.__new__(CLASSES[kind])
+    number.graph, number.at = graph, at
+    return number
+
+
+def _made(graph: Graph, op: str, kind: str, *args: Any) -> Any:
+    return _of(graph, graph.add(op, kind, *args), kind)
+
+
+def _condition(graph: Graph, op: str, *args: int) -> Condition:
+    made = object.__new__(Condition)
+    made.graph, made.at = graph, graph.add(op, "", *args)
+    return made
+
+
+def choose(test: Any, a: Any, b: Any) -> Any:
+    """``a if test else b``, of numbers, conditions and tuples of them."""
+    if isinstance(test, Recorded):
+        test = test != 0.0
+    if not isinstance(test, Condition):
+        return a if test else b
+    if isinstance(a, (tuple, list)):
+        if not isinstance(b, (tuple, list)) or len(a) != len(b):
+            raise NotStraight("a choice between tuples of two lengths")
+        made = [choose(test, x, y) for x, y in zip(a, b, strict=True)]
+        return type(a)(*made) if hasattr(a, "_fields") else tuple(made)
+    if isinstance(a, Condition) or isinstance(b, Condition) or isinstance(a, bool):
+        return either(both(test, a), both(negated(test), b))
+    if (composed := composed_of(a, b)) is not None:
+        return composed.chosen(test, a, b)
+    if isinstance(a, Number) or isinstance(b, Number):
+        a, b = _pair(a, b)
+        if a.at == b.at:
+            return a
+        return _made(a.graph, "select", a.kind, test.at, a.at, b.at)
+    if a is b:
+        return a
+    if not all(isinstance(x, (int, float, np.number)) for x in (a, b)):
+        raise NotStraight(f"a choice between {type(a).__name__} and {type(b).__name__}")
+    if a == b:
+        return a
+    # two constants: of the precision of what is compared
+    kind = _compared(test)
+    ends = [test.graph.add("const", kind, float(x)) for x in (a, b)]
+    return _made(test.graph, "select", kind, test.at, *ends)
+
+
+def _compared(test: Condition) -> str:
+    """Precision of the first numbers that a condition compares."""
+    node = test.graph.nodes[test.at]
+    while not node.kind:
+        node = test.graph.nodes[node.args[0]]
+    return node.kind
+
+
+def apply(function: str, x: Any) -> Any:
+    """A function of one number."""
+    if isinstance(x, Composed):
+        return x.applied(function)
+    if not isinstance(x, Number):
+        raise NotStraight(f"{function} of {type(x).__name__}")
+    return _made(x.graph, function, x.kind, x.at)
+
+
+def number(graph: Graph, x: Any, kind: str) -> Number:
+    """x as a number of a graph and a precision."""
+    if isinstance(x, Number):
+        return CLASSES[kind](x)  # type: ignore[no-any-return]
+    if isinstance(x, (bool, Condition)):
+        raise NotStraight("a truth value where a number is wanted")
+    if isinstance(x, Composed):
+        raise NotStraight(f"a {type(x).__name__} where a number of a graph is wanted")
+    return _of(graph, graph.add("const", kind, float(x)), kind)  # type: ignore[no-any-return]
+
+
+def flattened(values: Any) -> list[Any]:
+    """The numbers of nested tuples, in order."""
+    if isinstance(values, (tuple, list)):
+        return [x for value in values for x in flattened(value)]
+    return [values]

@@ -1,0 +1,267 @@
+"""``math``, ``numpy`` and Python's own functions for recorded numbers."""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from fastatt.tracing import functions, graph, nodes
+from fastatt.tracing.graph import Condition
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.recorded import Recorded
+
+_INSTRUCTIONS = {
+    "sqrt": "sqrt", "fabs": "abs", "abs": "abs", "absolute": "abs", "rint": "rint",
+    "round": "rint", "around": "rint", "floor": "floor",
+}  # fmt: skip
+
+
+def is_recorded(*values: Any) -> bool:
+    """Whether a number among some, or among tuples of some, is not known beforehand."""
+    return any(isinstance(x, (Recorded, Condition)) for x in graph.flattened(list(values)))
+
+
+def kind_of(x: Any) -> Any:
+    """``type(x)``: a number's precision; of a constant, what leaves numbers as they are."""
+    if isinstance(x, Recorded):
+        return x.precision()
+    if isinstance(x, (float, int)) and not isinstance(x, bool):
+        return _float
+    return type(x)
+
+
+def refused(name: str) -> Callable[..., Any]:
+    """What stands for a function that is unknown here: it can be named, not called."""
+
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise NotStraight(f"{name}, which is not among the functions that are known here")
+
+    return refuse
+
+
+class Mathematics:
+    """Stands for ``math`` or ``numpy``: what vectorises here in place of what does not there."""
+
+    def __init__(self, module: Any) -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._module, name)
+        label = f"{self._module.__name__}.{name}"
+        if label == "numpy.random":
+            raise NotStraight(f"{label}, which gives other numbers at every call")
+        if isinstance(value, type(math)):
+            return Mathematics(value)
+        if not callable(value):
+            return value
+
+        # numpy's is another function
+        known = label if label == "math.remainder" else name
+
+        def call(*args: Any, **named: Any) -> Any:
+            if not is_recorded(*args, *named.values()):
+                return value(*args, **named)
+            formula = None if named else formula_of(known, len(args))
+            if formula is None:
+                raise NotStraight(f"{label} of numbers that are not known beforehand")
+            return formula(*args)
+
+        return call
+
+
+def formula_of(name: str, n_arguments: int) -> Callable[..., Any] | None:
+    """What a function of ``math`` or ``numpy`` is for recorded numbers, None of an unknown one."""
+    if name in _FORMULAS:
+        return _FORMULAS[name]
+    if n_arguments == 1 and name in _INSTRUCTIONS:
+        return functools.partial(graph.apply, _INSTRUCTIONS[name])
+    if n_arguments == 1 and name in nodes.LIBRARY:
+        return functools.partial(graph.apply, name)
+    return None
+
+
+@functools.cache
+def _kernel(name: str) -> Callable[..., Any]:
+    from fastatt.kernels import trig
+    from fastatt.tracing.trace import stand_in
+
+    found: Callable[..., Any] = stand_in(getattr(trig, name))
+    return found
+
+
+def _of_all(choose: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    def reduced(*values: Any) -> Any:
+        return functools.reduce(choose, values[0] if len(values) == 1 else values)
+
+    return reduced
+
+
+def _nan(x: Any) -> Any:
+    return x != x  # noqa: PLR0124
+
+
+# Python's give the first of equals, and the first where one is NaN; numpy's give NaN
+_least = _of_all(lambda a, b: graph.choose(b < a, b, a))
+_most = _of_all(lambda a, b: graph.choose(b > a, b, a))
+
+
+def _extreme(better: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
+    """The second of two numbers where it is better, or the k-th of them is NaN."""
+    return lambda *pair: graph.choose(graph.either(better(*pair[::-1]), _nan(pair[k])), *pair[::-1])
+
+
+_minimum, _maximum = _extreme(operator.lt, 1), _extreme(operator.gt, 1)
+
+
+def _hypot(*values: Any) -> Any:
+    return graph.apply("sqrt", sum((x * x for x in values), 0.0))
+
+
+def _ceil(x: Any) -> Any:
+    return -graph.apply("floor", -x)
+
+
+def _trunc(x: Any) -> Any:
+    return graph.choose(x < 0.0, _ceil(x), graph.apply("floor", x))
+
+
+def _fmod(x: Any, y: Any) -> Any:
+    rest = functions.divided(abs(x), abs(y))[1]
+    return graph.choose(x < 0.0, -rest, rest)
+
+
+def _remainder(x: Any, y: Any) -> Any:
+    """What is left of x by the nearest whole number of y, the even one of two."""
+    size = abs(y)
+    rest = x - graph.apply("rint", x / size) * size
+    # a quotient may be rounded to halfway between two whole numbers
+    rest = graph.choose(rest > 0.5 * size, rest - size, rest)
+    return graph.choose(rest < -0.5 * size, rest + size, rest)
+
+
+def _copysign(x: Any, y: Any) -> Any:
+    """Of a zero y the sign is not seen, as anywhere in compiled formulas."""
+    size = abs(x)
+    return graph.choose(y < 0.0, -size, size)
+
+
+def _log(x: Any, base: Any = None) -> Any:
+    found = graph.apply("log", x) if isinstance(x, Recorded) else math.log(x)
+    if base is None:
+        return found
+    return found / (graph.apply("log", base) if isinstance(base, Recorded) else math.log(base))
+
+
+def _other_side(x: Any) -> Any:
+    """The side of a right triangle beside x, its longest being 1; the product loses nothing."""
+    return graph.apply("sqrt", (1.0 - x) * (1.0 + x))
+
+
+def _to(kind: type[graph.Number]) -> Callable[[Any], Any]:
+    return lambda x: kind(x) if isinstance(x, Recorded) else float(x)
+
+
+_FORMULAS: dict[str, Callable[..., Any]] = {
+    "sin": lambda x: _kernel("sincos")(x)[0],
+    "cos": lambda x: _kernel("sincos")(x)[1],
+    "tan": lambda x: operator.truediv(*_kernel("sincos")(x)),
+    "atan": lambda x: _kernel("atan2")(x, 1.0),
+    "asin": lambda x: _kernel("atan2")(x, _other_side(x)),
+    "acos": lambda x: _kernel("atan2")(_other_side(x), x),
+    "atan2": lambda y, x: _kernel("atan2")(y, x),
+    "log": _log,
+    "log2": lambda x: graph.apply("log", x) * (1.0 / math.log(2.0)),
+    "log10": lambda x: graph.apply("log", x) * (1.0 / math.log(10.0)),
+    "exp2": lambda x: graph.apply("exp", x * math.log(2.0)),
+    "hypot": _hypot,
+    "sign": lambda x: graph.choose(x > 0.0, 1.0, graph.choose(x < 0.0, -1.0, x)),
+    "copysign": _copysign,
+    "ceil": _ceil,
+    "trunc": _trunc,
+    "fmod": _fmod,
+    "math.remainder": _remainder,
+    "mod": lambda x, y: functions.divided(x, y)[1],
+    "floor_divide": lambda x, y: functions.divided(x, y)[0],
+    "minimum": _minimum,
+    "maximum": _maximum,
+    "fmin": _extreme(operator.lt, 0),
+    "fmax": _extreme(operator.gt, 0),
+    "clip": lambda x, low, high: _minimum(_maximum(x, low), high),
+    "where": graph.choose,
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x,
+    "isnan": _nan,
+    "isfinite": lambda x: abs(x) < math.inf,
+    "isinf": lambda x: abs(x) == math.inf,
+    "pow": functions.raised,
+    "radians": lambda x: x * (math.pi / 180.0),
+    "degrees": lambda x: x * (180.0 / math.pi),
+    "logical_and": graph.both,
+    "logical_or": graph.either,
+    "logical_not": graph.negated,
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "divide": operator.truediv,
+    "negative": operator.neg,
+    "float64": _to(graph.Double),
+    "float32": _to(graph.Single),
+}
+_FORMULAS |= {
+    other: _FORMULAS[name]
+    for other, name in {
+        "arctan": "atan", "arcsin": "asin", "arccos": "acos", "arctan2": "atan2",
+        "remainder": "mod", "power": "pow", "deg2rad": "radians", "rad2deg": "degrees",
+        "true_divide": "divide",
+    }.items()
+}  # fmt: skip
+
+
+def _float(x: Any = 0.0) -> Any:
+    return x if isinstance(x, Recorded) else float(x)
+
+
+def _round(x: Any, *digits: Any) -> Any:
+    if not is_recorded(x):
+        return round(x, *digits)
+    if digits:
+        raise NotStraight("round to some digits")
+    return graph.apply("rint", x)
+
+
+def _isinstance(x: Any, kinds: Any) -> bool:
+    if is_recorded(x) and not isinstance(x, (tuple, list)):
+        raise NotStraight("isinstance of a number that is not known beforehand")
+    return isinstance(x, kinds)
+
+
+def _builtins() -> dict[str, Any]:
+    """Python's own names: what gives the same of recorded numbers as of floats, by name."""
+    as_they_are = (
+        "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "filter", "int", "iter", "len",
+        "list", "map", "next", "range", "reversed", "set", "slice", "sorted", "str", "sum", "tuple",
+        "zip",
+    )  # fmt: skip
+    found: dict[str, Any] = {}
+    for name, value in vars(builtins).items():
+        is_error = isinstance(value, type) and issubclass(value, BaseException)
+        if name in as_they_are or is_error or not callable(value):
+            found[name] = value
+        else:
+            found[name] = refused(name)
+    return found | {
+        "float": _float,
+        "isinstance": _isinstance,
+        "max": _most,
+        "min": _least,
+        "pow": lambda x, n: x**n,
+        "round": _round,
+        "type": kind_of,
+    }
+
+
+BUILTINS = _builtins()

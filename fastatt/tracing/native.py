@@ -1,0 +1,78 @@
+"""Kernels that are shorter of some numbers: an instruction or two on bits, fused, or of phases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from fastatt._jit import plain
+from fastatt.kernels import free_body, quat, trig
+from fastatt.tracing.graph import Double, Number, Single, _made, apply, choose, flattened
+
+
+def _powers_of_two(k: Any) -> tuple[Any, Any]:
+    return apply("power_of_two", k), apply("power_of_two", -k)
+
+
+def _octaves(a: Any, b: Any) -> tuple[Any, Any]:
+    n = apply("exponent", a) - apply("exponent", b)
+    return n, apply("power_of_two", n) * b
+
+
+def _scale(x: Any) -> tuple[Any, Any]:
+    n = choose(x < free_body.least_scaled(x.rounded(1e-290)), -1.0, apply("exponent", x))
+    return apply("power_of_two", -1.0 - n), apply("power_of_two", n + 1.0)
+
+
+def _normalise(q: tuple[Any, ...]) -> tuple[Any, ...]:
+    size = abs(q[0])
+    for x in q[1:]:
+        size = choose(abs(x) > size, abs(x), size)
+    n, least = apply("exponent", size), -1000.0 if size.kind == "double" else -100.0
+    s = apply("power_of_two", 1.0 - choose(n < least, least, n))
+    q = tuple(s * x for x in q)
+    s = 1.0 / apply("sqrt", sum(x * x for x in q))
+    return tuple(s * x for x in q)
+
+
+def _split_product(a: Any, b: Any) -> tuple[Any, Any]:
+    high = a * b
+    return high, _made(a.graph, "fms", a.kind, a.at, b.at, high.at)
+
+
+def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """The same of a graph that is for machine code alone; None of any other."""
+
+    def shorter(*args: Any) -> Any:
+        numbers = flattened(args)
+        is_native = all(isinstance(x, Number) and x.graph.native for x in numbers)
+        return formula(*args) if is_native else None
+
+    return shorter
+
+
+def _of_phase(x: Any) -> tuple[Any, Any] | None:
+    """What ``trig.sincos`` gives, of single precision: the angle alone needs the other.
+
+    None unless the angle grows with time and its sine is wanted in single precision.
+    """
+    if not (isinstance(x, Double) and x.graph.narrow and x.graph.many and x.graph.of_time(x.at)[0]):
+        return None
+    quarters = x * (2.0 / math.pi)
+    k = apply("rint", quarters)
+    r = Single(quarters - k) * (0.5 * math.pi)
+    s, c = plain(trig.short_waves)(r, r * r)
+    C, S = plain(trig.within_a_turn)(Single(k - 4.0 * apply("rint", 0.25 * k)))
+    return s * C + c * S, c * C - s * S
+
+
+#: what gives as much as a kernel, or more of it; None where that does not hold
+SHORTER: dict[Any, Callable[..., Any]] = {
+    trig.powers_of_two: _in_machine_code(_powers_of_two),
+    trig.octaves: _in_machine_code(_octaves),
+    free_body.scale: _in_machine_code(_scale),
+    free_body.split_product: _in_machine_code(_split_product),
+    quat.normalise: _in_machine_code(_normalise),
+    trig.sincos: _of_phase,
+}

@@ -1,0 +1,86 @@
+"""What a recorded number is to Python, of a graph or composed of such."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from fastatt.tracing.nodes import NotStraight
+
+
+def functions_of_numbers() -> Any:
+    """``fastatt.tracing.functions``, which is made of what is here."""
+    from fastatt.tracing import functions
+
+    return functions
+
+
+def _part_of(function: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
+    return lambda x, y: function(x, y)[k]
+
+
+class Recorded:
+    """A number that is not known beforehand: of a graph, or composed of some that are.
+
+    What is composed has operators of its own.
+    """
+
+    __slots__ = ()
+    # numpy's numbers leave operations to it
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    def precision(self) -> Callable[[Any], Any]:
+        """``type(x)``: what gives a number, or a constant, in the precision of x."""
+        return type(self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __eq__(self, other: object) -> Any:
+        raise NotImplementedError
+
+    def __ne__(self, other: object) -> Any:
+        raise NotImplementedError
+
+    def __bool__(self) -> bool:
+        return bool(self != 0.0)
+
+    def __divmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(self, other)
+
+    def __rdivmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(other, self)
+
+    __floordiv__, __mod__ = _part_of(__divmod__, 0), _part_of(__divmod__, 1)
+    __rfloordiv__, __rmod__ = _part_of(__rdivmod__, 0), _part_of(__rdivmod__, 1)
+
+    def __rpow__(self, base: Any) -> Any:
+        return functions_of_numbers().raised(base, self)
+
+    def __float__(self) -> float:
+        raise NotStraight("a number that is not known beforehand, where Python wants a float")
+
+    def __int__(self) -> int:
+        raise NotStraight("a whole number made of one that is not known beforehand")
+
+    __index__ = __int__
+
+
+class Composed(Recorded):
+    """A number composed of numbers of a graph: a dual number, to which functions hand it over.
+
+    Its class has ``cast``, ``applied``, ``raised``, ``chosen``, ``larger``, ``opaque`` and
+    ``called`` in place of the functions of such names.
+    """
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+def composed_of(*values: Any) -> Any:
+    """The class of the first that is composed, None if none is."""
+    return next((type(x) for x in values if isinstance(x, Composed)), None)

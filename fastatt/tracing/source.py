@@ -1,0 +1,261 @@
+"""A graph's operations as Python text that can be read and run, on floats and on arrays.
+
+``a*b + c`` is one multiplication and one addition here, where the machine code may fuse them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.nodes import COMPARISONS, Node, operands
+
+_DEPTH = 5  # operations nested in one expression
+_LENGTH = 80  # characters of an expression beyond which it has a line of its own
+_BINARY: dict[str, ast.operator] = {
+    "+": ast.Add(),
+    "-": ast.Sub(),
+    "*": ast.Mult(),
+    "/": ast.Div(),
+    "and": ast.BitAnd(),
+    "or": ast.BitOr(),
+}
+_COMPARISONS: tuple[ast.cmpop, ...] = (
+    *(ast.Lt(), ast.LtE(), ast.Gt(), ast.GtE()),
+    *(ast.Eq(), ast.NotEq()),
+)
+
+
+def _binary(op: str, a: ast.expr, b: ast.expr) -> ast.expr:
+    return ast.BinOp(a, _BINARY[op], b)
+
+
+def _comparison(op: ast.cmpop, a: ast.expr, b: ast.expr) -> ast.expr:
+    return ast.Compare(a, [op], [b])
+
+
+# what is no call of a function
+_FORMS: dict[str, Callable[..., ast.expr]] = {
+    "fma": lambda a, b, c: _binary("+", _binary("*", a, b), c),
+    "fms": lambda a, b, c: _binary("-", _binary("*", a, b), c),
+    "fnma": lambda a, b, c: _binary("-", c, _binary("*", a, b)),
+    "neg": lambda a: ast.UnaryOp(ast.USub(), a),
+    **{op: partial(_binary, op) for op in _BINARY},
+    **{k: partial(_comparison, op) for k, op in zip(COMPARISONS, _COMPARISONS, strict=True)},
+}
+
+
+class Text:
+    """A graph as a Python function: ``names`` of its arguments, its ``lines``, its ``results``.
+
+    Values in between are named ``prefix`` and a number.
+    """
+
+    def __init__(self, flat: Flat, prefix: str = "t") -> None:
+        self.flat, self.prefix = flat, prefix
+        self.names = _names(flat.inputs())
+        self.functions = list(dict.fromkeys(n.args[0] for n in flat.nodes if n.op == "opaque"))
+        self.lines: list[str] = []
+        self._uses = _uses(flat)
+        self._mixed = len({node.kind for node in flat.nodes if node.kind}) > 1
+        self._made: list[tuple[ast.expr, int]] = []
+        given = iter(self.names)
+        for i, node in enumerate(flat.nodes):
+            name = next(given) if node.op == "in" else None
+            self._made.append(self._line(i, *self._expression(node, name)))
+        self.results = [ast.unparse(self._made[i][0]) for i in flat.results]
+
+    def __str__(self) -> str:
+        return "\n".join([*self.lines, f"return {', '.join(self.results)}"])
+
+    def as_function(self, name: str) -> str:
+        """The text of the whole function, which gives a tuple."""
+        comma = "," if len(self.results) == 1 else ""
+        body = [*self.lines, f"return ({', '.join(self.results)}{comma})"]
+        return "\n".join([f"def {name}({', '.join(self.names)}):", *(f"    {x}" for x in body), ""])
+
+    def _line(self, i: int, made: ast.expr, depth: int) -> tuple[ast.expr, int]:
+        """An expression, or the name of the line that it has for itself."""
+        if depth == 0:
+            return made, 0
+        once = self._uses[i] == 1 and i not in self.flat.results
+        if once and depth < _DEPTH and len(ast.unparse(made)) <= _LENGTH:
+            return made, depth
+        name = f"{self.prefix}{len(self.lines) + 1}"
+        self.lines.append(f"{name} = {ast.unparse(made)}")
+        return ast.Name(name), 0
+
+    def _expression(self, node: Node, name: str | None) -> tuple[ast.expr, int]:
+        """(what computes an operation, how deep it is nested)."""
+        op = node.op
+        if name is not None:
+            return ast.Name(name), 0
+        if op == "const":
+            return ast.Constant(node.args[0]), 0
+        taken = [self._made[i] for i in operands(node)]
+        depth = 1 + max((d for _, d in taken), default=0)
+        return self._operation(node, [x for x, _ in taken]), depth
+
+    def _operation(self, node: Node, args: list[ast.expr]) -> ast.expr:
+        op = node.op
+        if op == "/" and all(isinstance(x, ast.Constant) for x in args):
+            # Python refuses to divide a constant by 0
+            args = [call_of(node.kind, args[0]), args[1]]
+        if op == "select" and self._mixed:
+            args = [call_of(node.kind, x) if isinstance(x, ast.Constant) else x for x in args]
+        if op in _FORMS:
+            return _FORMS[op](*args)
+        if op == "item":
+            return ast.Subscript(args[0], ast.Constant(node.args[1]))
+        if op == "gather":
+            args = [ast.Name(table_name(node.args[0])), *args]
+        elif op == "lane":
+            args = [ast.Constant(node.args[0]), *args]
+        name = self._function(node.args[0]) if op == "opaque" else op
+        name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, name)
+        return call_of(name, *args)
+
+    def _function(self, function: Any) -> str:
+        """Name of an opaque function."""
+        name = _identifier(getattr(function, "name", "opaque"))
+        others = [f for f in self.functions if _identifier(getattr(f, "name", "opaque")) == name]
+        return name if len(others) == 1 else f"{name}_{others.index(function)}"
+
+    def function_names(self) -> dict[str, Any]:
+        """The opaque functions by their names in the text."""
+        return {self._function(f): f for f in self.functions}
+
+
+def table_name(key: Any) -> str:
+    """Name of the array of a table: a number, or one that a user's function refers to."""
+    return f"table{getattr(key, 'digest', key)}"
+
+
+def function(
+    flat: Flat,
+    *,
+    tables: Mapping[int, Any] | None = None,
+    functions: Mapping[Any, Callable[..., Sequence[float]]] | None = None,
+) -> Callable[..., tuple[Any, ...]]:
+    """The graph as a Python function of its inputs, in the order of ``flat.inputs()``.
+
+    It takes floats or arrays that broadcast, of either precision, and computes in theirs as IEEE
+    754 has it: a division by 0 is no error. ``tables`` are the arrays that the graph looks up,
+    ``functions`` what its opaque ones stand for in Python, functions of floats that give a tuple.
+    """
+    made = Text(flat)
+    program = compile(made.as_function("flat"), "<flat>", "exec")
+    scope: dict[str, Any] = dict(SCOPE)
+    scope |= {table_name(k): np.asarray(x) for k, x in (tables or {}).items()}
+    for name, opaque in made.function_names().items():
+        scope[name] = _each((functions or {}).get(opaque, opaque))
+    by_precision: dict[Any, Callable[..., Any]] = {}
+
+    def call(*given: Any) -> tuple[Any, ...]:
+        values = [np.asarray(x) for x in given]
+        kind = np.result_type(np.float32 if values else np.float64, *values)
+        if kind not in by_precision:
+            own = {**scope, "where": _where(kind)}
+            exec(program, own)
+            by_precision[kind] = own["flat"]
+        # scalars of numpy divide by 0 and overflow as arrays do
+        with np.errstate(all="ignore"):
+            results = by_precision[kind](*(x if x.ndim else x[()] for x in values))
+        floats = all(isinstance(x, (float, int)) and not isinstance(x, np.generic) for x in given)
+        if floats:
+            return tuple(map(float, results))
+        # a constant is a float as it stands in the text
+        return tuple(kind.type(x) if type(x) is float else x for x in results)
+
+    return call
+
+
+def _where(kind: Any) -> Callable[[Any, Any, Any], Any]:
+    def in_kind(x: Any) -> Any:
+        return kind.type(x) if isinstance(x, float) and not isinstance(x, np.generic) else x
+
+    def where(test: Any, a: Any, b: Any) -> Any:
+        a, b = in_kind(a), in_kind(b)
+        if isinstance(test, np.ndarray):
+            return np.where(test, a, b)
+        return a if test else b
+
+    return where
+
+
+def _each(opaque: Any) -> Callable[..., tuple[Any, ...]]:
+    """A function of floats for arrays: element by element."""
+
+    def call(*args: Any) -> tuple[Any, ...]:
+        if not any(isinstance(x, np.ndarray) for x in args):
+            return tuple(opaque(*map(float, args)))
+        arrays = np.broadcast_arrays(*args)
+        rows = [tuple(opaque(*map(float, row))) for row in zip(*map(np.ravel, arrays), strict=True)]
+        return tuple(np.reshape(column, arrays[0].shape) for column in zip(*rows, strict=True))
+
+    return call
+
+
+def _gather(table: Any, index: Any) -> Any:
+    return table.reshape(-1)[np.asarray(index).astype(np.int64)]
+
+
+#: NumPy's functions by their names in the text
+SCOPE: dict[str, Any] = {
+    "abs": np.abs,
+    "acos": np.arccos,
+    "asin": np.arcsin,
+    "cosh": np.cosh,
+    "double": np.float64,
+    "exp": np.exp,
+    "floor": np.floor,
+    "gather": _gather,
+    "lane": lambda k, x: np.asarray(x)[..., k],
+    "larger": np.maximum,
+    "log": np.log,
+    "logical_not": np.logical_not,
+    "nan": np.nan,
+    "rint": np.rint,
+    "single": np.float32,
+    "sinh": np.sinh,
+    "sqrt": np.sqrt,
+    "tan": np.tan,
+    "tanh": np.tanh,
+}
+
+
+def _names(inputs: list[tuple[Any, ...]]) -> list[str]:
+    """A name for each input: ("q", 1) is q1."""
+    found: list[str] = []
+    for parts in inputs:
+        name = _identifier("".join(map(str, parts)))
+        if name in found or name in SCOPE:
+            name = _identifier("_".join(map(str, parts)))
+        while name in found or name in SCOPE or re.fullmatch(r"t\d+", name):
+            name += "_"
+        found.append(name)
+    return found
+
+
+def _identifier(name: str) -> str:
+    name = re.sub(r"\W", "_", name)
+    return name if name.isidentifier() else f"_{name}"
+
+
+def _uses(flat: Flat) -> list[int]:
+    uses = [0] * len(flat.nodes)
+    for node in flat.nodes:
+        for i in operands(node):
+            uses[i] += 1
+    return uses
+
+
+def call_of(name: str, *args: ast.expr) -> ast.expr:
+    """A call."""
+    return ast.Call(ast.Name(name), list(args), [])

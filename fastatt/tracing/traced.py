@@ -1,0 +1,272 @@
+"""What a formula becomes for arguments of some forms: a graph, or three of them around a loop.
+
+The form of a number is its kind, that of a tuple its class and the forms of its parts.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fastatt.tracing.dual import Dual, mapped, value
+from fastatt.tracing.finished import Flat, resources_of
+from fastatt.tracing.graph import Condition, Graph, Number, choose, flattened
+from fastatt.tracing.nodes import NotStraight
+
+WIDEST = 64
+"""Directions of dual numbers that go side by side."""
+
+
+class Tuple(NamedTuple):
+    """The form of a tuple: its class and the forms of its parts."""
+
+    cls: type
+    parts: tuple[Any, ...]
+
+
+class Recurrence:
+    """A formula that does a step with each row of a table of constants, and is compiled as a loop.
+
+    ``begin(*args)`` gives (x, e): what moves, and what a step needs of it besides the arguments;
+    ``step(x, e, row, *args)`` the next x, and ``end(x, e, *args)`` the result. x and e are numbers
+    in tuples, nested at will, dual ones too. Called with recorded numbers it writes all steps out.
+    """
+
+    def __init__(
+        self,
+        begin: Callable[..., Any],
+        step: Callable[..., Any],
+        end: Callable[..., Any],
+        table: Sequence[Sequence[float]],
+    ) -> None:
+        functools.update_wrapper(self, begin)
+        self.begin, self.step, self.end = begin, step, end
+        self.table = tuple(map(tuple, table))
+
+    def __call__(self, *args: Any) -> Any:
+        """Written out."""
+        x, e = self.begin(*args)
+        for row in self.table:
+            x = self.step(x, e, row, *args)
+        return self.end(x, e, *args)
+
+
+class Loop(NamedTuple):
+    """What stands before a recurrence's end: its begin, and its step for each row of the table.
+
+    ``begin`` gives the numbers ("s", 0), ("s", 1), ...; ``step`` takes them and ("row", k) and
+    gives the first of them anew. Those of ``wide`` have a lane a direction.
+    """
+
+    begin: Flat
+    step: Flat
+    wide: frozenset[int]
+    table: tuple[tuple[float, ...], ...]
+
+
+class Traced(NamedTuple):
+    """A formula for arguments of some forms: its graph, the form of its result, its lanes.
+
+    The graph of a recurrence is that of its end, after ``loop``. The arguments' numbers are its
+    inputs ("x", k).
+    """
+
+    flat: Flat
+    form: Any
+    lanes: int
+    loop: Loop | None = None
+
+    @property
+    def flats(self) -> tuple[Flat, ...]:
+        """Its graphs, in the order in which they run."""
+        loop = self.loop
+        return (self.flat,) if loop is None else (loop.begin, loop.step, self.flat)
+
+    @property
+    def resources(self) -> list[tuple[str, Any]]:
+        """What its graphs find in memory."""
+        return resources_of(*self.flats)
+
+
+def trace(
+    formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = ""
+) -> Traced:
+    """A formula for arguments of some forms; ``widest`` 0: no lanes for directions.
+
+    ``kind`` is that of all its results; without, each has its own.
+    """
+    constants = "single" if set(flattened_forms(forms)) == {"single"} else "double"
+    if isinstance(formula, Recurrence) and len(formula.table) > 1:
+        return _recurring(formula, forms, constants, widest)
+    graph = Graph(widest)
+    form, flat = _ended(graph, formula(*_arguments(graph, forms)), constants, kind)
+    return Traced(flat, form, _lanes((flat,)))
+
+
+def flattened_forms(forms: Sequence[Any]) -> Iterator[str]:
+    """The kinds of the numbers of some forms, in order."""
+    for form in forms:
+        if isinstance(form, Tuple):
+            yield from flattened_forms(form.parts)
+        else:
+            yield form
+
+
+def _arguments(graph: Graph, forms: Sequence[Any]) -> list[Any]:
+    places = itertools.count()
+    return [_inputs(graph, form, places) for form in forms]
+
+
+def _inputs(graph: Graph, form: Any, places: Iterator[int]) -> Any:
+    if isinstance(form, Tuple):
+        parts = [_inputs(graph, part, places) for part in form.parts]
+        return tuple(parts) if form.cls is tuple else form.cls(*parts)
+    return graph.input(form, "x", next(places))
+
+
+def _ended(graph: Graph, found: Any, constants: str, kind: str = "") -> tuple[Any, Flat]:
+    """Form and graph of a result."""
+    numbers: list[Any] = []
+    form = _result(found, constants, numbers)
+    kinds = ["double" if own == "truth" else own for own in flattened_forms((form,))]
+    return form, Flat(graph, numbers, kind or kinds)
+
+
+def _result(x: Any, constants: str, numbers: list[Any]) -> Any:
+    """The form of a result, its numbers added to ``numbers``, known ones of kind ``constants``."""
+    if isinstance(x, (tuple, list)):
+        cls = type(x) if hasattr(x, "_fields") else tuple
+        return Tuple(cls, tuple(_result(part, constants, numbers) for part in x))
+    if isinstance(x, (bool, Condition)):
+        numbers.append(choose(x, 1.0, 0.0))
+        return "truth"
+    if isinstance(x, Number):
+        numbers.append(x)
+        return x.kind
+    if isinstance(x, (float, int, np.number)):
+        numbers.append(float(x))
+        return constants
+    raise NotStraight(f"a result of {type(x).__name__}")
+
+
+def _lanes(flats: Sequence[Flat]) -> int:
+    """A power of 2 that holds the directions that go into graphs, and those that are asked for."""
+    nodes = itertools.chain.from_iterable(flat.nodes for flat in flats)
+    asked = (
+        node.args[1 if node.op == "in" else 0]
+        for node in nodes
+        if node.op == "lane" or (node.op == "in" and node.args[0] == "direction")
+    )
+    return 1 << max(asked, default=0).bit_length()
+
+
+# recurrences
+
+
+class _Leaf(NamedTuple):
+    """A number that crosses from one graph to the next: its kind, how many derivatives it has."""
+
+    kind: str
+    slopes: int
+
+
+def _recurring(formula: Recurrence, forms: Sequence[Any], constants: str, widest: int) -> Traced:
+    graph = Graph(widest)
+    x, e = formula.begin(*_arguments(graph, forms))
+    moving = [_Leaf(_kind(y) or constants, _slopes(y)) for y in flattened(x)]
+    kept = [y for y in flattened(e) if _kind(y)]
+    fixed = [_Leaf(_kind(y), _slopes(y)) for y in kept]
+    begun, size = graph, len(formula.table[0])
+    while True:
+        graph = Graph(widest)
+        given = _crossed(graph, (x, e), moving, fixed)
+        row = graph.inputs(constants, "row", size)
+        after = flattened(formula.step(*given, row, *_arguments(graph, forms)))
+        if len(after) != len(moving):
+            raise NotStraight(f"a step from {len(moving)} numbers to {len(after)}")
+        # a number may get its derivatives in the first step
+        grown = [
+            _Leaf(a.kind, max(a.slopes, _slopes(y))) for a, y in zip(moving, after, strict=True)
+        ]
+        if grown == moving:
+            break
+        moving = grown
+    before = _apart(begun, [*flattened(x), *kept], [*moving, *fixed])
+    step = _apart(graph, after, moving)
+    graph = Graph(widest)
+    given = _crossed(graph, (x, e), moving, fixed)
+    form, flat = _ended(graph, formula.end(*given, *_arguments(graph, forms)), constants)
+    firsts = itertools.accumulate((1 + a.slopes for a in moving), initial=0)
+    places = (range(k + 1, k + 1 + a.slopes) for k, a in zip(firsts, moving, strict=False))
+    wide = frozenset(itertools.chain.from_iterable(places))
+    return Traced(flat, form, _lanes((before, step, flat)), Loop(before, step, wide, formula.table))
+
+
+def _kind(x: Any) -> str:
+    """Precision of a number, "" of a known one."""
+    if isinstance(x, Condition):
+        raise NotStraight("a truth value that goes from step to step")
+    parts = (x.value, *x.slopes) if isinstance(x, Dual) else (x,)
+    return next((y.kind for y in parts if isinstance(y, Number)), "")
+
+
+def _slopes(x: Any) -> int:
+    return len(x.slopes) if isinstance(x, Dual) else 0
+
+
+def _crossed(
+    graph: Graph, values: Any, moving: Sequence[_Leaf], fixed: Sequence[_Leaf]
+) -> tuple[Any, Any]:
+    """(x, e) as inputs of another graph; a known number of e is what it was."""
+    places = itertools.count()
+    x, e = values
+
+    def number(leaf: _Leaf) -> Any:
+        numbers = [graph.input(leaf.kind, "s", next(places)) for _ in range(1 + leaf.slopes)]
+        return Dual(numbers[0], tuple(numbers[1:])) if leaf.slopes else numbers[0]
+
+    first, second = iter(moving), iter(fixed)
+    return (
+        mapped(lambda y: number(next(first)), x),
+        mapped(lambda y: number(next(second)) if _kind(y) else y, e),
+    )
+
+
+def _apart(graph: Graph, values: Sequence[Any], leaves: Sequence[_Leaf]) -> Flat:
+    """The graph of some numbers with their derivatives."""
+    numbers: list[Any] = []
+    kinds: list[str] = []
+    for x, leaf in zip(values, leaves, strict=True):
+        numbers += [value(x), *(x.slopes if isinstance(x, Dual) else (0.0,) * leaf.slopes)]
+        kinds += [leaf.kind] * (1 + leaf.slopes)
+    return Flat(graph, numbers, kinds)
+
+
+# without a compiler
+
+
+def plain(traced: Traced, tables: Mapping[int, Any]) -> Callable[[Sequence[Any]], list[Any]]:
+    """The results from the arguments' numbers, floats or arrays; of one traced without lanes."""
+    from fastatt.tracing.source import function
+
+    runs = [(function(flat, tables=tables), flat.inputs()) for flat in traced.flats]
+
+    def call(numbers: Sequence[Any]) -> list[Any]:
+        given: dict[str, Sequence[Any]] = {"x": numbers}
+
+        def done(k: int) -> list[Any]:
+            run, names = runs[k]
+            return list(run(*(given[group][i] for group, i in names)))
+
+        if traced.loop is not None:
+            state = given["s"] = done(0)
+            for given["row"] in traced.loop.table:
+                after = done(1)
+                state[: len(after)] = after
+        return done(-1)
+
+    return call

@@ -1,0 +1,447 @@
+"""A user's rate, torque, force, potential or reducer: traced where it is straight, else called.
+
+A traced function is compared with what Python gives at a few points before it is trusted. One that
+is no straight line is compiled by Numba and called for each body (``UserFunction.reason`` says
+why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from types import CellType, FunctionType, ModuleType
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numba import cfunc, config, types
+from numba.core.registry import CPUDispatcher
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.tracing import functions, graph, source
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.graph import Graph, Number
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.recorded import Recorded
+from fastatt.tracing.standing import referred_to, standing
+from fastatt.tracing.trace import Standing, traceable
+
+POINTS = 8
+# of a component beside its largest over the points; a wrong formula is off by far more
+_TOLERANCE = 1e-9
+
+
+class Form(NamedTuple):
+    """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
+
+    ``results`` 0 stands for as many as it has parameters.
+    """
+
+    call: str
+    before: tuple[int, ...]
+    results: int
+    unit: str
+
+
+FORMS = {
+    "rate": Form("rate(t, p)", (0,), 3, "rad/s"),
+    "torque": Form("torque(t, q, w, p)", (0, 4, 3), 3, "N·m"),
+    "torque at position": Form("torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m"),
+    "force": Form("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
+    "force at position": Form("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
+    "potential": Form("potential(t, q, p)", (0, 4), 1, "J"),
+    "potential at position": Form("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
+    "reducer": Form("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
+}
+
+# what a function was made of, and for which values of its names
+_KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int], tuple[Any, UserFunction]]] = (
+    WeakKeyDictionary()
+)
+
+
+def user_function(
+    function: Callable[..., Any],
+    form: str,
+    n_params: int,
+    params: NDArray[np.float64] | None = None,
+) -> UserFunction:
+    """A user's function, made once for a number of parameters and what its names stand for.
+
+    Parameters
+    ----------
+    function : plain or jitted.
+    form : which of ``FORMS`` it is, "rate" of ``rate(t, p)``.
+    n_params : length of ``p``.
+    params : some that it will be called with, (P,) or (N, P): it is tried with them.
+
+    Raises
+    ------
+    TypeError
+        It is no function, does not compile, or gives something else than numbers as many as wanted.
+    """
+    if not isinstance(getattr(function, "py_func", function), FunctionType):
+        raise TypeError(
+            f"{form.partition(' ')[0]}: found {checks.brief(function)}; accepted: a function "
+            f"{FORMS[form].call}"
+        )
+    made = _KNOWN.setdefault(function, {})
+    key, now = (form, n_params), standing(function)
+    before, found = made.get(key, (None, None))
+    if found is None or before != now:
+        found = UserFunction(function, form, n_params, params)
+        made[key] = now, found
+    return found
+
+
+class UserFunction:
+    """A user's function, for formulas that are recorded.
+
+    ``straight`` says whether it is traced, ``reason`` why it is not. One that is not stands in a
+    graph as ``("opaque", self, ...)`` and is called at ``address``, as ``void(double* arguments,
+    double* results)``.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        form: str,
+        n_params: int,
+        params: NDArray[np.float64] | None = None,
+    ) -> None:
+        own = FORMS[form]
+        self.form = own if own.results else own._replace(results=n_params)
+        self.argument = form.partition(" ")[0]
+        self.n_params = n_params
+        self.name = getattr(function, "__name__", self.argument)
+        self.reason = ""
+        #: arrays of the tables that it looks up, and times at which there is something in them
+        self.tables: dict[Any, NDArray[np.float64]] = {}
+        self.span = 0.0, 10.0
+        self._formula: Callable[..., Any] | None = None
+        self._compiled: Any = None
+        try:
+            self._formula = self._checked(function, params)
+        except NotStraight as error:
+            self.reason = str(error)
+            opaque = _interpreted if config.DISABLE_JIT else _compiled
+            self._compiled = opaque(function, self)
+
+    def __repr__(self) -> str:
+        how = "traced" if self.straight else f"called ({self.reason})"
+        return f"<{self.argument} {self.name}: {how}>"
+
+    @property
+    def straight(self) -> bool:
+        """Whether its formulas are traced."""
+        return self._formula is not None
+
+    @property
+    def address(self) -> int:
+        """Where the compiled function lies, of one that is not traced."""
+        return int(self._compiled.address)
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Of each argument 0 for a number, n for a tuple of n."""
+        return (*self.form.before, self.n_params)
+
+    @property
+    def described(self) -> str:
+        """How messages name it: ``spin(t, p)``."""
+        return self.form.call.replace(self.argument, self.name, 1)
+
+    def call(self, *args: Any) -> Any:
+        """What it gives of recorded numbers, the parameters a tuple: 3 numbers, a potential one.
+
+        A function that is not traced computes in double precision, and gives doubles.
+        """
+        args = tuple(tuple(x) if isinstance(x, (tuple, list)) else x for x in args)
+        numbers = graph.flattened(list(args))
+        like = next((x for x in numbers if isinstance(x, Recorded)), None)
+        if self._formula is not None:
+            try:
+                return self._formula(*args)
+            except NotStraight:
+                if not isinstance(like, Number):
+                    raise
+                # known numbers are folded in Python, which refuses 1/0 and the root of −1
+                made = [x if isinstance(x, Recorded) else _constant(x, like) for x in numbers]
+                return self._formula(*nested(made, self.sizes))
+        if like is None:
+            found = self(*numbers)
+        else:
+            found = functions.opaque(self, self.form.results, numbers, like)  # type: ignore[arg-type]
+        return found if self.form.results > 1 else found[0]
+
+    def given(self, *args: Any) -> Any:
+        """The same of as much of what is there as it takes, parameters last."""
+        *before, p = args
+        return self.call(*before[: len(self.form.before)], p)
+
+    def __call__(self, *numbers: float) -> tuple[float, ...]:
+        """What a function that is not traced gives of floats, all its arguments' in a row."""
+        given = (ctypes.c_double * max(1, len(numbers)))(*numbers)
+        made = (ctypes.c_double * self.form.results)()
+        _ENTRY(self.address)(given, made)
+        return tuple(made)
+
+    def _checked(
+        self, function: Callable[..., Any], params: NDArray[np.float64] | None
+    ) -> Callable[..., Any]:
+        """The function traced; raises ``NotStraight`` where it can't be, or can't be trusted."""
+        formula = traceable(function)
+        recorder = Graph()
+        numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
+        p = recorder.inputs("double", "p", self.n_params)
+        result = formula(*nested((*numbers, *p), self.sizes))
+        values = result if isinstance(result, tuple) else (result,)
+        if isinstance(result, tuple) != (self.form.results > 1) or not _are_numbers(
+            values, self.form.results
+        ):
+            raise NotStraight(f"what it gives is not {self.form.results} numbers")
+        flat = Flat(recorder, values, "double")
+        found_in = {node.args[0]: None for node in flat.nodes if node.op == "gather"}
+        if found_in:
+            self.tables = {table: table.data for table in found_in}
+            spans = np.array([table.span for table in found_in])
+            start, end = sorted((float(spans[:, 0].max()), float(spans[:, 1].min())))
+            self.span = start, end
+        places = [k + (len(numbers) if group == "p" else 0) for group, k in flat.inputs()]
+        traced = source.function(flat, tables=self.tables)
+        in_python = interpreted(function)
+        asked, found = [], []
+        for point in points(self.sizes, params, self.span):
+            try:
+                with np.errstate(all="ignore"):
+                    asked.append(_floats(in_python(*nested(point, self.sizes))))
+            except Exception:  # noqa: BLE001  # whatever the user's function raises there
+                continue
+            found.append(traced(*(point[k] for k in places)))
+        if not asked:
+            raise NotStraight("an error in Python at every point where it was tried")
+        if not _agree(np.array(asked), np.array(found)):
+            raise NotStraight("other values in Python than as it was traced")
+        return formula
+
+
+def _constant(x: float, like: Number) -> Number:
+    return graph.number(like.graph, x, like.kind)
+
+
+def nested(numbers: Sequence[Any], sizes: Sequence[int]) -> tuple[Any, ...]:
+    """Numbers in a row as arguments: of size 0 a number, else a tuple; the last is a tuple."""
+    found: list[Any] = []
+    at = 0
+    for k, n in enumerate(sizes):
+        is_tuple = n > 0 or k == len(sizes) - 1
+        found.append(tuple(numbers[at : at + n]) if is_tuple else numbers[at])
+        at += n if is_tuple else 1
+    return tuple(found)
+
+
+def _are_numbers(values: tuple[Any, ...], n: int) -> bool:
+    return len(values) == n and all(
+        isinstance(x, (Recorded, float, int, np.number)) and not isinstance(x, bool) for x in values
+    )
+
+
+def _floats(result: Any) -> list[float]:
+    return [float(x) for x in (result if isinstance(result, tuple) else (result,))]
+
+
+def points(
+    sizes: tuple[int, ...],
+    params: NDArray[np.float64] | None,
+    span: tuple[float, float] = (0.0, 10.0),
+) -> list[list[float]]:
+    """Arguments to try a function with, in a row: the first at the begin of a span of time."""
+    rng = np.random.default_rng(8)
+    found = []
+    for k in range(POINTS):
+        point = [span[0] if k == 0 else float(rng.uniform(*span))]
+        for n in sizes[1:-1]:
+            v = rng.normal(size=n)
+            point += (v / np.linalg.norm(v) if n == 4 else v).tolist()
+        if params is not None and params.size:
+            rows = np.atleast_2d(params)
+            point += rows[k * len(rows) // POINTS].tolist()
+        else:
+            point += rng.uniform(0.5, 1.5, sizes[-1]).tolist()
+        found.append(point)
+    return found
+
+
+def _agree(asked: NDArray[np.float64], found: NDArray[np.float64]) -> bool:
+    """Whether values are the same but for rounding, (points, results)."""
+    if ((np.isnan(asked) != np.isnan(found)) | (np.isinf(asked) != np.isinf(found))).any():
+        return False
+    size = np.abs(np.where(np.isfinite(asked), asked, 0.0)).max(axis=0)
+    # a component that is 0 but for rounding, beside others that are not
+    bound = _TOLERANCE * size + 16 * np.finfo(np.float64).eps * size.max()
+    finite = np.isfinite(asked)
+    gap = np.abs(np.where(finite, found, 0.0) - np.where(finite, asked, 0.0))
+    same_side = finite | np.isnan(asked) | (asked == found)
+    return bool(((gap <= bound) & same_side).all())
+
+
+# in Python
+
+
+def interpreted(function: Any) -> Callable[..., Any]:
+    """A function as Python runs it, what it calls that is jitted included: nothing is compiled."""
+    plain = getattr(function, "py_func", function)
+    found = {name: _in_python(x) for name, x in referred_to(plain).items()}
+    scope = plain.__globals__ | found
+    closure = tuple(
+        CellType(found[name]) if name in found else CellType()
+        for name in plain.__code__.co_freevars
+    )
+    made = FunctionType(plain.__code__, scope, plain.__name__, plain.__defaults__, closure)
+    made.__kwdefaults__ = plain.__kwdefaults__
+    return made
+
+
+def _in_python(value: Any) -> Any:
+    if isinstance(value, CPUDispatcher):
+        return lambda *args, **named: interpreted(value)(*args, **named)
+    if isinstance(value, ModuleType) and value not in (math, np):
+        return Standing(value, _in_python)
+    return value
+
+
+# what is no straight line
+
+_REAL = types.Float, types.Integer
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+_ENTRY = ctypes.CFUNCTYPE(None, _DOUBLES, _DOUBLES)
+
+
+class _Callback:
+    """A Python function at an address."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._entry = _ENTRY(function)  # it lives as long as its address is used
+        self.address = ctypes.cast(self._entry, ctypes.c_void_p).value
+
+
+def _interpreted(function: Callable[..., Any], user: UserFunction) -> _Callback:
+    """The function called back in Python, where it is tried first; where it raises it gives NaN."""
+    sizes, n = user.sizes, user.form.results
+    n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
+    failed: Exception | None = None
+    for point in points(sizes, None):
+        try:
+            result = function(*nested(point, sizes))
+        except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
+            failed = error
+            continue
+        if isinstance(result, tuple) != (n > 1) or not _are_numbers(
+            result if isinstance(result, tuple) else (result,), n
+        ):
+            raise _wrong(user, checks.brief(result))
+        break
+    else:
+        raise TypeError(
+            f"{user.argument}: {user.described} raises {type(failed).__name__}: {failed}; accepted "
+            f"is a function of floats, with p a tuple of {user.n_params} floats"
+        )
+
+    def entry(given: Any, made: Any) -> None:
+        try:
+            values = _floats(function(*nested(given[:n_numbers], sizes)))
+        except Exception:  # noqa: BLE001  # as of a compiled one
+            values = [math.nan] * n
+        for k, x in enumerate(values):
+            made[k] = x
+
+    return _Callback(entry)
+
+
+def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
+    """The function compiled by Numba behind pointers."""
+    from fastatt._jit import recompile
+
+    f8 = types.float64
+    *before, last = user.sizes
+    signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))
+    plain: Any = getattr(function, "py_func", function)
+    inner = recompile(function)
+    try:
+        inner.compile(signature)
+    except Exception as error:
+        raise TypeError(
+            f"{user.argument}: {user.described} does not compile for floats, with p a tuple of "
+            f"{user.n_params} floats: {_words_of(error)} ({_place_of(error, plain)}); accepted is "
+            "a function that numba.njit compiles, or that is traced: this is not, for "
+            f"{user.reason}"
+        ) from error
+    returned = inner.overloads[signature].signature.return_type
+    n = user.form.results
+    if n == 1:
+        fits = isinstance(returned, _REAL)
+    else:
+        fits = isinstance(returned, types.BaseTuple) and len(returned) == n
+        fits = fits and all(isinstance(t, _REAL) for t in returned)
+    if not fits:
+        raise _wrong(user, str(returned))
+    pointer = types.CPointer(f8)
+    scope = {"inner": inner, "nan": math.nan}
+    exec(_wrapper(user), scope)
+    return cfunc(types.void(pointer, pointer))(scope["entry"])
+
+
+def _wrapper(user: UserFunction) -> str:
+    """Text of what calls ``inner`` with numbers from memory."""
+    n = user.form.results
+    count = sum(max(k, 1) for k in user.form.before) + user.n_params
+    numbers = [f"given[{k}]" for k in range(count)]
+    args = [
+        f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
+        for part in nested(numbers, user.sizes)
+    ]
+    items = ["result"] if n == 1 else [f"result[{k}]" for k in range(n)]
+    lines = [
+        "def entry(given, made):",
+        "    try:",
+        f"        result = inner({', '.join(args)})",
+        *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
+        # no error may leave what the loop calls: the body's status says it
+        "    except Exception:",
+        *(f"        made[{k}] = nan" for k in range(n)),
+    ]
+    return "\n".join(lines)
+
+
+def _wrong(user: UserFunction, found: str) -> TypeError:
+    n = user.form.results
+    accepted = "a float" if n == 1 else f"a tuple of {'three' if n == 3 else n} floats"
+    return TypeError(
+        f"{user.argument}: {user.described} returns {found}; accepted is {accepted}, "
+        f"{user.form.unit}"
+    )
+
+
+def _words_of(error: Exception) -> str:
+    """Numba's reason in a line: what it says first that is not about its own steps."""
+    skipped = ("Failed in ", "During: ")
+    lines = [x.strip() for x in str(error).splitlines() if not x.startswith(skipped)]
+    said: list[str] = []
+    for line in lines:
+        if not line and said:
+            break
+        if line:
+            said.append(line)
+    return " ".join(said[:3]) or type(error).__name__
+
+
+def _place_of(error: Exception, plain: Any) -> str:
+    place = getattr(error, "loc", None)
+    if place is not None:
+        return f"{place.filename}:{place.line}"
+    return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}"
+
+
+__all__ = ["FORMS", "Form", "UserFunction", "interpreted", "nested", "points", "user_function"]
