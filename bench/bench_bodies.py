@@ -36,7 +36,7 @@ def reference(scene: str) -> np.ndarray:
     """Attitudes at the end: the closed form, or order 8 at a step that leaves round-off."""
     b = bodies(scene)
     if scene == "free":
-        return fa.exact.free_body(b.q0, b.m0 / b.inertia, b.inertia, T_END)[0]
+        return fa.closed_form.free_body(b.q0, b.m0 / b.inertia, b.inertia, T_END)[0]
     return run(scene, "rk8", 8000, "float64").q[-1]
 
 
@@ -165,7 +165,7 @@ def test_closed_form(benchmark, n_times):
     t = np.linspace(0.0, T_END, n_times) if n_times > 1 else T_END
 
     def ours() -> tuple[np.ndarray, np.ndarray]:
-        return fa.exact.free_body(q0, w0, b.inertia, t, n_threads=1)
+        return fa.closed_form.free_body(q0, w0, b.inertia, t, n_threads=1)
 
     benchmark.pedantic(ours, rounds=1 if SMOKE else 7, warmup_rounds=1)
     if benchmark.stats is not None:

@@ -125,7 +125,7 @@ def test_one_long_log_beside_a_copy(benchmark, long_log, method, threads):
 @pytest.mark.parametrize("method", methods_for_samples())
 @pytest.mark.parametrize("call", ["log of 1000 samples", "push of one sample"])
 def test_calls(benchmark, long_log, method, call):
-    flow = fa.integrator(START, H, method=method)
+    flow = fa.GyroIntegrator(START, H, method=method)
     if call == "push of one sample":
         benchmark(flow.push, long_log[0])
     else:

@@ -26,7 +26,7 @@ def periods(inertia: Any, w0: Any) -> tuple[float, float]:
     long, middle, _ = np.argsort(moments)
 
     def motion(t: Any) -> tuple[Any, Any]:
-        return fa.exact.free_body([1, 0, 0, 0], w, moments, t)
+        return fa.closed_form.free_body([1, 0, 0, 0], w, moments, t)
 
     t = np.linspace(0.0, 80.0 * math.pi / np.linalg.norm(w), 4001)
     x = motion(t)[1][:, middle]
@@ -43,7 +43,7 @@ def periods(inertia: Any, w0: Any) -> tuple[float, float]:
     m = moments * w / np.linalg.norm(moments * w)
     across = np.cross(m, np.eye(3)[np.argmin(abs(m))])
     across /= np.linalg.norm(across)
-    axis = fa.rotate(motion(np.linspace(*ends, 4001))[0], np.eye(3)[long])
+    axis = fa.quat_rotate(motion(np.linspace(*ends, 4001))[0], np.eye(3)[long])
     angle = np.unwrap(np.arctan2(axis @ np.cross(m, across), axis @ across))
     return float(span / (up.size - 1)), float(2.0 * math.pi * span / abs(angle[-1] - angle[0]))
 
@@ -94,7 +94,7 @@ def toutatis() -> Iterator[Row]:
     )
     start = fa.euler313_to_quat(np.array(START) * DEGREE)
     w0 = np.array(RATE) * DEGREE / DAY
-    q, w = fa.exact.free_body(start, w0, MOMENTS, t)
+    q, w = fa.closed_form.free_body(start, w0, MOMENTS, t)
     # columns of the matrices are the body's axes
     computed, observed = fa.quat_to_dcm(q), fa.quat_to_dcm(fa.euler313_to_quat(angles))
     axes = _between(np.swapaxes(computed, 1, 2), np.swapaxes(observed, 1, 2))

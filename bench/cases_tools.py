@@ -21,7 +21,7 @@ DEGREE = math.pi / 180.0
 
 def free(inertia: Any, w0: Any, t: float) -> Any:
     """Attitude and rate at t of a free body that starts along inertial axes."""
-    return fa.exact.free_body(IDENTITY, w0, inertia, t)
+    return fa.closed_form.free_body(IDENTITY, w0, inertia, t)
 
 
 def mrp(q: Any) -> Any:
@@ -127,7 +127,7 @@ def jsbsim() -> Iterator[Row]:
         kind = "Adams-Bashforth 5" if order > 2 else "Adams-Bashforth 2"
         yield at_most(f"error of {name}, 120 Hz, 10 s", f"{theirs}, {kind}", error, limit, "°")
     # (f now + f a step ago)/2 for (f now + f a step ahead)/2
-    rule = fa.explicit("late", order=1, c=(0, -1), a=((-1,),), b=(1 / 2, 1 / 2))
+    rule = fa.runge_kutta("late", order=1, c=(0, -1), a=((-1,),), b=(1 / 2, 1 / 2))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", fa.OrderWarning)
         found = fa.self_check(
@@ -151,7 +151,7 @@ def mujoco() -> Iterator[Row]:
         )
         energy = np.abs(np.diff(run.w[[0, -1]] ** 2 @ inertia)).item()
         energy /= float(run.w[0] ** 2 @ inertia)
-        momentum = np.linalg.norm(np.diff(fa.rotate(run.q, run.w * inertia), axis=0))
+        momentum = np.linalg.norm(np.diff(fa.quat_rotate(run.q, run.w * inertia), axis=0))
         yield at_most(f"E/E0 off 1 by, {name}", "0.07", energy, 0.07, "")
         yield at_most(f"momentum off by, {name}", "5e-3", float(momentum), 5e-3, "N·m·s")
 

@@ -32,7 +32,7 @@ def reference(k: int, apart: float) -> np.ndarray:
 def vectors(sigma: float, apart: float) -> Update:
     def update(f: es.MEKF | es.UKF, k: int, rng: np.random.Generator) -> None:
         r = reference(k, apart)
-        seen = fa.rotate_inverse(TRUTH, r) + rng.normal(0.0, sigma, (len(f.q), 3))
+        seen = fa.quat_rotate_inverse(TRUTH, r) + rng.normal(0.0, sigma, (len(f.q), 3))
         f.update_vector(seen, r, sigma)
 
     return update
@@ -51,8 +51,8 @@ def observed(sigma: float, apart: float) -> Update:
     def update(f: es.MEKF | es.UKF, k: int, rng: np.random.Generator) -> None:
         assert isinstance(f, es.UKF)
         r = reference(k, apart)
-        seen = fa.rotate_inverse(TRUTH, r) + rng.normal(0.0, sigma, (len(f.q), 3))
-        f.update(lambda q, y: fa.rotate_inverse(q, r), seen, sigma**2 * np.eye(3))
+        seen = fa.quat_rotate_inverse(TRUTH, r) + rng.normal(0.0, sigma, (len(f.q), 3))
+        f.update(lambda q, y: fa.quat_rotate_inverse(q, r), seen, sigma**2 * np.eye(3))
 
     return update
 

@@ -69,7 +69,7 @@ def grow(method, mode, n_steps, n_bodies, dtype):
                 angle = fa.angle_between(
                     piece.q[s].astype(np.float64), exact_attitudes(w, n * STEP)
                 )
-                rows.append((n, rms(angle), rms(piece.defect[s])))
+                rows.append((n, rms(angle), rms(piece.norm_error[s])))
 
     start = time.perf_counter()
     fa.propagate(

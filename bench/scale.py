@@ -87,7 +87,7 @@ def of_large(n):
     begin = perf_counter()
     run = fa.propagate(FREE, *values, **options)
     taken = perf_counter() - begin
-    arrays = [*values, run.state, run.defect, run.status, *run.carried.values()]
+    arrays = [*values, run.state, run.norm_error, run.status, *run.carried.values()]
     return (peak() - before) / sum(x.nbytes for x in arrays), 1e9 * taken / (n * LARGE)
 
 

@@ -20,75 +20,18 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 __all__ = [
-    "METHODS",
-    "Attitude",
-    "Drift",
-    "DriftStatistics",
-    "ErrorBudget",
-    "Log",
-    "LogError",
-    "LogWarning",
-    "Method",
-    "OrderWarning",
-    "OwnSteps",
-    "Plan",
-    "Recommendation",
-    "Reducer",
-    "Scene",
-    "SelfCheck",
-    "Status",
-    "StepWarning",
-    "Table",
-    "Trajectory",
-    "WorkPrecision",
-    "angle_between",
-    "angular_momentum",
-    "angular_velocity",
-    "closed_form",
-    "dcm_to_quat",
-    "drift",
-    "error_budget",
-    "estimation",
-    "euler313_to_quat",
-    "explicit",
-    "forces",
-    "from_scipy",
-    "gyro_steps",
-    "integrate_rates",
-    "integrator",
-    "interchange",
-    "interpolate",
-    "kernels",
-    "kinetic_energy",
-    "kinetic_energy_symmetric",
-    "lie",
-    "mean_attitude",
-    "methods_for",
-    "own_steps",
-    "plan",
-    "plots",
-    "potential_energy",
-    "propagate",
-    "propagate_directions",
-    "quat_multiply",
-    "quat_to_dcm",
-    "quat_to_euler313",
-    "quat_to_rotation_vector",
-    "rates",
-    "read_log",
-    "recommend",
-    "reducer",
-    "rotate",
-    "rotate_inverse",
-    "rotation_vector_to_quat",
-    "self_check",
-    "show_loop",
-    "single_step",
-    "to_scipy",
-    "torques",
-    "watch_drift",
-    "work_precision",
-]  # fmt: skip
+    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "GyroIntegrator", "Log",
+    "LogError", "LogWarning", "Method", "OrderWarning", "OwnSteps", "Plan", "Recommendation",
+    "Reducer", "Scene", "SelfCheck", "Status", "StepWarning", "TimeSeries", "Trajectory",
+    "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "closed_form",
+    "dcm_to_quat", "drift", "drift_statistics", "error_budget", "estimation", "euler313_to_quat",
+    "explicit", "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates",
+    "interchange", "interpolate", "kernels", "kinetic_energy", "lie", "mean_attitude",
+    "methods_for", "own_steps", "plan", "plots", "potential_energy", "propagate",
+    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
+    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
+    "rotation_vector_to_quat", "self_check", "single_step", "to_scipy", "torques", "work_precision",
+]  # fmt: skip  # fmt: skip
 
 # imported when it is first asked for, so that a process pays for what it uses
 if TYPE_CHECKING:
@@ -98,11 +41,11 @@ if TYPE_CHECKING:
         dcm_to_quat,
         euler313_to_quat,
         quat_multiply,
+        quat_rotate,
+        quat_rotate_inverse,
         quat_to_dcm,
         quat_to_euler313,
         quat_to_rotation_vector,
-        rotate,
-        rotate_inverse,
         rotation_vector_to_quat,
     )
     from fastatt.attitudes import Attitude
@@ -111,25 +54,24 @@ if TYPE_CHECKING:
     from fastatt.estimation.single_steps import single_step
     from fastatt.gyro import gyro_steps
     from fastatt.gyro.integrate import integrate_rates
-    from fastatt.gyro.streaming import integrator
+    from fastatt.gyro.streaming import GyroIntegrator
     from fastatt.interchange import from_scipy, to_scipy
     from fastatt.logs import Log, LogError, LogWarning, read_log
     from fastatt.methods import METHODS, Method
-    from fastatt.methods.lie_group import lie
-    from fastatt.methods.runge_kutta import explicit
+    from fastatt.methods.lie_group import lie_group
+    from fastatt.methods.runge_kutta import runge_kutta
     from fastatt.propagation import closed_form
     from fastatt.propagation.angular_velocity import angular_velocity
     from fastatt.propagation.choice_of_method import methods_for
     from fastatt.propagation.convergence import OrderWarning, SelfCheck
     from fastatt.propagation.drift import Drift, drift
-    from fastatt.propagation.drift_statistics import DriftStatistics, watch_drift
+    from fastatt.propagation.drift_statistics import DriftStatistics, drift_statistics
     from fastatt.propagation.energy import (
         angular_momentum,
         kinetic_energy,
-        kinetic_energy_symmetric,
         potential_energy,
     )
-    from fastatt.propagation.inspect_step import show_loop
+    from fastatt.propagation.inspect_step import inspect_step
     from fastatt.propagation.interpolation import interpolate
     from fastatt.propagation.plan import Plan
     from fastatt.propagation.propagate import plan, propagate, propagate_directions, self_check
@@ -138,7 +80,7 @@ if TYPE_CHECKING:
     from fastatt.rounding import StepWarning
     from fastatt.scene import forces, rates, torques
     from fastatt.scene.scene import Scene
-    from fastatt.scene.time_series import Table
+    from fastatt.scene.time_series import TimeSeries
     from fastatt.trade.advice import recommend
     from fastatt.trade.each import OwnSteps, own_steps
     from fastatt.trade.error_budget import ErrorBudget, error_budget
@@ -162,10 +104,9 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'fastatt' has no attribute {name!r}")
     module = importlib.import_module(_held_by()[name])
-    if not hasattr(module, name):
-        importlib.import_module(f"{module.__name__}.{name}")
-    globals()[name] = value = getattr(module, name)
-    return value
+    found = vars(module).get(name) or importlib.import_module(f"{module.__name__}.{name}")
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:

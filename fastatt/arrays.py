@@ -97,7 +97,7 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     return _product(quat.mul, "p", p, "q", q, 4)
 
 
-def rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
+def quat_rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """v_i = q∘v_b∘q*/|q|²: vectors (..., 3) of the body along inertial axes, q (..., 4) not 0."""
     return _product(_rotated, "q", q, "v", v, 3)
 
@@ -106,7 +106,7 @@ def _rotated(q: Any, v: Any) -> Any:
     return quat.rotate(quat.normalise(q), v)
 
 
-def rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
+def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """v_b = q*∘v_i∘q/|q|²: inertial vectors (..., 3) along body axes, q (..., 4) not 0."""
     return _product(_rotated_back, "q", q, "v", v, 3)
 

@@ -22,7 +22,6 @@ from fastatt.codegen import modules
 from fastatt.engine.loop import WIDTH
 from fastatt.gyro.integrate import integrate_rates
 from fastatt.methods import METHODS
-from fastatt.propagation import closed_form as exact
 from fastatt.propagation.choice_of_method import fits, methods_for
 from fastatt.propagation.drift import drift
 from fastatt.propagation.propagate import propagate
@@ -106,7 +105,7 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
         run(dt=0.01, **placed)
     found = run(dt=0.01)
     # what a trajectory makes of its states
-    _ = found.q, found.w, found.C
+    _ = found.q, found.w, found.dcm
     drift(found, scene)
     # beyond any limit: what the quick form is not for
     if w is not None:
@@ -135,8 +134,8 @@ def _functions(dtype: str) -> None:
     arrays.dcm_to_quat(arrays.quat_to_dcm(q))
     arrays.euler313_to_quat(arrays.quat_to_euler313(q))
     arrays.rotation_vector_to_quat(arrays.quat_to_rotation_vector(q))
-    arrays.rotate(q, v)
-    arrays.rotate_inverse(q, v)
+    arrays.quat_rotate(q, v)
+    arrays.quat_rotate_inverse(q, v)
     for moments in (_MOMENTS, np.multiply.outer(_OWN, _MOMENTS)):
         for t in (1.0, np.array([0.0, 1.0])):
             exact.free_body(q, v, moments, t, dtype=dtype)

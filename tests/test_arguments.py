@@ -26,7 +26,7 @@ def test_precision_is_single_where_every_array_is(kinds):
 
     dtype = np.float32 if set(kinds) - {"list"} == {"single"} else np.float64
     traj = fa.propagate(FREE, q0, w0, dt=0.1, n_steps=1, method="exact")
-    for found in (traj.q, traj.w, *fa.exact.free_body(q0, w0, FREE.inertia, 1.0)):
+    for found in (traj.q, traj.w, *fa.closed_form.free_body(q0, w0, FREE.inertia, 1.0)):
         assert found.dtype == dtype
 
 
@@ -38,7 +38,7 @@ DURATIONS = [
 TAKE_TIME = {
     "dt": lambda d: fa.propagate(FREE, [1, 0, 0, 0], [0, 0, 1], dt=d, n_steps=2),
     "t0": lambda d: fa.propagate(FREE, [1, 0, 0, 0], [0, 0, 1], dt=1.0, n_steps=2, t0=d),
-    "t": lambda d: fa.exact.free_body([1, 0, 0, 0], [0, 0, 1], (1, 1, 1), d),
+    "t": lambda d: fa.closed_form.free_body([1, 0, 0, 0], [0, 0, 1], (1, 1, 1), d),
     "dt of samples": lambda d: fa.integrate_rates(np.ones((3, 3)), d),
     "torque: Sampled.dt": lambda d: fa.Scene(
         inertia=(1, 1, 1), torque=fa.torques.Sampled(np.ones((3, 3)), d)

@@ -119,7 +119,7 @@ def is_order(found, method, kind):
 def test_order_on_free_bodies(method, representation):
     """Triaxial, their moments in every order; attitudes and rates."""
     if fa.METHODS[method].order > 10:  # 2 s in one step are rounding: 16 s by the closed form
-        known = fa.exact.free_body(Q0, W0, INERTIA, 16.0)
+        known = fa.closed_form.free_body(Q0, W0, INERTIA, 16.0)
         found = observed_order(
             lambda n: gap(run(FREE, method, n, 16.0), *known), 16.0, ladder=range(4, 12)
         )
@@ -293,8 +293,8 @@ def test_what_a_record_says_is_kept_is_kept(method, representation):
     conserves = fa.METHODS[method].conserves
     traj = run(FREE, method, 1000, 100.0, representation=representation, save_every=10)
     assert not traj.status.any()
-    norm = np.abs(traj.defect).max()
-    in_space = np.einsum("snij,snj->sni", traj.C, INERTIA * traj.w)
+    norm = np.abs(traj.norm_error).max()
+    in_space = np.einsum("snij,snj->sni", traj.dcm, INERTIA * traj.w)
     momentum = np.abs(in_space / in_space[0] - 1.0).max()
     work = np.abs(energy(INERTIA, traj.w) / energy(INERTIA, W0) - 1.0).max()
     assert set(conserves) <= {"norm", "momentum", "energy"}
@@ -336,7 +336,7 @@ def test_energy_under_a_potential_swings_without_drift(method):
     inertia = INERTIA
     scene = torqued(INERTIA, motion=0.0)
     traj = run(scene, method, 4000, 1000.0, save_every=4)
-    height = np.einsum("snj,j->sn", traj.C[:, :, 2], ARM)
+    height = np.einsum("snj,j->sn", traj.dcm[:, :, 2], ARM)
     total = energy(inertia, traj.w) + WEIGHT * height
     change = (total - total[0]) / total[0]
     half = len(change) // 2

@@ -85,7 +85,7 @@ def test_ensemble_is_single_runs_bit_for_bit(kind, method):
     full = run(SCENES[kind](), **options)
     for n in SIZES:
         part = run(SCENES[kind](slice(n)), Q0[:n], W0[:n], **options)
-        for name in ("q", "w", "defect", "C"):
+        for name in ("q", "w", "norm_error", "dcm"):
             assert same(getattr(part, name), getattr(full, name)[:, :n]), (name, n)
         assert same(part.status, full.status[:n])
     for b in SINGLES:
@@ -98,7 +98,7 @@ def test_ensemble_is_single_runs_bit_for_bit(kind, method):
 def test_threads_change_no_bit(kind, method):
     options = {"method": method, "save_every": 32}
     one, two, three = (run(SCENES[kind](), n_threads=k, **options) for k in (1, 2, 3))
-    for name in ("q", "w", "defect", "status"):
+    for name in ("q", "w", "norm_error", "status"):
         assert same(getattr(one, name), getattr(two, name))
         assert same(getattr(one, name), getattr(three, name))
 
@@ -129,7 +129,7 @@ def test_shapes():
     """One attitude or one rate for all bodies, one body without an axis."""
     scene = fa.Scene(inertia=MOMENTS)
     one = run(scene, START, SPIN, save_every=35)
-    assert (one.q.shape, one.w.shape, one.C.shape) == ((3, 4), (3, 3), (3, 3, 3))
+    assert (one.q.shape, one.w.shape, one.dcm.shape) == ((3, 4), (3, 3), (3, 3, 3))
     assert one.status.shape == (1,)
     many = run(scene, START, np.tile(SPIN, (5, 1)), save_every=35)
     assert (many.q.shape, many.w.shape) == ((3, 5, 4), (3, 5, 3))

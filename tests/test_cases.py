@@ -40,4 +40,4 @@ def test_a_figure_apart_is_marked():
 
 def test_jsbsims_trapezoidal_rule_is_refused_as_one_of_order_2():
     with pytest.raises(ValueError, match=r"order 2 gives -0\.5, not 0\.5"):
-        fa.explicit("late", order=2, c=(0, -1), a=((-1,),), b=(1 / 2, 1 / 2))
+        fa.runge_kutta("late", order=2, c=(0, -1), a=((-1,),), b=(1 / 2, 1 / 2))

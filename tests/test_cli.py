@@ -12,7 +12,7 @@ import pytest
 import fastatt as fa
 from fastatt import cli
 from fastatt.cli import main
-from fastatt.propagation.inspect_step import show_loop
+from fastatt.propagation.inspect_step import inspect_step
 from fastatt.trade.recordings import compare_on_log
 from fastatt.trade.scene_file import read_scene
 
@@ -247,7 +247,7 @@ def test_methods_tell_their_operations(capsys):
     assert main(["methods"]) == 0
     lines = capsys.readouterr().out.splitlines()
     of = {first.split()[0]: second for first, second in zip(lines[::2], lines[1::2], strict=True)}
-    counted = show_loop(fa.Scene(inertia=(2.0, 1.0, 0.7)), "rk4").split()
+    counted = inspect_step(fa.Scene(inertia=(2.0, 1.0, 0.7)), "rk4").split()
     assert f", free {counted[counted.index('floating-point') - 1]}, heavy top " in of["rk4"]
     for name, method in fa.METHODS.items():
         assert ("operations " in of[name]) == method.is_stepped

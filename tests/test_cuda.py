@@ -47,7 +47,7 @@ def largest(t, q, w, s):
 
 FAST = np.array([[0.3, 0.2, 0.1], [70.0, 40.0, 90.0]])  # one in the quick form, one beyond π a step
 SAMPLED = fa.torques.Sampled(RNG.normal(size=(9, 3)) * 0.2, 0.25)
-WHEELS = fa.Table(np.linspace(0.0, 1.0, 5), RNG.normal(size=(N, 5, 3)))
+WHEELS = fa.TimeSeries(np.linspace(0.0, 1.0, 5), RNG.normal(size=(N, 5, 3)))
 
 
 def of_wheels(t, q, w, p):
@@ -102,7 +102,7 @@ def run(name, dtype="float64", **options):
 
 def arrays_of(traj):
     return {
-        "t": traj.t, "state": traj.state, "defect": traj.defect, "status": traj.status,
+        "t": traj.t, "state": traj.state, "norm_error": traj.norm_error, "status": traj.status,
         "q": traj.q, "w": traj.w, "watch": traj.end.diagnostics, **traj.carried,
     }  # fmt: skip
 
@@ -126,7 +126,7 @@ def simulated():
     for where, seen in (("cuda", pieces["device"]), (None, pieces[None])):
 
         def keep(piece, seen=seen):
-            seen.append((piece.t.tolist(), piece.state.tobytes(), piece.defect.tobytes()))
+            seen.append((piece.t.tolist(), piece.state.tobytes(), piece.norm_error.tobytes()))
 
         # more saves than are kept at a time: a run in pieces
         seen.append(run("free", n_steps=17, sink=keep, device=where).end.diagnostics.tobytes())

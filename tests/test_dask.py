@@ -84,7 +84,7 @@ def test_bits_do_not_depend_on_chunks(name):
         for part in ("q", "w", "status", "C", *(("v", "r") if scene.moves else ())):
             assert same(getattr(found, part), getattr(whole, part)), part
             assert getattr(lazy, part).shape == getattr(whole, part).shape, part
-        assert same(lazy.C.compute(), whole.C)
+        assert same(lazy.dcm.compute(), whole.dcm)
 
 
 def test_precision_is_that_of_all_arrays():
@@ -102,7 +102,7 @@ def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
     monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
     lazy = fd.propagate(SHARED, Q0, W0, chunks=30, **RK4)
     assert threads == []
-    dask.compute(lazy.q, lazy.w, lazy.status, lazy.C)
+    dask.compute(lazy.q, lazy.w, lazy.status, lazy.dcm)
     assert threads == [1, 1, 1]
 
 
@@ -170,9 +170,9 @@ def test_warnings_of_workers_arrive(client):
 
 def test_drifts_of_all_bodies():
     steps = {"every": 10, **RK4}
-    whole = fa.watch_drift(OWN, Q0, W0, **steps)
+    whole = fa.drift_statistics(OWN, Q0, W0, **steps)
     for chunks in (33, 70):
-        found = fd.watch_drift(OWN, Q0, W0, chunks=chunks, **steps).compute()
+        found = fd.drift_statistics(OWN, Q0, W0, chunks=chunks, **steps).compute()
         assert (found.saves, found.bodies, found.flags) == (3, N, {})
         for name in ("norm", "orthogonality", "energy", "momentum"):
             one, each = getattr(found, name), getattr(whole, name)
@@ -201,7 +201,7 @@ def test_work_precision_of_all_bodies():
         for chunks, known in ((33, None), (70, None), (70, ("rk8", 400)))
     ]
     found, other, against_rk8 = dask.compute(*tables)
-    exact = fa.exact.free_body(Q0, W0, OWN.inertia, 1.0)[0]
+    exact = fa.closed_form.free_body(Q0, W0, OWN.inertia, 1.0)[0]
     assert [(r.method, r.dt) for r in found.rows] == [
         ("rk4", 0.02),
         ("rk4", 0.01),
@@ -260,7 +260,10 @@ def of_unknown_size():
         (lambda: fd.propagate(SHARED, Q0, W0, **{**STEPS, "dt": 0.0}), "dt"),
         (lambda: fd.propagate(SHARED, Q0, W0, method="magnus4", **STEPS), "method: found"),
         (lambda: fd.propagate("free", Q0, W0, **STEPS), "scene: found"),
-        (lambda: fd.watch_drift(SHARED, Q0, W0, every=2, n_threads=2, **STEPS), "n_threads: found"),
+        (
+            lambda: fd.drift_statistics(SHARED, Q0, W0, every=2, n_threads=2, **STEPS),
+            "n_threads: found",
+        ),
         (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=[]), "runs: found none"),
         (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=["rk4"]), "runs: found 'rk4'"),
         (

@@ -49,7 +49,7 @@ def test_directions_are_the_rows_of_the_matrix(method):
     )  # fmt: skip
     # the matrix is brought back to the group for output, RK4's rows are not
     allowed = 1e-7 if method == "rk4" else 12 * EPS * N
-    assert np.abs(rows - traj.C).max() < allowed
+    assert np.abs(rows - traj.dcm).max() < allowed
 
 
 def test_shapes_and_times():

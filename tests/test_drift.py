@@ -30,7 +30,7 @@ def test_norm_of_a_quaternion(method):
     if method == "rk4":
         assert (d.norm[-1] > 1e-9).all()
         assert d.norm.max() < 20 * 0.18**6
-        assert d.norm == pytest.approx(np.abs(traj.defect))
+        assert d.norm == pytest.approx(np.abs(traj.norm_error))
     else:
         assert d.norm.max() < 20 * 4 * EPS
     assert d.orthogonality.max() < 12 * EPS

@@ -17,7 +17,6 @@ from gmpy2 import mpz
 
 import fastatt as fa
 from fastatt.kernels import free_body
-from fastatt.propagation import closed_form as exact
 
 ONE = (1.0, 0.0, 0.0, 0.0)
 

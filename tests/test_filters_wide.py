@@ -67,7 +67,7 @@ def test_wide_starts_are_consistent_by_what_a_user_defined_function_observes():
     for k in range(8):
         reference = np.eye(3)[k % 2]
         seen = matrix(START).T @ reference + rng.normal(0.0, 1e-2, (N, 3))
-        ukf.update(lambda q, y: fa.rotate_inverse(q, reference), seen, 1e-4 * np.eye(3))  # noqa: B023
+        ukf.update(lambda q, y: fa.quat_rotate_inverse(q, reference), seen, 1e-4 * np.eye(3))  # noqa: B023
         assert 4.8 < np.mean(ukf.nees(START, bias)) < 6.0 + BAND
 
 
@@ -155,7 +155,7 @@ def test_warnings():
             f.update_vector(seen, FIELD, 0.01)
     third = es.UKF(START, np.zeros(3), P)
     with pytest.warns(UserWarning, match="known too little"):
-        third.update(lambda q, y: fa.rotate_inverse(q, FIELD), seen, 1e-4 * np.eye(3))
+        third.update(lambda q, y: fa.quat_rotate_inverse(q, FIELD), seen, 1e-4 * np.eye(3))
 
     def whirl(q, y):
         return mul(q, exp(2.0 * y)), y

@@ -33,7 +33,7 @@ def test_constants_leave_no_operation_twice_and_no_rounding_changed():
 
 
 def test_a_sine_of_a_parameter_is_taken_once_a_run():
-    shown = fa.show_loop(
+    shown = fa.inspect_step(
         fa.Scene(rate=fa.rates.Coning(np.linspace(0.3, 1.4, 5), 1.0)), "lie_midpoint"
     )
     before, step = shown.split("for n in range(first, last):")

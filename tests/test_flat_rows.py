@@ -14,7 +14,6 @@ from fastatt.codegen import lanes
 from fastatt.codegen import rows as module
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import Rows, rows
-from fastatt.propagation import closed_form as exact
 from fastatt.propagation import closed_forms
 from fastatt.tracing import formulas, functions, graph
 

@@ -198,7 +198,7 @@ def test_three_bodies_moments_are_not_taken_for_a_tensor(inertia, reading):
     inertia = np.array(inertia)
     calls = [
         lambda: fa.Scene(inertia=inertia, allow_unphysical=True).kind,
-        lambda: fa.exact.free_body(
+        lambda: fa.closed_form.free_body(
             [1, 0, 0, 0], [0.1, 0.2, 0.3], inertia, 1.0, allow_unphysical=True
         ),
     ]

@@ -240,7 +240,7 @@ def test_derivative_is_that_of_the_quaternion():
 
 
 def crooked(sizes, seed=0):
-    """For each size e a rotation plus a symmetric error with a defect of about e."""
+    """For each size e a rotation plus a symmetric error with a norm_error of about e."""
     s = np.random.default_rng(seed).normal(size=(3, 3))
     s = (s + s.T) / np.linalg.norm(s + s.T)
     c = square(entries(rodrigues((0.4, -1.0, 2.0))))
@@ -253,17 +253,17 @@ def test_gram_and_defect():
         upper = [exact[i, j] for i in range(3) for j in range(i, 3)]
         assert error(dcm.gram(tuple(c)), upper) <= PRODUCT
         true = norm(entries(exact - mp.eye(3)))
-        assert abs(dcm.defect(tuple(c)) - true) <= PRODUCT * (1 + norm(upper))
-    assert dcm.defect(ONE) == 0.0
+        assert abs(dcm.norm_error(tuple(c)) - true) <= PRODUCT * (1 + norm(upper))
+    assert dcm.norm_error(ONE) == 0.0
 
 
 def test_orthonormalise_is_of_second_order():
     sizes = [1e-2, 1e-3, 1e-4, 1e-5]
     rotation, bent = crooked(sizes)
-    left = [dcm.defect(dcm.orthonormalise(c)) for c in bent]
+    left = [dcm.norm_error(dcm.orthonormalise(c)) for c in bent]
     assert slope(sizes, left) == pytest.approx(2, abs=0.01)
     for c, after in zip(bent, left, strict=True):
-        assert after <= 0.75 * dcm.defect(c) ** 2 * (1 + dcm.defect(c)) + PRODUCT
+        assert after <= 0.75 * dcm.norm_error(c) ** 2 * (1 + dcm.norm_error(c)) + PRODUCT
     # a symmetric error is taken out without a turn: the nearest rotation is the first one
     assert distance(dcm.orthonormalise(bent[-1]), entries(rotation)) <= 1e-10
 
@@ -273,7 +273,7 @@ def test_orthonormalise_rows_is_of_second_order():
     left = []
     for c in crooked(sizes, 1)[1]:
         a, b = dcm.orthonormalise_rows(c[:3], c[3:6])
-        left.append(dcm.defect(dcm.close_rows(a, b)))
+        left.append(dcm.norm_error(dcm.close_rows(a, b)))
     assert slope(sizes, left) == pytest.approx(2, abs=0.02)
     assert left[-1] < 1e-9
 

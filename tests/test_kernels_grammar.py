@@ -84,7 +84,7 @@ ARGUMENTS = {
     "dcm.close_rows": (C[:3], C[3:6]),
     "dcm.orthonormalise_rows": (B[:3], B[3:6]),
     "dcm.gram": (B,),
-    "dcm.defect": (B,),
+    "dcm.norm_error": (B,),
     "dcm.orthonormalise": (B,),
     "elliptic.exp_minus": (1.7,),
     "elliptic.waves": (1.7, 1.0),

@@ -39,7 +39,7 @@ def steady(n_steps, dtype="float64", **options):
     found = run.q[-1].astype(np.longdouble)
     across = found[:, :1] * exact[:, 1:] - exact[:, :1] * found[:, 1:]
     across -= np.cross(found[:, 1:], exact[:, 1:])
-    return 2.0 * np.linalg.norm(across.astype(np.float64), axis=1), run.defect[-1]
+    return 2.0 * np.linalg.norm(across.astype(np.float64), axis=1), run.norm_error[-1]
 
 
 def rms(x):
@@ -106,7 +106,7 @@ def test_bodies_keep_their_order_and_lose_their_round_off(method, reference):
     assert fa.angle_between(carried.q[-1], q) < own + 4.0 * EPS
     assert np.abs(carried.w[-1] - w).max() < own + 2.0 * EPS
     assert fa.angle_between(carried.q[-1], plain.q[-1]) < 1280 * EPS
-    assert abs(float(carried.defect[-1, 0])) < (1e-9 if method == "rk4" else EPS)
+    assert abs(float(carried.norm_error[-1, 0])) < (1e-9 if method == "rk4" else EPS)
 
 
 @pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows"])
@@ -121,7 +121,7 @@ def test_the_return_to_the_group(representation):
         )
         for policy in ("output", "never", 8, 1)
     }  # fmt: skip
-    shrunk = {policy: abs(float(run.defect[-1, 0])) for policy, run in runs.items()}
+    shrunk = {policy: abs(float(run.norm_error[-1, 0])) for policy, run in runs.items()}
     assert shrunk["output"] == shrunk["never"]
     assert shrunk[1] < shrunk[8] < shrunk["never"]
     if representation == "quat":
@@ -132,7 +132,7 @@ def test_the_return_to_the_group(representation):
             unit = run.q[-1] / np.linalg.norm(run.q[-1])
             assert fa.angle_between(unit, runs["output"].q[-1]) < 64 * 4 * EPS
     else:
-        handed = [np.linalg.norm(runs[p].C[-1] @ runs[p].C[-1].T - np.eye(3)) for p in runs]
+        handed = [np.linalg.norm(runs[p].dcm[-1] @ runs[p].dcm[-1].T - np.eye(3)) for p in runs]
         assert handed[1] == pytest.approx(shrunk["never"])
         # two of Newton's steps to the group leave the square of a square of the departure
         assert handed[0] < 1e-15 + shrunk["output"] ** 4
@@ -159,7 +159,7 @@ def test_every_return_to_the_group_is_on_time(every):
         expected = np.array(lengths)[saved]
         if representation == "dcm":  # C Cᵀ is as long as its square in the plane of the turn
             expected = 1.0 + np.sqrt(2.0) * (expected**2 - 1.0)
-        assert np.abs(np.abs(run.defect[:, 0]) - np.abs(expected - 1.0)).max() < 70 * 8 * EPS
+        assert np.abs(np.abs(run.norm_error[:, 0]) - np.abs(expected - 1.0)).max() < 70 * 8 * EPS
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_a_return_to_the_group_hides_nothing(representation, turn):
             representation=representation,
         )  # fmt: skip
         assert run.status.tolist() == [fa.Status.NORM_LOST]
-        assert policy != 1 or abs(float(run.defect[-1, 0])) < 1e-3
+        assert policy != 1 or abs(float(run.norm_error[-1, 0])) < 1e-3
 
 
 def test_low_parts_of_a_rate_along_inertial_axes():
@@ -185,7 +185,7 @@ def test_low_parts_of_a_rate_along_inertial_axes():
     plain = fa.propagate(scene, start, **options)
     carried = fa.propagate(scene, start, compensated=True, **options)
     assert fa.angle_between(plain.q, carried.q).max() < 640 * 4 * EPS
-    assert np.abs(carried.defect).max() < EPS
+    assert np.abs(carried.norm_error).max() < EPS
 
 
 @pytest.mark.parametrize("kind", ["double", "single"])
@@ -241,7 +241,7 @@ def test_watched_drift_is_that_of_the_history():
     for n_steps in (7, 160, 1003):
         run = fa.propagate(scene, q0, w0, n_steps=n_steps, save_every=10, **call)
         kept = fa.drift(run, scene)
-        watched = fa.watch_drift(scene, q0, w0, n_steps=n_steps, every=10, **call)
+        watched = fa.drift_statistics(scene, q0, w0, n_steps=n_steps, every=10, **call)
         assert watched.saves == run.t.size - 1
         assert_array_equal(watched.trajectory.q, run.q[-1:])
         assert_array_equal(watched.norm.maximum, kept.norm[1:].max(axis=0))
@@ -264,7 +264,7 @@ def test_sink_gets_every_save_once(method, n_steps, bodies):
     q0, w0 = np.random.default_rng(2).normal(size=(2, bodies, 4))
     options = {"dt": 0.05, "n_steps": n_steps, "save_every": 10, "method": method}
     stored = fa.propagate(scene, q0, w0[:, 1:], **options)
-    names = ("t", "q", "w", "defect")
+    names = ("t", "q", "w", "norm_error")
     found = {name: [] for name in names}
 
     def keep(piece):
@@ -292,14 +292,14 @@ def test_watch_refusals():
     scene = fa.Scene(inertia=(2.0, 1.0, 0.9))
     call = {"dt": 0.1, "n_steps": 1}
     with pytest.raises(TypeError, match="save_every: found; accepted: every"):
-        fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, save_every=1, **call)
+        fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, save_every=1, **call)
     with pytest.raises(TypeError, match="every: found None; accepted: a whole number"):
-        fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=None, **call)
-    none = fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, **call | {"n_steps": 0})
+        fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=None, **call)
+    none = fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, **call | {"n_steps": 0})
     assert (none.saves, none.norm.maximum[0], none.norm.percentile(50.0)[0]) == (0, 0.0, 0.0)
     with pytest.raises(ValueError, match="sink: found without save_every"):
         fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], sink=print, **call)
-    watched = fa.watch_drift(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)
+    watched = fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)
     with pytest.raises(ValueError, match="percent: found 101"):
         watched.norm.percentile(101)
     bodies = watched.norm.maximum.size

@@ -71,7 +71,7 @@ def wrong_digit(w, t, h):
 @pytest.mark.parametrize(("exponents", "declared"), [(wrong_sign, 4), (wrong_digit, 3)])
 def test_order_shows_a_wrong_coefficient(exponents, declared):
     """Both fall to a lower order: 2, and 1."""
-    method = fa.lie("new", order=declared, exponents=exponents)
+    method = fa.lie_group("new", order=declared, exponents=exponents)
     found = observed_order(lambda n: final_error(n, method, "quat"), SPAN)
     assert found < declared - 0.75
 
@@ -137,11 +137,11 @@ def test_rk4_on_a_constant_rate(representation, share, angle_5, norm_6):
     modulus = np.abs(factor) ** n
     # of a matrix two rows shrink, and the third with them where it is their cross product
     third = modulus**4 - 1.0 if representation == "dcm_rows" else 0.0
-    defect = np.sqrt(2.0 * (modulus**2 - 1.0) ** 2 + third**2)
-    defect = modulus - 1.0 if representation == "quat" else defect
-    assert traj.defect[-1] == pytest.approx(defect, rel=1e-12, abs=30 * n * EPS)
+    norm_error = np.sqrt(2.0 * (modulus**2 - 1.0) ** 2 + third**2)
+    norm_error = modulus - 1.0 if representation == "quat" else norm_error
+    assert traj.norm_error[-1] == pytest.approx(norm_error, rel=1e-12, abs=30 * n * EPS)
     left = traj.status & fa.Status.NORM_LOST != 0
-    assert left.tolist() == (np.abs(defect) > 1e-3).tolist()
+    assert left.tolist() == (np.abs(norm_error) > 1e-3).tolist()
 
     found = fa.quat_to_rotation_vector(mul(exp(-n * w), traj.q[-1]))[:, 2]
     wrong = np.abs(found - np.angle(np.exp(-1j * n * lag)))
@@ -171,7 +171,7 @@ def test_rk4_is_stable_beyond_what_it_is_trusted_with(representation, limit):
     traj = fa.propagate(
         steady(w).scene, start, dt=1.0, n_steps=50, method="rk4", representation=representation
     )
-    below, above = traj.defect[-1]
+    below, above = traj.norm_error[-1]
     if representation == "quat":
         assert below < -0.5
     else:

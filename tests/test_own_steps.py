@@ -107,7 +107,7 @@ def test_an_ensemble_in_parts_is_the_same(kind, steps, monkeypatch):
     whole = run(kind, "rk4", **steps, save_at=[0.4, END])
     monkeypatch.setattr("fastatt.propagation.execute.PART", 32)
     parts = run(kind, "rk4", **steps, save_at=[0.4, END])
-    for name in ("t", "q", "w", "status", "defect"):
+    for name in ("t", "q", "w", "status", "norm_error"):
         assert (getattr(parts, name) == getattr(whole, name)).all()
 
 

@@ -81,7 +81,7 @@ def test_passes_go_on_until_round_off(increments, kind, share, dtype):
     size = share * LIMITS[increments]
     data = np.stack([window(kind, size, increments, rng) for _ in range(8)]).astype(dtype)
     found = fa.integrate_rates(data, 1.0, method="picard", increments=increments)
-    step = fa.steps.sample_step("picard", increments=increments).step
+    step = fa.gyro_steps.sample_step("picard", increments=increments).step
     for q, v in zip(found, data, strict=True):
         expected, rate = collocated(v.astype(float), np.ones(SPAN), increments)
         bound = rounding(rate) * eps

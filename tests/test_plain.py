@@ -100,7 +100,13 @@ def run(name, dtype="float64", **options):
 
 def results(name, dtype):
     traj = run(name, dtype)
-    found = {"t": traj.t, "state": traj.state, "w": traj.w, "defect": traj.defect, "q": traj.q}
+    found = {
+        "t": traj.t,
+        "state": traj.state,
+        "w": traj.w,
+        "norm_error": traj.norm_error,
+        "q": traj.q,
+    }
     return {**found, **traj.carried, "status": traj.status}
 
 

@@ -45,7 +45,7 @@ OWN = fa.Scene(inertia=BODY, torque=swing, params=(0.3, -0.1))
 
 def bits(run):
     """All numbers of a trajectory."""
-    arrays = [run.t, run.q, run.w, run.defect, run.status, *run.carried.values()]
+    arrays = [run.t, run.q, run.w, run.norm_error, run.status, *run.carried.values()]
     return [(x.shape, x.dtype, np.ascontiguousarray(x).tobytes()) for x in arrays]
 
 

@@ -37,7 +37,7 @@ def free():
 
 
 def results():
-    """Of each run, state, defect and status; scenes are new, and remember no program."""
+    """Of each run, state, norm_error and status; scenes are new, and remember no program."""
     found = {}
     top = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 2.0))
     for name, scene, method, dtype in (
@@ -51,7 +51,7 @@ def results():
         traj = fa.propagate(
             scene, Q0, w0, dt=0.05, n_steps=20, save_every=8, method=method, dtype=dtype
         )
-        found |= {f"{name} {k}": getattr(traj, k) for k in ("state", "defect", "status")}
+        found |= {f"{name} {k}": getattr(traj, k) for k in ("state", "norm_error", "status")}
     return found
 
 

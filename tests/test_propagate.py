@@ -59,7 +59,7 @@ def test_ensemble_is_single_runs_bit_for_bit(method, representation):
     full = run(BODIES, Q0, **options)
     for n in SIZES:
         part = run(BODIES.take(slice(n)), Q0[:n], **options)
-        for name in ("state", "defect", "q", "C"):
+        for name in ("state", "norm_error", "q", "dcm"):
             assert same(getattr(part, name), getattr(full, name)[:, :n]), (name, n)
         assert same(part.status, full.status[:n])
     for b in SINGLES:
@@ -93,7 +93,7 @@ def test_one_start_for_many_rates_is_not_guessed():
 def test_threads_change_no_bit(method, representation):
     options = {"method": method, "representation": representation, "save_every": 32}
     one, two, three = (run(BODIES, Q0, n_threads=k, **options) for k in (1, 2, 3))
-    for name in ("state", "defect", "status"):
+    for name in ("state", "norm_error", "status"):
         assert same(getattr(one, name), getattr(two, name))
         assert same(getattr(one, name), getattr(three, name))
 
@@ -112,7 +112,7 @@ def test_saves(n, every):
     assert same(traj.t, np.array(steps) * H)
     assert traj.q.shape == (len(steps), N, 4)
     assert same(traj.q, all_of_them.q[steps])
-    assert same(traj.defect, all_of_them.defect[steps])
+    assert same(traj.norm_error, all_of_them.norm_error[steps])
 
 
 @pytest.mark.parametrize("every", [None, 1, 7, 70])
@@ -142,9 +142,9 @@ def test_shapes_of_one_body():
     traj = run(BODIES.shared, START, save_every=10)
     s = STEPS // 10 + 1
     assert (traj.t.shape, traj.q.shape, traj.w.shape) == ((s,), (s, 4), (s, 3))
-    assert (traj.C.shape, traj.euler313.shape) == ((s, 3, 3), (s, 3))
+    assert (traj.dcm.shape, traj.euler313.shape) == ((s, 3, 3), (s, 3))
     assert traj.status.shape == (1,)
-    assert np.abs(traj.C - matrix(traj.q)).max() < 8 * EPS
+    assert np.abs(traj.dcm - matrix(traj.q)).max() < 8 * EPS
 
 
 def test_no_steps_give_the_initial_attitudes():
@@ -199,7 +199,7 @@ def test_float32_results_and_their_floor(method):
     n = 1000
     bodies, q0 = generic(3), Q0[:3].astype(np.float32)
     single = run(bodies, q0, method, n=n, h=2.0 / n, save_every=500)
-    assert single.q.dtype == single.C.dtype == single.w.dtype == np.float32
+    assert single.q.dtype == single.dcm.dtype == single.w.dtype == np.float32
     exact_start = run(bodies, q0.astype(float), method, n=n, h=2.0 / n, save_every=500)
     # each step rounds the state and the angle by some 2⁻²⁴, an exponential by 2 or 3 times that
     error = angle(single.q[-1], exact_start.q[-1]).max()

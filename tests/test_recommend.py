@@ -246,7 +246,7 @@ def test_the_interval_of_a_history_may_limit(n):
 
 def test_a_method_of_ones_own_is_recommended():
     """Alone, and beside a name that it cannot beat."""
-    heun = fa.explicit("heun", order=2, c=(0, 1), a=((1,),), b=(0.5, 0.5))
+    heun = fa.runge_kutta("heun", order=2, c=(0, 1), a=((1,),), b=(0.5, 0.5))
     bodies = slice(0, 40)
     scene = fa.Scene(rate=fa.rates.Coning(*(x[bodies] for x in CONING.rate)))
     alone = fa.recommend(scene, Q0[bodies], t_end=T_END, tol=1e-4, methods=[heun], **DOUBLE)

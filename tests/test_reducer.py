@@ -80,7 +80,7 @@ def test_a_rate_and_a_scene_with_mass():
         run = fa.propagate(scene, Q0, reduce=WATCH, **options)
         full = fa.propagate(scene, Q0, save_every=1, **options)
         # a rate along inertial axes is turned by the attitude that is stepped
-        off = np.abs(full.defect).max() if scene is cone else 0.0
+        off = np.abs(full.norm_error).max() if scene is cone else 0.0
         assert off < 1e-13
         agree(run.reduced, by_saves(full, watch, (0.0, -1.0, 0.0)), off)
         assert np.array_equal(run.q[-1], full.q[-1])
@@ -143,11 +143,11 @@ def test_a_function_that_is_not_traced():
 
 def test_its_operations_are_counted_among_those_of_the_step():
     def counted(**options):
-        return int(fa.show_loop(BODY, "rk4", **options).split(": ")[1].split()[0])
+        return int(fa.inspect_step(BODY, "rk4", **options).split(": ")[1].split()[0])
 
     assert counted(reduce=fa.reducer(count, start=0.0)) == counted() + 1
     with pytest.raises(TypeError, match=r"reduce: .*accepted: a fastatt\.reducer"):
-        fa.show_loop(BODY, "rk4", reduce=count)
+        fa.inspect_step(BODY, "rk4", reduce=count)
 
 
 def test_float32():

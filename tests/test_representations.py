@@ -47,7 +47,7 @@ def test_matrices_equal_quaternions_to_round_off(method, representation):
     a, b = run(method, "quat"), run(method, representation)
     each = fa.METHODS[method].exponentials
     assert angle(a.q, b.q).max() < 4 * EPS * N * each
-    assert np.abs(a.C - b.C).max() < 4 * EPS * N * each
+    assert np.abs(a.dcm - b.dcm).max() < 4 * EPS * N * each
 
 
 @pytest.mark.parametrize("representation", REPRESENTATIONS)
@@ -66,10 +66,10 @@ def test_views_of_one_attitude_agree(representation):
     """q, C and the angles of a trajectory, by the definitions of the conventions' page."""
     traj = run("rk4", representation, save_every=10)
     assert np.abs(np.linalg.norm(traj.q, axis=-1) - 1.0).max() < 4 * EPS
-    identity = traj.C @ np.swapaxes(traj.C, -1, -2)
+    identity = traj.dcm @ np.swapaxes(traj.dcm, -1, -2)
     assert np.abs(identity - np.eye(3)).max() < 12 * EPS
-    assert np.linalg.det(traj.C) == pytest.approx(1.0, abs=12 * EPS)
-    assert np.abs(matrix(traj.q) - traj.C).max() < 12 * EPS
+    assert np.linalg.det(traj.dcm) == pytest.approx(1.0, abs=12 * EPS)
+    assert np.abs(matrix(traj.q) - traj.dcm).max() < 12 * EPS
     phi, theta, psi = np.moveaxis(traj.euler313, -1, 0)
     e1, e3 = np.eye(3)[0], np.eye(3)[2]
     turns = (phi, e3), (theta, e1), (psi, e3)
@@ -92,10 +92,10 @@ def test_vectors_turn_as_the_conventions_say(representation):
     """v_i = C v_b, and a body that turns about its z axis carries x to y."""
     quarter = steady([[0.0, 0.0, np.pi / 2]])
     traj = run("magnus4", representation, 1, 1.0, quarter.scene, np.array([[1.0, 0, 0, 0]]))
-    assert traj.C[-1, 0] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
+    assert traj.dcm[-1, 0] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
     assert rotate(traj.q[-1, 0], [1.0, 0.0, 0.0]) == pytest.approx([0.0, 1.0, 0.0], abs=4 * EPS)
     # the inertial y axis seen from the body
-    assert traj.C[-1, 0, 1] == pytest.approx([1.0, 0.0, 0.0], abs=4 * EPS)
+    assert traj.dcm[-1, 0, 1] == pytest.approx([1.0, 0.0, 0.0], abs=4 * EPS)
 
 
 def test_euler313_rates_have_the_stated_kinematics():

@@ -24,7 +24,7 @@ from fastatt.propagation import carry_out, histories, resume
 
 UNFINISHED = fa.Status.UNFINISHED
 MANY = 200  # bodies, three tiles and a part of one
-RALSTON3 = fa.explicit(
+RALSTON3 = fa.runge_kutta(
     "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
 )
 RK4 = {"dt": 0.05, "method": "rk4"}
@@ -99,7 +99,7 @@ def test_a_pickled_run_is_the_run(kind, options):
     for protocol in (2, pickle.HIGHEST_PROTOCOL):
         other = pickle.loads(pickle.dumps(run, protocol))
         assert other.summary() == run.summary()
-        for name in ("t", "q", "w", "C", "status", "defect"):
+        for name in ("t", "q", "w", "C", "status", "norm_error"):
             assert np.array_equal(getattr(other, name), getattr(run, name))
         assert other.attitude is run.attitude
         if options["method"] is not RALSTON3:
@@ -338,7 +338,7 @@ def test_histories_in_files(suffix, tmp_path):
     options = {"n_steps": 100, "save_every": 3, **RK4}
     whole = fa.propagate(SCENES["free"], Q0, W0, **options)
     run = fa.propagate(SCENES["free"], Q0, W0, out=path, **options)
-    wanted = np.concatenate([whole.q, whole.w, whole.defect[..., None]], axis=-1)
+    wanted = np.concatenate([whole.q, whole.w, whole.norm_error[..., None]], axis=-1)
     found = np.load(path) if suffix == "npy" else zarr.open_array(str(path), mode="r")[:]
     assert found.tobytes() == wanted.tobytes()
     if suffix == "npy":
@@ -485,7 +485,7 @@ def test_ctrl_c_keeps_what_is_done(monkeypatch):
     assert run.q[:, ~left].tobytes() == whole.q[:, ~left].tobytes()
     assert run.w[:, ~left].tobytes() == whole.w[:, ~left].tobytes()
     assert np.isnan(run.q[:, left]).all()
-    assert np.isnan(run.defect[:, left]).all()
+    assert np.isnan(run.norm_error[:, left]).all()
     assert run.status_counts() == {"UNFINISHED": left.sum()}
 
 

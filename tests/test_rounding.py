@@ -64,7 +64,7 @@ def test_a_turn_beyond_precision_is_flagged(way, dtype, lost):
 def test_half_the_digits_are_told_of(dtype):
     t = EPS[dtype] ** -0.5
     for factor, n in ((0.9, 0), (1.1, 1)):
-        for function in (fa.exact.free_body, fa.exact.symmetric_top):
+        for function in (fa.closed_form.free_body, fa.closed_form.symmetric_top):
             inertia = (2.0, 1.0, 1.0)
             _, texts = told(
                 lambda f=function, k=factor, i=inertia: f(

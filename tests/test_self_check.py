@@ -51,8 +51,8 @@ class Tableau(NamedTuple):
 
 
 BROKEN = {
-    "sign": (fa.lie("new", order=4, exponents=wrong_sign), CONING, None),
-    "stale rate": (fa.lie("new", order=4, exponents=stale), CONING, None),
+    "sign": (fa.lie_group("new", order=4, exponents=wrong_sign), CONING, None),
+    "stale rate": (fa.lie_group("new", order=4, exponents=stale), CONING, None),
     "weight": (
         replace(fa.METHODS["rk4"], name="new", steps=Steps(body=stepped(Tableau()))),
         FREE,
@@ -73,7 +73,7 @@ def test_a_broken_method_is_caught(case):
 
 
 def test_a_right_method_of_ones_own_passes():
-    mine = fa.lie("mine", order=4, exponents=right)
+    mine = fa.lie_group("mine", order=4, exponents=right)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check = fa.self_check(CONING, Q40, dt=0.05, n_steps=100, method=mine)

@@ -314,7 +314,7 @@ def test_not_converged_is_said_of_what_did_not_converge(method, dtype, left, goo
         # and so it is the root that the closed form is near
         fine = run.status == 0
         assert fine.any() == (size < limit)
-        q, _ = fa.exact.free_body(q0, w0, inertia, 1.0)
+        q, _ = fa.closed_form.free_body(q0, w0, inertia, 1.0)
         turned = np.linalg.norm(w0[fine], axis=1)
         allowed = turned * np.minimum(OF_BODIES[method] * size ** fa.METHODS[method].order, 0.1)
         error = fa.angle_between(run.q[-1], q)[fine]

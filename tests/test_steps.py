@@ -326,8 +326,8 @@ def test_a_users_rate_that_is_no_straight_line():
 
 
 def test_methods_and_representations_of_ones_own():
-    heun = fa.explicit("heun", order=2, c=(0, 1), a=((1,),), b=(1 / 2, 1 / 2))
-    middle = fa.lie(
+    heun = fa.runge_kutta("heun", order=2, c=(0, 1), a=((1,),), b=(1 / 2, 1 / 2))
+    middle = fa.lie_group(
         "middle", order=2, exponents=lambda w, t, h: (tuple(h * x for x in w(t + h / 2)),)
     )
     for method, representation in ((heun, ATTITUDES["dcm"]), (middle, "quat")):

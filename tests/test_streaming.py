@@ -34,7 +34,7 @@ def streamed(rates, dt, cuts, **options):
     """All that comes out of a log cut into pieces, the integrator pickled between two of them."""
     increments = options.get("increments", False)
     uneven = np.ndim(dt) > 0
-    flow = fa.integrator(options.pop("q0", START), None if uneven else dt, **options)
+    flow = fa.GyroIntegrator(options.pop("q0", START), None if uneven else dt, **options)
     found, at = [], 0
     for k, n in enumerate(cuts):
         end = at + n
@@ -98,18 +98,18 @@ def test_long_pieces_on_threads_are_the_whole_log():
     ],
 )
 def test_attitudes_come_as_soon_as_they_are_final(method, increments, sizes, left):
-    flow = fa.integrator(START, 0.1, method=method, increments=increments)
+    flow = fa.GyroIntegrator(START, 0.1, method=method, increments=increments)
     assert [len(flow.push((0.1, 0.2, 0.3))) for _ in sizes] == sizes
     assert flow.close().shape == (left, 4)
 
 
 def test_a_log_without_samples():
-    assert fa.integrator(START, 0.1).close().shape == (0, 4)
-    assert fa.integrator([START] * 2, 0.1).close().shape == (2, 0, 4)
+    assert fa.GyroIntegrator(START, 0.1).close().shape == (0, 4)
+    assert fa.GyroIntegrator([START] * 2, 0.1).close().shape == (2, 0, 4)
 
 
 def test_what_comes_out_is_the_users_own():
-    flow = fa.integrator(START, 0.1, method="picard")
+    flow = fa.GyroIntegrator(START, 0.1, method="picard")
     other = copy.copy(flow)
     rates = LOG[0, :12]
     flow.push(rates[:10])[:] = 7.0
@@ -130,9 +130,9 @@ def test_what_comes_out_is_the_users_own():
     ],
 )
 def test_refused_samples_leave_all_as_it_was(rates, dt, message):
-    flows = [fa.integrator(START, method="hold", max_gap=np.inf) for _ in range(2)]
+    flows = [fa.GyroIntegrator(START, method="hold", max_gap=np.inf) for _ in range(2)]
     if "gap" in message:
-        flows = [fa.integrator(START, method="hold", max_gap=0.15) for _ in range(2)]
+        flows = [fa.GyroIntegrator(START, method="hold", max_gap=0.15) for _ in range(2)]
     for flow in flows:
         flow.push([0.1, 0.2, 0.3])
     if "overflow" in message:
@@ -155,11 +155,11 @@ def test_refused_samples_leave_all_as_it_was(rates, dt, message):
 )
 def test_refusals(given, options, message):
     with pytest.raises(ValueError, match=message):
-        fa.integrator(*given, **options)
+        fa.GyroIntegrator(*given, **options)
 
 
 def test_what_an_integrator_takes_no_more():
-    flow = fa.integrator(START, 0.1)
+    flow = fa.GyroIntegrator(START, 0.1)
     with pytest.raises(ValueError, match=r"dt: found 0\.1; accepted: None"):
         flow.push([0.0] * 3, 0.1)
     flow.close()
@@ -169,7 +169,7 @@ def test_what_an_integrator_takes_no_more():
 
 
 def test_long_turns_are_told_by_their_place_in_the_log():
-    flow = fa.integrator(START, 0.1, method="coning2")
+    flow = fa.GyroIntegrator(START, 0.1, method="coning2")
     flow.push(np.zeros((60, 3)))
     with pytest.warns(fa.StepWarning, match="interval 61 of log 0 turns by 3 rad") as said:
         flow.push([[0.0] * 3, [30.0, 0.0, 0.0], [0.0] * 3])

@@ -372,10 +372,10 @@ def test_symmetric_heavy_top_nutates():
     for found in gaps(traj, *exact):
         assert found.max() < 1e-12
     assert np.abs(traj.w[..., 2] - w3).max() < 1e-13
-    height = traj.C[:, 0, 2, 2]  # the cosine of the inclination
+    height = traj.dcm[:, 0, 2, 2]  # the cosine of the inclination
     energy = 0.5 * (traj.w[:, 0] ** 2 * [i1, i1, i3]).sum(-1) + weight * arm * height
     assert np.ptp(energy) < 1e-13 * energy[0] * 10
-    vertical = np.einsum("si,si->s", traj.C[:, 0, 2], traj.w[:, 0] * [i1, i1, i3])
+    vertical = np.einsum("si,si->s", traj.dcm[:, 0, 2], traj.w[:, 0] * [i1, i1, i3])
     assert np.ptp(vertical) < 1e-12
     assert np.ptp(height) > 0.05
 
@@ -455,7 +455,7 @@ def test_rotor_is_a_torque_that_does_no_work():
     assert np.ptp((w * w) @ INERTIA) < 1e-12
     total = INERTIA * w + h
     assert np.ptp(np.linalg.norm(total, axis=1)) < 1e-12
-    fixed = np.einsum("sij,sj->si", traj.C[:, 0], total)
+    fixed = np.einsum("sij,sj->si", traj.dcm[:, 0], total)
     assert np.ptp(fixed, axis=0).max() < 1e-12
 
 

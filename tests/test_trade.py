@@ -163,7 +163,7 @@ def test_measured_errors_are_those_of_the_library():
     rung = measure(still, end, Case("dmv10"), 2, repeats=1)
     assert rung.error == pytest.approx([0.1])
     assert rung.rate_error == pytest.approx([5.0])
-    assert (rung.defect, rung.energy, rung.momentum, rung.status) == (0.0, 0.0, 0.0, "")
+    assert (rung.norm_error, rung.energy, rung.momentum, rung.status) == (0.0, 0.0, 0.0, "")
 
 
 def rungs(*errors):

@@ -62,7 +62,7 @@ def gap(traj, v, r):
     return max(np.abs(traj.v[-1] - v).max(), np.abs(traj.r[-1] - r).max())
 
 
-RALSTON3 = fa.explicit(
+RALSTON3 = fa.runge_kutta(
     "ralston3", order=3, c=(0, 0.5, 0.75), a=((0.5,), (0, 0.75)), b=(2 / 9, 1 / 3, 4 / 9)
 )
 # two numbers of steps that are small enough to show the order and leave more than rounding
@@ -101,7 +101,7 @@ def test_forces(name):
 def test_given_rates():
     """A body that turns at a constant inertial rate is one that turns at the same body rate."""
     w = np.array([0.7, -0.6, 0.5])
-    body = fa.rotate_inverse(START, w)
+    body = fa.quat_rotate_inverse(START, w)
     end = oracle(FORCES["thrust"][1], (1, 1, 1), body)
     for scene in (
         fa.Scene(rate=fa.rates.Constant(w), frame="inertial", mass=MASS, force=THRUST),

@@ -54,7 +54,7 @@ FREE = """
 for moments in ((3.0, 2.0, 1.2), rng.uniform(1.0, 1.4, (200, 3))):
     scene = fa.Scene(inertia=moments)
     run = fa.propagate(scene, q, w, dt=0.02, n_steps=70, method="rk4", save_every=7)
-    fa.drift(run, scene), run.q, run.w, run.C
+    fa.drift(run, scene), run.q, run.w, run.dcm
     fa.propagate(scene, q, 1000.0 * w, dt=0.02, n_steps=3, method="dmv4")
 fa.propagate(fa.Scene(inertia=(3.0, 2.0, 1.2)), q[0], w[0], dt=0.02, n_steps=7, method="rk4")
 """
@@ -62,7 +62,7 @@ CONING = """
 for x in (1.0, rng.uniform(0.5, 1.0, 200)):
     scene = fa.Scene(rate=fa.rates.Coning(0.3 * x, x))
     run = fa.propagate(scene, q, dt=0.02, n_steps=70, method="magnus4", save_every=7)
-    fa.drift(run, scene), run.q, run.w, run.C
+    fa.drift(run, scene), run.q, run.w, run.dcm
     fa.propagate(scene, q, dt=20.0, n_steps=7, method="magnus4")
 """
 LOG = """
@@ -70,7 +70,7 @@ fa.integrate_rates(rng.normal(size=(5000, 3)), 0.01)
 fa.integrate_rates(rng.normal(size=(100, 30, 3)), 0.01)
 """
 ARRAYS = """
-fa.exact.free_body(q, w, (3.0, 2.0, 1.2), 5.0)
+fa.closed_form.free_body(q, w, (3.0, 2.0, 1.2), 5.0)
 fa.angle_between(q, fa.dcm_to_quat(fa.quat_to_dcm(q)))
 """
 OF_FILE = """

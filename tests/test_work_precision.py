@@ -16,7 +16,7 @@ from fastatt.attitudes import ATTITUDES
 from fastatt.codegen import modules
 from fastatt.codegen.processor import processor
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.propagation.inspect_step import show_loop
+from fastatt.propagation.inspect_step import inspect_step
 from fastatt.trade.measure import Case, Problem, measure
 from fastatt.trade.peak import CHAINS, UNROLLED, chains, peak
 from fastatt.trade.reference import confirm, reference
@@ -257,7 +257,7 @@ def test_chosen_bodies_keep_their_own_numbers(name):
 
 
 def ralston():
-    return fa.explicit(
+    return fa.runge_kutta(
         "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
     )
 
@@ -268,7 +268,9 @@ def middle(w, t, h):
 
 
 def test_methods_of_ones_own_stand_beside_names():
-    mine = fa.lie("mine", order=2, exponents=middle, limit=fa.METHODS["lie_midpoint"].limit("quat"))
+    mine = fa.lie_group(
+        "mine", order=2, exponents=middle, limit=fa.METHODS["lie_midpoint"].limit("quat")
+    )
     found = fa.work_precision(
         CONING, Q0, t_end=T_END, methods=["lie_midpoint", mine, ralston()], dtypes=["float64"],
         repeats=1, max_seconds=3.0,
@@ -299,7 +301,7 @@ def test_an_attitude_of_ones_own_is_measured():
 def test_what_stands_twice_or_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="methods: found 'rk4' twice; accepted: different names"):
         cases_of(CONING, ["rk4", "rk4"], ["quat"], ["float64"])
-    mine = fa.lie("mine", order=2, exponents=middle)
+    mine = fa.lie_group("mine", order=2, exponents=middle)
     with pytest.raises(ValueError, match=r"methods: found mine, for rate; accepted .* \(free\): "):
         cases_of(FREE, [mine], ["quat"], ["float64"])
     assert cases_of(FREE, [fa.METHODS["rk4"]], ["quat"], ["float64"]) == [Case("rk4")]
@@ -308,7 +310,7 @@ def test_what_stands_twice_or_does_not_fit_is_refused():
 def test_operations_and_their_part_of_the_peak(coning):
     for row in coning.rows:
         name = row.method
-        text = show_loop(CONING, name).splitlines()[0]
+        text = inspect_step(CONING, name).splitlines()[0]
         assert f": {row.operations} floating-point operations a step" in text
         speed = row.operations * row.steps_per_second
         cores = speed / row.peak / peak("double")

@@ -9,7 +9,7 @@ from fastatt.tracing.formulas import Vector, compensated, quat
 from fastatt.tracing.graph import apply, choose
 
 
-def defect(x: Vector) -> Any:
+def norm_error(x: Vector) -> Any:
     return apply("sqrt", quat.dot(x, x)) - 1.0
 
 
@@ -24,8 +24,8 @@ QUATERNION = Attitude(
     derivative=quat.derivative,
     half_derivative=quat.mul_vector,
     flip=quat.conj,
-    finish=lambda x: (quat.normalise(x), defect(x)),
-    restore=lambda x: (quat.renormalise(x), defect(x)),
+    finish=lambda x: (quat.normalise(x), norm_error(x)),
+    restore=lambda x: (quat.renormalise(x), norm_error(x)),
     turn_first=quat.turn_first,
     turn_third=quat.turn_third,
     summary="unit quaternion, 4 numbers",
@@ -34,7 +34,7 @@ QUATERNION = Attitude(
 
 def low_finish(x: Vector) -> Any:
     q = x[:4]
-    # |q|² − 1 of both parts: the squares' own rounding would hide a defect of an ulp
+    # |q|² − 1 of both parts: the squares' own rounding would hide a norm_error of an ulp
     low = x[0] * x[4] + x[1] * x[5] + x[2] * x[6] + x[3] * x[7]
     n = quat.dot(q, q)
     return quat.normalise(q), 0.5 * ((n - 1.0) + (low + low))

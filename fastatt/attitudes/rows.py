@@ -19,12 +19,12 @@ def to_dcm(x: Vector) -> Any:
 
 def finish(x: Vector) -> Any:
     a, b = dcm.orthonormalise_rows(*dcm.orthonormalise_rows(x[:3], x[3:]))
-    return dcm.close_rows(a, b), dcm.defect(to_dcm(x))
+    return dcm.close_rows(a, b), dcm.norm_error(to_dcm(x))
 
 
 def restore(x: Vector) -> Any:
     a, b = dcm.orthonormalise_rows(x[:3], x[3:])
-    return (*a, *b), dcm.defect(to_dcm(x))
+    return (*a, *b), dcm.norm_error(to_dcm(x))
 
 
 def derivative(x: Vector, w: Vector) -> Vector:

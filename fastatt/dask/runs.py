@@ -14,7 +14,6 @@ from fastatt import arrays, checks
 from fastatt.attitudes import Attitude
 from fastatt.dask.chunks import Bodies, like, nothing
 from fastatt.methods import METHODS, Method
-from fastatt.propagation import closed_form as exact
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
@@ -41,7 +40,7 @@ class LazyTrajectory:
     matrix: Any = None
 
     @property
-    def C(self) -> Any:
+    def dcm(self) -> Any:
         """Direction cosine matrices (S, N, 3, 3), body to inertial."""
         if self.matrix is not None:
             return self.matrix

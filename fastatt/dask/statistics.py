@@ -18,7 +18,7 @@ from fastatt.dask.chunks import Bodies
 from fastatt.dask.runs import sent
 from fastatt.methods import Method
 from fastatt.propagation.drift_statistics import Measure
-from fastatt.propagation.drift_statistics import watch_drift as watch_chunk
+from fastatt.propagation.drift_statistics import drift_statistics as watch_chunk
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.measure import Case, Problem, Rung, ladder_rows, last_state
@@ -49,7 +49,7 @@ class Drifts:
     flags: dict[str, int]
 
 
-def watch_drift(
+def drift_statistics(
     scene: Scene,
     q0: Any,
     w0: Any = None,
@@ -63,7 +63,7 @@ def watch_drift(
     """Drift statistics over all bodies: a ``dask.delayed`` :class:`Drifts`; no history is kept.
 
     ``every``, and ``options`` such as ``dt``, ``n_steps`` and ``method``, are those of
-    :func:`fastatt.watch_drift`; the rest is as of :func:`propagate`. A chunk hands on 2 kB.
+    :func:`fastatt.drift_statistics`; the rest is as of :func:`propagate`. A chunk hands on 2 kB.
 
     Raises ``ValueError`` or ``TypeError`` for a scene or initial states that do not fit; for the
     rest when it is computed.
@@ -190,9 +190,9 @@ def _measured(
         seconds = perf_counter() - begin
         last = last_state(run)
         rate = None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1)
-        defect = float(np.abs(run.defect).max())
+        norm_error = float(np.abs(run.norm_error).max())
         error = angle_between(last.q, end.q)
-        found.append((seconds, error, defect, rate, Counter(run.status_counts())))
+        found.append((seconds, error, norm_error, rate, Counter(run.status_counts())))
     return found, source, own
 
 
@@ -204,13 +204,13 @@ def _table(
     for (case, n), parts in zip(
         cases, zip(*(found for found, *_ in chunks), strict=True), strict=True
     ):
-        seconds, errors, defects, rates, flags = zip(*parts, strict=True)
+        seconds, errors, norm_errors, rates, flags = zip(*parts, strict=True)
         counts: Counter[str] = sum(flags, Counter())
         rung = Rung(
             n_steps=n,
             seconds=sum(seconds),
             error=np.concatenate(errors),
-            defect=max(defects),
+            norm_error=max(norm_errors),
             rate_error=None if rates[0] is None else np.concatenate(rates),
             status=", ".join(f"{name} {count}" for name, count in counts.items()),
         )

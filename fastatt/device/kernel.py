@@ -26,7 +26,7 @@ from fastatt.tracing.nodes import LIBRARY, Node
 
 #: arguments of a kernel before its tables
 ARGUMENTS = (
-    "q_rows", "y_rows", "p_rows", "x_rows", "out", "defect", "watch", "known", "stages", "t0",
+    "q_rows", "y_rows", "p_rows", "x_rows", "out", "norm_error", "watch", "known", "stages", "t0",
     "step", "last_edge", "most_quiet", "first", "last", "n_steps", "save_every", "slot", "restore",
     "origin", "begins",
 )  # fmt: skip
@@ -190,7 +190,7 @@ class _Writer:
         found = self._formulas(formulas.save, "s")
         self._add("save = (n - origin - 1) // save_every + slot if n > origin else 0")
         self._add(*(f"out[save, body, {i}] = {x}" for i, x in enumerate(found[:size])))
-        self._add(f"defect[save, body] = {found[size]}")
+        self._add(f"norm_error[save, body] = {found[size]}")
         for k, value in enumerate(found[size:], 1):
             self._worse(k, f"abs({value})")
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.arrays import quat_multiply, rotate_inverse, rotation_vector_to_quat
+from fastatt.arrays import quat_multiply, quat_rotate_inverse, rotation_vector_to_quat
 from fastatt.estimation.amounts import covariances, root, variance
 from fastatt.estimation.filters import (
     Floats,
@@ -111,7 +111,7 @@ class ParticleFilter:
         seen = checks.array("measured", measured, "(3,)")
         fixed = checks.array("reference", reference, "(3,)")
         weight = -0.5 / variance("sigma", sigma)
-        away = rotate_inverse(self.q, fixed) - seen
+        away = quat_rotate_inverse(self.q, fixed) - seen
         self.update(np.einsum("ij,ij->i", away, away) * weight)
 
     def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> None:

@@ -12,8 +12,8 @@ from fastatt import checks
 from fastatt.arrays import (
     normalised,
     quat_multiply,
-    rotate,
-    rotate_inverse,
+    quat_rotate,
+    quat_rotate_inverse,
     rotation_vector_to_quat,
 )
 from fastatt.estimation.filters import Floats
@@ -78,7 +78,7 @@ def attitude_from_vectors(
     K[..., 0, 1:] = K[..., 1:, 0] = np.cross(b, weighted).sum(axis=-2)
     q: Any = np.linalg.eigh(K)[1][..., -1]
     for _ in range(3):
-        e = rotate_inverse(q[..., None, :], r)
+        e = quat_rotate_inverse(q[..., None, :], r)
         # a column is e × an axis: what b − e is made of by δθ
         slopes = np.swapaxes(np.cross(e[..., None, :], np.eye(3)), -1, -2) / s[..., None]
         u, values, v = np.linalg.svd(slopes.reshape(*q.shape[:-1], -1, 3), full_matrices=False)
@@ -263,7 +263,7 @@ def _least_turn(mean: Floats, up: Floats, deviation: float) -> tuple[Floats, Flo
     if f @ u < 1e-9 - 1.0:  # upside down: about any axis across
         q = np.array([0.0, *normalised(np.cross(f, np.eye(3)[np.argmin(np.abs(f))]))])
     for _ in range(2):  # the second finds the digits that the first loses near there
-        seen = rotate(q, f)
+        seen = quat_rotate(q, f)
         q = normalised(quat_multiply([1.0 + seen @ u, *np.cross(seen, u)], q))
     along = np.outer(f, f)
     return q, deviation**2 * (np.eye(3) - along) + math.pi**2 * along

@@ -14,8 +14,8 @@ from fastatt import checks
 from fastatt.arrays import (
     normalised,
     quat_multiply,
+    quat_rotate_inverse,
     quat_to_dcm,
-    rotate_inverse,
     rotation_vector_to_quat,
 )
 from fastatt.estimation.amounts import covariances, root, variance
@@ -221,7 +221,7 @@ class UKF(Estimates):
         fixed, _ = self._vectors("reference", reference)
 
         def linearised(q: Floats) -> tuple[Floats, Floats]:
-            expected = np.asarray(rotate_inverse(q, fixed))
+            expected = np.asarray(quat_rotate_inverse(q, fixed))
             length = np.linalg.norm(expected, axis=-1, keepdims=True)
             n = expected / np.where(length > 0.0, length, 1.0)
             along = (n * seen).sum(axis=-1, keepdims=True)

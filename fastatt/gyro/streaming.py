@@ -24,8 +24,8 @@ from fastatt.methods import METHODS
 from fastatt.threads import number_of
 
 
-class Integrator:
-    """Attitudes from samples that arrive one by one or in pieces: ``fastatt.integrator``.
+class GyroIntegrator:
+    """Attitudes from samples that arrive one by one or in pieces: ``fastatt.GyroIntegrator``.
 
     Those of :func:`fastatt.integrate_rates` over the whole log, bit for bit, however it is cut. It
     can be pickled and copied, and goes on from there.
@@ -44,7 +44,7 @@ class Integrator:
 
     Examples
     --------
-    >>> flow = fa.integrator((1.0, 0.0, 0.0, 0.0), 0.01, method="coning2")
+    >>> flow = fa.GyroIntegrator((1.0, 0.0, 0.0, 0.0), 0.01, method="coning2")
     >>> [len(flow.push((0.0, 0.0, 1.0))) for _ in range(4)], len(flow.close())
     ([1, 0, 2, 0], 1)
     """
@@ -189,6 +189,3 @@ class Integrator:
         self._spans = spans if self._dt is not None else spans[first:]
         self._q, self._last, self._begun = q, out[:, -1].copy(), True
         return found[0] if self._one else found
-
-
-integrator = Integrator

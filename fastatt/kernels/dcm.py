@@ -202,7 +202,7 @@ def gram(c):
 
 
 @kernel
-def defect(c):
+def norm_error(c):
     """Departure from a rotation, the Frobenius norm of C Cᵀ − 1."""
     F = type(c[0])
     g = gram(c)
@@ -213,7 +213,7 @@ def defect(c):
 
 @kernel
 def orthonormalise(c):
-    """(3 − C Cᵀ) C / 2: one Newton step to the nearest rotation; of a defect e leaves 3e²/8."""
+    """(3 − C Cᵀ) C / 2: one Newton step to the nearest rotation; of a norm_error e leaves 3e²/8."""
     F = type(c[0])
     g = gram(c)
     h = F(-0.5)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import rounding
-from fastatt.gyro.streaming import Integrator, integrator
+from fastatt.gyro.streaming import GyroIntegrator
 from fastatt.logs.names import LogError
 from fastatt.logs.reader import Reader
 from fastatt.logs.stamps import Chunk
@@ -54,7 +54,7 @@ class _Piece:
 
     def __init__(self, reader: Reader, q0: ArrayLike, method: str, number: int) -> None:
         self.reader, self.q0, self.method, self.number = reader, q0, method, number
-        self.flow: Integrator | None = None
+        self.flow: GyroIntegrator | None = None
         # times that wait for their attitudes, and the latest of all
         self.waiting = self.last = np.empty(0)
 
@@ -62,7 +62,7 @@ class _Piece:
         """Rows that are final with some more samples."""
         begun = len(self.last) > 0
         gaps = self.reader.dt(np.concatenate([self.last, t]))
-        self.flow = self.flow or integrator(
+        self.flow = self.flow or GyroIntegrator(
             self.q0, gaps if isinstance(gaps, float) else None, method=self.method, n_threads=1
         )
         equal = isinstance(gaps, float) or (not begun and len(t) == 1)

@@ -122,7 +122,9 @@ def lie_method(
     )
 
 
-def lie(name: str, *, order: int, exponents: Callable[..., Any], limit: float = 1.0) -> Method:
+def lie_group(
+    name: str, *, order: int, exponents: Callable[..., Any], limit: float = 1.0
+) -> Method:
     """A Lie-group method of one's own for given rates, wherever a method's name is taken.
 
     Parameters
@@ -144,7 +146,7 @@ def lie(name: str, *, order: int, exponents: Callable[..., Any], limit: float = 
     >>> def midpoint(w, t, h):
     ...     u = w(t + 0.5 * h)
     ...     return ((h * u[0], h * u[1], h * u[2]),)
-    >>> mine = fa.lie("mine", order=2, exponents=midpoint)
+    >>> mine = fa.lie_group("mine", order=2, exponents=midpoint)
     >>> scene = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
     >>> fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=100, method=mine).method
     'mine'

@@ -197,7 +197,7 @@ def explicit_method(
     )
 
 
-def explicit(
+def runge_kutta(
     name: str,
     *,
     order: int,
@@ -223,7 +223,7 @@ def explicit(
     Examples
     --------
     >>> import fastatt as fa
-    >>> rk3 = fa.explicit(
+    >>> rk3 = fa.runge_kutta(
     ...     "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)),
     ...     b=(2 / 9, 1 / 3, 4 / 9),
     ... )

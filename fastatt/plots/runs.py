@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.arrays import angle_between, rotate
+from fastatt.arrays import angle_between, quat_rotate
 from fastatt.plots.drawing import (
     COLOURS,
     axes_on,
@@ -114,7 +114,7 @@ def polhode(
             raise ValueError(f"bodies: found {list(bodies)}; accepted: 1 to 8 of 0 to {n - 1}")
     q, w = (x.reshape(len(run.t), n, -1)[:, chosen] for x in (run.q, run.w))
     m = angular_momentum(w, scene[chosen].inertia)  # type: ignore[arg-type]
-    space, held = rotate(q, w), rotate(q[0], m[0])
+    space, held = quat_rotate(q, w), quat_rotate(q[0], m[0])
     figure, ball, view, plane = sphere_and_plane()
     tints = tints_of(chosen.tolist())
     with np.errstate(invalid="ignore"):
@@ -166,7 +166,7 @@ def _thinned(run: Trajectory) -> Trajectory:
 def _part(run: Trajectory, at: Any) -> Trajectory:
     """Some saves or bodies of a run's states."""
     carried = {name: x[at] for name, x in run.carried.items()}
-    return replace(run, state=run.state[at], defect=run.defect[at], carried=carried)
+    return replace(run, state=run.state[at], norm_error=run.norm_error[at], carried=carried)
 
 
 def _legend(axes: Any) -> None:
@@ -200,7 +200,7 @@ def _angles(axes: Any, run: Trajectory) -> None:
 
 
 def _axis(axes: Any, run: Trajectory) -> None:
-    _lines(axes, run, _of_one(run, run.C[..., 2]), ("X", "Y", "Z"))
+    _lines(axes, run, _of_one(run, run.dcm[..., 2]), ("X", "Y", "Z"))
     axes.set(ylabel="third body axis along X, Y, Z", ylim=(-1.1, 1.1))
     _legend(axes)
 
@@ -219,7 +219,7 @@ def _of_one(run: Trajectory, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
-    found: dict[str, Any] = {"from the group": np.abs(run.defect)}
+    found: dict[str, Any] = {"from the group": np.abs(run.norm_error)}
     if scene is not None and as_scene(scene).inertia is not None:
         measured = drift(*_finite(run, scene))
         found |= {"energy": measured.energy, "momentum": measured.momentum}

@@ -144,7 +144,7 @@ def heavy_top(
     Examples
     --------
     >>> import fastatt as fa
-    >>> q, w = fa.exact.heavy_top(
+    >>> q, w = fa.closed_form.heavy_top(
     ...     [1, 0, 0, 0], [0.1, 0, 30], (1.0, 1.0, 0.5), 10.0, arm=(0, 0, 0.1), weight=10.0
     ... )
     """

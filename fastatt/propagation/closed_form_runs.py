@@ -73,7 +73,7 @@ class ClosedForm:
         """The results of all saves."""
         handed, stored = self._handed, self._stored
         results = Results.empty(self._saves, handed.n_bodies, handed.width, handed.kind)
-        results.defect[...] = 0.0
+        results.norm_error[...] = 0.0
         results.status[...] = 0
         start, out = (given.q, given.y), results.out
         if self._motion.is_plain:

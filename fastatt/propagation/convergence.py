@@ -118,7 +118,7 @@ def examine(
         order=order,
         error=worst / (1.0 - 0.5 ** max(1, declared)),
         limited_by=limited,
-        norm=float(np.abs(first.defect).max()),
+        norm=float(np.abs(first.norm_error).max()),
         n_bodies=some.size,
         passed=passed,
     )

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import angle_between, rotate
+from fastatt.arrays import angle_between, quat_rotate
 from fastatt.propagation.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene import torques
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.scene.time_series import Table
+from fastatt.scene.time_series import TimeSeries
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +48,18 @@ def drift(trajectory: Trajectory, scene: Scene) -> Drift:
     if not isinstance(trajectory, Trajectory):
         raise TypeError(f"trajectory: found {checks.brief(trajectory)}; accepted: a Trajectory")
     as_scene(scene)
-    defect = np.abs(trajectory.defect[:, 0] if trajectory.one_body else trajectory.defect)
-    C = trajectory.C
+    norm_error = np.abs(
+        trajectory.norm_error[:, 0] if trajectory.one_body else trajectory.norm_error
+    )
+    C = trajectory.dcm
     matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))
     length = np.abs(np.linalg.norm(trajectory.q, axis=-1) - 1.0)
     attitude = trajectory.attitude
     of_matrix = attitude.to_dcm_array is not None
     of_quaternion = not of_matrix and attitude.to_quat_array is None
     return Drift(
-        norm=defect if of_quaternion else length,
-        orthogonality=defect if of_matrix else matrix,
+        norm=norm_error if of_quaternion else length,
+        orthogonality=norm_error if of_matrix else matrix,
         energy=_energy(trajectory, scene),
         momentum=_momentum(trajectory, scene),
         trajectory=trajectory,
@@ -86,14 +88,14 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     inside = angular_momentum(trajectory.w, scene.inertia)
     if rotor:
         inside = inside + _of_wheels(scene.torque.momentum, trajectory)
-    total = rotate(trajectory.q, inside)
+    total = quat_rotate(trajectory.q, inside)
     change = np.linalg.norm(total - total[0], axis=-1)
     return _relative(change, np.linalg.norm(total, axis=-1))
 
 
 def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:
     """Momentum of wheels, that broadcasts against (S, N, 3), or (S, 3) of one body."""
-    if not isinstance(momentum, Table):
+    if not isinstance(momentum, TimeSeries):
         return np.asarray(momentum)
     found = momentum.at(trajectory.t)
     if trajectory.one_body:

@@ -87,7 +87,7 @@ class DriftStatistics:
     trajectory: Trajectory
 
 
-def watch_drift(
+def drift_statistics(
     scene: Scene,
     q0: ArrayLike,
     w0: ArrayLike | None = None,
@@ -121,7 +121,9 @@ def watch_drift(
     def sink(piece: Trajectory) -> None:
         nonlocal saves
         carried = {name: since_begin(name, x) for name, x in piece.carried.items()}
-        rest = {name: since_begin(name, getattr(piece, name)) for name in ("t", "state", "defect")}
+        rest = {
+            name: since_begin(name, getattr(piece, name)) for name in ("t", "state", "norm_error")
+        }
         piece = replace(piece, carried=carried, **rest)
         measured = drift(piece, scene)
         saves += piece.t.size - 1

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import rotate
+from fastatt.arrays import quat_rotate
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
 from fastatt.scene import torques
 from fastatt.scene.equations import Body, RigidBody
 from fastatt.scene.inertia import is_tensor
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.tracing.formulas import quat, rigid
+from fastatt.tracing.formulas import quat
 
 
 def angular_momentum(
@@ -36,7 +36,7 @@ def angular_momentum(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             m = np.einsum("...ij,...j->...i", given, rates) if tensor else given * rates
-        return np.asarray(m if q is None else rotate(q, m))
+        return np.asarray(m if q is None else quat_rotate(q, m))
     except ValueError:
         raise ValueError(
             f"w: has shape {rates.shape}, inertia {given.shape}, q {np.asarray(q).shape}; "
@@ -49,31 +49,6 @@ def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
     m = angular_momentum(w, inertia)
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(0.5 * np.einsum("...i,...i->...", np.asarray(w, dtype=np.float64), m))
-
-
-def kinetic_energy_symmetric(
-    angles: ArrayLike, rates: ArrayLike, inertia: ArrayLike
-) -> NDArray[np.float64]:
-    """Kinetic energy of a symmetric top, J, in 3-1-3 angles (φ, θ, ψ) and their rates.
-
-    ½ I1 (φ̇² sin²θ + θ̇²) + ½ I3 (φ̇ cosθ + ψ̇)²; ``angles`` and ``rates`` are (..., 3) in rad and
-    rad/s, ``inertia`` is (I1, I3). Goldstein, *Classical Mechanics*, eq. 5.52.
-
-    Raises ``ValueError`` for other shapes.
-    """
-    a, d = (
-        checks.numbers(name, value, "real numbers (..., 3)").astype(np.float64, copy=False)
-        for name, value in (("angles", angles), ("rates", rates))
-    )
-    if a.shape != d.shape or a.shape[-1:] != (3,):
-        raise ValueError(f"angles, rates: have shapes {a.shape}, {d.shape}; accepted: (..., 3)")
-    moments = checks.array("inertia", inertia, "(2,)")
-    (out,) = rows(_symmetric, {"angles": 3, "rates": 3, "inertia": 2}, (None,))(a, d, moments)
-    return np.asarray(out)
-
-
-def _symmetric(angles: Any, rates: Any, inertia: Any) -> Any:
-    return (rigid.kinetic_energy_symmetric(angles, rates, inertia),)
 
 
 def potential_energy(

@@ -147,7 +147,7 @@ def _in_parts(
                 found = plan.fill(given, t0, handling, results, (a, m))
             except InterruptedRun as stopped:
                 rest = slice(a, n) if order is None else order[a:]
-                results.out[:, rest] = results.defect[:, rest] = np.nan
+                results.out[:, rest] = results.norm_error[:, rest] = np.nan
                 results.status[rest] = Status.UNFINISHED
                 stopped.trajectory = whole()
                 raise

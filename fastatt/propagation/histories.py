@@ -48,7 +48,7 @@ class History:
     def __call__(self, piece: Trajectory) -> None:
         """Write a few saves."""
         rows = slice(self.saves, self.saves + piece.t.size)
-        columns = [piece.state, *piece.carried.values(), piece.defect[..., None]]
+        columns = [piece.state, *piece.carried.values(), piece.norm_error[..., None]]
         self._file[rows] = np.concatenate(columns, axis=-1)
         self.saves = rows.stop
 

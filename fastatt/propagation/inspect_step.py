@@ -29,7 +29,7 @@ _LEGEND = {
 }
 
 
-def show_loop(
+def inspect_step(
     scene: Scene,
     method: str | Method | None = None,
     *,
@@ -48,7 +48,7 @@ def show_loop(
     Examples
     --------
     >>> import fastatt as fa
-    >>> print(fa.show_loop(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), "rk4").splitlines()[0])
+    >>> print(fa.inspect_step(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), "rk4").splitlines()[0])
     # rk4, free, quat, double: 213 floating-point operations a step
     """
     as_scene(scene)

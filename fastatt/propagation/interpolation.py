@@ -63,7 +63,7 @@ def interpolate(
     >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
     >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=1.0, n_steps=8, save_every=1)
     >>> q, w = fa.interpolate(run.t, run.q, run.w, 2.5)
-    >>> exact, _ = fa.exact.free_body([1, 0, 0, 0], [0.1, 0.3, -0.2], body.inertia, 2.5)
+    >>> exact, _ = fa.closed_form.free_body([1, 0, 0, 0], [0.1, 0.3, -0.2], body.inertia, 2.5)
     >>> bool(fa.angle_between(q, exact) < 1e-6)
     True
     """

@@ -40,11 +40,16 @@ class Handed:
 
     def fields(self, t: NDArray[np.float64], results: Results, one_body: bool) -> dict[str, Any]:
         """Fields of a trajectory of some saves."""
-        found = {"t": t, "defect": results.defect, "status": results.status, "one_body": one_body}
+        found = {
+            "t": t,
+            "norm_error": results.norm_error,
+            "status": results.status,
+            "one_body": one_body,
+        }
         return {**self.common, **found, **self.parts(results.out)}
 
     def parts(self, out: NDArray[Any]) -> dict[str, Any]:
         """Attitudes, and what is carried beside them, of what is handed out (S, N, k or more)."""
         carried = {name: out[:, :, span] for name, span in self._spans}
         found = {"state": out[:, :, : self.stored], "carried": carried}
-        return {**found, "defect": out[..., -1]} if out.shape[2] > self.width else found
+        return {**found, "norm_error": out[..., -1]} if out.shape[2] > self.width else found

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks
 from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
-from fastatt.propagation import closed_form as exact
 from fastatt.propagation.choice_of_method import chosen, method_of
 from fastatt.propagation.convergence import SelfCheck, examine
 from fastatt.propagation.ensemble import Ensemble
@@ -71,8 +70,8 @@ def propagate(
     dt : step, s; negative runs backwards. Each body may have its own, (N,).
     n_steps : number of steps, at least 0; with steps of each body's own (N,), so that all end at
         one time, to rounding.
-    method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.explicit``,
-        ``fastatt.lie``); None takes the first of magnus4, exact, rk8 and rk4 that fits the scene
+    method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.runge_kutta``,
+        ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the scene
         and the representation; the trajectory names it.
     representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
         ``Attitude`` of one's own.

@@ -43,7 +43,7 @@ def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) 
             bodies = slice(first * width, last * width)
             if done < span.n_steps:
                 fields["status"][bodies] = Status.UNFINISHED
-                for array in (fields["state"], fields["defect"], *fields["carried"].values()):
+                for array in (fields["state"], fields["norm_error"], *fields["carried"].values()):
                     array[(saved > done) | (done == span.first), bodies] = np.nan
         stopped.trajectory = Trajectory(**fields)
         raise

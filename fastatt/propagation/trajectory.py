@@ -30,7 +30,7 @@ class Results(NamedTuple):
     """What a run writes: (S, N, k) handed out, (S, N) departures from the group, (N,) flags."""
 
     out: NDArray[Any]
-    defect: NDArray[Any]
+    norm_error: NDArray[Any]
     status: NDArray[np.uint8]
 
     @classmethod
@@ -44,7 +44,7 @@ class Results(NamedTuple):
 
     def saves(self, slots: slice) -> Results:
         """Some saves."""
-        return Results(self.out[slots], self.defect[slots], self.status)
+        return Results(self.out[slots], self.norm_error[slots], self.status)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,14 +55,14 @@ class Trajectory:
 
     ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
-    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``defect``
+    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``norm_error``
     (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
     ‖C Cᵀ − 1‖ of a matrix.
     """
 
     t: NDArray[np.float64]
     state: NDArray[Any]
-    defect: NDArray[Any]
+    norm_error: NDArray[Any]
     status: NDArray[np.uint8]
     method: str
     representation: str
@@ -94,11 +94,11 @@ class Trajectory:
         if self.attitude.to_quat_array is not None:
             return self._shaped(self.attitude.to_quat_array(self.state))
         if self.attitude.to_dcm_array is not None:
-            return arrays.quaternions_of(self.C)
+            return arrays.quaternions_of(self.dcm)
         return self._shaped(self.state)
 
     @cached_property
-    def C(self) -> NDArray[Any]:
+    def dcm(self) -> NDArray[Any]:
         """Direction cosine matrices, body to inertial."""
         if self.attitude.to_dcm_array is not None:
             return self._shaped(self.attitude.to_dcm_array(self.state))
@@ -124,7 +124,7 @@ class Trajectory:
         assert isinstance(turning, GivenRate)
         w = self._shaped(self._given(turning, packed))
         if turning.inertial:
-            w = np.einsum("...ji,...j->...i", self.C, w)
+            w = np.einsum("...ji,...j->...i", self.dcm, w)
         with np.errstate(over="ignore"):
             return w.astype(self.state.dtype, copy=False)
 
@@ -219,7 +219,7 @@ class Trajectory:
         """What was run and what went wrong, in a few lines."""
         n = self.status.size
         bodies = "1 body" if n == 1 else f"{n} bodies"
-        far = np.nan_to_num(np.abs(self.defect)).max()
+        far = np.nan_to_num(np.abs(self.norm_error)).max()
         first = (
             f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
             f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest departure from "

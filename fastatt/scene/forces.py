@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt.scene import models
 from fastatt.scene.models import SUM, Field, Law, Model, Packed, Record, Sum, join, pack_user
-from fastatt.scene.time_series import Table
+from fastatt.scene.time_series import TimeSeries
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import apply
 
@@ -22,13 +22,13 @@ from fastatt.tracing.graph import apply
 class Constant(NamedTuple):
     """A force along body axes, such as a thrust: (3,), (N, 3) or a table, N."""
 
-    force: ArrayLike | Table
+    force: ArrayLike | TimeSeries
 
 
 class ConstantInertial(NamedTuple):
     """A force along inertial axes, such as a weight: (3,), (N, 3) or a table, N."""
 
-    force: ArrayLike | Table
+    force: ArrayLike | TimeSeries
 
 
 class Drag(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import dcm_to_quat, normalised, quat_multiply, rotate_inverse
+from fastatt.arrays import dcm_to_quat, normalised, quat_multiply, quat_rotate_inverse
 
 _SHAPES = "(3,), (3, 3), (N, 3) or (N, 3, 3)"
 # two moments closer than this share of the largest are equal
@@ -113,7 +113,7 @@ def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[n
     ``arm`` is (3,) or (N, 3), m, along body axes. Raises ``ValueError`` for a body whose moments
     about two axes that are normal to its arm are not equal, by its number.
     """
-    inside = arm if found.axes is None else rotate_inverse(found.axes, arm)
+    inside = arm if found.axes is None else quat_rotate_inverse(found.axes, arm)
     m, inside = np.broadcast_arrays(found.moments, inside)
     size = np.linalg.norm(inside, axis=-1)[..., None]
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.scene.time_series import Form, Table, recorded
+from fastatt.scene.time_series import Form, TimeSeries, recorded
 from fastatt.tracing.user import FORMS, UserFunction, user_function
 
 Model = Any  # an instance of a model's class
@@ -222,7 +222,7 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
     tables: dict[tuple[str, Any], NDArray[np.float64]] = {}
     for name, value, field in zip(model._fields, model, record.fields, strict=True):
         label = f"{argument}: {cls.__name__}.{name}"
-        if isinstance(value, Table):
+        if isinstance(value, TimeSeries):
             _check_table(label, value, field)
             rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
             sizes.append(rows.shape[-1])
@@ -249,7 +249,7 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
     return Packed(law, params, tables)
 
 
-def _check_table(label: str, table: Table, field: Field) -> None:
+def _check_table(label: str, table: TimeSeries, field: Field) -> None:
     if not field.table or (table.form.size,) != field.shape:
         accepted = f"values of {field.shape[0]} numbers" if field.table else "numbers, no table"
         raise ValueError(f"{label}: found {table!r}; accepted: {accepted}")

@@ -23,7 +23,7 @@ from fastatt.scene.inertia import (
     sort_axes,
 )
 from fastatt.scene.models import Law, Packed, join, numbers
-from fastatt.scene.time_series import Table
+from fastatt.scene.time_series import TimeSeries
 from fastatt.tracing.sources import keep, sources
 from fastatt.tracing.user import UserFunction
 
@@ -318,7 +318,7 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
     if type(value) in _RECORDS:
         each = zip(value, _RECORDS[type(value)].fields, strict=True)
         return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
-    if isinstance(value, Table):
+    if isinstance(value, TimeSeries):
         return value[rows] if value.form.own else value
     if isinstance(value, torques.Sampled) or np.ndim(value) <= dims:  # shared
         return value

@@ -42,7 +42,7 @@ class Form(NamedTuple):
     own: bool
 
 
-class Table:
+class TimeSeries:
     """Numbers sampled in time, for one's own rate, torque or force, and for fields of models.
 
     Called as ``table(t)``, or ``table(t, row)`` of (N, T, k), a table gives a tuple of k floats, of
@@ -79,7 +79,7 @@ class Table:
 
     Examples
     --------
-    >>> density = Table([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
+    >>> density = TimeSeries([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
     >>> density(1.5), density.slope(1.5)
     (2.25, 3.0)
     """
@@ -146,7 +146,7 @@ class Table:
         return hashlib.sha256(form + self.data.tobytes()).hexdigest()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Table) and self.digest == other.digest
+        return isinstance(other, TimeSeries) and self.digest == other.digest
 
     def __hash__(self) -> int:
         return hash(self.digest)
@@ -154,7 +154,7 @@ class Table:
     def __repr__(self) -> str:
         rows = f"{self.rows} rows of " if self.form.own else ""
         start, end = self.span
-        return f"<Table: {rows}{self.form.size} numbers, {start:g} s to {end:g} s>"
+        return f"<TimeSeries: {rows}{self.form.size} numbers, {start:g} s to {end:g} s>"
 
     @property
     def span(self) -> tuple[float, float]:
@@ -172,12 +172,12 @@ class Table:
         numbers = self.data[int(self.data[_SAMPLES]) :]
         return numbers.reshape(self.rows, -1, 1 + self.form.cubic, self.form.size)[:, :, 0]
 
-    def __getitem__(self, rows: Any) -> Table:
+    def __getitem__(self, rows: Any) -> TimeSeries:
         if not self.form.own:
             raise TypeError(f"table[rows]: found {self!r}; accepted: a table of values (N, T, k)")
         begin = int(self.data[_SAMPLES])
         chosen = np.atleast_2d(self.data[begin:].reshape(self.rows, -1)[rows])
-        made = object.__new__(Table)
+        made = object.__new__(TimeSeries)
         made.form, made.scalar = self.form, self.scalar
         head = self.data[:_HEAD].copy()
         head[_ROWS] = len(chosen)
@@ -327,4 +327,4 @@ def _index(t: Numbers) -> Numbers:
     return np.concatenate([np.searchsorted(t, starts, side="right") - 1.0, t])
 
 
-__all__ = ["Table"]
+__all__ = ["TimeSeries"]

@@ -7,19 +7,19 @@ from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
-from fastatt.scene.time_series import Table
+from fastatt.scene.time_series import TimeSeries
 
 
 class Constant(NamedTuple):
     """A torque along body axes, such as a thruster's: (3,), (N, 3) or a table, N·m."""
 
-    torque: ArrayLike | Table
+    torque: ArrayLike | TimeSeries
 
 
 class ConstantInertial(NamedTuple):
     """A torque along inertial axes: (3,), (N, 3) or a table, N·m."""
 
-    torque: ArrayLike | Table
+    torque: ArrayLike | TimeSeries
 
 
 class Damping(NamedTuple):
@@ -75,7 +75,7 @@ class GravityGradientAt(NamedTuple):
     Conventions 2010, table 1.1) unless said. Hughes (1986), eq. 8.1.13.
     """
 
-    position: ArrayLike | Table
+    position: ArrayLike | TimeSeries
     gravitational_parameter: ArrayLike = 3.986004418e14
 
 
@@ -107,8 +107,8 @@ class MagneticDipole(NamedTuple):
     Each (3,), (N, 3) or a table.
     """
 
-    dipole: ArrayLike | Table
-    field: ArrayLike | Table
+    dipole: ArrayLike | TimeSeries
+    field: ArrayLike | TimeSeries
 
 
 class QuaternionPD(NamedTuple):
@@ -122,7 +122,7 @@ class QuaternionPD(NamedTuple):
 
     stiffness: ArrayLike
     damping: ArrayLike
-    target: ArrayLike | Table = (1.0, 0.0, 0.0, 0.0)
+    target: ArrayLike | TimeSeries = (1.0, 0.0, 0.0, 0.0)
 
 
 class Rotor(NamedTuple):
@@ -132,7 +132,7 @@ class Rotor(NamedTuple):
     whole body's, wheels held. Hughes (1986), §6.1.
     """
 
-    momentum: ArrayLike | Table
+    momentum: ArrayLike | TimeSeries
 
 
 class Sampled(NamedTuple):

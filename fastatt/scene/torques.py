@@ -19,7 +19,7 @@ from fastatt import checks
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene import models
 from fastatt.scene.models import SUM, Field, Law, Model, Packed, Record, Sum
-from fastatt.scene.time_series import Table
+from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_models import (
     AxisDamping,
     CentralGravityGradient,
@@ -346,7 +346,7 @@ def _pack_orbit(
 
 
 def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -> Packed:
-    if isinstance(model.target, Table):
+    if isinstance(model.target, TimeSeries):
         q = model.target.samples
         turned = np.argwhere((q[:, 1:] * q[:, :-1]).sum(axis=-1) <= 0.0)
         if len(turned):
@@ -356,7 +356,7 @@ def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -
                 f"behind sample {k}; accepted: quaternions whose signs go on"
             )
     packed = models.pack_fields(model, RECORDS[QuaternionPD], n_bodies, argument)
-    if not isinstance(model.target, Table):
+    if not isinstance(model.target, TimeSeries):
         p = packed.params
         _check_unit(f"{argument}: QuaternionPD.target", p[..., 2:], p[..., 0])
     return packed
@@ -404,7 +404,7 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
     dt = checks.above_zero(f"{argument}: Sampled.dt", model.dt, "above 0")
     start = checks.real(f"{argument}: Sampled.start", model.start)
     times = start + dt * np.arange(len(samples))
-    table = Table(times, samples, kind="linear", outside="hold")
+    table = TimeSeries(times, samples, kind="linear", outside="hold")
     return models.pack_fields(Constant(table), RECORDS[Constant], n_bodies, argument)
 
 

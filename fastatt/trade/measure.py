@@ -136,7 +136,7 @@ class Rung:
     n_steps: int
     seconds: float
     error: NDArray[np.float64]
-    defect: float = 0.0
+    norm_error: float = 0.0
     rate_error: NDArray[np.float64] | None = None
     energy: float | None = None
     momentum: float | None = None
@@ -150,7 +150,7 @@ class Row:
     """One method at one step on an ensemble.
 
     Errors are those at the end: angles in rad, angular velocities in rad/s; ``p95`` is what 95 % of
-    the bodies stay below. ``defect`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ on the way; the
+    the bodies stay below. ``norm_error`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ on the way; the
     drifts of energy and momentum, relative, are empty where the scene keeps neither. ``operations``
     are those of a body's step, an fma counted as two; ``peak`` is the part that they make of the
     machine's peak, that of a core (``fastatt.trade.peak``) times the threads. ``order`` is that
@@ -211,7 +211,7 @@ def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int
         n_steps=n_steps,
         seconds=seconds,
         error=angle_between(found.q, end.q),
-        defect=float(np.abs(watched.defect).max()),
+        norm_error=float(np.abs(watched.norm_error).max()),
         rate_error=None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
         energy=None if kept is None or kept.energy is None else float(kept.energy.max()),
         momentum=None if kept is None or kept.momentum is None else float(kept.momentum.max()),
@@ -278,7 +278,7 @@ def ladder_rows(
                 error_max=float(np.max(rung.error)),
                 rate_error_median=None if rate is None else float(np.median(rate)),
                 rate_error_max=None if rate is None else float(np.max(rate)),
-                defect_max=rung.defect,
+                defect_max=rung.norm_error,
                 energy_drift_max=rung.energy,
                 momentum_drift_max=rung.momentum,
                 seconds_per_body=rung.seconds / rung.error.size,
@@ -304,7 +304,7 @@ _COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("max", "error_max", lambda x: f"{x:.1e}"),
     ("w, rad/s", "rate_error_median", lambda x: f"{x:.1e}"),
     ("max", "rate_error_max", lambda x: f"{x:.1e}"),
-    ("defect", "defect_max", lambda x: f"{x:.1e}"),
+    ("norm_error", "defect_max", lambda x: f"{x:.1e}"),
     ("energy", "energy_drift_max", lambda x: f"{x:.1e}"),
     ("momentum", "momentum_drift_max", lambda x: f"{x:.1e}"),
     ("order", "order", lambda x: f"{x:.2f}"),

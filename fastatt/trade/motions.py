@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.arrays import euler313_to_quat, rotate, rotate_inverse
-from fastatt.propagation import closed_form as exact
+from fastatt.arrays import euler313_to_quat, quat_rotate, quat_rotate_inverse
 from fastatt.propagation.energy import angular_momentum, kinetic_energy
 from fastatt.propagation.propagate import propagate
 from fastatt.trade.ensembles import TOP, TRIAXIAL
@@ -64,7 +63,7 @@ def herpolhodes() -> dict[float, NDArray[np.float64]]:
         # at t = 0 body and inertial axes coincide, and axis 2 lies across the momentum
         y = np.array([0.0, 1.0, 0.0])
         plane = np.stack([np.cross(y, m), y], axis=1)
-        found[_energy(m)] = rotate(q, w) @ plane
+        found[_energy(m)] = quat_rotate(q, w) @ plane
     return found
 
 
@@ -73,9 +72,9 @@ def nutations() -> dict[str, NDArray[np.float64]]:
     q0 = euler313_to_quat([0.0, _TILT, 0.0])
     found = {}
     for name, precession in _RELEASED.items():
-        w0 = rotate_inverse(q0, [0.0, 0.0, precession])
+        w0 = quat_rotate_inverse(q0, [0.0, 0.0, precession])
         w0[2] = _SPIN
         run = propagate(TOP, q0, w0, dt=0.01, n_steps=1700, method="rk8", save_every=1)
-        axis = rotate(run.q, np.broadcast_to([0.0, 0.0, 1.0], (run.t.size, 3)))
+        axis = quat_rotate(run.q, np.broadcast_to([0.0, 0.0, 1.0], (run.t.size, 3)))
         found[f"{name}: {precession:g} rad/s at the start"] = axis
     return found

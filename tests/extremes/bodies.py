@@ -107,7 +107,7 @@ def measured(case: Case, inertia: Array, w: Array, h: float) -> Array:
 
 @kept
 def closed(inertia: Array, q0: Array, w0: Array, t: float) -> tuple[Array, Array]:
-    q, w = fa.exact.free_body(q0, w0, inertia, t, allow_unphysical=True)
+    q, w = fa.closed_form.free_body(q0, w0, inertia, t, allow_unphysical=True)
     return q, w
 
 

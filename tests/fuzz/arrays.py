@@ -48,7 +48,7 @@ def converted(d: Draw) -> Call:
 
 def combined(d: Draw) -> Call:
     function, names = d.one((
-        (fa.quat_multiply, ("p", "q")), (fa.rotate, ("q", "v")), (fa.rotate_inverse, ("q", "v")),
+        (fa.quat_multiply, ("p", "q")), (fa.quat_rotate, ("q", "v")), (fa.quat_rotate_inverse, ("q", "v")),
         (fa.angle_between, ("a", "b")), (fa.angle_between, ("a", "b")),
     ))  # fmt: skip
     second = (3,) if "v" in names else (4,)
@@ -121,10 +121,6 @@ def energetic(d: Draw) -> Call:
         return Call(fa.angular_momentum, (w, body), q, anything, names)
     if which == 1:
         return Call(fa.kinetic_energy, (w, body), {}, anything, names)
-    if which == 2:
-        args = (d.array((3,), (2, 3)), d.array((3,), (2, 3)), d.array((2,)))
-        names = ("angles", "rates", "inertia")
-        return Call(fa.kinetic_energy_symmetric, args, {}, anything, names)
     scene = d.one((TOP, TOP, NO_POTENTIAL, None, 3))
     t = {"t": d.array((), (2,))} if d.chance(0.5) else {}
     args = (scene, d.array((4,), (2, 4), (2, 2, 4)))

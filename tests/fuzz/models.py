@@ -85,7 +85,7 @@ def scened(d: Draw) -> Call:
 
 def closed_form(d: Draw) -> Call:
     top = d.chance(0.3)
-    function = fa.exact.symmetric_top if top else fa.exact.free_body
+    function = fa.closed_form.symmetric_top if top else fa.closed_form.free_body
     q0, w0 = d.array((4,), (2, 4)), d.array((3,), (2, 3))
     body = inertia(d)
     if top and d.chance(0.6):
