@@ -25,13 +25,14 @@ __all__ = [
     "Reducer", "Scene", "SelfCheck", "Status", "StepWarning", "TimeSeries", "Trajectory",
     "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "closed_form",
     "dcm_to_quat", "drift", "drift_statistics", "error_budget", "estimation", "euler313_to_quat",
-    "explicit", "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates",
-    "interchange", "interpolate", "kernels", "kinetic_energy", "lie", "mean_attitude",
-    "methods_for", "own_steps", "plan", "plots", "potential_energy", "propagate",
-    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
-    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
-    "rotation_vector_to_quat", "self_check", "single_step", "to_scipy", "torques", "work_precision",
-]  # fmt: skip  # fmt: skip
+    "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
+    "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude", "methods_for",
+    "own_steps", "plan", "plots", "potential_energy", "propagate", "propagate_directions",
+    "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm", "quat_to_euler313",
+    "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
+    "rotation_vector_to_quat", "runge_kutta", "self_check", "single_step", "to_scipy", "torques",
+    "work_precision",
+]  # fmt: skip
 
 # imported when it is first asked for, so that a process pays for what it uses
 if TYPE_CHECKING:

@@ -22,6 +22,7 @@ from fastatt.codegen import modules
 from fastatt.engine.loop import WIDTH
 from fastatt.gyro.integrate import integrate_rates
 from fastatt.methods import METHODS
+from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import fits, methods_for
 from fastatt.propagation.drift import drift
 from fastatt.propagation.propagate import propagate
@@ -138,7 +139,7 @@ def _functions(dtype: str) -> None:
     arrays.quat_rotate_inverse(q, v)
     for moments in (_MOMENTS, np.multiply.outer(_OWN, _MOMENTS)):
         for t in (1.0, np.array([0.0, 1.0])):
-            exact.free_body(q, v, moments, t, dtype=dtype)
+            closed_form.free_body(q, v, moments, t, dtype=dtype)
 
 
 def usual(*, everything: bool = False) -> list[Task]:

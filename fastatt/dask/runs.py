@@ -14,6 +14,7 @@ from fastatt import arrays, checks
 from fastatt.attitudes import Attitude
 from fastatt.dask.chunks import Bodies, like, nothing
 from fastatt.methods import METHODS, Method
+from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
@@ -106,7 +107,7 @@ def propagate(
     record, named = sent(scene, method, representation, compensated, normalise)
     clock = Clock.of(dt, n_steps, save_every)
     begin = checks.real("t0", t0)
-    flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
+    flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=flag)
     kind = checks.precision(dtype, *map(like, (q0, w0, v0, r0)))
     options = {

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.arrays import normalised, quat_multiply, rotate, rotate_inverse
+from fastatt.arrays import normalised, quat_multiply, quat_rotate, quat_rotate_inverse
 from fastatt.interchange import epochs
 from fastatt.interchange.conventions import from_scalar_last, to_passive, to_scalar_last
 
@@ -298,7 +298,7 @@ class _Code:
             rate = 2.0 * quat_multiply(to_passive(q), self._turned(rows[:, 4:]))[:, 1:]
             return q, rate / (q * q).sum(axis=1, keepdims=True)
         w = self.sign * np.radians(rows[:, 4:])
-        return q, w if self.in_body else rotate_inverse(normalised(q), w)
+        return q, w if self.in_body else quat_rotate_inverse(normalised(q), w)
 
     def _turned(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Scalar first, and in the other direction where that is ours."""
@@ -313,7 +313,7 @@ class _Code:
         parts = [to_passive(p) if self.reverse else p for p in parts]
         parts = [p if self.first else to_scalar_last(p) for p in parts]
         if w is not None and self.kind != _DERIVATIVE:
-            along = w if self.in_body else rotate(normalised(q), w)
+            along = w if self.in_body else quat_rotate(normalised(q), w)
             parts.append(self.sign * np.degrees(along))
         return np.concatenate(parts, axis=1)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.arrays import floats, normalised, rotate, rotate_inverse
+from fastatt.arrays import floats, normalised, quat_rotate, quat_rotate_inverse
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -113,9 +113,9 @@ def from_gibbs(g: ArrayLike) -> NDArray[Any]:
 
 def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
     """Body-axes angular velocity (..., 3) of one along inertial axes, at q (..., 4)."""
-    return rotate_inverse(q, w)
+    return quat_rotate_inverse(q, w)
 
 
 def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
     """Inertial-axes angular velocity (..., 3) of one along body axes, at q (..., 4)."""
-    return rotate(q, w)
+    return quat_rotate(q, w)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks
 from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
+from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen, method_of
 from fastatt.propagation.convergence import SelfCheck, examine
 from fastatt.propagation.ensemble import Ensemble
@@ -71,8 +72,8 @@ def propagate(
     n_steps : number of steps, at least 0; with steps of each body's own (N,), so that all end at
         one time, to rounding.
     method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.runge_kutta``,
-        ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the scene
-        and the representation; the trajectory names it.
+        ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
+        scene and the representation; the trajectory names it.
     representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
         ``Attitude`` of one's own.
     save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
@@ -134,7 +135,7 @@ def propagate(
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
     choice = chosen(scene, method, representation, compensated, normalise, reduce, there)
-    flag = checks.choice("invalid", invalid, exact.INVALID) == "flag"
+    flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     begin = checks.real("t0", t0)
     values, position = (q0, w0, v0, r0), r0 is not None
     if end is None:
@@ -234,7 +235,7 @@ def plan(
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
     choice = chosen(scene, method, representation, compensated, normalise)
     clock = Clock.of(dt, n_steps, save_every)
-    checks.choice("invalid", invalid, exact.INVALID)
+    checks.choice("invalid", invalid, closed_form.INVALID)
     if METHODS.get(choice.method.name) is choice.method:
         again["method"] = choice.method.name
     return Plan(

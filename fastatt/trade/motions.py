@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import euler313_to_quat, quat_rotate, quat_rotate_inverse
+from fastatt.propagation import closed_form
 from fastatt.propagation.energy import angular_momentum, kinetic_energy
 from fastatt.propagation.propagate import propagate
 from fastatt.trade.ensembles import TOP, TRIAXIAL
@@ -47,7 +48,7 @@ def polhodes() -> list[plots.Polhode]:
         starts = m * np.array(
             [(1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, -1.0)]
         )
-        _, w = exact.free_body(_QUAT, starts / TRIAXIAL, TRIAXIAL, t)
+        _, w = closed_form.free_body(_QUAT, starts / TRIAXIAL, TRIAXIAL, t)
         curves = np.swapaxes(angular_momentum(w, TRIAXIAL), 0, 1)
         found.append(plots.Polhode(_energy(m), list(curves), latitude == _SEPARATRIX))
     return found
@@ -59,7 +60,7 @@ def herpolhodes() -> dict[float, NDArray[np.float64]]:
     found = {}
     for latitude in _ROLLED:
         m = _momentum(latitude)
-        q, w = exact.free_body(_QUAT, m / TRIAXIAL, TRIAXIAL, t)
+        q, w = closed_form.free_body(_QUAT, m / TRIAXIAL, TRIAXIAL, t)
         # at t = 0 body and inertial axes coincide, and axis 2 lies across the momentum
         y = np.array([0.0, 1.0, 0.0])
         plane = np.stack([np.cross(y, m), y], axis=1)

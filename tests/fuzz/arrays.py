@@ -48,7 +48,8 @@ def converted(d: Draw) -> Call:
 
 def combined(d: Draw) -> Call:
     function, names = d.one((
-        (fa.quat_multiply, ("p", "q")), (fa.quat_rotate, ("q", "v")), (fa.quat_rotate_inverse, ("q", "v")),
+        (fa.quat_multiply, ("p", "q")),
+        (fa.quat_rotate, ("q", "v")), (fa.quat_rotate_inverse, ("q", "v")),
         (fa.angle_between, ("a", "b")), (fa.angle_between, ("a", "b")),
     ))  # fmt: skip
     second = (3,) if "v" in names else (4,)
@@ -113,7 +114,7 @@ def differentiated(d: Draw) -> Call:
 
 
 def energetic(d: Draw) -> Call:
-    which = d.random.randrange(4)
+    which = d.random.randrange(3)
     w, body = d.array((3,), (2, 3), (4, 2, 3)), inertia(d)
     names: tuple[str, ...] = ("w", "inertia", "q")
     if which == 0:
