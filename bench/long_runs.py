@@ -79,7 +79,7 @@ def grow(method, mode, n_steps, n_bodies, dtype):
         n_steps=n_steps,
         method=method,
         save_every=least,
-        sink=look,
+        on_save=look,
         n_threads=None,
         **MODES[mode],
     )

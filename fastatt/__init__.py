@@ -23,15 +23,15 @@ __all__ = [
     "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "GyroIntegrator", "Log",
     "LogError", "LogWarning", "Method", "OrderWarning", "OwnSteps", "Plan", "Recommendation",
     "Reducer", "Scene", "SelfCheck", "Status", "StepWarning", "TimeSeries", "Trajectory",
-    "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "closed_form",
-    "dcm_to_quat", "drift", "drift_statistics", "error_budget", "estimation", "euler313_to_quat",
-    "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
-    "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude", "methods_for",
-    "own_steps", "plan", "plots", "potential_energy", "propagate", "propagate_directions",
-    "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm", "quat_to_euler313",
-    "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
-    "rotation_vector_to_quat", "runge_kutta", "self_check", "single_step", "to_scipy", "torques",
-    "work_precision",
+    "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "checkpoint",
+    "closed_form", "dcm_to_quat", "drift", "drift_statistics", "error_budget", "estimation",
+    "euler313_to_quat", "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates",
+    "interchange", "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
+    "methods_for", "own_steps", "plan", "plots", "potential_energy", "propagate",
+    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
+    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
+    "rotation_vector_to_quat", "runge_kutta", "self_check", "single_step", "to_file", "to_scipy",
+    "torques", "work_precision",
 ]  # fmt: skip
 
 # imported when it is first asked for, so that a process pays for what it uses
@@ -72,11 +72,13 @@ if TYPE_CHECKING:
         kinetic_energy,
         potential_energy,
     )
+    from fastatt.propagation.histories import to_file
     from fastatt.propagation.inspect_step import inspect_step
     from fastatt.propagation.interpolation import interpolate
     from fastatt.propagation.plan import Plan
     from fastatt.propagation.propagate import plan, propagate, propagate_directions, self_check
     from fastatt.propagation.reducer import Reducer, reducer
+    from fastatt.propagation.resume import checkpoint
     from fastatt.propagation.trajectory import Trajectory
     from fastatt.rounding import StepWarning
     from fastatt.scene import forces, rates, torques

@@ -36,17 +36,20 @@ _LOOP: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 _PARTS = Path(__file__), Path(__file__).parent / "codegen" / "call.py"
 
 
-def address_loop(signature: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+def address_loop(
+    signature: Any, function: Callable[..., Any], *constants: Any
+) -> Callable[..., Any]:
     """A loop over arrays that it takes by their addresses, kept on disk by Numba.
 
     All that it calls stands in its own file, in ``codegen/call.py``, or is generated code that it
-    finds by address. Numba notices an edit of its own file; of the others a hash is part of its
-    name. A call lets go of the GIL. Without a compiler it is the Python function, which takes
-    arrays.
+    finds by address. Numba notices an edit of its own file; a hash of the others and of the
+    ``constants`` that it takes from elsewhere is part of its name. A call releases the GIL. Without
+    a compiler it is the Python function, which takes arrays.
     """
     if config.DISABLE_JIT:
         return function
-    parts = hashlib.sha256(b"".join(file.read_bytes() for file in _PARTS)).hexdigest()[:16]
+    sources = [file.read_bytes() for file in _PARTS]
+    parts = hashlib.sha256(b"".join([*sources, repr(constants).encode()])).hexdigest()[:16]
     function.__qualname__ = f"{function.__qualname__}_{parts}"
     for _ in range(2):
         try:

@@ -129,7 +129,7 @@ def simulated():
             seen.append((piece.t.tolist(), piece.state.tobytes(), piece.norm_error.tobytes()))
 
         # more saves than are kept at a time: a run in pieces
-        seen.append(run("free", n_steps=17, sink=keep, device=where).end.diagnostics.tobytes())
+        seen.append(run("free", n_steps=17, on_save=keep, device=where).end.diagnostics.tobytes())
     found["pieces"] = [len(pieces[None]), pieces["device"] == pieces[None]]
     left_there = fa.propagate(
         FREE, cuda.to_device(Q0), W0, dt=0.05, n_steps=STEPS, method="rk4", device="cuda"

@@ -63,7 +63,7 @@ PROPAGATE = [
     ({"q0": np.zeros(4, dtype="M8[s]")}, TypeError, "q0: found array(['1970"),
     ({"q0": np.ones(4, dtype=bool)}, TypeError, "q0: found array([ True"),
     ({"q0": np.full(4, np.longdouble("1e4000"))}, ValueError, "q0[0] is inf"),
-    ({"sink": 3, "save_every": 1}, TypeError, "sink: found 3; accepted: a function"),
+    ({"on_save": 3, "save_every": 1}, TypeError, "on_save: found 3; accepted: a function"),
     ({"n_steps": -1}, ValueError, "n_steps: found -1; accepted: a whole number of at least 0"),
     ({"n_steps": 2.0}, TypeError, "n_steps: found 2.0; accepted: a whole number"),
     ({"n_steps": True}, TypeError, "n_steps: found True"),

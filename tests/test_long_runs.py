@@ -271,7 +271,7 @@ def test_sink_gets_every_save_once(method, n_steps, bodies):
         for name in names:
             found[name].append(np.copy(getattr(piece, name)))
 
-    last = fa.propagate(scene, q0, w0[:, 1:], sink=keep, n_threads=2, **options)
+    last = fa.propagate(scene, q0, w0[:, 1:], on_save=keep, n_threads=2, **options)
     for name in names:
         assert_array_equal(np.concatenate(found[name]), getattr(stored, name))
         assert_array_equal(getattr(last, name), getattr(stored, name)[-1:])
@@ -297,8 +297,8 @@ def test_watch_refusals():
         fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=None, **call)
     none = fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, **call | {"n_steps": 0})
     assert (none.saves, none.norm.maximum[0], none.norm.percentile(50.0)[0]) == (0, 0.0, 0.0)
-    with pytest.raises(ValueError, match="sink: found without save_every"):
-        fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], sink=print, **call)
+    with pytest.raises(ValueError, match="on_save: found without save_every"):
+        fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], on_save=print, **call)
     watched = fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)
     with pytest.raises(ValueError, match="percent: found 101"):
         watched.norm.percentile(101)

@@ -91,7 +91,11 @@ def test_a_rate_and_a_scene_with_mass():
 def test_threads_sinks_and_saves_change_nothing():
     run = fa.propagate(BODY, Q0, W0, reduce=WATCH, **STEP)
     parts = []
-    for options in ({"n_threads": 2}, {"save_every": 1}, {"save_every": 1, "sink": parts.append}):
+    for options in (
+        {"n_threads": 2},
+        {"save_every": 1},
+        {"save_every": 1, "on_save": parts.append},
+    ):
         again = fa.propagate(BODY, Q0, W0, reduce=WATCH, **STEP, **options)
         assert np.array_equal(again.reduced, run.reduced)
     assert parts[-1].reduced.shape == (N, 3)

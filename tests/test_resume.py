@@ -20,7 +20,7 @@ from test_plan import BODY, OWN, PAIRS, Q0, RNG, SCENES, W0, bits, rates_of, swi
 import fastatt as fa
 from fastatt.engine import run as engine_run
 from fastatt.engine.pool import InterruptedRun
-from fastatt.propagation import carry_out, histories, resume
+from fastatt.propagation import execute, histories, resume
 
 UNFINISHED = fa.Status.UNFINISHED
 MANY = 200  # bodies, three tiles and a part of one
@@ -99,7 +99,7 @@ def test_a_pickled_run_is_the_run(kind, options):
     for protocol in (2, pickle.HIGHEST_PROTOCOL):
         other = pickle.loads(pickle.dumps(run, protocol))
         assert other.summary() == run.summary()
-        for name in ("t", "q", "w", "C", "status", "norm_error"):
+        for name in ("t", "q", "w", "dcm", "status", "norm_error"):
             assert np.array_equal(getattr(other, name), getattr(run, name))
         assert other.attitude is run.attitude
         if options["method"] is not RALSTON3:
@@ -137,7 +137,7 @@ def test_saves_go_on():
     assert second.w.tobytes() == whole.w[2:].tobytes()
     assert second.q[0].tobytes() == begun.q[-1].tobytes()
     found = []
-    last = fa.propagate(scene, resume=begun, n_steps=5, dt=0.05, save_every=2, sink=found.append)
+    last = fa.propagate(scene, resume=begun, n_steps=5, dt=0.05, save_every=2, on_save=found.append)
     assert last.q.tobytes() == whole.q[-1:].tobytes()
     assert [piece.t.size for piece in found] == [4]
 
@@ -207,7 +207,7 @@ def test_what_can_not_go_on(tmp_path):
         with pytest.raises(ValueError, match="end: this trajectory does not hold it"):
             run.save_end(path)
     begun = fa.propagate(free, Q0, W0, n_steps=2, **RK4)
-    for options in ({"save_at": [0.12]}, {"checkpoint": path}, {"t0": 1.0}, {"w0": W0}):
+    for options in ({"save_at": [0.12]}, {"t0": 1.0}, {"w0": W0}):
         with pytest.raises(ValueError, match=f"{next(iter(options))}: found .*with resume"):
             fa.propagate(free, resume=begun, dt=0.05, n_steps=1, **options)
     with pytest.raises(TypeError, match="resume: found 3"):
@@ -230,9 +230,9 @@ KILLED = """
 import os, signal, sys, warnings
 import numpy as np
 import fastatt as fa
-from fastatt.propagation import pieces, resume
+from fastatt.propagation import resume, save_batches
 
-pieces._WRITTEN, pieces._CHECKED = 0.0, 5 * 64  # at every look, each of so many body-steps
+save_batches._WRITTEN, save_batches._CHECKED = 0.0, 5 * 64  # always; body-steps
 folder = sys.argv[1]
 free = fa.Scene(inertia={body})
 rng = np.random.default_rng(7)
@@ -256,12 +256,13 @@ def killed_at_a_save(piece):
 for name in ("states", "saves"):
     child = os.fork()
     if not child:
-        options = dict(dt=0.05, n_steps=640, method="rk4", checkpoint=folder + "/" + name)
+        options = dict(dt=0.05, n_steps=640, method="rk4",
+                       resume=fa.checkpoint(folder + "/" + name))
         if name == "states":
             resume.End.save = lambda end, path: killed_in_a_file(end, str(path))
             fa.propagate(free, q, w, **options)
-        fa.propagate(free, q, w, save_every=3, sink=killed_at_a_save,
-                     out=folder + "/history.npy", **options)
+        fa.propagate(free, q, w, save_every=3,
+                     on_save=[killed_at_a_save, fa.to_file(folder + "/history.npy")], **options)
     assert os.waitpid(child, 0)[1] == signal.SIGKILL
 """
 
@@ -276,29 +277,32 @@ def test_killed_and_called_again(tmp_path):
     q, w = rng.normal(size=(5, 4)), rng.normal(size=(5, 3))
     free, options = SCENES["free"], {"n_steps": 640, **RK4}
     assert 0 < resume.loaded(tmp_path / "states").done < 512
-    again = fa.propagate(free, q, w, checkpoint=tmp_path / "states", **options)
+    again = fa.propagate(free, q, w, resume=fa.checkpoint(tmp_path / "states"), **options)
     assert bits(again) == bits(fa.propagate(free, q, w, **options))
     assert resume.loaded(tmp_path / "states").done == 640
 
-    kept = {"save_every": 3, "out": tmp_path / "history.npy", "checkpoint": tmp_path / "saves"}
+    kept = {"save_every": 3, "resume": fa.checkpoint(tmp_path / "saves")}
+    history = fa.to_file(tmp_path / "history.npy")
     assert 0 < resume.loaded(tmp_path / "saves").done < 640
     pieces = []
-    again = fa.propagate(free, q, w, sink=pieces.append, **options, **kept)
+    again = fa.propagate(free, q, w, on_save=[pieces.append, history], **options, **kept)
     whole = fa.propagate(free, q, w, save_every=3, **options)
     assert bits(again) == bits(whole)
     assert 1 < len(pieces) < 14
     # of a run that was finished nothing is done again
     pieces.clear()
-    assert bits(fa.propagate(free, q, w, sink=pieces.append, **options, **kept)) == bits(whole)
+    assert bits(
+        fa.propagate(free, q, w, on_save=[pieces.append, history], **options, **kept)
+    ) == bits(whole)
     assert not pieces
     kept["save_every"] = 4
     for other, message in (
-        ({**kept, "out": tmp_path / "other.npy"}, "other.npy"),
+        ({**kept, "on_save": fa.to_file(tmp_path / "other.npy")}, "other.npy"),
         (
-            {**kept, "out": None, "sink": print, "n_steps": 700, "save_every": 7},
+            {**kept, "on_save": print, "n_steps": 700, "save_every": 7},
             "saved after step 640",
         ),
-        ({"n_steps": 600, "checkpoint": kept["checkpoint"]}, "n_steps: found 600; accepted: at"),
+        ({"n_steps": 600, "resume": kept["resume"]}, "n_steps: found 600; accepted: at"),
     ):
         with pytest.raises((ValueError, FileNotFoundError), match=message):
             fa.propagate(free, q, w, **{**options, **other})
@@ -306,12 +310,12 @@ def test_killed_and_called_again(tmp_path):
 
 def test_checkpoints_of_other_runs_are_refused(tmp_path):
     path = tmp_path / "end"
-    free, options = SCENES["free"], {"n_steps": 2, "checkpoint": path, **RK4}
+    free, options = SCENES["free"], {"n_steps": 2, "resume": fa.checkpoint(path), **RK4}
     fa.propagate(free, Q0, W0, **options)
     for values, more in (((Q0, 2.0 * W0), {}), ((Q0, W0), {"t0": 1.0}), ((Q0[0], W0), {})):
-        with pytest.raises(ValueError, match="checkpoint: the file is of a run from other"):
+        with pytest.raises(ValueError, match="resume: the checkpoint is of a run from other"):
             fa.propagate(free, *values, **options, **more)
-    with pytest.raises(ValueError, match="checkpoint: found with save_every alone"):
+    with pytest.raises(ValueError, match="resume: found a checkpoint and save_every"):
         fa.propagate(free, Q0, W0, save_every=1, **options)
 
 
@@ -337,7 +341,7 @@ def test_histories_in_files(suffix, tmp_path):
     path = tmp_path / f"history.{suffix}"
     options = {"n_steps": 100, "save_every": 3, **RK4}
     whole = fa.propagate(SCENES["free"], Q0, W0, **options)
-    run = fa.propagate(SCENES["free"], Q0, W0, out=path, **options)
+    run = fa.propagate(SCENES["free"], Q0, W0, on_save=fa.to_file(path), **options)
     wanted = np.concatenate([whole.q, whole.w, whole.norm_error[..., None]], axis=-1)
     found = np.load(path) if suffix == "npy" else zarr.open_array(str(path), mode="r")[:]
     assert found.tobytes() == wanted.tobytes()
@@ -350,19 +354,28 @@ def test_histories_in_files(suffix, tmp_path):
 def test_the_closed_form_in_a_file(tmp_path):
     options = {"dt": 0.05, "n_steps": 100, "save_every": 3, "method": "exact"}
     whole = fa.propagate(SCENES["free"], Q0, W0, **options)
-    run = fa.propagate(SCENES["free"], Q0, W0, out=tmp_path / "history.npy", **options)
+    run = fa.propagate(
+        SCENES["free"], Q0, W0, on_save=fa.to_file(tmp_path / "history.npy"), **options
+    )
     assert bits(run) == bits(whole)
 
 
 def test_wrong_files(tmp_path):
-    for out, wrong, message in (
-        (3, TypeError, "out: found 3; accepted: a path"),
-        (tmp_path / "history.csv", ValueError, r"out: found history\.csv; accepted: \*\.npy"),
+    for path, wrong, message in (
+        (3, TypeError, "path: found 3; accepted: a path"),
+        (tmp_path / "history.csv", ValueError, r"path: found history\.csv; accepted: \*\.npy"),
     ):
         with pytest.raises(wrong, match=message):
-            fa.propagate(SCENES["free"], Q0, W0, n_steps=2, save_every=1, out=out, **RK4)
-    with pytest.raises(ValueError, match="out: found without save_every"):
-        fa.propagate(SCENES["free"], Q0, W0, n_steps=2, out=tmp_path / "h.npy", **RK4)
+            fa.to_file(path)
+    with pytest.raises(TypeError, match="path: found 3; accepted: a path"):
+        fa.checkpoint(3)
+    file = fa.to_file(tmp_path / "h.npy")
+    for on_save, options, message in (
+        (file, {}, "on_save: found without save_every"),
+        ([file, file], {"save_every": 1}, "on_save: found two of a kind"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            fa.propagate(SCENES["free"], Q0, W0, n_steps=2, on_save=on_save, **options, **RK4)
 
 
 def test_what_will_not_fit_is_said_before_it_begins(monkeypatch, tmp_path):
@@ -378,18 +391,20 @@ def test_what_will_not_fit_is_said_before_it_begins(monkeypatch, tmp_path):
         fa.propagate(SCENES["free"], Q0, W0, **{**options, "n_steps": 10**12})
     monkeypatch.setattr(histories, "_free_on_disk", lambda path: 15_999)
     with pytest.raises(MemoryError, match="of free disk"):
-        fa.propagate(SCENES["free"], Q0, W0, out=tmp_path / "history.npy", **options)
+        fa.propagate(
+            SCENES["free"], Q0, W0, on_save=fa.to_file(tmp_path / "history.npy"), **options
+        )
     assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
 def small_parts(monkeypatch):
-    monkeypatch.setattr(carry_out, "PART", 64)
+    monkeypatch.setattr(execute, "PART", 64)
 
 
 def in_one(monkeypatch, *args, **options):
     with monkeypatch.context() as patch:
-        patch.setattr(carry_out, "PART", 1 << 18)
+        patch.setattr(execute, "PART", 1 << 18)
         return caught(*args, **options)
 
 
@@ -524,7 +539,9 @@ def test_ctrl_c_with_a_file(monkeypatch, tmp_path):
     whole = fa.propagate(SCENES["free"], Q0, W0, **options)
     interrupted(monkeypatch, 3, stop)
     with pytest.raises(InterruptedRun) as stopped:
-        fa.propagate(SCENES["free"], Q0, W0, out=tmp_path / "history.npy", **options)
+        fa.propagate(
+            SCENES["free"], Q0, W0, on_save=fa.to_file(tmp_path / "history.npy"), **options
+        )
     run = stopped.value.trajectory
     assert run.t.tolist() == whole.t[:33].tolist()
     assert run.q.tobytes() == whole.q[:33].tobytes()

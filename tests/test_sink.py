@@ -39,7 +39,7 @@ def bars(monkeypatch):
 def test_one_bar_for_all_pieces(bars, method):
     """Which counts the saves: each is handed out once."""
     found = []
-    run(n_steps=333, save_every=10, method=method, sink=lambda piece: found.extend(piece.t))
+    run(n_steps=333, save_every=10, method=method, on_save=lambda piece: found.extend(piece.t))
     assert bars == [(35, [17, 16, 2])]
     assert found == pytest.approx([*(0.5 * np.arange(34)), 16.65])
 
@@ -61,6 +61,6 @@ def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
 
 
 def test_refusals():
-    for sink, wrong in ((3, TypeError), (print, ValueError)):
-        with pytest.raises(wrong, match="sink: found"):
-            run(n_steps=1, sink=sink)
+    for taker, wrong in ((3, TypeError), (print, ValueError)):
+        with pytest.raises(wrong, match="on_save: found"):
+            run(n_steps=1, on_save=taker)

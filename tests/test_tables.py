@@ -442,7 +442,7 @@ def test_tables_are_values():
         ),
         (
             lambda: torques.pack(torques.Rotor(fa.TimeSeries([0, 1], np.ones((2, 4)))), None),
-            "torque: Rotor.momentum: found <Table: 4 numbers, 0 s to 1 s>; accepted: values of 3",
+            "torque: Rotor.momentum: found <TimeSeries: 4 numbers, 0 s to 1 s>; accepted",
         ),
         (
             lambda: torques.pack(
@@ -452,7 +452,7 @@ def test_tables_are_values():
         ),
         (
             lambda: torques.pack(torques.Damping(fa.TimeSeries([0, 1], [1, 2])), None),
-            "Damping.coefficient: found <Table: 1 numbers, 0 s to 1 s>; accepted: numbers, no",
+            "Damping.coefficient: found <TimeSeries: 1 numbers, 0 s to 1 s>; accepted: numbers, no",
         ),
         (
             lambda: torques.pack(

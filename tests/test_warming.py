@@ -22,7 +22,7 @@ momentum = [0.1, 0.0, 0.2]
 """
 # the command, of two methods: that a scene's are all those that fit is in other tests
 COMMAND = """
-from fastatt import cli, warming
+from fastatt import cli, precompile as warming
 every = warming.of_scene
 warming.of_scene = lambda *a, **k: [t for t in every(*a, **k) if t.method in ("rk4", "cf4")]
 if __name__ == "__main__":  # else its processes would run it too
@@ -35,7 +35,7 @@ EACH = """
 import os, warnings
 import numpy as np
 import fastatt as fa
-from fastatt import warming
+from fastatt import precompile as warming
 from fastatt.codegen import modules
 from pathlib import Path
 from fastatt.trade.scene_file import read_scene

@@ -117,14 +117,14 @@ def propagate(
     }  # fmt: skip
     is_matrix = chosen(scene, record, representation, False, normalise).attitude.to_dcm_array
     shapes: dict[str, tuple[int, ...]] = {"q": (4,), "w": (3,)}
-    shapes |= {"C": (3, 3)} if is_matrix is not None else {}
+    shapes |= {"dcm": (3, 3)} if is_matrix is not None else {}
     shapes |= {"v": (3,)} if scene.moves else {}
     shapes |= {"r": (3,)} if r0 is not None else {}
     t = clock.times(begin)
     runs = bodies.mapped(partial(_propagated, names=(*shapes, "status"), options=options))
     found = {name: bodies.array(runs, name, (t.size,), kind, shapes[name]) for name in shapes}
     status = bodies.array(runs, "status", (), np.uint8, ())
-    matrix = found.pop("C", None)
+    matrix = found.pop("dcm", None)
     return LazyTrajectory(t, status=status, method=record.name, matrix=matrix, **found)
 
 

@@ -108,7 +108,7 @@ def _check_room(needed: int, free: float) -> None:
     if needed > free:
         raise MemoryError(
             f"device: the run takes {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free; accepted: "
-            "fewer bodies or saves, or a sink, which keeps few of them"
+            "fewer bodies or saves, or on_save, which keeps few of them"
         )
 
 

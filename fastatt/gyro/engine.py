@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from fastatt.arrays import quat_multiply
 from fastatt.codegen.call import call_loop
 from fastatt.gyro import ends
-from fastatt.gyro.loops import CHUNK, LANES, TILE, loop
+from fastatt.gyro.loops import LANES, TILE, loop
 from fastatt.gyro.program import program
-from fastatt.methods.windows import Window
+from fastatt.methods.windows import CHUNK, Window
 from fastatt.threads import each_in_threads, in_threads, number_of
 
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])

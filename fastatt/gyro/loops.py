@@ -20,9 +20,8 @@ from numba import types
 
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, reals
+from fastatt.methods.windows import CHUNK
 
-#: intervals of a lane that are run at a time, a whole number of every window's span
-CHUNK = 48
 #: stretches of logs side by side
 LANES = 16
 TILE = LANES * CHUNK
@@ -294,4 +293,4 @@ def loop(name: str, kind: str) -> Callable[..., int]:
 
     They take (arrays, settings, limits, first, last), and give ``last``, or where they stopped.
     """
-    return address_loop(_SIGNATURE, _LOOPS[name](kind))
+    return address_loop(_SIGNATURE, _LOOPS[name](kind), CHUNK)

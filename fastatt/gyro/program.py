@@ -23,9 +23,9 @@ from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.modules import generated
 from fastatt.codegen.processor import processor
 from fastatt.gyro.formula import WindowFormula
-from fastatt.gyro.loops import CHUNK, ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
+from fastatt.gyro.loops import ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
 from fastatt.kernels import quat
-from fastatt.methods.windows import MOST_HISTORY, Iteration, Window, products
+from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.trace import traceable

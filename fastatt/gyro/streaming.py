@@ -19,8 +19,8 @@ from fastatt.gyro.integrate import (
     unit_quaternions,
     warn_of_turns,
 )
-from fastatt.gyro.loops import CHUNK
 from fastatt.methods import METHODS
+from fastatt.methods.windows import CHUNK
 from fastatt.threads import number_of
 
 

@@ -18,6 +18,8 @@ from fastatt.tracing.functions import larger
 from fastatt.tracing.graph import both, choose
 from fastatt.tracing.trace import traceable
 
+#: intervals between two renormalisations, a whole number of every window's span
+CHUNK = 48
 #: most intervals that a window may look back
 MOST_HISTORY = 8
 # a state of some 1 that a pass moves by more will not come back
@@ -87,6 +89,8 @@ class Window:
     even: bool = False
 
     def __post_init__(self) -> None:
+        if self.span < 1 or CHUNK % self.span:
+            raise ValueError(f"span: found {self.span}; accepted: a divisor of {CHUNK}")
         if not 0 <= self.history <= MOST_HISTORY:
             raise ValueError(f"history: found {self.history}; accepted: 0 to {MOST_HISTORY}")
 

@@ -97,13 +97,13 @@ def drift_statistics(
 ) -> DriftStatistics:
     """Propagate and gather the drift every so many steps, without storing a history.
 
-    ``options`` are those of :func:`fastatt.propagate` but ``save_every``, ``sink`` and
+    ``options`` are those of :func:`fastatt.propagate` but ``save_every``, ``on_save`` and
     ``progress``; 17 saves are in memory at a time, and 1 kB of counts a body. Energies and momenta
     are in relation to the largest of those 17.
 
     Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
     """
-    for name in ("save_every", "sink", "progress"):
+    for name in ("save_every", "on_save", "progress"):
         if name in options:
             raise TypeError(f"{name}: found; accepted: every, the steps between two looks")
     checks.whole("every", every, 1)
@@ -118,7 +118,7 @@ def drift_statistics(
         begin[name] = values[:1].copy()
         return values
 
-    def sink(piece: Trajectory) -> None:
+    def take(piece: Trajectory) -> None:
         nonlocal saves
         carried = {name: since_begin(name, x) for name, x in piece.carried.items()}
         rest = {
@@ -133,7 +133,7 @@ def drift_statistics(
                 rows = values.reshape(piece.t.size, -1)[1:]
                 found.setdefault(name, Measure(rows.shape[1])).add(rows)
 
-    last = propagate(scene, q0, w0, save_every=every, sink=sink, **options)
+    last = propagate(scene, q0, w0, save_every=every, on_save=take, **options)
     return DriftStatistics(
         norm=found["norm"],
         orthogonality=found["orthogonality"],

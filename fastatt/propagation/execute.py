@@ -46,25 +46,25 @@ def carry_out(
     if _is_in_parts(choice, clock, given.bodies, handling):
         plan = Plan(scene, given.bodies, choice, clock, kind, position=position)
         return _in_parts(plan, given, t0, handling, shape)
-    to_saves = handling.sink is not None or handling.out is not None
+    to_saves = handling.sink is not None or handling.file is not None
     if not to_saves:
         check_memory(shape, kind)
     plan = _kept(scene, given.bodies, choice, clock, kind, position)
-    end, file, device = handling.start, handling.checkpoint, choice.device
-    if not (to_saves or end or file or device or handling.progress):
+    end, kept, device = handling.start, handling.checkpoint, choice.device
+    if not (to_saves or end or kept or device or handling.progress):
         return plan.run(given, t0, handling)
-    goes_on = end is None and file is not None and file.exists()
-    if goes_on and file is not None:
-        end = loaded(file)
+    goes_on = end is None and kept is not None and kept.exists()
+    if goes_on and kept is not None:
+        end = loaded(kept)
         check_begin(end, given, t0, clock.end)
     if end is not None:
         check(end, plan)
     history = None
-    if handling.out is not None:
+    if handling.file is not None:
         first = 0
         if goes_on and end is not None:
             first = int(np.searchsorted(clock.saved, end.done, side="right"))
-        history = History(handling.out, shape, plan.kind, first)
+        history = History(handling.file, shape, plan.kind, first)
     total, unit = (shape[0], "save") if to_saves else (shape[1] * clock.n_steps, "step")
     with progress_bar(handling.progress, total, unit) as done:
         sinks = [x for x in (handling.sink, history) if x is not None]
@@ -96,7 +96,7 @@ def holds_end(n: int, clock: Clock) -> bool:
 
 def _is_in_parts(choice: Choice, clock: Clock, n: int, handling: Handling) -> bool:
     """Whether the ensemble is run a part at a time."""
-    to_files = handling.sink or handling.checkpoint or handling.out or handling.start
+    to_files = handling.sink or handling.checkpoint or handling.file or handling.start
     if to_files or choice.method.is_exact or choice.device:
         return False
     return n > PART or isinstance(clock, OwnClock)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,69 @@ from fastatt.propagation.trajectory import Trajectory
 _LITTLE = 1 << 30
 
 
+@dataclass(frozen=True)
+class ToFile:
+    """A file for the saves of a run: what :func:`fastatt.to_file` gives."""
+
+    path: Path
+
+
+def to_file(path: str | os.PathLike[str]) -> ToFile:
+    """A file that the saves of a run are written to: ``propagate(..., on_save=fa.to_file(path))``.
+
+    The file grows by 16 saves at a time, so that a history may be larger than memory. It holds
+    (S, N, k) numbers: attitudes, then w, v and r where the scene carries them, then norm errors.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``*.npy``, which the trajectory then maps into memory, or ``*.zarr`` (needs zarr): chunks of
+        16 saves of at most 65536 bodies.
+
+    Returns
+    -------
+    ToFile
+        For the argument ``on_save`` of :func:`fastatt.propagate`.
+
+    Raises
+    ------
+    TypeError
+        For what is no path.
+    ValueError
+        For another kind of file.
+
+    Examples
+    --------
+    >>> fa.to_file("history.npy").path.name
+    'history.npy'
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(f"path: found {checks.brief(path)}; accepted: a path, *.npy or *.zarr")
+    target = Path(path)
+    if target.suffix not in (".npy", ".zarr"):
+        raise ValueError(f"path: found {target.name}; accepted: *.npy or *.zarr")
+    return ToFile(target)
+
+
+def saving(on_save: Any) -> tuple[Callable[[Trajectory], object] | None, Path | None]:
+    """The function and the file that ``on_save`` names, each at most once.
+
+    Raises ``TypeError`` and ``ValueError`` for anything else.
+    """
+    given = on_save if isinstance(on_save, (list, tuple)) else [on_save]
+    files = [x.path for x in given if isinstance(x, ToFile)]
+    functions = [x for x in given if x is not None and not isinstance(x, ToFile)]
+    for found in functions:
+        if not callable(found):
+            raise TypeError(
+                f"on_save: found {checks.brief(found)}; accepted: a function, fa.to_file(path), or "
+                "one of each"
+            )
+    if max(len(files), len(functions)) > 1:
+        raise ValueError("on_save: found two of a kind; accepted: one function and one file")
+    return next(iter(functions), None), next(iter(files), None)
+
+
 class History:
     """A file of (S, N, k) numbers: attitudes, w, v and r where they are carried, departures last.
 
@@ -24,23 +89,18 @@ class History:
     """
 
     def __init__(
-        self, path: Any, shape: tuple[int, int, int], kind: np.dtype[Any], first: int
+        self, target: Path, shape: tuple[int, int, int], kind: np.dtype[Any], first: int
     ) -> None:
-        if not isinstance(path, (str, os.PathLike)):
-            raise TypeError(f"out: found {checks.brief(path)}; accepted: a path, *.npy or *.zarr")
-        target = Path(path)
         #: how many there are
         self.saves = first
-        if target.suffix not in (".npy", ".zarr"):
-            raise ValueError(f"out: found {target.name}; accepted: *.npy or *.zarr")
         if not first:
             _check_room(shape, kind, _free_on_disk(target), "disk")
         shape = (*shape[:2], shape[2] + 1)
         opened = (_mapped if target.suffix == ".npy" else _zarr)(target, shape, kind, first > 0)
         if opened.shape != shape or opened.dtype != kind:
             raise ValueError(
-                f"out: {target} holds {opened.shape} of {opened.dtype}; accepted to go on: {shape} "
-                f"of {kind}"
+                f"on_save: {target} holds {opened.shape} of {opened.dtype}; accepted to go on: "
+                f"{shape} of {kind}"
             )
         self._file = opened
         self.array = opened if isinstance(opened, np.memmap) else None
@@ -63,7 +123,7 @@ def _zarr(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
     try:
         import zarr
     except ImportError:
-        raise ImportError("out: *.zarr needs zarr; install it with pip install zarr") from None
+        raise ImportError("on_save: *.zarr needs zarr; pip install zarr") from None
     if goes_on:
         return zarr.open_array(str(path), mode="r+")
     chunks = (min(16, shape[0]), min(65536, shape[1]), shape[2])
@@ -89,8 +149,8 @@ def _check_room(shape: tuple[int, int, int], kind: Any, free: int, where: str) -
     if need > _LITTLE and need > free:
         raise MemoryError(
             f"save_every: {saves} saves of {bodies} bodies take {need / 1e9:.3g} GB, of "
-            f"{free / 1e9:.3g} GB of free {where}; accepted: fewer saves, a sink, or "
-            'out="history.npy" on a disk that holds them'
+            f"{free / 1e9:.3g} GB of free {where}; accepted: fewer saves, or "
+            'on_save=fa.to_file("history.npy") on a disk that holds them'
         )
 
 

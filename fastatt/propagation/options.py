@@ -193,8 +193,8 @@ class Handling(NamedTuple):
     invalid: str = "raise"
     #: where the run's end is written, again and again
     checkpoint: Path | None = None
-    #: a file that saves go to
-    out: Any = None
+    #: that saves go to
+    file: Path | None = None
     progress: bool = False
     #: where the run goes on
     start: End | None = None

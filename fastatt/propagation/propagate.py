@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,15 +18,18 @@ from fastatt.propagation.choice_of_method import chosen, method_of
 from fastatt.propagation.convergence import SelfCheck, examine
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.execute import carry_out, holds_end
+from fastatt.propagation.histories import ToFile, saving
 from fastatt.propagation.initial import Given, initial, same_number
 from fastatt.propagation.options import Choice, Clock, Handling, OwnClock, clock_of
 from fastatt.propagation.plan import LONG, Plan
 from fastatt.propagation.reducer import Reducer
-from fastatt.propagation.resume import end_of
+from fastatt.propagation.resume import Checkpoint, end_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
 
+#: what takes the saves of a run
+OnSave = Callable[[Trajectory], object] | ToFile
 # body-steps, 2 ms of the slowest, that one thread takes no longer than several do
 _SHORT = 65_536
 
@@ -51,11 +53,9 @@ def propagate(
     compensated: bool = False,
     normalise: str | int = "output",
     invalid: str = "raise",
-    sink: Callable[[Trajectory], object] | None = None,
+    on_save: OnSave | Sequence[OnSave] | None = None,
     reduce: Reducer | None = None,
-    out: str | os.PathLike[str] | None = None,
-    resume: Trajectory | str | os.PathLike[str] | None = None,
-    checkpoint: str | os.PathLike[str] | None = None,
+    resume: Trajectory | str | os.PathLike[str] | Checkpoint | None = None,
     save_at: ArrayLike | None = None,
     device: str | None = None,
 ) -> Trajectory:
@@ -92,23 +92,21 @@ def propagate(
         before it is mended. A compensated state is mended every 64 steps unless said otherwise.
     invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
         the ensemble and flags those bodies, the others' results being what they are without them.
-    sink : with ``save_every``, is handed each save once, 16 at a time (17 with the initial one), as
-        a trajectory whose arrays are used again; the result then holds the final states only.
+    on_save : with ``save_every``, what takes the saves, so that the result holds the final states
+        only: a function, which is called with 16 saves at a time (17 with the initial one) as a
+        trajectory whose arrays are used again; a file, ``fa.to_file(path)``; or one of each.
     reduce : a function of one's own that sees every step of every body (:func:`fastatt.reducer`);
         the trajectory's ``reduced`` is what it made. With methods whose record says ``reduces``.
-    out : with ``save_every``, a file that the saves go to, 16 at a time: ``*.npy``, mapped into
-        memory in the trajectory, or ``*.zarr``; (S, N, k), attitudes, then w, v and r.
-    resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end`` or
-        ``checkpoint``, where this run goes on, to the same bits as without an end between; initial
-        values, ``t0``, method and scene are its own, and saves are counted from there.
-    checkpoint : a file that the run's end so far is written to every ten seconds, whole or not at
-        all. Where it exists the run goes on from there: the same call again, after a crash.
+    resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end``, where this
+        run goes on, to the same bits as without an end between; initial values, ``t0``, method and
+        scene are its own, and saves are counted from there. Or ``fa.checkpoint(path)``: the run
+        writes its end so far there every ten seconds, and the same call goes on from it.
     save_at : times within the run, s, in its order, at which states are kept instead: from the last
         step before by one shorter step of the same method.
     device : "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``): the same
         steps, without the closed form ``exact``. Initial values may be CuPy's arrays or Numba's
         device arrays; ``q`` of quaternions, ``w``, ``v`` and ``r`` then stay there, but of a run
-        with ``sink``, ``out`` or ``checkpoint``.
+        with ``on_save`` or a checkpoint.
 
     Returns
     -------
@@ -125,13 +123,15 @@ def propagate(
     On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
     """
     as_scene(scene)
+    sink, file = saving(on_save)
+    checkpoint = resume.path if isinstance(resume, Checkpoint) else None
     there = None
     if device is not None:
         from fastatt.device.program import taken
 
-        stays = sink is None and out is None and checkpoint is None
+        stays = on_save is None and checkpoint is None
         there, (q0, w0, v0, r0) = taken(device, (q0, w0, v0, r0), stays=stays)
-    end = None if resume is None else end_of(resume)
+    end = None if resume is None or checkpoint is not None else end_of(resume)
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
     choice = chosen(scene, method, representation, compensated, normalise, reduce, there)
@@ -147,9 +147,7 @@ def propagate(
     else:
         # initial values come from there, and saves are counted from its end
         given_too = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
-        _check_alone(
-            "resume; accepted: one of them", **given_too, save_at=save_at, checkpoint=checkpoint
-        )
+        _check_alone("resume; accepted: one of them", **given_too, save_at=save_at)
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
         if dtype is not None and checks.precision(dtype) != given.q.dtype:
             raise ValueError(
@@ -164,13 +162,14 @@ def propagate(
     if isinstance(clock, OwnClock):
         # these go with one step for all bodies, counted from the begin, alone
         _check_alone(
-            "save_at or steps of each body's own; accepted: without", sink=sink, out=out,
-            checkpoint=checkpoint, compensated=compensated, normalise=choice.restore or None,
+            "save_at or per-body step sizes; accepted: without", on_save=on_save,
+            resume=checkpoint, compensated=compensated, normalise=choice.restore or None,
         )  # fmt: skip
-    _check_sink(sink, out, clock.every)
-    if checkpoint is not None and clock.every is not None and sink is None and out is None:
+    if on_save is not None and clock.every is None:
+        raise ValueError("on_save: found without save_every; accepted: with it")
+    if checkpoint is not None and clock.every is not None and on_save is None:
         raise ValueError(
-            "checkpoint: found with save_every alone; accepted: with out or a sink, which have the "
+            "resume: found a checkpoint and save_every; accepted: with on_save too, which has the "
             "saves so far, or without save_every"
         )
     steps = bodies * clock.n_steps
@@ -182,8 +181,8 @@ def propagate(
         threads_of(n_threads, 1, steps),
         sink=sink,
         invalid=invalid,
-        checkpoint=None if checkpoint is None else Path(checkpoint),
-        out=out,
+        checkpoint=checkpoint,
+        file=file,
         progress=progress,
         start=end,
         ends=holds_end(bodies, clock),
@@ -315,14 +314,6 @@ def self_check(
         sample=checks.whole("sample", sample, 1),
         at=at,
     )
-
-
-def _check_sink(sink: Any, out: Any, every: int | None) -> None:
-    if sink is not None and not callable(sink):
-        raise TypeError(f"sink: found {checks.brief(sink)}; accepted: a function")
-    for name, value in (("sink", sink), ("out", out)):
-        if value is not None and every is None:
-            raise ValueError(f"{name}: found without save_every; accepted: with it")
 
 
 def _check_alone(why: str, **asked: Any) -> None:

@@ -28,6 +28,46 @@ _FORMAT = 2
 MOST = 1 << 18
 
 
+@dataclass(frozen=True)
+class Checkpoint:
+    """A file of a run's end so far: what :func:`fastatt.checkpoint` gives."""
+
+    path: Path
+
+
+def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
+    """A file from which the same call goes on after a crash: ``resume=fa.checkpoint(path)``.
+
+    The run writes its end so far to the file every ten seconds, whole or not at all. Where the file
+    exists the run goes on from there, to the same bits as without an interruption. With
+    ``save_every`` the saves must go to ``on_save``, which has those so far; the saves since the
+    last checkpoint may reach a function twice.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file; it is made, and may be removed when the run is over.
+
+    Returns
+    -------
+    Checkpoint
+        For the argument ``resume`` of :func:`fastatt.propagate`.
+
+    Raises
+    ------
+    TypeError
+        For what is no path.
+
+    Examples
+    --------
+    >>> fa.checkpoint("job").path.name
+    'job'
+    """
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(f"path: found {checks.brief(path)}; accepted: a path")
+    return Checkpoint(Path(path))
+
+
 @dataclass(frozen=True, eq=False)
 class End:
     """A run's last state as the engine carries it, its begin, and what it was a run of."""
@@ -101,7 +141,7 @@ def loaded(path: str | os.PathLike[str]) -> End:
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
             f"resume: {path} is no file of a run's end ({error}); accepted: one that "
-            "Trajectory.save_end or checkpoint= wrote"
+            "Trajectory.save_end or fa.checkpoint wrote"
         ) from None
 
 
@@ -118,10 +158,11 @@ def end_of(resume: Any) -> End:
     if hasattr(resume, "status"):
         raise ValueError(
             "resume: this trajectory does not hold its end; accepted: one of propagate by a method "
-            f"that steps, of at most {MOST} bodies; a file that checkpoint= wrote, of any number"
+            f"that steps, of at most {MOST} bodies; a file that fa.checkpoint wrote, of any number"
         )
     raise TypeError(
-        f"resume: found {checks.brief(resume)}; accepted: a trajectory or a file's path"
+        f"resume: found {checks.brief(resume)}; accepted: a trajectory, a file's path or "
+        "fa.checkpoint(path)"
     )
 
 
@@ -143,7 +184,7 @@ def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:
     same = np.array_equal(begin.q, given.q, equal_nan=True)
     if end.t0 != t0 or not (same and np.array_equal(begin.y, given.y, equal_nan=True)):
         raise ValueError(
-            "checkpoint: the file is of a run from other initial values; accepted: the same call "
+            "resume: the checkpoint is of a run from other initial values; accepted: the same call "
             "again, or no file"
         )
     if end.done > n_steps:

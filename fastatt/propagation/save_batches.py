@@ -57,8 +57,8 @@ def piecewise(plan: Plan, run: Run, t: NDArray[np.float64], one_body: bool, how:
     pieces = _pieces(plan, handling.sink is not None)
     if handling.sink is not None and begin not in {span.origin, *(last for last, _ in pieces)}:
         raise ValueError(
-            f"checkpoint: the file is of a run that saved after step {begin}, where this one does "
-            "not; accepted: the same call again, or no file"
+            f"resume: the checkpoint is of a run that saved after step {begin}, where this one "
+            "does not; accepted: the same call again, or no file"
         )
     is_over = span.origin < begin == span.n_steps
     for last, slots in pieces:

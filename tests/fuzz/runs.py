@@ -26,7 +26,7 @@ def run_options(d: Draw, kinds: tuple[str | None, ...] = (None,)) -> dict[str, A
         ("invalid", 0.2, lambda: d.word("raise", "flag")),
         ("normalise", 0.1, lambda: d.one(("output", "never", 2, d.whole(), d.one(WORDS)))),
         ("representation", 0.03, lambda: d.one(WORDS)),
-        ("sink", 0.02, lambda: d.one((str, 3, "x"))),
+        ("on_save", 0.02, lambda: d.one((str, 3, "x"))),
     ):
         if d.chance(p):
             options[name] = value()
@@ -81,7 +81,7 @@ RUNS = (
 )
 ARGUMENTS = (
     "scene", "q0", "w0", "v0", "r0", "dt", "n_steps", "method", "representation", "save_every",
-    "dtype", "n_threads", "t0", "compensated", "normalise", "invalid", "sink", "rate", "inertia",
+    "dtype", "n_threads", "t0", "compensated", "normalise", "invalid", "on_save", "rate", "inertia",
     "params", "frame", "torque", "mass", "force", "every",
 )  # fmt: skip
 
