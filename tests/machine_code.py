@@ -51,7 +51,7 @@ def compiled(job):
     try:
         program = Program(job)
         found = [program._made]
-        if job.formulas.careful is not None:
+        if job.formulas.any_angle is not None:
             program.compile_any_angle()
             found.append(program._any_angle)
     finally:

@@ -283,7 +283,7 @@ def test_what_is_compiled_has_the_operations_of_the_formulas(dtype):
     formulas = job.formulas
     wanted = collections.Counter(
         node.op
-        for flat in (formulas.begin, formulas.quick.noted, formulas.save)
+        for flat in (formulas.begin, formulas.small_angle.monitored, formulas.save)
         for node in flat.nodes
     )
     real, other = ("f64", "f32") if dtype == "float64" else ("f32", "f64")

@@ -59,7 +59,7 @@ def test_fewer_results_wait_for_registers(method):
     """Of a free body on the matrix; AVX-512 has 32 registers. The results are the same bits."""
     scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
     job = job_of(scene, method, "dcm", np.float64)
-    scope = job.formulas.scope(quick=True)
+    scope = job.formulas.scope(small_angle=True)
     times = scope.time(), scope.number("h"), scope.number("k")
     written = scope.finished(scope.step(*times, scope.state(), scope.extras())[0])
     better = written.in_few_registers()

@@ -6,8 +6,7 @@ from numba import config, njit
 from oracle import EPS
 from test_flat_scalar import MACHINE, SINGLE, TABLE, looked_up
 
-from fastatt.codegen.fold import Fold
-from fastatt.codegen.rows import Rows
+from fastatt.codegen.rows import Fold, Rows
 from fastatt.codegen.scalar import scalar_function
 from fastatt.tracing import dual, functions, graph
 from fastatt.tracing.formulas import axpy, quat, scale

@@ -4,9 +4,9 @@ import pytest
 
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
+from fastatt.tracing.formulas import onto
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import operands
-from fastatt.tracing.sums import onto
 
 FUSED = ("fma", "fms", "fnma")
 X = (3.0, 5.0, 7.0, 11.0)

@@ -13,8 +13,8 @@ import pytest
 from numba.core.errors import TypingError
 
 import fastatt as fa
+from fastatt.codegen import lanes
 from fastatt.codegen.processor import processor
-from fastatt.gyro import formula as lanes
 from fastatt.gyro import program
 from fastatt.gyro.loops import CHUNK, LANES
 from fastatt.methods.windows import Window

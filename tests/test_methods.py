@@ -308,6 +308,6 @@ def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, mo
     monkeypatch.setattr(Turning, "turned", counting("turns", Turning.turned))
     packed = SCENES[kind].packed(None, sorted_axes=record.sorted_axes)
     formulas = Job(record, QUATERNION, packed.structure).formulas
-    assert formulas.quick.plain.results
+    assert formulas.small_angle.plain.results
     assert max(1, len(record.stages)) * counts["evaluations"] == record.rate_calls
     assert kind != "rate" or counts["turns"] == record.exponentials

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.engine import program as engine_program
+from fastatt.codegen import lanes
 from fastatt.engine import run as engine_run
 
 Q0, W0 = np.random.default_rng(2).normal(size=(2, 70, 4))  # more than a tile
@@ -52,8 +52,8 @@ def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
         opened_at_compilation.append(len(bars))
         return made(*given)
 
-    made = engine_program.generated
-    monkeypatch.setattr(engine_program, "generated", compiled)
+    made = lanes.generated
+    monkeypatch.setattr(lanes, "generated", compiled)
     engine_run.program.cache_clear()
     run(n_steps=2, method="rk4")
     assert opened_at_compilation == [0]

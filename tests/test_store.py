@@ -392,24 +392,6 @@ def test_an_edited_source_is_never_served_stale(tmp_path):
     assert again == [*first[:3], "0", str(int(first[3]) + int(first[4]))]
 
 
-def test_an_edited_emission_is_compiled_anew(cache, tmp_path):
-    """The source that emits operations counts, wherever it is."""
-    file, arguments = tmp_path / "emission.py", (types.CPointer(types.float64),)
-    found = []
-    for value in (1.0, 2.0, 1.0):
-        text = f"def emit(code, args): code.store(args[0], 0, code.real('double', {value}))\n"
-        file.write_text(text)
-        store._hash.cache_clear()
-        scope = {}
-        exec(compile(text, str(file), "exec"), scope)
-        emissions = {"emitted": (arguments, scope["emit"])}
-        room = (ctypes.c_double * 1)()
-        store.generated("def run(x): emitted(x)\n", arguments, emissions, "").ctypes(room)
-        found += room
-    assert found == [1.0, 2.0, 1.0]
-    assert (store.made, store.hits) == (2, 1)
-
-
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_a_loop_is_kept_until_it_is_edited(tmp_path, monkeypatch):
     """Or its files are damaged, or the calls that it takes from another file are edited."""

@@ -12,10 +12,14 @@ import scipy
 from each import each
 
 import fastatt as fa
+from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.rows import rows
 from fastatt.estimation.tangent import own_numbers
 from fastatt.scene import forces, torques
 from fastatt.scene.torques import Pose, torque_of
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.functions import gather
+from fastatt.tracing.graph import Graph
 from fastatt.tracing.user import user_function
 
 EPS = np.finfo(np.float64).eps
@@ -471,14 +475,14 @@ def test_what_is_refused(make, message):
         make()
 
 
-def test_a_scene_that_compiles_nothing_reads_its_own_tables(monkeypatch):
+def test_a_scene_that_compiles_nothing_reads_its_own_tables():
     """A program serves two scenes of one structure, one after the other."""
-    from fastatt.engine import program
-
-    made = []
-    monkeypatch.setattr(program.source, "function", lambda flat, tables: made.append(tables))
-    plain = object.__new__(program._PlainProgram)
-    plain._made, plain.formulas = {}, {"step": program.Formula(None, ())}
-    for table in (1, 2):
-        plain._function("step", [(("table", 0), table)])
-    assert made == [{0: 1}, {0: 2}]
+    graph = Graph()
+    found = Flat(graph, [gather(0, graph.input("double", "x", 0), "double")], "double")
+    step = LaneFormula(found, {("x", 0): Place(0)}, [Place(1)])
+    text, shape = "def run(rows, whole): step(rows, whole, 0)", Shape("double", 1, 1)
+    run = LaneProgram(text, {"step": step}, shape, ("double",), [("table", 0)]).in_python()
+    rows = np.zeros(2)
+    for value in (3.0, 5.0):
+        run(rows, [np.array([value])])
+        assert rows[1] == value

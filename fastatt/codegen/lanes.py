@@ -1,46 +1,75 @@
-"""Formulas over rows of lanes: one generated function, called by the hand-written loops.
+"""Formulas over rows of lanes: what every generated function is made of.
 
-The memory is an array of rows, each of a block of lanes. A formula takes the lanes of some rows and
-stores its results in the same lanes of others.
+The memory is arrays of rows, each of which holds a number of every lane of a block. A function's
+text is a few lines of Python, which call formulas by their names with all arrays and an offset into
+each of them. A formula takes some lanes of some rows, and stores its results in the same lanes of
+others: as vector instructions, or under ``NUMBA_DISABLE_JIT=1`` with NumPy.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from numba import types
 
-from fastatt.codegen.emitter import Emitter
-from fastatt.codegen.instructions import Code
+from fastatt.codegen.emitter import Emitter, larger
+from fastatt.codegen.instructions import REALS, Code
 from fastatt.codegen.memory import DTYPES, LINE
 from fastatt.codegen.modules import Emission, generated
 from fastatt.codegen.processor import processor
 from fastatt.codegen.writing import pointers_of, spelled, write
+from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.traced import Traced
 
+_TYPES = {"double": types.float64, "single": types.float32}
 _WHOLE = types.CPointer(types.int64)
-_PART = "    if part == {part}:\n        {loop}"
-_LOOP = "for j in range(0, count, {lanes}): {name}(rows, whole, j)"
-# without a loop no constants are loaded before it, more than there are registers
-_ONCE = "{name}(rows, whole, 0)"
 
 Name = tuple[Any, ...]
+Resources = Sequence[tuple[str, Any]]
+
+
+class Place(NamedTuple):
+    """Where a number lies: ``row`` of an array, or of one for all lanes its place there.
+
+    ``shared`` numbers do not change while the function runs, ``computed`` ones do; of ``indexed``
+    ones the array's offset counts.
+    """
+
+    row: int
+    array: int = 0
+    of: Literal["lanes", "shared", "indexed", "computed"] = "lanes"
+
+
+class Clock(NamedTuple):
+    """The times of a formula: a graph of the number of steps, ("n",), and names of its results.
+
+    The steps are the last argument of a formula that has a clock.
+    """
+
+    flat: Flat
+    names: Sequence[Name]
 
 
 class LaneFormula(NamedTuple):
-    """A formula: its graph, the rows of its inputs by their names, and those of its results.
+    """A formula: its graph, the places of its inputs by their names, and those of its results.
 
-    A ``Traced`` formula works on single lanes. To the row ``finite``, if there is one, each result
-    times zero is added: it stays zero while all of them are finite.
+    A ``Traced`` formula works on single lanes, another on as many as the function's shape says, or
+    on ``lanes``. The result number ``largest`` is kept where it is larger than what was there. To
+    the row ``finite``, if there is one, each result times zero is added: it stays zero while all of
+    them are finite.
     """
 
     graph: Flat | Traced
-    inputs: Mapping[Name, int]
-    results: Sequence[int]
-    finite: int | None = None
+    inputs: Mapping[Name, Place]
+    results: Sequence[Place]
+    finite: Place | None = None
+    largest: int | None = None
+    lanes: int = 0
+    clock: Clock | None = None
 
 
 class Shape(NamedTuple):
@@ -51,69 +80,165 @@ class Shape(NamedTuple):
     lanes: int
 
 
+class LaneProgram(NamedTuple):
+    """The function ``run(part, *arrays, whole, *numbers)`` of a text around calls of formulas.
+
+    ``arrays`` are the precisions of arrays, ``numbers`` how many whole numbers come last. ``whole``
+    holds the addresses of ``resources`` first; it is there unless these are None. Formulas are
+    called as ``name(*arrays, whole, *offsets)``.
+    """
+
+    text: str
+    formulas: Mapping[str, LaneFormula]
+    shape: Shape
+    arrays: Sequence[str]
+    resources: Resources | None = None
+    numbers: int = 2
+
+    def compiled(self) -> Any:
+        """Numba's ``CFunc``, compiled or loaded from disk."""
+        arrays = [types.CPointer(_TYPES[kind]) for kind in self.arrays]
+        memory = arrays if self.resources is None else [*arrays, _WHOLE]
+        keys = self.resources or ()
+        key = [repr((tuple(self.shape), self.arrays, [key[0] for key in keys]))]
+        emissions: dict[str, Emission] = {}
+        for name, x in self.formulas.items():
+            places = sorted(x.inputs.items()), *x[2:6]
+            clock = x.clock and (x.clock.flat.spelled(()), x.clock.names)
+            key += [spelled(x.graph, keys), repr((places, clock))]
+            whole = [types.int64] * (len(arrays) + (x.clock is not None))
+            emissions[name] = (*memory, *whole), _Emission(self, x)
+        arguments = types.int64, *memory, *[types.int64] * self.numbers
+        return generated(self.text, arguments, emissions, "\0".join(key))
+
+    def in_python(self) -> Callable[..., None]:
+        """The same on NumPy's arrays, ``whole`` a list of the resources; nothing is fused."""
+        scope: dict[str, Any] = {name: _apply(self, x) for name, x in self.formulas.items()}
+        exec(self.text, scope)
+        found: Callable[..., None] = scope["run"]
+        return found
+
+    def split(self, args: Sequence[Any]) -> tuple[Sequence[Any], Any, Sequence[Any], Any]:
+        """(arrays, whole, offsets, steps) of a formula's arguments; None for what is not there."""
+        n = len(self.arrays)
+        begin = n + (self.resources is not None)
+        whole = args[n] if begin > n else None
+        return args[:n], whole, args[begin : begin + n], args[-1]
+
+
+class _Emission:
+    """Writes a formula where a call of it stands."""
+
+    def __init__(self, program: LaneProgram, formula: LaneFormula) -> None:
+        self.program, self.formula = program, formula
+
+    def __call__(self, code: Code, args: Sequence[Any]) -> None:
+        formula, (kind, block, lanes) = self.formula, self.program.shape
+        lanes = formula.lanes or lanes
+        arrays, whole, offsets, steps = self.program.split(args)
+        pointers = pointers_of(code, whole, self.program.resources or ())
+        times: dict[Name, tuple[Any, bool]] = {}
+
+        def place(x: Place) -> tuple[Any, Any]:
+            offset = offsets[x.array]
+            at = x.row if x.of == "indexed" else x.row * block
+            return arrays[x.array], code.b.add(offset, offset.type(at))
+
+        def find(name: Name, _: str) -> tuple[Any, bool]:
+            if name in times:
+                return times[name]
+            x = formula.inputs[name]
+            if x.of == "lanes":
+                return code.vector(*place(x), lanes), True
+            if x.of == "computed":
+                return code.load(arrays[x.array], x.row), False
+            at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
+            return code.constant_load(*at), False
+
+        if isinstance(formula.graph, Traced):
+            given = [code.load(*place(x)) for x in formula.inputs.values()]
+            values = write(code, formula.graph, given, pointers)
+        else:
+            emit = Emitter(code, lanes, processor().fuses, pointers)
+            if formula.clock is not None:
+                times["n",] = code.b.sitofp(steps, REALS["double"]), False
+                made = emit(formula.clock.flat, find)
+                times |= zip(formula.clock.names, made, strict=True)
+            values = emit.wide(formula.graph, find)
+        for i, (x, value) in enumerate(zip(formula.results, values, strict=True)):
+            kept = value
+            if i == formula.largest:
+                kept = larger(code, code.vector(*place(x), lanes), value)
+            code.store_vector(*place(x), kept)
+        if formula.finite is not None:
+            zero = code.splat(code.real(kind, 0.0), lanes)
+            total = code.vector(*place(formula.finite), lanes)
+            for value in values:
+                total = code.of("fadd", total, code.of("fmul", value, zero))
+            code.store_vector(*place(formula.finite), total)
+
+
+def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
+    """A formula as a Python function of arrays and offsets."""
+    assert isinstance(formula.graph, Flat)
+    flat, clock, block = formula.graph, formula.clock, program.shape.block
+    lanes = formula.lanes or program.shape.lanes
+    kinds = {node.args: DTYPES[node.kind] for node in flat.nodes if node.op == "in"}
+    clock_of = None if clock is None else source.function(clock.flat)
+    # a program serves every scene of a structure, each with tables of its own
+    made: list[Any] = [None, None]
+
+    def apply(*args: Any) -> None:
+        arrays, whole, offsets, steps = program.split(args)
+        if made[1] is None or made[0] is not whole:
+            keys = enumerate(program.resources or ())
+            tables = {key[1]: whole[i] for i, key in keys if key[0] == "table"}
+            made[:] = whole, source.function(flat, tables=tables)
+
+        def lanes_of(x: Place) -> Any:
+            first = offsets[x.array] + x.row * block
+            return arrays[x.array][first : first + lanes]
+
+        def value(name: Name) -> Any:
+            if name in times:
+                return times[name]
+            x = formula.inputs[name]
+            if x.of == "lanes":
+                return lanes_of(x)
+            return arrays[x.array][x.row + (offsets[x.array] if x.of == "indexed" else 0)]
+
+        times: dict[Name, Any] = {("n",): float(steps)}
+        if clock is not None and clock_of is not None:
+            found = clock_of(*map(value, clock.flat.inputs()))
+            times |= zip(clock.names, found, strict=True)
+        given = [np.asarray(value(name), kinds[name]) for name in flat.inputs()]
+        results = zip(formula.results, made[1](*given), strict=True)
+        for i, (x, result) in enumerate(results):
+            to = lanes_of(x)
+            to[:] = np.maximum(to, result) if i == formula.largest else result
+
+    return apply
+
+
+_PART = "    if part == {part}:\n        {loop}"
+_LOOP = "for j in range(0, count, {lanes}): {name}(rows, whole, j)"
+# without a loop no constants are loaded before it, more than there are registers
+_ONCE = "{name}(rows, whole, 0)"
+
+
 def lane_function(
-    shape: Shape,
-    formulas: Sequence[LaneFormula],
-    resources: Sequence[tuple[str, Any]] = (),
-    text: str = "",
+    shape: Shape, formulas: Sequence[LaneFormula], resources: Resources = (), text: str = ""
 ) -> Any:
     """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula by its number, its lanes.
 
-    ``whole`` holds the addresses of ``resources``. ``text`` replaces the usual function, which
-    calls ``formula0``, ``formula1``, ... as (rows, whole, first lane).
+    ``text`` replaces the usual function, which calls ``formula0``, ``formula1``, ...
     """
-    real = types.float64 if shape.kind == "double" else types.float32
-    pointers = types.CPointer(real), _WHOLE
-    names = [f"formula{i}" for i in range(len(formulas))]
+    named = {f"formula{i}": formula for i, formula in enumerate(formulas)}
     loop = _LOOP if shape.block > shape.lanes else _ONCE
-    calls = [loop.format(lanes=shape.lanes, name=name) for name in names]
+    calls = [loop.format(lanes=shape.lanes, name=name) for name in named]
     parts = [_PART.format(part=i, loop=call) for i, call in enumerate(calls)]
-    key = [repr((tuple(shape), [key[0] for key in resources]))]
-    for x in formulas:
-        key += [spelled(x.graph, resources), repr((sorted(x.inputs.items()), x.results, x.finite))]
-    emissions: dict[str, Emission] = {
-        name: ((*pointers, types.int64), _Writer(shape, formula, resources))
-        for name, formula in zip(names, formulas, strict=True)
-    }
     text = text or "\n".join(["def run(part, rows, whole, count):", *parts, ""])
-    return generated(text, (types.int64, *pointers, types.int64), emissions, "\0".join(key))
-
-
-class _Writer:
-    """Writes a formula where a call of it stands."""
-
-    def __init__(
-        self, shape: Shape, formula: LaneFormula, resources: Sequence[tuple[str, Any]]
-    ) -> None:
-        self.shape, self.formula, self.resources = shape, formula, resources
-
-    def __call__(self, code: Code, args: Sequence[Any]) -> None:
-        (rows, whole, lane), formula, shape = args, self.formula, self.shape
-        pointers = pointers_of(code, whole, self.resources)
-
-        def at(row: int) -> Any:
-            return code.b.add(lane, lane.type(row * shape.block))
-
-        if isinstance(formula.graph, Traced):
-            given = [code.load(rows, at(row)) for row in formula.inputs.values()]
-            values = write(code, formula.graph, given, pointers)
-        else:
-            emit = Emitter(code, shape.lanes, processor().fuses, pointers)
-            values = emit.wide(
-                formula.graph,
-                lambda name, kind: (
-                    code.vector(rows, at(formula.inputs[name]), shape.lanes),
-                    True,
-                ),
-            )
-        for row, value in zip(formula.results, values, strict=True):
-            code.store_vector(rows, at(row), value)
-        if formula.finite is not None:
-            zero = code.splat(code.real(shape.kind, 0.0), shape.lanes)
-            total = code.vector(rows, at(formula.finite), shape.lanes)
-            for value in values:
-                total = code.of("fadd", total, code.of("fmul", value, zero))
-            code.store_vector(rows, at(formula.finite), total)
+    return LaneProgram(text, named, shape, (shape.kind,), resources, numbers=1).compiled()
 
 
 class Memory:

@@ -17,7 +17,6 @@ import contextlib
 import functools
 import hashlib
 import importlib.util
-import inspect
 import itertools
 import os
 import shutil
@@ -67,9 +66,7 @@ def generated(
     emissions : the functions that it calls by name, as (types of arguments, emission).
     key : what the emissions depend on.
     """
-    sources = "".join(sorted({_emitted_by(emit) for _, emit in emissions.values()}))
-    parts = text, key, sources, _surroundings()
-    digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
+    digest = hashlib.sha256(f"{text}\0{key}\0{_surroundings()}".encode()).hexdigest()[:40]
     names = {name: _emitting(*emission) for name, emission in emissions.items()}
     found = None
     with global_compiler_lock:  # one thread at a time, and none while the process forks
@@ -233,21 +230,10 @@ def _trim(path: Path) -> None:
 def _surroundings() -> str:
     """What the machine code of any text depends on: processor, versions, the emitter's sources."""
     folder = Path(__file__).parent
-    sources = [_hash(str(x)) for x in (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)]
+    files = (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)
+    sources = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     versions = (llvmlite.__version__, numba.__version__, sys.version)
     return "\0".join((processor().key, *versions, *sources))
-
-
-def _emitted_by(emit: Callable[..., None]) -> str:
-    """Hash of the source that an emission is in."""
-    function = emit.func if isinstance(emit, functools.partial) else emit
-    is_plain = inspect.isroutine(function)
-    return _hash(inspect.getfile(function if is_plain else type(function)))
-
-
-@functools.cache
-def _hash(path: str) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 # the folder

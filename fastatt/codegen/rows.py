@@ -1,7 +1,8 @@
 """A function of numbers on every row of arrays: traced and compiled once, a vector's lane a row.
 
-The loop is that of ``fastatt.codegen.row_loops``. Results depend neither on the number of rows nor
-on that of threads.
+``Rows`` applies it to every row, ``Fold`` to a log's samples one after the other, a log a row. The
+loop is that of ``fastatt.codegen.row_loops``. Results depend neither on the number of rows nor on
+that of threads.
 
 Where derivatives go side by side, a vector holds those of one row's number in six or more
 directions, and the loop is over single rows: with a lane a row each direction would need operations
@@ -10,7 +11,6 @@ of its own, six times as many to compile, at the same speed.
 
 from __future__ import annotations
 
-import ctypes
 import math
 from array import array
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -22,69 +22,22 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
-from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
+from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_function
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.codegen.processor import processor
-from fastatt.codegen.row_loops import row_loop
+from fastatt.codegen.row_loops import TOTAL, row_loop
 from fastatt.threads import each_in_threads
 from fastatt.tracing.traced import WIDEST, Traced, Tuple, plain, trace
 
 _VECTORS = 4  # of a block
 # rows that are worth a thread, of blocks and one by one
 _LEAST, _LEAST_ONE_BY_ONE = 1 << 13, 64
-_PIECE = 1 << 16  # rows between two looks at Ctrl-C
+_PIECE = 1 << 16  # rows between two checks for Ctrl-C
 _PIECES = 4  # of each thread
-_BYTE = ctypes.c_char
 
 Array = NDArray[Any]
 #: numbers in a row; None of an array that has one number a row, without an axis for it
 Width = int | None
-
-
-class Program:
-    """A function of numbers as a program over arrays: traced once, compiled at the first call."""
-
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        inputs: Mapping[str, Width],
-        outputs: Sequence[Width],
-        kind: str = "double",
-    ) -> None:
-        self._function = function
-        self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
-        self._dtype = DTYPES[kind]
-
-    @cached_property
-    def traced(self) -> Traced:
-        """The function's operations."""
-        return self._trace(0)
-
-    def _trace(self, widest: int) -> Traced:
-        forms = [
-            self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
-        ]
-        made = trace(self._function, forms, widest, self.kind)
-        count, wanted = len(made.flat.results), sum(map(_count, self.outputs))
-        if count != wanted:
-            raise ValueError(f"function: gives {count} numbers; accepted: {wanted}")
-        return made
-
-    @property
-    def _taken(self) -> int:
-        """Numbers of all inputs."""
-        return sum(map(_count, self.inputs.values()))
-
-    def _formula(self, results: Sequence[int]) -> LaneFormula:
-        """The formula on rows of lanes, its inputs in the first of them."""
-        traced = self.traced
-        inputs = {("x", k): k for k in range(self._taken)}
-        by_lanes = traced.lanes == 1 and traced.loop is None
-        return LaneFormula(traced.flat if by_lanes else traced, inputs, results)
-
-    def _memory(self, shape: Shape) -> Memory:
-        """What a loop works in."""
-        return Memory(shape, self._taken + sum(map(_count, self.outputs)), 3)
 
 
 class _Made(NamedTuple):
@@ -96,7 +49,17 @@ class _Made(NamedTuple):
     memory: Memory
 
 
-class Rows(Program):
+class _Source(NamedTuple):
+    """An input: strides along both leading axes and from sample to sample, numbers in a row."""
+
+    array: Array
+    outer: int
+    inner: int
+    later: int
+    width: int
+
+
+class Rows:
     """``function`` of numbers, applied to every row of arrays; compiled at the first call.
 
     Parameters
@@ -106,14 +69,41 @@ class Rows(Program):
         ``flat.formulas``, or what is made of such. It may look up tables (``graph.gather``), which
         a call is given, and call opaque functions (``graph.opaque``), which have an ``address``.
     inputs : widths by name.
-    outputs : widths of the arrays that the numbers are handed out to, in order.
+    outputs : widths of the output arrays, in order.
     kind : "double" or "single", the precision of inputs and outputs.
     """
+
+    _widest = WIDEST
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        inputs: Mapping[str, Width],
+        outputs: Sequence[Width],
+        kind: str = "double",
+    ) -> None:
+        self._function = function
+        self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
+        self._dtype = DTYPES[kind]
+        #: numbers of all inputs, and of all outputs
+        self._taken = sum(map(_count, self.inputs.values()))
+        self._given = sum(map(_count, self.outputs))
+        self._first_result = self._taken
 
     @cached_property
     def traced(self) -> Traced:
         """The function's operations."""
-        return self._trace(WIDEST)
+        return self._trace(self._widest)
+
+    def _trace(self, widest: int) -> Traced:
+        forms = [
+            self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
+        ]
+        made = trace(self._function, forms, widest, self.kind)
+        count = len(made.flat.results)
+        if count != self._given:
+            raise ValueError(f"function: gives {count} numbers; accepted: {self._given}")
+        return made
 
     @cached_property
     def _shape(self) -> Shape:
@@ -133,26 +123,42 @@ class Rows(Program):
         return self._compiled(Shape(self.kind, 1, 1))
 
     def _compiled(self, shape: Shape) -> _Made:
-        results = range(self._taken, self._taken + sum(map(_count, self.outputs)))
-        function = lane_function(shape, [self._formula(results)], self.traced.resources)
-        return _Made(function, function.address, shape.block, self._memory(shape))
+        traced, first = self.traced, self._first_result
+        inputs = {("x", k): Place(k) for k in range(self._taken)}
+        by_lanes = traced.lanes == 1 and traced.loop is None
+        results = [Place(row) for row in range(first, first + self._given)]
+        formula = LaneFormula(traced.flat if by_lanes else traced, inputs, results)
+        function = lane_function(shape, [formula], traced.resources)
+        memory = Memory(shape, self._taken + self._given, 3)
+        return _Made(function, function.address, shape.block, memory)
 
     def _table(
         self,
         made: _Made,
-        lengths: tuple[int, int],
-        sources: Sequence[tuple[Array, int, int, int]],
+        lengths: tuple[int, int, int],
+        sources: Sequence[_Source],
         out: Sequence[Array],
         whole: array[int],
     ) -> array[int]:
-        """The table of ``run_rows``: ``sources`` are arrays with strides and width."""
-        head = made.entry, _first(whole), *lengths
-        numbers = [*head, len(sources), len(out)]
+        """The table of ``run_rows``; the lengths are rows, those of the last axis, and samples."""
+        numbers = [made.entry, _first(whole), *lengths, self._first_result]
+        numbers += [len(sources), len(out)]
         for x, *rest in sources:
             numbers += [address_of(x), *rest]
         for x, n in zip(out, self.outputs, strict=True):
             numbers += [address_of(x), _count(n)]
         return array("q", numbers)
+
+    def _run(self, table: array[int], n_threads: int, least: int) -> None:
+        """Run the loop over all rows, of which ``least`` are worth a thread."""
+        made = self._made
+        loop = row_loop(self.kind, made.block)
+
+        def run(first: int, last: int) -> None:
+            _held, *at = made.memory.made()
+            loop(_first(table), *at, first, last)
+
+        in_pieces(table[TOTAL], n_threads, run, least)
 
     def __call__(
         self,
@@ -185,18 +191,11 @@ class Rows(Program):
         if total:
             kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
             whole = array("q", addresses(self.traced.resources, kept))
-            sources = [(x, *_strides(x), x.shape[-1]) for x in given]
-            made = self._made
-            table = self._table(made, (total, lead[-1] if lead else 1), sources, out, whole)
-
-            loop = row_loop(self.kind, made.block)
-
-            def run(first: int, last: int) -> None:
-                _held, *at = made.memory.made()
-                loop(_first(table), *at, first, last)
-
-            least = _LEAST_ONE_BY_ONE if made.block == 1 else _LEAST
-            in_pieces(total, n_threads, run, least)
+            sources = [_Source(x, *_strides(x), 0, x.shape[-1]) for x in given]
+            lengths = total, lead[-1] if lead else 1, 1
+            table = self._table(self._made, lengths, sources, out, whole)
+            least = _LEAST_ONE_BY_ONE if self._made.block == 1 else _LEAST
+            self._run(table, n_threads, least)
         return tuple(out)
 
     def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
@@ -219,9 +218,12 @@ class Rows(Program):
         n = len(out[0])
         made = self._made_for_few if 2 * n <= lanes_of(self.kind) else self._made
         widths = [math.prod(x.shape[1:]) for x in arrays]
-        sources = [(x, 0, 0 if len(x) == 1 else k, k) for x, k in zip(arrays, widths, strict=True)]
+        sources = [
+            _Source(x, 0, 0 if len(x) == 1 else k, 0, k)
+            for x, k in zip(arrays, widths, strict=True)
+        ]
         whole, (memory, *at) = array("q"), made.memory.made()
-        table = self._table(made, (n, n), sources, out, whole)
+        table = self._table(made, (n, n, 1), sources, out, whole)
         run = row_loop(self.kind, made.block)
         held, first = (arrays, out, whole, memory, table), _first(table)
 
@@ -252,6 +254,73 @@ class Rows(Program):
             np.stack(made[a:b], axis=-1).reshape((*lead, *_tail(n)))
             for n, (a, b) in zip(self.outputs, bounds, strict=True)
         )
+
+
+class Fold(Rows):
+    """``step(state, *sample, *given)`` over the samples of many logs, compiled at the first call.
+
+    Parameters
+    ----------
+    step : gives the next state from tuples of recorded numbers: the state, what is sampled, what is
+        given for a whole log. All is of double precision.
+    size : numbers of the state.
+    sampled, given : how many numbers of each, by name.
+
+    A row is a log.
+    """
+
+    _widest = 0
+
+    def __init__(
+        self,
+        step: Callable[..., Any],
+        size: int,
+        sampled: Mapping[str, int],
+        given: Mapping[str, int],
+    ) -> None:
+        super().__init__(step, {"state": size, **sampled, **given}, (size,))
+        # a result is the state of the next sample
+        self._first_result = 0
+
+    @cached_property
+    def _shape(self) -> Shape:
+        lanes = lanes_of(self.kind)
+        return Shape(self.kind, lanes, lanes)
+
+    def __call__(  # type: ignore[override]
+        self,
+        start: Array,
+        sampled: Sequence[Array],
+        given: Sequence[Array],
+        n_threads: int = 1,
+    ) -> Array:
+        """The states (N, size) of N logs after their samples, from those before.
+
+        ``sampled`` are (N, n, k) or (1, n, k), ``given`` (N, k) or (1, k), float64.
+        """
+        n_logs, n = len(start), max(x.shape[1] for x in sampled)
+        arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *given)]
+        # samples along an axis of their own: of what has none, and of one sample, the same for all
+        wide = [
+            np.broadcast_to(x if x.ndim == 3 else x[:, None], (n_logs, n, x.shape[-1]))
+            for x in arrays
+        ]
+        if without_compiler():
+            step, state = plain(self.traced, {}), wide[0][:, 0]
+            for i in range(n):
+                now = [column for x in wide[1:] for column in x[:, i].T]
+                state = np.stack(np.broadcast_arrays(*step([*state.T, *now])), axis=1)
+            return state
+        steps = [[stride // x.itemsize for stride in x.strides[:2]] for x in wide]
+        pairs = zip(wide, steps, strict=True)
+        sources = [_Source(x, 0, inner, later, x.shape[2]) for x, (inner, later) in pairs]
+        state = np.empty_like(arrays[0])
+        # without samples none is the next state
+        if not n:
+            return arrays[0].copy()
+        table = self._table(self._made, (n_logs, n_logs, n), sources, [state], array("q"))
+        self._run(table, n_threads, self._made.block)
+        return state
 
 
 def _count(width: Width) -> int:

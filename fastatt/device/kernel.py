@@ -131,15 +131,15 @@ class _Writer:
                     self._save()
                 self._add("if n >= last:", "    break", "gone = (n - origin) % save_every")
                 self._add(f"stop = min((n // {BLOCK} + 1) * {BLOCK}, last, n + save_every - gone)")
-                if formulas.mend is not None:
+                if formulas.project is not None:
                     self._add(
                         "if restore > 0:", "    stop = min(stop, (n // restore + 1) * restore)"
                     )
                 self._block(state)
                 self._add("if turn > most:", "    most = turn", "n = stop")
-                if formulas.mend is not None:
+                if formulas.project is not None:
                     with self._under("if restore > 0 and n % restore == 0:"):
-                        (far,) = self._formulas(formulas.mend, "m", *state)
+                        (far,) = self._formulas(formulas.project, "m", *state)
                         self._worse(1, far)
                 self._add("due = (n - origin) % save_every == 0 or n == n_steps")
             self._add(*(f"x_rows[body, {i}] = {x}" for i, x in enumerate(state)))
@@ -203,11 +203,11 @@ class _Writer:
     def _block(self, state: list[str]) -> None:
         """Steps [n, stop), again from their start in the careful form where the quick is not."""
         job, formulas = self.job, self.formulas
-        quick = (formulas.quick, job.look != "never", "a")
-        if formulas.careful is None:
+        quick = (formulas.small_angle, job.monitored, "a")
+        if formulas.any_angle is None:
             self._steps(state, *quick)
             return
-        careful = (formulas.careful, True, "f")
+        careful = (formulas.any_angle, True, "f")
         if job.known:
             with self._under("if quiet:"):
                 self._steps(state, *quick)
@@ -224,7 +224,7 @@ class _Writer:
 
     def _steps(self, state: list[str], forms: Forms, noted: bool, prefix: str) -> None:
         job = self.job
-        flat = forms.noted if noted else forms.plain
+        flat = forms.monitored if noted else forms.plain
         self._add(f"turn = {job.kind}(0.0)")
         with self._under("for m in range(n, stop):"):
             if not job.method.stages:

@@ -36,8 +36,8 @@ class Job:
 
     ``kind`` is the precision of the state, "double" or "single"; ``shared`` says that all bodies
     have the same parameters, ``alike`` numbers those that they have in common if not all, ``known``
-    says that turns are known beforehand, so that those of some bodies need no look; ``raw``
-    that what is handed out is not brought back to its group, ``mends`` that the state is, now and
+    says that rotation angles are known beforehand, so that those of some bodies are not monitored;
+    ``raw`` that the output is not projected onto its group, ``projects`` that the state is, now and
     then.
     """
 
@@ -49,7 +49,7 @@ class Job:
     alike: tuple[int, ...] = ()
     known: bool = False
     raw: bool = False
-    mends: bool = False
+    projects: bool = False
     #: each body has a step of its own, and saves are at any times
     own_steps: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
@@ -61,33 +61,33 @@ class Job:
         return _formulas(replace(self, width=WIDTH))
 
     @property
-    def has_careful_form(self) -> bool:
-        """Whether a block has another form, for lanes that the quick one does not do for."""
+    def has_any_angle_form(self) -> bool:
+        """Whether a block has another form, for lanes that the small-angle one does not do for."""
         return self.known or self.method.exponentials > 0
 
     @property
     def bounds(self) -> bool:
-        """Whether a body's turns are known from its own initial state."""
+        """Whether rotation angles are known from a body's own initial state."""
         return self.known and not isinstance(self.structure.turning, GivenRate)
 
     @property
-    def look(self) -> str:
-        """At which steps of a block's quick form the rotation angle is monitored."""
-        return "never" if self.known else "every"
+    def monitored(self) -> bool:
+        """Whether the rotation angles of steps are monitored in the small-angle form."""
+        return not self.known
 
 
 @dataclass(frozen=True)
 class Forms:
-    """A step as a graph: the state after it, and behind it the squared turn where that is asked."""
+    """A step as a graph: the state after it, then its squared rotation angle if monitored."""
 
-    noted: Flat
+    monitored: Flat
     size: int
 
     @cached_property
     def plain(self) -> Flat:
         """The state alone, to the same bits."""
-        whole = len(self.noted.results) == self.size
-        return self.noted if whole else self.noted.first(self.size).in_few_registers()
+        whole = len(self.monitored.results) == self.size
+        return self.monitored if whole else self.monitored.first(self.size).in_few_registers()
 
 
 class Formulas:
@@ -106,21 +106,21 @@ class Formulas:
         self.given = self.coordinates + job.structure.tail
         self.handed_out = job.attitude.stored + job.structure.tail
 
-    def scope(self, *, quick: bool = False) -> Scope:
+    def scope(self, *, small_angle: bool = False) -> Scope:
         """Numbers and the motion that a formula works on."""
         job = self.job
-        attitude = job.attitude.short if quick and job.method.exponentials else job.attitude
+        attitude = job.attitude.short if small_angle and job.method.exponentials else job.attitude
         return Scope(self, attitude, Graph())
 
-    def _form(self, quick: bool) -> Forms:
-        scope = self.scope(quick=quick)
+    def _form(self, small_angle: bool) -> Forms:
+        scope = self.scope(small_angle=small_angle)
         times = scope.time(), scope.number("h"), scope.number("k")
         x, z = scope.step(*times, scope.state(), scope.extras())
         flat = scope.finished((*x, z))
-        if self.job.look == "never" and quick:
+        if small_angle and not self.job.monitored:
             flat = flat.first(len(x))
         if not self.job.shared:
-            flat = self._constants.without(flat, more=quick)
+            flat = self._constants.without(flat, more=small_angle)
         return Forms(flat.in_few_registers(), len(x))
 
     @cached_property
@@ -130,7 +130,7 @@ class Formulas:
     @cached_property
     def constants(self) -> Flat:
         """What steps need of a body's own parameters and nothing else, computed once."""
-        _ = self.quick  # which finds them
+        _ = self.small_angle  # which finds them
         return self._constants.flat
 
     @cached_property
@@ -140,18 +140,18 @@ class Formulas:
         return [flat.nodes[i].kind for i in flat.results]
 
     @cached_property
-    def quick(self) -> Forms:
-        """A step or a stage, good for turns of at most π."""
+    def small_angle(self) -> Forms:
+        """A step or a stage, for rotation angles of at most π."""
         return self._form(True)
 
     @cached_property
-    def _careful(self) -> Forms:
+    def _any_angle(self) -> Forms:
         return self._form(False)
 
     @property
-    def careful(self) -> Forms | None:
-        """The same for any turn, where that is another form."""
-        return self._careful if self.job.has_careful_form else None
+    def any_angle(self) -> Forms | None:
+        """The same for any rotation angle, where that is another form."""
+        return self._any_angle if self.job.has_any_angle_form else None
 
     @cached_property
     def begin(self) -> Flat:
@@ -185,7 +185,7 @@ class Formulas:
         x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
         y, norm_error = scope.hand_out(x)
         before = scope.inputs("invariants", self.invariants)
-        measures = {"norm": norm_error, "invariant": departure(before, scope.invariants(x))}
+        measures = {"norm": norm_error, "invariant": relative_change(before, scope.invariants(x))}
         return scope.finished((*y, *(measures[name] for name in SAVED)))
 
     @cached_property
@@ -204,9 +204,9 @@ class Formulas:
         return scope.finished((*scope.entered(t, scope.number("other"), x, e), *e))
 
     @cached_property
-    def mend(self) -> Flat | None:
+    def project(self) -> Flat | None:
         """The state nearer to its group, and how far it had left it; None where it never is."""
-        if not self.job.mends:
+        if not self.job.projects:
             return None
         scope = self.scope()
         x = scope.state()
@@ -219,27 +219,27 @@ class Formulas:
     @cached_property
     def resources(self) -> list[Any]:
         """Tables and opaque functions that the formulas call, in the order of their arrays."""
-        return resources_of(self.quick.noted, self.begin, self.save)
+        return resources_of(self.small_angle.monitored, self.begin, self.save)
 
     @cached_property
     def is_timed(self) -> bool:
         """Whether a step depends on the time."""
-        return ("t",) in self.quick.noted.inputs()
+        return ("t",) in self.small_angle.monitored.inputs()
 
     @cached_property
     def calls(self) -> int:
         """How many numbers opaque functions give in a step."""
-        return sum(node.op == "item" for node in self.quick.noted.nodes)
+        return sum(node.op == "item" for node in self.small_angle.monitored.nodes)
 
     @cached_property
     def digest(self) -> bytes:
         """A hash of what a step computes."""
-        return hashlib.sha256(self.quick.plain.spelled(self.resources).encode()).digest()
+        return hashlib.sha256(self.small_angle.plain.spelled(self.resources).encode()).digest()
 
     @property
     def operations(self) -> int:
-        """Floating-point operations of a step's quick form."""
-        return self.quick.plain.operations * max(1, len(self.job.method.stages))
+        """Floating-point operations of a step's small-angle form."""
+        return self.small_angle.plain.operations * max(1, len(self.job.method.stages))
 
 
 class Scope:
@@ -296,7 +296,7 @@ class Scope:
         """(state, squared turn) after one step, or one stage."""
         steps = self.job.method.steps
         assert steps is not None
-        own, beside = self.parts(x)
+        own, auxiliary = self.parts(x)
         if steps.stage is not None:
             y, z = steps.stage(self.motion, t, h, k, own, e)
         elif isinstance(turning := self.job.structure.turning, RigidBody):
@@ -307,7 +307,7 @@ class Scope:
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             y, z = chosen(self.motion, t, h, own)
-        return (*y, *self._watched(t + h, y, beside)), z
+        return (*y, *self._watched(t + h, y, auxiliary)), z
 
     def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
         """What the user's function makes of a state and of what it made before."""
@@ -318,10 +318,10 @@ class Scope:
         made = structure.watcher.call(t, quat.renormalise(q), w, before)
         return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
-        """The state from an attitude as given and what is carried beside it."""
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        """The state from an attitude as given and its auxiliary state."""
         n = self.job.structure.tail - self.job.structure.watched
-        return (*self.motion.begin(q, beside[:n]), *beside[n:])
+        return (*self.motion.begin(q, auxiliary[:n]), *auxiliary[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:
         """What the method prepares for a body."""
@@ -359,8 +359,8 @@ class Scope:
         return tuple(steps.leave(self.motion, t, since, edge, x, e))
 
     def hand_out(self, x: Vector) -> tuple[Vector, Any]:
-        """(what the trajectory holds, departure from the group)."""
-        own, beside = self.parts(x)
+        """(what the trajectory holds, norm error)."""
+        own, auxiliary = self.parts(x)
         attitude = self.attitude
 
         def finish(a: Vector) -> Any:
@@ -368,14 +368,14 @@ class Scope:
             return (attitude.raw(a) if self.job.raw else y), d
 
         y, d = self.motion.hand_out(own, finish)
-        return (*y, *beside), d
+        return (*y, *auxiliary), d
 
     def invariants(self, x: Vector) -> Vector:
         """What the motion keeps."""
         return self.motion.invariants(self.parts(x)[0])
 
 
-def departure(a: Vector, b: Vector) -> Any:
+def relative_change(a: Vector, b: Vector) -> Any:
     """Largest relative change from the invariants a to b, 0 where there are none."""
     changes = []
     for x, y in zip(a, b, strict=True):

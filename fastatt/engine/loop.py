@@ -134,6 +134,16 @@ def _begin(settings, limits, tile, body_of, marks, known, watched):
 
 
 @loop_part
+def _steps(settings, function, tile, first, last):
+    """Steps of a form, with the largest squared rotation angle of each lane."""
+    rows, _, _, _ = tile
+    width, angle_row = settings[TILE_WIDTH], settings[ANGLE_ROW]
+    for j in range(width):
+        rows[angle_row * width + j] = 0.0
+    call_generated(function, ADVANCE, tile, (first, last))
+
+
+@loop_part
 def _advance(settings, tile, kept, marks, unbounded, first, last):
     """A block of steps; whether the form for any angle was there if a lane needed it."""
     rows, _, _, _ = tile
@@ -142,7 +152,7 @@ def _advance(settings, tile, kept, marks, unbounded, first, last):
     if monitored or unbounded:
         for i in range(carried):
             kept[i] = rows[i]
-    call_generated(settings[SMALL], ADVANCE, tile, (first, last))
+    _steps(settings, settings[SMALL], tile, first, last)
     repeats = unbounded
     if monitored:
         for j in range(width):
@@ -156,7 +166,7 @@ def _advance(settings, tile, kept, marks, unbounded, first, last):
         before = kept[i]
         kept[i] = rows[i]
         rows[i] = before
-    call_generated(settings[ANY], ADVANCE, tile, (first, last))
+    _steps(settings, settings[ANY], tile, first, last)
     for i in range(carried):
         if marks[i % width] == 0:
             rows[i] = kept[i]

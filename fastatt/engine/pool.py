@@ -11,8 +11,8 @@ from typing import Any
 from fastatt.engine.loop import BLOCK, end_of_piece
 from fastatt.threads import in_threads
 
-_PIECE = 2_000_000  # body-steps to begin with between two looks at Ctrl-C
-_SECONDS = 0.1  # between two looks
+_PIECE = 2_000_000  # body-steps to begin with between two checks for Ctrl-C
+_SECONDS = 0.1  # between two checks
 # tiles of a piece: a block of their steps takes 0.3 s where a function is called for each body
 _TILES = 64
 
@@ -38,7 +38,8 @@ def run_ensemble(
 ) -> None:
     """All tiles and steps of a span: ``call(span, tile_first, tile_last)``.
 
-    ``done`` is told of body-steps. Raises ``InterruptedRun`` on Ctrl-C, within a second.
+    ``done`` is called with how many body-steps were taken. Raises ``InterruptedRun`` on Ctrl-C,
+    within a second.
     """
     n_bodies, width = bodies_and_width
     n_tiles = -(-n_bodies // width)

@@ -1,4 +1,4 @@
-"""A job's formulas over the lanes of a tile: one function that Numba compiles, or NumPy's twin.
+"""A job's formulas over the lanes of a tile, in one generated function.
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
 tile begins, a block of steps, what a save holds, the projection onto the group, and the change to
@@ -8,31 +8,27 @@ another step size. ``Layout`` says where in ``rows`` and ``wide`` each number of
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from fastatt.codegen.emitter import POINTERS, Emitter, larger
-from fastatt.codegen.instructions import REALS, Code
+from fastatt.codegen.lanes import Clock, LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.memory import DTYPES, address_of, aligned
-from fastatt.codegen.modules import Emission, generated
 from fastatt.codegen.processor import processor
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.loop import ADVANCE, BEGIN, PROJECT, REGRID, SAVE
 from fastatt.engine.status import SAVED
-from fastatt.tracing import source
 from fastatt.tracing.finished import Flat, without_shared_calls
+from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
 
+#: arrays of a program; all but the last hold rows
+ROWS, WIDE, NUMBERS = range(3)
 #: the first of ``numbers``; parameters that bodies share follow, then a method's stages
 T0, H, EDGE, PARAMETERS = range(4)
-#: the first of ``whole``: the number of stages; addresses of tables and functions follow
-STAGES, RESOURCES = range(2)
 #: per-body steps: the step size, the steps taken before, the time at which they began, s, and the
 #: step size that a tile's lanes change to
 CLOCK = ("dt", "before", "begin", "other")
@@ -79,22 +75,6 @@ class Layout:
         if group in self.wide.first:
             return True, self.wide.first[group] + i
         return False, self.rows.first[group] + i
-
-
-@dataclass(frozen=True)
-class Formula:
-    """A formula over lanes: its graph, where results go, and what its times are.
-
-    ``targets`` are (group, number) of the results; ``clock`` is "moment" for a state after so many
-    steps, "step", "stage", or "" where no time occurs. Steps of ``even`` lanes have one clock.
-    ``lanes`` is 1 of what is found once for all lanes, else 0.
-    """
-
-    flat: Flat = field(repr=False)
-    targets: tuple[tuple[str, int], ...]
-    clock: str = ""
-    even: bool = False
-    lanes: int = 0
 
 
 class Program:
@@ -152,324 +132,167 @@ class Program:
         ]  # fmt: skip
 
     def _compiled(self, *, small_angle: bool) -> Any:
-        if self.plain:
-            return _PlainProgram(self, self._formulas(small_angle))
-        return _Writer(self).compiled(self._formulas(small_angle))
+        formulas = self._formulas(small_angle)
+        job = self.job
+        lanes = job.width if self.plain else processor().lanes(job.kind)
+        made = LaneProgram(
+            "\n".join([*self._text(formulas, lanes), ""]), formulas,
+            Shape(job.kind, job.width, lanes), (job.kind, "double", "double"),
+            self.formulas.resources,
+        )  # fmt: skip
+        return made.in_python() if self.plain else made.compiled()
 
-    def _formulas(self, small_angle: bool) -> dict[str, Formula]:
+    def _formulas(self, small_angle: bool) -> dict[str, LaneFormula]:
         """The formulas by name; of the form for any angle the step alone."""
         forms, job = self.formulas, self.job
-        step = forms.quick if small_angle else forms.careful
+        step = forms.small_angle if small_angle else forms.any_angle
         assert step is not None
-        noted = job.look != "never" or not small_angle
-        flat = step.noted if noted else step.plain
+        monitored = job.monitored or not small_angle
+        flat = step.monitored if monitored else step.plain
+        results = self._results(x=forms.size, angle=int(monitored))
         clock = "stage" if job.method.stages else "step"
-        targets = _targets(x=forms.size, angle=int(noted))
-        found = self._split("step", Formula(flat, targets, clock))
+        found = self._step("step", flat, results, clock, even=False)
         if job.own_steps and forms.is_timed:
-            found |= self._split("even_step", Formula(flat, targets, clock, even=True))
+            found |= self._step("even_step", flat, results, clock, even=True)
         if not small_angle:
             return found
-        if forms.constant_kinds:
-            found["constants"] = Formula(forms.constants, _targets(c=len(forms.constant_kinds)))
-        begun = _targets(
-            x=forms.size, e=forms.extras, invariants=forms.invariants, bound=int(job.bounds)
-        )
-        found["begin"] = Formula(forms.begin, begun, "moment")
-        found["save"] = Formula(forms.save, _targets(io=forms.handed_out + len(SAVED)), "moment")
-        if forms.mend is not None:
-            found["project"] = Formula(forms.mend, _targets(x=forms.size, io=1))
-        if job.own_steps and forms.regrid is not None:
-            found["regrid"] = Formula(
-                forms.regrid, _targets(x=forms.size, e=forms.extras), "moment"
-            )
+
+        def add(name: str, flat: Flat | None, clock: str = "", **sizes: int) -> None:
+            if flat is not None:
+                found[name] = self._formula(flat, self._results(**sizes), clock)
+
+        constants = len(forms.constant_kinds)
+        add("constants", forms.constants if constants else None, c=constants)
+        add(
+            "begin", forms.begin, "moment", x=forms.size, e=forms.extras,
+            invariants=forms.invariants, bound=int(job.bounds),
+        )  # fmt: skip
+        add("save", forms.save, "moment", io=forms.handed_out + len(SAVED))
+        add("project", forms.project, x=forms.size, io=1)
+        if job.own_steps:
+            add("regrid", forms.regrid, "moment", x=forms.size, e=forms.extras)
         return found
 
-    def _split(self, name: str, formula: Formula) -> dict[str, Formula]:
+    def _step(
+        self, name: str, flat: Flat, results: list[Place], clock: str, *, even: bool
+    ) -> dict[str, LaneFormula]:
         """A step, and the calls of functions that are the same for all lanes."""
         job = self.job
-        own_clock = job.own_steps and not formula.even
 
         def is_shared(node: Node) -> bool:
             group, *i = node.args
             if not i:
-                return not own_clock
+                return even or not job.own_steps
             return group == "p" and (job.shared or i[0] in job.alike)
 
-        calls, rest = without_shared_calls(formula.flat, is_shared)
-        found = {name: replace(formula, flat=rest)}
+        calls, rest = without_shared_calls(flat, is_shared)
+        largest = self.formulas.size if len(results) > self.formulas.size else None
+        found = {name: self._formula(rest, results, clock, even=even)._replace(largest=largest)}
         if calls is not None:
-            targets = _targets(called=len(calls.results))
-            found[f"{name}_calls"] = replace(formula, flat=calls, targets=targets, lanes=1)
+            called = self._results(called=len(calls.results))
+            made = self._formula(calls, called, clock, even=even)
+            found[f"{name}_calls"] = made._replace(lanes=1)
         return found
 
+    def _formula(
+        self, flat: Flat, results: list[Place], clock: str, *, even: bool = False
+    ) -> LaneFormula:
+        """A formula; steps of ``even`` lanes have one clock."""
+        time = self._clock(clock) if clock else None
+        names = set(flat.inputs())
+        if time is not None:
+            names = (names - {*time.names}) | {*time.flat.inputs()} - {("n",)}
+        inputs = {name: self._place(*name, even=even) for name in names}
+        return LaneFormula(flat, inputs, results, clock=time)
 
-def _targets(**sizes: int) -> tuple[tuple[str, int], ...]:
-    return tuple((group, i) for group, n in sizes.items() for i in range(n))
-
-
-# machine code
-
-_CALL = "for j in range(0, {width}, {lanes}): {name}(rows, wide, numbers, whole, j, {n}, {i})"
-_ONCE = "{name}(rows, wide, numbers, whole, 0, {n}, {i})"
-
-
-class _Writer:
-    """Writes the text of a program's function, and emits the formulas that it calls."""
-
-    def __init__(self, program: Program) -> None:
-        self.program, self.job, self.layout = program, program.job, program.layout
-        self.kind, self.width = self.job.kind, self.job.width
-        self.lanes = processor().lanes(self.kind)
-        real = types.float64 if self.kind == "double" else types.float32
-        number, whole = types.CPointer(types.float64), types.CPointer(types.int64)
-        self.pointers = (types.CPointer(real), number, number, whole)
-
-    def compiled(self, formulas: dict[str, Formula]) -> Any:
-        """The function, compiled or loaded from disk."""
-        key = repr((self.kind, self.width, vars(self.layout.rows), vars(self.layout.wide)))
-        key += repr(self.layout.constants) + repr(sorted(self._shared().items()))
-        keys = self.resources
-        key += "".join(f"{name}{x.flat.spelled(keys)}{x}" for name, x in formulas.items())
-        emissions = {name: self._emission(formula) for name, formula in formulas.items()}
-        arguments = (types.int64, *self.pointers, types.int64, types.int64)
-        return generated(self._text(formulas), arguments, emissions, key)
-
-    def _text(self, formulas: dict[str, Formula]) -> str:
-        def lanes(name: str, n: str = "first", i: str = "0") -> str:
-            return _CALL.format(width=self.width, lanes=self.lanes, name=name, n=n, i=i)
-
-        lines = ["def run(part, rows, wide, numbers, whole, first, last):"]
-        parts = {BEGIN: ("constants", "begin"), SAVE: ("save",), PROJECT: ("project",)}
-        for part, names in {**parts, REGRID: ("regrid",)}.items():
-            there = [name for name in names if name in formulas]
-            if there:
-                lines += [f"    if part == {part}:", *(f"        {lanes(name)}" for name in there)]
-        lines.append(f"    if part == {ADVANCE}:")
-        angle = self.layout.rows.first["angle"] * self.width
-        lines.append(f"        for j in range({angle}, {angle + self.width}): rows[j] = 0.0")
-        depth = "        "
-        if "even_step" in formulas:
-            first = [self.layout.wide.first[name] * self.width for name in CLOCK[:3]]
-            lines += [f"{depth}even = True", f"{depth}for j in range({self.width}):"]
-            lines += [f"{depth}    even = even and wide[{k} + j] == wide[{k}]" for k in first]
-            inner = depth + "    "
-            lines += [f"{depth}if even:", *self._steps(formulas, lanes, "even_step", inner)]
-            lines += [f"{depth}else:", *self._steps(formulas, lanes, "step", inner)]
-        else:
-            lines += self._steps(formulas, lanes, "step", depth)
-        return "\n".join([*lines, ""])
-
-    def _steps(
-        self, formulas: dict[str, Formula], lanes: Callable[..., str], name: str, depth: str
-    ) -> Iterator[str]:
-        stages = bool(self.job.method.stages)
-        i, inner = ("i", depth + "        ") if stages else ("0", depth + "    ")
-        yield f"{depth}for n in range(first, last):"
-        if stages:
-            yield f"{depth}    for i in range(whole[{STAGES}]):"
-        if f"{name}_calls" in formulas:
-            yield inner + _ONCE.format(name=f"{name}_calls", n="n", i=i)
-        yield inner + lanes(name, "n", i)
-
-    def _shared(self) -> dict[int, int]:
-        """Places among ``numbers`` of the parameters that bodies share."""
-        n = self.program.formulas.parameters
-        shared = range(n) if self.job.shared else self.job.alike
-        return {i: PARAMETERS + i for i in shared}
-
-    def _emission(self, formula: Formula) -> Emission:
-        def emit(code: Code, args: Sequence[Any]) -> None:
-            _Emitted(self, code, args, formula.lanes or self.lanes).write(formula)
-
-        return (*self.pointers, *[types.int64] * 3), emit
-
-    @property
-    def resources(self) -> list[Any]:
-        """Tables and functions that the formulas refer to."""
-        return self.program.formulas.resources
-
-    def shared_place(self, group: str, i: int) -> int | None:
-        """Place among ``numbers`` of a parameter that all bodies share; None of another."""
-        return self._shared().get(i) if group == "p" else None
-
-    @property
-    def stages_place(self) -> int:
-        """Place of the stages among ``numbers``."""
-        return PARAMETERS + self.program.formulas.parameters
-
-
-class _Emitted:
-    """One formula, written where a call of it stands."""
-
-    def __init__(self, writer: _Writer, code: Code, args: Sequence[Any], lanes: int) -> None:
-        self.writer, self.code, self.lanes = writer, code, lanes
-        self.rows, self.wide, self.numbers, self.whole, self.lane, self.steps, self.stage = args
-
-    def write(self, formula: Formula) -> None:
-        """Load what the graph takes, write its operations, store the results."""
-        code, keys = self.code, self.writer.resources
-        resources = {
-            key: code.b.inttoptr(code.constant_load(self.whole, RESOURCES + i), POINTERS[key[0]])
-            for i, key in enumerate(keys)
-        }
-        emit = Emitter(code, self.lanes, processor().fuses, resources)
-        times = self._times(formula)
-
-        def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-            if len(name) == 1:
-                value = times[name[0]]
-                return value, hasattr(value.type, "count")  # a vector
-            at = self.writer.shared_place(*name)
-            if at is not None:
-                return code.constant_load(self.numbers, at), False
-            if name[0] == "called":
-                _, row = self.writer.layout.row(*name)
-                return code.load(self.wide, row * self.writer.width), False
-            return code.vector(*self._place(*name), self.lanes), True
-
-        for target, value in zip(formula.targets, emit.wide(formula.flat, find), strict=True):
-            pointer, at = self._place(*target)
-            if target == ("angle", 0):
-                value = larger(code, code.vector(pointer, at, self.lanes), value)  # noqa: PLW2901
-            code.store_vector(pointer, at, value)
-
-    def _place(self, group: str, i: int) -> tuple[Any, Any]:
-        is_wide, row = self.writer.layout.row(group, i)
-        at = self.code.b.add(self.lane, self.lane.type(row * self.writer.width))
-        return (self.wide if is_wide else self.rows), at
-
-    def _times(self, formula: Formula) -> dict[str, Any]:
-        """The times of a formula, in the precision that the graph takes them in."""
-        if not formula.clock:
-            return {}
-        code, b, own = self.code, self.code.b, self.writer.job.own_steps and not formula.even
-        double = REALS["double"]
-
-        def wide(x: Any) -> Any:
-            return code.splat(x, self.lanes) if own else x
-
-        def number(at: int) -> Any:
-            return wide(code.constant_load(self.numbers, at))
-
-        def clock(name: str) -> Any:
-            at = self.writer.layout.wide.first[name] * self.writer.width
-            if own:
-                at = b.add(self.lane, self.lane.type(at))
-                return code.vector(self.wide, at, self.lanes)
-            return code.constant_load(self.wide, at)
-
-        per_body = self.writer.job.own_steps
-        step, begin = (clock("dt"), clock("begin")) if per_body else (number(H), number(T0))
-        steps = wide(b.sitofp(self.steps, double))
-        if per_body:
+    def _clock(self, which: str) -> Clock:
+        """The times of a state after so many steps, a "moment", of a "step" or of a "stage"."""
+        graph, own = Graph(), self.job.own_steps
+        n, dt, begin = (graph.input("double", name) for name in ("n", "dt", "begin"))
+        steps: Any = n
+        if own:
             # a state's own count says when it is; a block counts from there
-            steps = clock("before") if formula.clock == "moment" else b.fadd(clock("before"), steps)
-        found = {}
-        if formula.clock == "stage":
-            first = b.mul(self.stage, self.stage.type(3))
-            first = b.add(first, self.stage.type(self.writer.stages_place))
-            one = self.stage.type(1)
-            places = (first, b.add(first, one), b.add(first, self.stage.type(2)))
-            h, k, at = (wide(code.constant_load(self.numbers, x)) for x in places)
+            before = graph.input("double", "before")
+            steps = before if which == "moment" else before + n
+        found = {"h": dt, "k": dt}
+        if which == "stage":
+            h, k, at = graph.inputs("double", "stage", 3)
             # to a whole number first: the same bits for per-body steps and for one step for all
-            steps = b.fadd(steps, at)
-            found = {"h": b.fmul(h, step), "k": b.fmul(k, step)}
-        elif formula.clock == "step":
-            found = {"h": step, "k": step}
-        since = b.fmul(steps, step)
-        if formula.clock == "moment":
-            share = number(EDGE)
-            edge = b.fmul(share, step) if per_body else share
-            found = {"h": step, "since": since, "edge": edge}
-            if per_body:
-                other = clock("other")
-                found |= {"k": other, "other": b.fmul(share, other)}
-        narrow = {name: code.narrow(self.writer.kind, x) for name, x in found.items()}
-        return {"t": b.fadd(begin, since), **narrow}
+            steps = steps + at
+            found = {"h": h * dt, "k": k * dt}
+        since = steps * dt
+        if which == "moment":
+            share = graph.input("double", "share")
+            found = {"h": dt, "edge": share * dt if own else share}
+            if own:
+                other = graph.input("double", "other")
+                found |= {"k": other, "other": share * other}
+        # a result of its own, the span is rounded before it is added
+        exact = {"whole": since, "t": begin + since}
+        found["since"] = since
+        kinds = ["double"] * len(exact) + [self.job.kind] * len(found)
+        names = [(name,) for name in (*exact, *found)]
+        return Clock(Flat(graph, [*exact.values(), *found.values()], kinds), names)
 
+    def _results(self, **sizes: int) -> list[Place]:
+        return [self._row(group, i) for group, n in sizes.items() for i in range(n)]
 
-# without machine code
+    def _row(self, group: str, i: int) -> Place:
+        is_wide, row = self.layout.row(group, i)
+        return Place(row, WIDE if is_wide else ROWS)
 
+    def _place(self, group: str, i: int = 0, *, even: bool) -> Place:
+        """Where an input lies."""
+        job, width = self.job, self.job.width
+        if group == "p" and (job.shared or i in job.alike):
+            return Place(PARAMETERS + i, NUMBERS, "shared")
+        if group == "stage":
+            return Place(PARAMETERS + self.formulas.parameters + i, NUMBERS, "indexed")
+        if group == "share" or (group in CLOCK and not job.own_steps):
+            return Place({"share": EDGE, "dt": H, "begin": T0}[group], NUMBERS, "shared")
+        row = self._row(group, i)
+        if group == "called" or (group in CLOCK and even):
+            at = row.row * width
+            return Place(at, row.array, "computed" if group == "called" else "shared")
+        return row
 
-class _PlainProgram:
-    """The same function in NumPy, for ``NUMBA_DISABLE_JIT=1``: operations are not fused."""
-
-    def __init__(self, program: Program, formulas: dict[str, Formula]) -> None:
-        self.program, self.formulas, self.job = program, formulas, program.job
-        self._dtype = DTYPES[self.job.kind]
-        self._made: dict[str, tuple[Any, Any]] = {}
-
-    def __call__(
-        self, part: int, rows: Array, wide: Array, numbers: Array, whole: Any, first: int, last: int
-    ) -> None:
+    def _text(self, formulas: dict[str, LaneFormula], lanes: int) -> Iterator[str]:
         width = self.job.width
-        rows, wide = rows.reshape(-1, width), wide.reshape(-1, width)
-        memory = rows, wide, numbers, whole
-        with np.errstate(all="ignore"):
-            if part == BEGIN:
-                self._apply("constants", memory, first)
-                self._apply("begin", memory, first)
-            elif part == ADVANCE:
-                rows[self.program.layout.rows.first["angle"]] = 0.0
-                for n in range(first, last):
-                    for i in range(max(1, len(self.job.method.stages))):
-                        self._apply("step_calls", memory, n, i)
-                        self._apply("step", memory, n, i)
-            else:
-                self._apply(
-                    {SAVE: "save", PROJECT: "project", REGRID: "regrid"}[part], memory, first
-                )
 
-    def _apply(self, name: str, memory: Any, n: int, i: int = 0) -> None:
-        formula = self.formulas.get(name)
-        if formula is None:
+        def call(name: str, n: str = "first", i: str = "0", j: str = "j") -> str:
+            steps = "" if formulas[name].clock is None else f", {n}"
+            return f"{name}(rows, wide, numbers, whole, {j}, {j}, {i}{steps})"
+
+        def steps(name: str, depth: str) -> Iterator[str]:
+            yield f"{depth}for n in range(first, last):"
+            i, inner = "0", depth + "    "
+            if self.job.method.stages:
+                # their number comes after the resources
+                yield f"{inner}for i in range(whole[{len(self.formulas.resources)}]):"
+                i, inner = "3 * i", inner + "    "
+            if f"{name}_calls" in formulas:
+                yield inner + call(f"{name}_calls", "n", i, "0")
+            yield f"{inner}for j in range(0, {width}, {lanes}): {call(name, 'n', i)}"
+
+        yield "def run(part, rows, wide, numbers, whole, first, last):"
+        parts = [(BEGIN, "constants"), (BEGIN, "begin"), (SAVE, "save")]
+        parts += [(PROJECT, "project"), (REGRID, "regrid")]
+        there = [(part, name) for part, name in parts if name in formulas]
+        if there:
+            # one loop for all, since Numba takes longer for a loop than for a condition
+            yield f"    if part != {ADVANCE}:"
+            yield f"        for j in range(0, {width}, {lanes}):"
+            yield from (f"            if part == {part}: {call(name)}" for part, name in there)
+            yield "        return"
+        if "even_step" not in formulas:
+            yield from steps("step", "    ")
             return
-        rows, wide, numbers, tables = memory
-        times = self._times(formula, memory, n, i)
-
-        def row(group: str, k: int) -> Array:
-            is_wide, at = self.program.layout.row(group, k)
-            return (wide if is_wide else rows)[at]  # type: ignore[no-any-return]
-
-        def value(node: Any) -> Any:
-            group, *k = node.args
-            if not k:
-                return np.asarray(times[group], DTYPES[node.kind])
-            if group == "p" and (self.job.shared or k[0] in self.job.alike):
-                return numbers[PARAMETERS + k[0]]
-            return row(group, k[0])
-
-        given = [value(node) for node in formula.flat.nodes if node.op == "in"]
-        results = self._function(name, tables)(*given)
-        for target, result in zip(formula.targets, results, strict=True):
-            place = row(*target)
-            place[:] = np.maximum(place, result) if target == ("angle", 0) else result
-
-    def _function(self, name: str, tables: Any) -> Any:
-        # a program serves every scene of a structure, each with tables of its own
-        made = self._made.get(name)
-        if made is None or made[0] is not tables:
-            named = {key[1]: x for key, x in tables if key[0] == "table"}
-            made = tables, source.function(self.formulas[name].flat, tables=named)
-            self._made[name] = made
-        return made[1]
-
-    def _times(self, formula: Formula, memory: Any, n: int, i: int) -> dict[str, Any]:
-        _, wide, numbers, _ = memory
-        if not formula.clock:
-            return {}
-        step, begin, before, other = numbers[H], numbers[T0], float(n), 0.0
-        if self.job.own_steps:
-            step, gone, begin, other = (wide[self.program.layout.row(x, 0)[1]] for x in CLOCK)
-            before = gone if formula.clock == "moment" else gone + n
-        if formula.clock == "stage":
-            h, k, at = self.job.method.stages[i]
-            return {"t": begin + (before + at) * step, "h": h * step, "k": k * step}
-        since = before * step
-        if formula.clock == "step":
-            return {"t": begin + since, "h": step, "k": step}
-        share = numbers[EDGE]
-        edge = share * step if self.job.own_steps else share
-        times = {"t": begin + since, "h": step, "since": since, "edge": edge}
-        return {**times, "k": other, "other": share * other}
+        yield "    even = True"
+        yield f"    for j in range({width}):"
+        for name in CLOCK[:3]:
+            k = self.layout.wide.first[name] * width
+            yield f"        even = even and wide[{k} + j] == wide[{k}]"
+        yield "    if even:"
+        yield from steps("even_step", "        ")
+        yield "    else:"
+        yield from steps("step", "        ")

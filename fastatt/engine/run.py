@@ -100,7 +100,7 @@ class Setup:
         self.program = made
         self.bodies, self.bounds = numbers, tuple(bounds)
         formulas, layout, job = made.formulas, made.layout, made.job
-        monitor = loop.ALWAYS if job.has_careful_form else loop.NEVER
+        monitor = loop.ALWAYS if job.has_any_angle_form else loop.NEVER
         if job.known:
             monitor = loop.BOUNDED if job.bounds else loop.KNOWN
         rows = layout.rows.first
@@ -123,15 +123,13 @@ class Setup:
             *(x.infinite for x in DIAGNOSTICS),
         ]
         self.tables = [(name, resources[name]) for name in formulas.resources]
-        at = [
-            len(job.method.stages),
-            *(x if isinstance(x, int) else address_of(x) for _, x in self.tables),
-        ]
-        self._whole = np.array(at, dtype=np.int64)
+        n_stages = len(job.method.stages)
+        at = (x if isinstance(x, int) else address_of(x) for _, x in self.tables)
+        self._whole = np.array([*at, n_stages], dtype=np.int64)
         stages = np.ravel(np.array(job.method.stages, dtype=np.float64))
         self.numbers = np.concatenate([numbers.params[0], stages])
         #: tables, parameters, known angles and flags as the loop takes them; no per-body steps
-        self.fixed: list[Any] = [self.tables, *numbers]
+        self.fixed: list[Any] = [[*(x for _, x in self.tables), n_stages], *numbers]
         self.uniform: list[Any] = [np.zeros(0)] * 4
         if not config.DISABLE_JIT:
             self.fixed = [address_of(x) for x in (self._whole, *numbers)]

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.codegen.fold import Fold
-from fastatt.codegen.rows import Rows, rows
+from fastatt.codegen.rows import Fold, Rows, rows
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
 from fastatt.gyro.integrate import intervals

@@ -344,7 +344,7 @@ def _through(quick: Any, careful: Any, stages: NDArray[np.float64], job: Job) ->
             y, z = quick(t + at * h, (share * h, other * h), y, p, e, z)
         return y, z
 
-    one_stage = twice if job.has_careful_form else once
+    one_stage = twice if job.has_any_angle_form else once
     return around_formulas(staged if job.method.stages else one_stage, spliced=True)
 
 

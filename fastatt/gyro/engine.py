@@ -27,7 +27,7 @@ _NO_TOTALS = np.empty(0)
 # tiles of one log below which a thread more is no gain
 _TILES = 64
 _SHORT = (2 * _TILES - 1) * TILE
-# tiles that take some 0.05 s, between two looks at Ctrl-C
+# tiles that take some 0.05 s, between two checks for Ctrl-C
 _PIECE = 4096
 
 _Done = Callable[[int], object] | None

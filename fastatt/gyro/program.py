@@ -13,16 +13,15 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numba import config, types
+from numba import config
 
+from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.memory import DTYPES, aligned
-from fastatt.codegen.modules import generated
 from fastatt.codegen.processor import processor
-from fastatt.gyro.formula import WindowFormula
 from fastatt.gyro.loops import ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
 from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products
@@ -32,9 +31,8 @@ from fastatt.tracing.trace import traceable
 
 _SAMPLES, _SPANS, _ATTITUDES, _STATE = range(4)
 _KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
-_TYPES = {"double": types.float64, "single": types.float32}
 _CALL = "{name}(samples, spans, attitudes, state, {offsets})"
-_Formulas = dict[str, WindowFormula]
+_Formulas = dict[str, LaneFormula]
 
 
 class Program:
@@ -82,15 +80,9 @@ class Program:
         if small_angle:
             formulas |= self._chain()
         text = "\n".join([*self._text(formulas), ""])
-        if config.DISABLE_JIT:
-            scope: dict[str, Any] = {name: x.in_python() for name, x in formulas.items()}
-            exec(text, scope)
-            return scope["run"]
-        arrays = (types.CPointer(_TYPES[self.kind]),) * 4
-        whole = types.int64
-        emissions = {name: ((*arrays, *[whole] * 4), x.emit) for name, x in formulas.items()}
-        key = self.kind + "".join(x.key for x in formulas.values())
-        return generated(text, (whole, *arrays, whole, whole), emissions, key)
+        shape = Shape(self.kind, LANES, self._vector)
+        made = LaneProgram(text, formulas, shape, (self.kind,) * 4)
+        return made.in_python() if config.DISABLE_JIT else made.compiled()
 
     def _text(self, formulas: _Formulas) -> Iterator[str]:
         lanes = f"for j in range(0, {LANES}, {self._vector}):"
@@ -115,13 +107,23 @@ class Program:
 
     # the formulas
 
-    def _formula(self, flat: Flat, gives: Any, lanes: int | None = None) -> WindowFormula:
-        takes = {
+    def _formula(
+        self, flat: Flat, array: int, first: int, rows: Sequence[int] | None = None, lanes: int = 0
+    ) -> LaneFormula:
+        """A formula; its results go to ``rows`` from the first on, or to those in order."""
+        begin = {
             "v": (_SAMPLES, 0), "h": (_SPANS, 0), "q": (_ATTITUDES, 0), "p": (_STATE, START),
             "turned": (_STATE, TURNED), "state": (_STATE, ITERATION),
         }  # fmt: skip
-        shared = () if self.uneven else ("h",)
-        return WindowFormula(flat, takes, gives, LANES, lanes or self._vector, shared)
+
+        def place(group: str, i: int) -> Place:
+            array, row = begin[group]
+            shared = group == "h" and not self.uneven
+            return Place(row + i, array, "shared" if shared else "lanes")
+
+        inputs = {name: place(*name) for name in flat.inputs()}
+        order = range(len(flat.results)) if rows is None else rows
+        return LaneFormula(flat, inputs, [Place(first + i, array) for i in order], lanes=lanes)
 
     def _chain(self) -> _Formulas:
         """p∘r, and p of the next chunk at unit length, by a Newton step."""
@@ -131,26 +133,25 @@ class Program:
         p, turned = (join.inputs(self.kind, name, 4) for name in ("p", "turned"))
         joined = Flat(join, traceable(quat.renormalise)(tuple(products(p, turned))), self.kind)
         return {
-            "place": self._formula(placed, [(_ATTITUDES, k) for k in range(4)]),
-            "join": self._formula(joined, [(_STATE, NEXT + k) for k in range(4)], 1),
+            "place": self._formula(placed, _ATTITUDES, 0),
+            "join": self._formula(joined, _STATE, NEXT, lanes=1),
         }
 
     def _windows(self, small_angle: bool) -> _Formulas:
         """The attitudes of a window, the last of which is the next one's first."""
-        gives = [(_ATTITUDES, 4 + i) for i in range(4 * self.window.span)]
         if self.window.iteration is not None:
-            return self._iterated(self.window.iteration, gives)
+            return self._iterated(self.window.iteration)
         graph = Graph()
         vectors = traceable(self.window.formula(self.increments))(*self._given(graph))
         exp = traceable(quat.exp_short if small_angle else quat.exp)
         turned = [x for i in range(0, len(vectors), 3) for x in exp(vectors[i : i + 3])]
         found = products(graph.inputs(self.kind, "q", 4), turned)
-        return {"window": self._formula(Flat(graph, found, self.kind), gives)}
+        return {"window": self._formula(Flat(graph, found, self.kind), _ATTITUDES, 4)}
 
-    def _iterated(self, iteration: Iteration, gives: Any) -> _Formulas:
+    def _iterated(self, iteration: Iteration) -> _Formulas:
         begin, again, end = Graph(), Graph(), Graph()
         state = iteration.begin(self.increments, *self._given(begin))
-        size, first = len(state), [(_STATE, ITERATION + i) for i in range(len(state))]
+        size = len(state)
         self._state = ITERATION + size
         before = again.inputs(self.kind, "state", size)
         after = iteration.again(before)
@@ -159,9 +160,9 @@ class Program:
         read = products(end.inputs(self.kind, "q", 4), found)
         improved = Flat(again, [after[i] for i in changed], self.kind)
         return {
-            "begin": self._formula(Flat(begin, state, self.kind), first),
-            "improve": self._formula(improved, [first[i] for i in changed]),
-            "read": self._formula(Flat(end, read, self.kind), gives),
+            "begin": self._formula(Flat(begin, state, self.kind), _STATE, ITERATION),
+            "improve": self._formula(improved, _STATE, ITERATION, changed),
+            "read": self._formula(Flat(end, read, self.kind), _ATTITUDES, 4),
         }
 
     def _given(self, graph: Graph) -> tuple[Any, Any]:

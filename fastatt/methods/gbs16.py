@@ -16,9 +16,8 @@ from typing import Any
 
 from fastatt.methods.method import BODIES, Method, Steps
 from fastatt.scene.equations import Body
-from fastatt.tracing.formulas import Vector, axpy, largest, minus, plus, product, rigid, scale
+from fastatt.tracing.formulas import Vector, axpy, largest, minus, onto, plus, product, rigid, scale
 from fastatt.tracing.graph import choose
-from fastatt.tracing.sums import onto
 
 #: substeps of each column: few, but far enough apart for small weights, which multiply rounding
 COLUMNS = (4, 6, 8, 10, 12, 14, 18, 24)

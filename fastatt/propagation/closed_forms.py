@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt._jit import address_loop
 from fastatt.codegen.call import call_generated, reals, wholes
-from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
+from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_function
 from fastatt.codegen.memory import address_of
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of, without_compiler
@@ -278,10 +278,12 @@ def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -
     shape, results = Shape(kind, lanes, lanes), len(traced.state.results)
     constants = RESULTS + results
     n = constants + len(traced.prepare.results)
-    inputs = {(name, i): _FIRST[name] + i for name, k in _GIVEN.items() for i in range(k)}
-    inputs |= {("t", 0): TIME} | {("constant", k - constants): k for k in range(constants, n)}
-    prepare = LaneFormula(traced.prepare, inputs, range(constants, n))
-    state = LaneFormula(traced.state, inputs, range(RESULTS, constants), FINITE)
+    inputs = {(name, i): Place(_FIRST[name] + i) for name, k in _GIVEN.items() for i in range(k)}
+    kept = [Place(row) for row in range(constants, n)]
+    inputs |= {("t", 0): Place(TIME)} | {("constant", k): x for k, x in enumerate(kept)}
+    prepare = LaneFormula(traced.prepare, inputs, kept)
+    found = [Place(row) for row in range(RESULTS, constants)]
+    state = LaneFormula(traced.state, inputs, found, Place(FINITE))
     made = lane_function(shape, (prepare, state))
     return _Compiled(shape, Memory(shape, n, 2), made, _loop(kind, lanes, results - 3))
 

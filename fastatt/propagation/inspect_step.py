@@ -54,7 +54,7 @@ def inspect_step(
     as_scene(scene)
     job = job_of(scene, method, representation, checks.precision(dtype), reduce)
     formulas = job.formulas
-    flat = formulas.quick.plain
+    flat = formulas.small_angle.plain
     text = source.Text(flat)
     constants = source.Text(formulas.constants)
     groups = dict.fromkeys(name[0] for f in (formulas.constants, flat) for name in f.inputs())

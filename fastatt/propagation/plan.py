@@ -76,7 +76,7 @@ class Plan:
             alike=alike(self, asked=bool(asked)),
             known=known is not None,
             raw=choice.raw,
-            mends=choice.restore > 0,
+            projects=choice.restore > 0,
             own_steps=isinstance(clock, OwnClock),
             width=n_bodies if choice.device else width_for(n_bodies, lanes),
         )

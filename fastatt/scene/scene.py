@@ -24,7 +24,7 @@ from fastatt.scene.inertia import (
 )
 from fastatt.scene.models import Law, Packed, join, numbers
 from fastatt.scene.time_series import TimeSeries
-from fastatt.tracing.sources import keep, sources
+from fastatt.tracing.standing import keep, sources
 from fastatt.tracing.user import UserFunction
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from heapq import heapify, heappop, heappush
 from itertools import chain
 from typing import Any
 
 from fastatt.tracing.graph import Graph, number
 from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
-from fastatt.tracing.order import ordered
 
 #: operations that a value must take to be kept in memory rather than computed again
 _WORTH = 3
+#: results that may wait before the order is changed: a processor has 16 or 32 registers
+_REGISTERS = 24
 #: operations that find something in memory, and what
 _RESOURCES = {"gather": "table", "opaque": "function"}
 
@@ -68,7 +70,7 @@ class Flat:
 
     def in_few_registers(self) -> Flat:
         """The same in an order in which few results wait."""
-        order = ordered(self.nodes, self.results)
+        order = _ordered(self.nodes, self.results)
         at = {i: k for k, i in enumerate(order)}
         found = Flat.__new__(Flat)
         found.nodes = [
@@ -212,3 +214,73 @@ class Constants:
                     named = node.op == "in" and node.args[1] not in self.alike
                     self._has_own.append(named or any(self._has_own[k] for k in args if ops))
         return own
+
+
+# an order for few registers
+
+
+def _ordered(made: Sequence[Node], ends: Iterable[int]) -> list[int]:
+    """The operations' numbers in an order in which few results wait; ``ends`` are the results.
+
+    Results that wait take the processor's registers. Goodman and Hsu, *Code scheduling and register
+    allocation in large basic blocks* (1988): of what can be done next, what frees most; of equals
+    what was written first.
+    """
+    order = range(len(made))
+    free = {i for i in order if made[i].op in ("const", "in")}
+    taken = {i: set(operands(made[i])) - free for i in order}
+    kept = set(ends)
+    if _waiting(order, taken, kept, free) <= _REGISTERS:
+        return list(order)
+    users: dict[int, list[int]] = {i: [] for i in order}
+    for i in order:
+        for k in taken[i]:
+            users[k].append(i)
+    missing = {i: len(taken[i]) for i in order}
+    left = {i: len(users[i]) + (i in kept) for i in order}
+    done = set(free)
+
+    def cost(i: int) -> int:
+        return -sum(left[k] == 1 for k in taken[i])
+
+    found = [i for i in order if i in free]
+    ready = [(cost(i), i) for i in order if i not in free and not missing[i]]
+    heapify(ready)
+    while ready:
+        _, i = heappop(ready)
+        if i in done:
+            continue
+        done.add(i)
+        found.append(i)
+        for k in taken[i]:
+            left[k] -= 1
+            if left[k] == 1:
+                # its last user frees it, which is worth more than it was
+                for j in users[k]:
+                    if j not in done and not missing[j]:
+                        heappush(ready, (cost(j), j))
+        for j in users[i]:
+            missing[j] -= 1
+            if not missing[j]:
+                heappush(ready, (cost(j), j))
+    return found
+
+
+def _waiting(
+    order: Sequence[int], taken: Mapping[int, set[int]], kept: set[int], free: set[int]
+) -> int:
+    """Most results that wait at once."""
+    uses = {i: int(i in kept) for i in order}
+    for i in order:
+        for k in taken[i]:
+            uses[k] += 1
+    live = most = 0
+    for i in order:
+        if i in free:
+            continue
+        live += 1
+        most = max(most, live)
+        for k in taken[i]:
+            uses[k] -= 1
+            live -= uses[k] == 0
+    return most

@@ -7,7 +7,7 @@ from functools import cache
 from time import perf_counter
 from typing import Any
 
-from fastatt.codegen.lanes import LaneFormula, Memory, Shape, lane_function
+from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_function
 from fastatt.codegen.processor import processor
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph
@@ -33,8 +33,9 @@ def chains(kind: str) -> tuple[Any, Memory]:
     for _ in range(UNROLLED):
         values = [a * x + b for x in values]
     lanes = processor().lanes(kind)
-    shape, rows = Shape(kind, lanes, lanes), range(2, 2 + CHAINS)
-    inputs = {("x", 0): 0, ("x", 1): 1} | {("chain", k): row for k, row in enumerate(rows)}
+    shape, rows = Shape(kind, lanes, lanes), [Place(2 + k) for k in range(CHAINS)]
+    inputs = {("x", k): Place(k) for k in range(2)}
+    inputs |= {("chain", k): row for k, row in enumerate(rows)}
     formula = LaneFormula(Flat(graph, values, kind), inputs, rows)
     return lane_function(shape, [formula], text=_TEXT), Memory(shape, 2 + CHAINS, 0)
 
