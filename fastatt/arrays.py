@@ -11,6 +11,9 @@ from fastatt import checks
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.tracing.formulas import dcm, euler313, quat
 
+# by how much an element of CᵀC may be off
+_NOT_ORTHOGONAL = 0.01
+
 
 def _on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:
     """A formula on rows (..., n) that broadcast: (..., after), or (...) where it gives a number."""
@@ -44,19 +47,24 @@ def _matrix(q: Any) -> Any:
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method.
 
-    Raises ``ValueError`` for matrices of no rotation: of axes that are left-handed or in a plane.
+    Raises ``ValueError`` for matrices of no rotation: of left-handed axes, or where an element of
+    CᵀC differs from that of the identity by more than 0.01.
     """
-    return quaternions_of(_right_handed("C", C))
+    return quaternions_of(_rotations("C", C))
 
 
-def _right_handed(name: str, C: Any) -> NDArray[Any]:
+def _rotations(name: str, C: Any) -> NDArray[Any]:
     found = floats(name, C, (3, 3))
     with np.errstate(all="ignore"):  # of what is not finite the quaternion is not either
         size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
-    if (size <= 0.0).any():
-        where = [int(i) for i in np.argwhere(size <= 0.0)[0]] or ""
+        gram = np.swapaxes(found, -1, -2) @ found
+        error = np.abs(gram - np.eye(3)).max(axis=(-2, -1))
+    wrong = (size <= 0.0) | (error > _NOT_ORTHOGONAL)
+    if wrong.any():
+        k = tuple(int(i) for i in np.argwhere(wrong)[0])
         raise ValueError(
-            f"{name}{where}: found the determinant {np.min(size):.3g}; accepted: rotations, of 1"
+            f"{name}{list(k) or ''}: found the determinant {size[k]:.3g}, and CᵀC off the identity "
+            f"by {error[k]:.3g}; accepted: rotations, of determinant 1, to {_NOT_ORTHOGONAL}"
         )
     return found
 
@@ -72,8 +80,15 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
-    """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of quaternions (..., 4)."""
-    return _on_rows(euler313.from_quat, floats("q", q, (4,)), after=3)
+    """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of quaternions (..., 4) not 0.
+
+    Quaternions are normalised first: their length does not count.
+    """
+    return _on_rows(_angles, floats("q", q, (4,)), after=3)
+
+
+def _angles(q: Any) -> Any:
+    return euler313.from_quat(quat.normalise(q))
 
 
 def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
@@ -157,7 +172,7 @@ def _angle(p: Any, q: Any) -> Any:
 def _as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
     found = checks.numbers(name, value, "real numbers")
     if found.shape[-2:] == (3, 3):
-        return quaternions_of(_right_handed(name, found))
+        return quaternions_of(_rotations(name, found))
     if found.shape[-1:] != (4,):
         raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., 4) and (..., 3, 3)")
     return found

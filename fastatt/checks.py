@@ -7,6 +7,7 @@ import operator
 import re
 from collections.abc import Iterable
 from datetime import timedelta
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any
 
@@ -21,11 +22,21 @@ _PRECISIONS = _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
 
 def choice(name: str, value: object, accepted: Iterable[str]) -> str:
-    """One of a few words."""
+    """One of a few words; the nearest is offered in place of another."""
     words = list(accepted)
     if not isinstance(value, str) or value not in words:
-        raise ValueError(f"{name}: found {brief(value)}; accepted: {', '.join(words)}")
+        raise ValueError(
+            f"{name}: found {brief(value)}; accepted: {', '.join(words)}{nearest(value, words)}"
+        )
     return value
+
+
+def nearest(value: object, words: Iterable[str]) -> str:
+    """The end of a message that offers the word most like a value; empty where none is."""
+    by_form = {word.casefold(): word for word in words}
+    form = value.casefold()[:60] if isinstance(value, str) else ""
+    found = get_close_matches(form, by_form, n=1)
+    return f" (nearest: {by_form[found[0]]})" if found else ""
 
 
 def whole(name: str, value: Any, least: int) -> int:

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fastatt import __version__, listing
-from fastatt import precompile as warming
+from fastatt import __version__, listing, precompile
 from fastatt.checks import attitudes, choice, real, whole
 from fastatt.codegen import modules
 from fastatt.gyro.integrate import integrate_rates, methods_for_samples
@@ -144,18 +143,17 @@ def _parser() -> argparse.ArgumentParser:
     add("--save-interval", type=float, help="s between saves (default: the end)")
     add("--methods", type=_names, help="only these methods: rk4,magnus4")
 
-    warm = command(
-        _warm,
+    compile_usual = command(
+        _precompile,
         "compile what is usual beforehand",
         "Compile every method on usual scenes (constant rate, coning, free body, heavy top, "
         "gravity gradient and damping) and for logs, on quaternions and matrices in double "
         "precision, in parallel processes. Programs are kept: FASTATT_CACHE names the folder.",
     )
-    add = warm.add_argument
+    add = compile_usual.add_argument
     add("--all", action="store_true", help="single precision and all representations besides")
     add("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
     add("-j", "--jobs", type=int, help="processes (default: one a processor)")
-    add("--where", action="store_true", help="only say what is kept, and where")
 
     cache = command(
         _cache,
@@ -164,30 +162,28 @@ def _parser() -> argparse.ArgumentParser:
         "folder; FASTATT_CACHE=0 switches it off.",
     )
     cache.add_argument("--clear", action="store_true", help="remove them")
-    for shows_progress in (integrate, trade, advice, warm):
+    for shows_progress in (integrate, trade, advice, compile_usual):
         shows_progress.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     return parser
 
 
-def _warm(arguments: argparse.Namespace) -> int:
-    if arguments.where:
-        print(warming.where())
-        return 0
+def _precompile(arguments: argparse.Namespace) -> int:
     if arguments.jobs is not None:
         whole("--jobs", arguments.jobs, 1)
-    tasks = (
-        warming.usual(everything=arguments.all)
-        if arguments.scene_file is None
-        else warming.of_scene(read_scene(arguments.scene_file), everything=arguments.all)
-    )
-    print(warming.warm(tasks, processes=arguments.jobs, progress=_bar_wanted(arguments.quiet)))
+    if arguments.scene_file is None:
+        tasks = precompile.usual(everything=arguments.all)
+    else:
+        scene = read_scene(arguments.scene_file)
+        tasks = precompile.of_scene(scene, everything=arguments.all)
+    progress = _bar_wanted(arguments.quiet)
+    print(precompile.precompile(tasks, processes=arguments.jobs, progress=progress))
     return 0
 
 
 def _cache(arguments: argparse.Namespace) -> int:
     if arguments.clear:
         modules.clear()
-    print(warming.where())
+    print(precompile.where())
     return 0
 
 

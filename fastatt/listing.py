@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fastatt import precompile as warming
+from fastatt import precompile
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import fits
 from fastatt.propagation.closed_forms import LEVERS
@@ -50,7 +50,7 @@ def _operations(m: Method) -> str:
     """Operations a step on usual scenes, in words."""
     found: dict[str, int] = {}
     for name in _COUNTED:
-        scene = warming.SCENES[name](1.0)
+        scene = precompile.SCENES[name](1.0)
         if m.is_stepped and fits(m, scene, "quat"):
             found[name] = job_of(scene, m, "quat", np.float64).formulas.operations
     return f"operations {', '.join(f'{n} {k}' for n, k in found.items())}; " if found else ""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -41,22 +41,18 @@ _OWN = np.linspace(0.9, 1.1, _BODIES)
 _MOMENTS = np.array([2.0, 1.0, 0.7])
 
 
-def _body(torque: Callable[[Any], Any] | None) -> Callable[[Any], Scene]:
-    def made(x: Any) -> Scene:
-        moments = np.multiply.outer(x, _MOMENTS)
-        return Scene(inertia=moments, torque=None if torque is None else torque(x))
-
-    return made
+def _body(x: Any, torque: Any = None) -> Scene:
+    return Scene(inertia=np.multiply.outer(x, _MOMENTS), torque=torque)
 
 
 #: scenes that need no user's function, with numbers x that all share or of each body's own
 SCENES: Mapping[str, Callable[[Any], Scene]] = {
     "constant rate": lambda x: Scene(rate=rates.Constant(np.multiply.outer(x, [0.1, 0.2, 0.3]))),
     "coning": lambda x: Scene(rate=rates.Coning(0.5 * x, x)),
-    "free": _body(None),
-    "heavy top": _body(lambda x: torques.HeavyTop(arm=(0.0, 0.0, 0.1), weight=x)),
-    "gravity gradient and damping": _body(
-        lambda x: torques.Sum((torques.GravityGradient(0.1 * x), torques.Damping(0.01 * x)))
+    "free": _body,
+    "heavy top": lambda x: _body(x, torques.HeavyTop(arm=(0.0, 0.0, 0.1), weight=x)),
+    "gravity gradient and damping": lambda x: _body(
+        x, torques.Sum((torques.GravityGradient(0.1 * x), torques.Damping(0.01 * x)))
     ),
 }
 
@@ -175,29 +171,27 @@ def _run_alone(task: bytes) -> None:
     pickle.loads(task).run()
 
 
-def warm(tasks: Sequence[Task], *, processes: int | None = None, progress: bool = False) -> str:
+def precompile(
+    tasks: Sequence[Task], *, processes: int | None = None, progress: bool = False
+) -> str:
     """Compile what tasks need, and say how many programs are kept, how large, and where.
 
     Raises ``ValueError`` where nothing can be kept.
     """
     if modules.folder() is None:
-        raise ValueError(f"nothing is kept: {modules.reason()}")
+        raise ValueError(where())
     # here, where what fails is seen: in the pool's own thread it may wait for ever
     sent = [pickle.dumps(task) for task in tasks]
     workers = max(1, min(processes or default_threads(), len(tasks)))
     before, _ = modules.usage()
+    spawn = multiprocessing.get_context("spawn")
     with (
-        ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool,
+        ProcessPoolExecutor(workers, mp_context=spawn) as pool,
         progress_bar(progress, len(tasks), "case") as done,
     ):
-        futures = [pool.submit(_run_alone, task) for task in sent]
-        try:
-            for future in as_completed(futures):
-                future.result()
-                done(1)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        # where one fails, those that were not begun are cancelled
+        for _ in pool.map(_run_alone, sent):
+            done(1)
     return f"{modules.usage()[0] - before} programs made; {where()}"
 
 

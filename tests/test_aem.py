@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta, timezone
 
 import numpy as np
 import pytest
@@ -164,6 +165,32 @@ def test_the_standards_example(tmp_path):
     assert "USEABLE_STOP_TIME = 1996-11-30T01:18:02.5555" in aem.text()
 
 
+@pytest.mark.parametrize("keyword", ["QUATERNION_TYPE = FIRST", "ATTITUDE_DIR = B2A"])
+def test_the_order_and_the_direction_that_a_message_says_count(keyword, tmp_path):
+    """In version 2.0 too, which has fixed them."""
+    (plain,) = read(EXAMPLE, tmp_path).segments
+    aem = read(EXAMPLE.replace("META_STOP", f"{keyword}\nMETA_STOP"), tmp_path)
+    (said,) = aem.segments
+    first = np.roll(plain.q, -1, axis=1)
+    assert np.array_equal(said.q, first if "FIRST" in keyword else [conj(q) for q in plain.q])
+    assert keyword in aem.text()
+    assert np.array_equal(read(aem.text(), tmp_path).segments[0].q, said.q)
+
+
+def test_files_that_are_no_message(tmp_path):
+    path = tmp_path / "message.aem"
+    path.write_text(EXAMPLE, encoding="utf-8-sig")
+    assert len(ic.read_aem(path).segments[0].t) == 3
+    for content, message in (
+        (EXAMPLE.encode("utf-16"), "message.aem: found bytes that are no text in ASCII or UTF-8"),
+        (b"", "message.aem: is empty; accepted: a message, from CCSDS_AEM_VERS on"),
+        (b"\n \n", "message.aem: is empty"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            ic.read_aem(path)
+
+
 @each(
     ("old", "new", "message"),
     [
@@ -178,6 +205,8 @@ def test_the_standards_example(tmp_path):
         ("T22:08:03", "T20:08:03", "time 1996-11-28T20:08:03.5555 does not rise"),
         ("T22:08:03", "T25:08:03", "line .*: time: found 1996-11-28T25:08:03.5555; accepted"),
         ("DATA_STOP\n", "", "line 27: the message ends before a block does"),
+        ("STOP_TIME         = 1996-11-30", "STOP_TIME = 1996-11-28", "accepted: within START_TIME"),
+        ("T21:29:07.2555\nUSE", "T21:29:08\nUSE", "found times from 1996-11-28T21:29:07.2555 to"),
         ("META_STOP\n\nDATA_START", "META_STOP\n", "accepted: DATA_START"),
         ("CENTER_NAME  ", "OBJECT_ID", "line 10: OBJECT_ID is there twice"),
         ("ORIGINATOR    = NASA/JPL", "ORIGINATOR", "line 3: found ORIGINATOR; accepted: KEYWORD"),
@@ -199,12 +228,16 @@ def test_rates_that_can_be_read_in_two_ways_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"t": T[::-1]}, r"segments\[0\].t: does not rise"),
+        ({"t": T[::-1]}, r"segments\[0\].t: time 2016-12-31T23:.* does not rise"),
         ({"w": None}, r"segments\[0\].w: is missing; QUATERNION/ANGVEL needs"),
         ({"q": Q * np.nan}, r"segments\[0\].q\[0, 0\] is nan"),
         ({"epoch": "yesterday"}, "time: found yesterday; accepted: YYYY-MM-DD"),
         ({"metadata": NEW | ANGVEL | {"COLOUR": "RED"}}, "metadata: found COLOUR; accepted: OBJ"),
         ({"metadata": NEW}, "without ATTITUDE_TYPE"),
+        (
+            {"metadata": NEW | ANGVEL | {"STOP_TIME": "2017-01-01T00:00:00"}},
+            "found times from .* accepted: within START_TIME and STOP_TIME",
+        ),
     ],
 )
 def test_no_wrong_message_is_written(change, message):
@@ -270,10 +303,11 @@ def test_a_run_as_a_message(tmp_path):
     # numbers as the standard writes them: a point in every mantissa
     assert re.search(r"\d\.\d+e-\d+", path.read_text())
     assert not re.search(r" -?\d+(e| |$)", path.read_text().split("DATA_START")[1])
-    old = ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", version="1.0")
+    old = ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", body=0, version="1.0")
     assert angle(read(old.text(), tmp_path).segments[0].q, run.q[:, 0]).max() == 0.0
     for options, message in (
         ({"body": 2}, "body: found 2; accepted: 0 to 1"),
+        ({}, "body: is missing, the run has 2 bodies; accepted: 0 to 1, since a message is of one"),
         ({"version": "3.0"}, "version: found '3.0'; accepted: 1.0, 2.0"),
         ({"attitude_type": "SPIN"}, "attitude_type: found 'SPIN'; accepted: QUATERNION, QUAT"),
     ):
@@ -281,6 +315,73 @@ def test_a_run_as_a_message(tmp_path):
             ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", **options)
     for wrong in ("", "A\nB", "é"):
         with pytest.raises(ValueError, match=r"REF_FRAME_A: found .*; accepted: a line of ASCII"):
-            run.to_aem(path, epoch="2026-01-01T00:00:00", frame=wrong)
-    with pytest.raises(ValueError, match="epoch: found 5; accepted: a line of ASCII"):
-        run.to_aem(path, epoch=5, frame="ICRF")
+            run.to_aem(path, epoch="2026-01-01T00:00:00", frame=wrong, body=0)
+
+
+def run_from(t0):
+    scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 0.1)))
+    return fa.propagate(scene, [1.0, 0.0, 0.0, 0.0], dt=0.5, n_steps=2, save_every=1, t0=t0)
+
+
+def test_unix_time_skips_leap_seconds():
+    """1483228799 is the last second before 2017, which a leap second precedes."""
+    run = run_from(1483228799.0)
+    text = ic.aem_of(run, epoch="unix", frame="ICRF").text()
+    tags = [line.split()[0] for line in text.split("DATA_START\n")[1].splitlines()[:3]]
+    assert tags == ["2016-12-31T23:59:59", "2016-12-31T23:59:59.5", "2017-01-01T00:00:00"]
+    # a calendar's own count of the same times
+    assert [float(np.datetime64(x, "ms").astype(int)) / 1e3 for x in tags] == run.t.tolist()
+    for metadata in ({"TIME_SYSTEM": "TAI"}, {"TIME_SYSTEM": "GPS"}):
+        with pytest.raises(ValueError, match=r'epoch: found "unix" with TIME_SYSTEM .*; accepted'):
+            ic.aem_of(run, epoch="unix", frame="ICRF", metadata=metadata)
+
+
+@pytest.mark.parametrize(
+    "epoch", ["1970-01-01T00:00:00", "1970-001T00:00:00", datetime.fromisoformat("1970-01-01")]
+)
+def test_long_times_since_1970_are_refused_with_both_ways(epoch):
+    message = 'epoch: found 1970.*accepted: "unix" where t is Unix time, or a time near the run'
+    with pytest.raises(ValueError, match=message):
+        ic.aem_of(run_from(1.7e9), epoch=epoch, frame="ICRF")
+    # a run of that time
+    assert ic.aem_of(run_from(1e7), epoch=epoch, frame="ICRF").segments[0].t[0] == 1e7
+
+
+@pytest.mark.parametrize(
+    "epoch",
+    [
+        "2026-01-01T12:00:00",
+        "2026-01-01 12:00",
+        "2026-01-01T14:00:00+02:00",
+        datetime.fromisoformat("2026-01-01T12:00"),
+        datetime(2026, 1, 1, 14, tzinfo=timezone(timedelta(hours=2))),
+    ],
+)
+def test_epochs_are_datetimes_and_iso_strings(epoch):
+    (segment,) = ic.aem_of(run_from(0.0), epoch=epoch, frame="ICRF").segments
+    assert segment.epoch == "2026-01-01T12:00:00"
+
+
+@pytest.mark.parametrize(
+    ("epoch", "system", "message"),
+    [
+        (5, "UTC", "epoch: found 5; accepted: a datetime, .unix., or text such as YYYY-MM-DD"),
+        ("soon", "UTC", "epoch: found 'soon'; accepted: a datetime"),
+        (datetime(2026, 1, 1, tzinfo=UTC), "TAI", "with an offset from UTC, and TIME_SYSTEM TAI"),
+    ],
+)
+def test_other_epochs_are_refused(epoch, system, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        ic.aem_of(run_from(0.0), epoch=epoch, frame="ICRF", metadata={"TIME_SYSTEM": system})
+
+
+def test_order_and_direction_are_written_explicitly():
+    """As a comment in version 2.0, which has no keywords for them."""
+    new, old = (
+        ic.aem_of(run_from(0.0), epoch="2026-01-01", frame="ICRF", version=v).text()
+        for v in ("2.0", "1.0")
+    )
+    assert "COMMENT quaternions: scalar last, A2B of REF_FRAME_A and REF_FRAME_B\n" in new
+    assert "QUATERNION_TYPE" not in new
+    assert "ATTITUDE_DIR = A2B\n" in old
+    assert "QUATERNION_TYPE = LAST\n" in old

@@ -79,6 +79,9 @@ def test_length_of_a_quaternion_says_nothing(name, dtype):
     v = () if name.startswith("quat_to") else (np.array([1.0, -2.0, 3.0], dtype),)
     q = QUATS.astype(dtype)
     found, unit = (getattr(fa, name)(x, *v) for x in (dtype(1.7) * q, q))
+    if name == "quat_to_euler313":  # of a length whose squares overflow
+        large = dtype(1e30 if dtype is np.float32 else 1e200)
+        assert np.abs(fa.quat_to_euler313(large * q) - unit).max() < 64 * np.finfo(dtype).eps
     assert found.dtype == dtype
     assert np.abs(found - unit).max() < 64 * np.finfo(dtype).eps
 
@@ -199,9 +202,17 @@ def test_float32_angles():
         (
             lambda: fa.dcm_to_quat(np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])])),
             ValueError,
-            r"C\[1\]: found the determinant -1; accepted: rotations",
+            r"C\[1\]: found the determinant -1, and .* by 0; accepted: rotations",
         ),
         (lambda: fa.dcm_to_quat(np.zeros((3, 3))), ValueError, "C: found the determinant 0"),
+        (
+            lambda: fa.dcm_to_quat([np.eye(3), 2.0 * np.eye(3)]),
+            ValueError,
+            r"C\[1\]: found the determinant 8, and CᵀC off the identity by 3; accepted: rot",
+        ),
+        (lambda: fa.dcm_to_quat(57.3 * np.eye(3)), ValueError, "C: found the determinant 1.88e"),
+        (lambda: fa.dcm_to_quat(np.eye(3) + np.eye(3, k=1) * 0.011), ValueError, "identity by 0.0"),
+        (lambda: fa.angle_between(2.0 * np.eye(3), [1, 0, 0, 0]), ValueError, "a: found the det"),
         (lambda: fa.euler313_to_quat([1, 2]), ValueError, r"angles: has shape \(2,\)"),
         (lambda: fa.rotation_vector_to_quat(1.0), ValueError, r"u: has shape \(\)"),
         (lambda: fa.quat_to_euler313([1j, 0, 0, 0]), TypeError, "q: found"),

@@ -502,7 +502,11 @@ SCENE = [
         ValueError,
         "torque: found beside a rate; accepted: with inertia only",
     ),
-    ({"torque": LINEAR}, ValueError, "rate, inertia: found neither"),
+    (
+        {"torque": LINEAR},
+        ValueError,
+        "rate, inertia: found neither beside a torque, which needs inertia; acc",
+    ),
     (
         {"inertia": MOMENTS, "frame": "inertial"},
         ValueError,

@@ -61,6 +61,16 @@ def test_time_stamps_in_another_unit(tmp_path, capsys):
     assert "3 samples at 1000 Hz" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("start", [0.0, 12.5, 1.7e9])
+def test_unix_stamps_are_kept(tmp_path, start):
+    path, out = tmp_path / "log.csv", tmp_path / "out.npy"
+    rows = "\n".join(f"{start + 0.01 * i:.2f},0.1,0.2,0.3" for i in range(50))
+    path.write_text(f"time (s),gyro_x,gyro_y,gyro_z\n{rows}\n", encoding="utf-8")
+    assert main(["integrate", str(path), "-u", "rad/s", "-o", str(out)]) == 0
+    begin = start if start > 1e8 else 0.0
+    assert np.load(out)[:, 0] == pytest.approx(begin + 0.01 * np.arange(50), abs=3e-7, rel=0)
+
+
 def test_integrate_compares_methods(log, capsys, monkeypatch):
     monkeypatch.setattr(cli, "compare_on_log", partial(compare_on_log, methods=[]))
     assert main(["integrate", str(log[0]), "-m", "coning3", "-r", "100", "--compare"]) == 0
@@ -124,7 +134,10 @@ ADVISE = ("recommend", "--t-end", "5", "--tol", "1e-8")
         ([*ADVISE, "--rate", "Coning", "angle"], "--rate: found 'angle'; accepted: name=number"),
         ([*ADVISE, "--rate", "Coning", "angle=x"], "--rate Coning angle: found 'x'"),
         ([*ADVISE, "--rate", "Coning", "tilt=1"], "rate Coning: found 'tilt'; accepted: angle"),
-        ([*ADVISE, "--torque", "Damping", "coefficient=1"], "rate, inertia: found neither"),
+        (
+            [*ADVISE, "--torque", "Damping", "coefficient=1"],
+            "rate, inertia: found neither beside a torque",
+        ),
         ([*ADVISE, "--scene-file", "none.toml"], "No such file"),
         ([*ADVISE, "--scene-file", "{log}"], "found the ending '.csv'; accepted: .json and .toml"),
         ([*ADVISE, "--inertia", "1,1,1", "--q0", "{log}"], "--q0: "),
@@ -164,7 +177,7 @@ def test_usage_errors(arguments, capsys):
 
 @pytest.mark.parametrize(
     "command",
-    [[], ["integrate"], ["trade"], ["methods"], ["recommend"], ["warm"], ["cache"]],
+    [[], ["integrate"], ["trade"], ["methods"], ["recommend"], ["precompile"], ["cache"]],
 )
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as caught:

@@ -78,18 +78,54 @@ def test_bits_do_not_depend_on_chunks(name):
         lazy = fd.propagate(
             scene, **dict(zip(NAMES, given, strict=False)), chunks=chunks, **options
         )
-        (found,) = dask.compute(lazy)
-        assert found.method == whole.method
+        found, *parts = dask.compute(lazy, lazy.q, lazy.dcm)
+        assert isinstance(found, fa.Trajectory)
+        assert found.summary() == whole.summary()
         assert same(found.t, whole.t)
-        for part in ("q", "w", "status", "dcm", *(("v", "r") if scene.moves else ())):
+        for part in ("q", "w", "status", "dcm", "norm_error", *(("v", "r") if scene.moves else ())):
             assert same(getattr(found, part), getattr(whole, part)), part
+        for part, value in zip((whole.q, whole.dcm), parts, strict=True):
+            assert same(value, part)
+        for part in ("q", "w", "status", *(("v", "r") if scene.moves else ())):
             assert getattr(lazy, part).shape == getattr(whole, part).shape, part
-        assert same(lazy.dcm.compute(), whole.dcm)
 
 
 def test_precision_is_that_of_all_arrays():
     lazy = fd.propagate(SHARED, Q0.astype("f4"), lazily([W0])[0], **STEPS)
     assert lazy.q.dtype == lazy.q.compute().dtype == np.float64
+
+
+def test_a_computed_run_is_a_trajectory(tmp_path):
+    """What a user does with a run goes on from there."""
+    run = fd.propagate(SHARED, Q0, W0, chunks=33, save_every=10, **RK4).compute()
+    whole = fa.propagate(SHARED, Q0, W0, save_every=10, **RK4)
+    for x in (run, whole):
+        x.to_csv(tmp_path / f"{x is run}.csv")
+    assert (tmp_path / "True.csv").read_bytes() == (tmp_path / "False.csv").read_bytes()
+    assert np.array_equal(fa.drift(run, SHARED).energy, fa.drift(whole, SHARED).energy)
+    assert fa.interpolate(run.t, run.q, run.w, [0.33])[0].shape == (1, N, 4)
+    run.plot(tmp_path / "run.png", SHARED)
+    # whose end would be that of one chunk
+    with pytest.raises(ValueError, match="end: this trajectory does not hold it"):
+        run.save_end(tmp_path / "end")
+
+
+def test_a_persisted_run_is_computed_once(monkeypatch):
+    calls = []
+
+    def counted(*args, **options):
+        calls.append(1)
+        return fa.propagate(*args, **options)
+
+    monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
+    (kept,) = dask.persist(fd.propagate(SHARED, Q0, W0, chunks=30, **RK4))
+    whole = fa.propagate(SHARED, Q0, W0, **RK4)
+    assert len(calls) == 3
+    assert same(kept.compute().q, whole.q)
+    assert same(kept.w.compute(), whole.w)
+    assert len(calls) == 3
+    with pytest.raises(AttributeError, match="v: found none; accepted: q, w, dcm, status, t"):
+        _ = kept.v
 
 
 def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
@@ -102,7 +138,7 @@ def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
     monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
     lazy = fd.propagate(SHARED, Q0, W0, chunks=30, **RK4)
     assert threads == []
-    dask.compute(lazy.q, lazy.w, lazy.status, lazy.dcm)
+    dask.compute(lazy, lazy.q, lazy.w, lazy.status, lazy.dcm)
     assert threads == [1, 1, 1]
 
 

@@ -190,6 +190,8 @@ ARGUMENTS = {
     "quat.rate_inertial": (Q, P),
     "quat.slerp": (P, Q, 0.3),
     "quat.angle": (P, Q),
+    "rigid.saturated": (U, (0.4, 0.4, 0.9)),
+    "rigid.sign_of_scalar": (Q,),
     "rigid.momentum": (W, J),
     "rigid.gyroscopic_coefficients": (J,),
     "rigid.gyroscopic": (U, V),

@@ -311,3 +311,32 @@ def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, mo
     assert formulas.small_angle.plain.results
     assert max(1, len(record.stages)) * counts["evaluations"] == record.rate_calls
     assert kind != "rate" or counts["turns"] == record.exponentials
+
+
+TORQUED = fa.Scene(inertia=(2.0, 1.0, 0.8), torque=fa.torques.QuadraticDamping(0.1))
+
+
+@pytest.mark.parametrize(
+    ("scene", "method", "reason"),
+    [
+        (
+            fa.Scene(inertia=(2.0, 1.0, 0.8)),
+            "magnus4",
+            "magnus4 needs a rate; this scene has inertia",
+        ),
+        (
+            fa.Scene(rate=fa.rates.Coning(0.1, 1.0)),
+            "dmv2",
+            "dmv2 needs inertia; this scene has a rate",
+        ),
+        (TORQUED, "dmv2", "dmv2 is for spherical, symmetric, free bodies; this is torqued"),
+        (TORQUED, "strang2", "strang2 needs a torque that does not depend on w, but for linear"),
+        (TORQUED, "hold", "hold is for samples: fastatt.integrate_rates"),
+        (TORQUED, "RK45", "nearest: rk8"),
+        (TORQUED, "RK_4", "nearest: rk4"),
+        (TORQUED, "gbs", "nearest: gbs16"),
+    ],
+)
+def test_a_method_that_does_not_fit_says_why(scene, method, reason):
+    with pytest.raises(ValueError, match=rf"^method: found '{method}'; accepted: .* \({reason}"):
+        fa.propagate(scene, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3), dt=0.1, n_steps=1, method=method)

@@ -61,6 +61,25 @@ def test_one_body():
     assert set(curves(axis[2])) == {"from the group"}
 
 
+@pytest.mark.parametrize(
+    ("bodies", "options", "title"),
+    [
+        (1, {"save_at": [0.0, 0.5, 0.55]}, "rk4, 1 body, step 0.1 s"),
+        (
+            2,
+            {"dt": [0.1, 0.05], "n_steps": [40, 80], "save_at": [0, 0.5, 0.7]},
+            "step 0.05 to 0.1 s",
+        ),
+    ],
+)
+def test_runs_with_saves_at_given_times(bodies, options, title, tmp_path):
+    """Whose steps are an array."""
+    run = run_of(bodies, save_every=None, **options)
+    assert title in drawn(fa.plots.history, run, scene=BODY).get_suptitle()
+    assert title in drawn(fa.plots.polhode, run, scene=BODY).get_suptitle()
+    fa.plots.animation(run, tmp_path / "run.gif", seconds=0.1, fps=20)
+
+
 def test_angles_break_where_they_wrap():
     """A spin about the third axis: φ + ψ passes 180° and goes on from −180°."""
     run = fa.propagate(RATE, [1, 0, 0, 0], dt=0.1, n_steps=100, save_every=1)

@@ -46,7 +46,8 @@ def every_torque(w, n, table):
         t.Constant(w), t.ConstantInertial(w), t.Damping(n), t.AxisDamping(w),
         t.QuadraticDamping(n), t.GravityGradient(n), t.KeplerGravityGradient(n, 0.5 * n),
         t.GravityGradientAt(w, n), t.HeavyTop(w, n), t.MagneticDipole(w, w),
-        t.QuaternionPD(n, n), t.Rotor(w), t.Sampled(table, 0.5), t.Custom(given_torque, w),
+        t.QuaternionPD(n[:, None, None], n[:, None, None]), t.Rotor(w), t.Sampled(table, 0.5),
+        t.Custom(given_torque, w),
     ])  # fmt: skip
 
 

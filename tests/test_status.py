@@ -390,6 +390,8 @@ def test_fastest_decay_of_every_damping():
         (t.Damping([3.0, 1.0]), [6.0, 1.0]),
         (t.AxisDamping((0.1, 0.2, 0.3)), [0.6, 0.3]),
         (t.QuaternionPD(1.0, 2.0), [4.0, 2.0]),
+        (t.QuaternionPD(1.0, (1.0, 2.0, 0.5)), [4.0, 2.0]),
+        (t.QuaternionPD(1.0, [[[2.0]], [[1.0]]]), [4.0, 1.0]),
         (t.Sum((t.Damping(1.0), t.AxisDamping((1.0, 0.0, 0.0)))), [4.0, 2.0]),
     ):
         found = np.broadcast_to(t.fastest_decay(model, moments), 2)

@@ -440,7 +440,7 @@ def test_a_long_wait_is_said_once_and_only_at_a_terminal(cache, monkeypatch, ter
     assert screen.getvalue() == ""
     store._WAIT.add(0.6 * store.LONG)
     store._WAIT.add(2.0 * store.LONG)
-    line = "fastatt: compiling for this machine, once; 'fastatt warm' does it beforehand\n"
+    line = "fastatt: compiling for this machine, once ('fastatt precompile' does it)\n"
     assert screen.getvalue() == (line if terminal else "")
 
 
@@ -462,15 +462,14 @@ def test_only_what_is_compiled_counts(cache, monkeypatch, silent):
 def test_the_command_tells_where_and_clears(cache, capsys):
     answer(42)
     size = sum(f.stat().st_size for f in cache.rglob("*") if f.is_file())
-    for command in (["cache"], ["warm", "--where"]):
-        assert main(command) == 0
-        assert capsys.readouterr().out == f"1 programs, {size / 1e6:.1f} MB in {cache}\n"
+    assert main(["cache"]) == 0
+    assert capsys.readouterr().out == f"1 programs, {size / 1e6:.1f} MB in {cache}\n"
     assert main(["cache", "--clear"]) == 0
     assert capsys.readouterr().out == f"0 programs, 0.0 MB in {cache}\n"
 
 
-def test_warming_without_a_folder_is_refused(cache, capsys, monkeypatch):
+def test_precompile_without_a_folder_is_refused(cache, capsys, monkeypatch):
     monkeypatch.setenv("FASTATT_CACHE", "0")
-    assert main(["warm"]) == 2
+    assert main(["precompile"]) == 2
     found = capsys.readouterr().err
     assert found == "fastatt: nothing is kept: FASTATT_CACHE=0 switches it off\n"

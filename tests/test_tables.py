@@ -222,6 +222,8 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
     records = torques if model in torques.RECORDS else forces
     shapes = {n: f.shape for n, f in zip(model._fields, records.RECORDS[model].fields, strict=True)}
     given = {n: NUMBERS[shape[0] if shape else 0] for n, shape in shapes.items()}
+    if model is torques.QuaternionPD:
+        given |= {"stiffness": 0.7, "damping": (0.4, 0.3, 0.2), "limit": None}
     value = np.array(given[name])
     samples = np.tile(value, (2, 1))
     if own:

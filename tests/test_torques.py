@@ -17,7 +17,7 @@ import pytest
 import rigid_oracle as ro
 from differences import derivative, displaced
 from each import each
-from exact import EPS, START, angle, exp, mul
+from exact import EPS, START, angle, conj, exp, mul
 from numba import njit
 from oracle import floats
 
@@ -121,6 +121,7 @@ MODELS = {
     "Rotor": (ft.Rotor((0.3, 0.2, -0.4)), lambda i: ro.rotor((0.3, 0.2, -0.4))),
     "Sampled": (ft.Sampled(RAMP, SPAN), lambda i: ramp),
 }
+MATRIX_GAIN = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.05], [0.0, -0.05, 0.2]])
 # a history is one for all bodies; an orbit takes long to compile (its motion: test_tables)
 SUMMED = [name for name in MODELS if name not in ("Sampled", "KeplerGravityGradient")]
 
@@ -229,7 +230,7 @@ def every(n, **terms):
         "GravityGradientAt": (FAR, 1.0),
         "HeavyTop": (np.zeros(3), 0.0),
         "MagneticDipole": (np.zeros(3), np.zeros(3)),
-        "QuaternionPD": (0.0, 0.0, (1.0, 0.0, 0.0, 0.0)),
+        "QuaternionPD": (np.zeros((1, 1)), np.zeros((1, 1)), (1.0, 0.0, 0.0, 0.0)),
         "Rotor": (np.zeros(3),),
     }
     made = []
@@ -247,6 +248,10 @@ def one_each():
     for i, name in enumerate(SUMMED):
         terms[name] = []
         for value in MODELS[name][0]:
+            if value is None:  # no limit
+                continue
+            if name == "QuaternionPD" and np.ndim(value) == 0:
+                value = [[value]]
             row = np.zeros((n, *np.shape(value)))
             row[[i, -1]] = value
             terms[name].append(row)
@@ -329,7 +334,10 @@ def test_torques_of_each_body_are_single_runs():
     scene = fa.Scene(inertia=np.tile(INERTIA, (len(SUMMED) + 1, 1)), torque=one_each())
     full = run(scene, *many(len(SUMMED) + 1))
     for i in range(len(SUMMED) + 1):
-        terms = {type(m).__name__: [np.asarray(a)[i] for a in m] for m in scene.torque.terms}
+        terms = {
+            type(m).__name__: [np.asarray(a)[i] for a in m if a is not None]
+            for m in scene.torque.terms
+        }
         one = run(
             fa.Scene(inertia=INERTIA[None], torque=every(1, **terms)), START[None], SPIN[None]
         )
@@ -444,6 +452,64 @@ def test_slew_to_a_target():
         assert close(traj.w[-1, b], [0.0, float(rate), 0.0]) < 1e-12
     theta, rate = ro.pd_slew_linear(i, k, c, mp.mpf("1e-3"), t)
     assert traj.w[-1, 0, 1] == pytest.approx(float(rate), abs=1e-10)
+
+
+OWN_GAINS = [[[0.4]], [[0.1]]]
+CONTROLLERS = [
+    (0.4, 0.3, 0.1),
+    (0.4, (0.4, 0.3, 0.2), None),
+    ((0.4, 0.3, 0.2), 0.3, (0.05, 0.1, 9.0)),
+    (MATRIX_GAIN, OWN_GAINS, None),
+    (OWN_GAINS, [MATRIX_GAIN, np.eye(3)], [[0.1], [0.2]]),
+]
+
+
+@pytest.mark.parametrize(("stiffness", "damping", "limit"), CONTROLLERS)
+def test_gains_of_a_controller(stiffness, damping, limit):
+    """Beside the same in NumPy: numbers, an axis each, matrices; of all bodies and of each."""
+    model = ft.QuaternionPD(stiffness, damping, TARGET, limit=limit)
+    pd = ft.pack(model, 2)
+    rng = np.random.default_rng(1)
+    q, w = rng.normal(size=(2, 4)), rng.normal(size=(2, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+
+    def formula(t, q, w, p):
+        return torque_of(pd.structure, t, Pose(ft.QUATERNION, q, w, INERTIA), p)
+
+    acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": pd.structure.count}, (3,))
+    (found,) = acting(0.0, q, w, pd.params)
+
+    def times(gain, v):
+        gain = np.asarray(gain)
+        matrix = gain * np.eye(3) if gain.shape[-1:] in ((), (1,)) or gain.ndim == 1 else gain
+        return np.einsum("...ij,...j->...i", matrix, v)
+
+    e = mul(conj(TARGET), q)
+    wanted = -times(stiffness, np.sign(e[:, :1]) * e[:, 1:]) - times(damping, w)
+    if limit is not None:
+        assert (np.abs(wanted) > limit).any()
+        wanted = np.clip(wanted, -np.asarray(limit), limit)
+    assert close(found, wanted) < 8 * EPS
+    # a row of a scene has the gains of its body
+    one = fa.Scene(inertia=INERTIA, torque=model)[[1]].torque
+    assert np.array_equal(np.atleast_2d(ft.pack(one, 1).params)[-1], np.atleast_2d(pd.params)[-1])
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        ((-1.0, 0.0), r"QuaternionPD.stiffness is -1.0; accepted: 0 or more"),
+        ((1.0, (1.0, -2.0, 1.0)), r"QuaternionPD.damping\[1\] is -2.0; accepted: 0 or more"),
+        ((np.diag([1.0, 1.0, -1.0]), 0.0), "stiffness: its lowest eigenvalue is -1.0; accepted"),
+        ((1.0, np.arange(9.0).reshape(3, 3)), "damping: its asymmetry is 4.0; accepted: 0"),
+        (([1.0, 2.0], 1.0), r"has shape \(2,\); accepted: a number, \(3,\) per axis, a \(3, 3\)"),
+        ((1.0, 1.0, TARGET, 0.0), r"QuaternionPD.limit\[0\] is 0.0; accepted: above 0"),
+        ((1.0, 1.0, TARGET, (1.0, 2.0)), r"QuaternionPD.limit has shape \(2,\); accepted: a num"),
+    ],
+)
+def test_gains_that_no_controller_has_are_refused(gains, message):
+    with pytest.raises(ValueError, match=message):
+        fa.Scene(inertia=INERTIA, torque=ft.QuaternionPD(*gains))
 
 
 def test_rotor_is_a_torque_that_does_no_work():
@@ -585,7 +651,7 @@ def test_methods_that_fit_a_torque(name):
         if dependence == Dependence.RATE:
             with pytest.raises(ValueError, match="method: found 'strang2'; accepted: ") as refusal:
                 fa.propagate(scene, START, SPIN, dt=0.1, n_steps=1, method="strang2")
-            assert str(refusal.value).endswith(", ".join(fitting))
+            assert f"accepted: {', '.join(fitting)} (strang2 needs a torque" in str(refusal.value)
 
 
 def observed_dependence(model, axes):

@@ -328,7 +328,7 @@ class _Wait:
             self.silent = True
             if sys.stderr is not None and sys.stderr.isatty():
                 sys.stderr.write(
-                    "fastatt: compiling for this machine, once; 'fastatt warm' does it beforehand\n"
+                    "fastatt: compiling for this machine, once ('fastatt precompile' does it)\n"
                 )
 
 

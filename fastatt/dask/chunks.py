@@ -113,16 +113,16 @@ class Bodies:
             keys = [(x.name, i, 0) if x.ndim == 2 else (x.name, 0) for x in lazy]
             graph[name, i] = (operator.call, work.key, part, *keys)
         needed = HighLevelGraph.from_collections(name, graph, dependencies=[*lazy, work])
-        return da.Array(needed, name, ((1,) * len(self.sizes),), meta=nothing(1, object))
+        return da.Array(needed, name, ((1,) * len(self.sizes),), meta=_nothing(1, object))
 
     def array(
         self, runs: Any, name: str, saves: tuple[int, ...], kind: Any, tail: tuple[int, ...]
     ) -> Any:
-        """One of the arrays that chunks give."""
+        """One of the arrays of the chunks' trajectories."""
         chunks = (*((s,) for s in saves), self.sizes, *((k,) for k in tail))
         new = [k for k in range(len(chunks)) if k != len(saves)]
         return runs.map_blocks(
-            operator.getitem, name, chunks=chunks, new_axis=new, meta=nothing(len(chunks), kind)
+            _part, name, chunks=chunks, new_axis=new, meta=_nothing(len(chunks), kind)
         )
 
     def merged(self, merge: Callable[..., Any], function: Callable[..., Any]) -> Any:
@@ -163,6 +163,10 @@ def like(x: Any) -> Any:
     return np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
 
 
-def nothing(ndim: int, kind: Any) -> NDArray[Any]:
+def _part(run: Any, name: str) -> Any:
+    return run.dcm if name == "dcm" else getattr(run, name)
+
+
+def _nothing(ndim: int, kind: Any) -> NDArray[Any]:
     """An empty array that shows Dask what blocks are."""
     return np.empty((0,) * ndim, dtype=kind)

@@ -2,55 +2,112 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+import dask
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import arrays, checks
+from fastatt import checks
 from fastatt.attitudes import Attitude
-from fastatt.dask.chunks import Bodies, like, nothing
+from fastatt.dask.chunks import Bodies, like
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
 
 @dataclass(frozen=True, eq=False)
 class LazyTrajectory:
-    """What a run will give, as Dask arrays in chunks of bodies.
+    """What a run will give, a Dask collection in chunks of bodies.
 
-    ``t`` (S,) s is known. ``q`` (S, N, 4), ``w`` (S, N, 3) rad/s in body axes, ``status`` (N,), of
-    a scene with mass ``v`` (S, N, 3) m/s and, given r0, ``r`` (S, N, 3) m, else None.
-    ``dask.compute`` takes all of it at once, and gives the same with numpy arrays.
+    ``compute()``, as ``dask.compute`` of it, gives the :class:`fastatt.Trajectory`;
+    ``dask.persist`` leaves the chunks on the workers. Its attributes are Dask arrays, but ``t``.
+
+    Attributes
+    ----------
+    t : ndarray
+        (S,), s.
+    q, dcm : dask.array.Array
+        (S, N, 4), unit quaternions, and (S, N, 3, 3), matrices, body to inertial.
+    w : dask.array.Array
+        (S, N, 3), rad/s, body axes.
+    v, r : dask.array.Array
+        (S, N, 3), m/s along body axes and, of a run with r0, m along inertial axes; of a scene with
+        mass.
+    status : dask.array.Array
+        (N,), a flag of each body.
+    method : str
+        The method's name.
     """
 
     t: NDArray[np.float64]
-    q: Any
-    w: Any
-    status: Any
     method: str
-    v: Any = None
-    r: Any = None
-    #: the matrices, where they are what is propagated
-    matrix: Any = None
+    #: the trajectory of each chunk
+    runs: Any = field(repr=False)
+    bodies: Bodies = field(repr=False)
+    dtype: Any
+
+    def __getattr__(self, name: str) -> Any:
+        # Dask's protocol of collections: that of the array of chunks
+        if name.startswith("__dask_"):
+            return getattr(self.runs, name)
+        tails = {"q": (4,), "w": (3,), "dcm": (3, 3)}
+        if self.bodies.scene.moves:
+            tails["v"] = (3,)
+        if self.bodies.given[-1] is not None:
+            tails["r"] = (3,)
+        if name not in tails:
+            raise AttributeError(f"{name}: found none; accepted: {', '.join(tails)}, status, t")
+        return self.bodies.array(self.runs, name, (self.t.size,), self.dtype, tails[name])
 
     @property
-    def dcm(self) -> Any:
-        """Direction cosine matrices (S, N, 3, 3), body to inertial."""
-        if self.matrix is not None:
-            return self.matrix
-        if isinstance(self.q, np.ndarray):
-            return arrays.quat_to_dcm(self.q)
-        chunks = (*self.q.chunks[:2], (3,), (3,))
-        return self.q.map_blocks(
-            arrays.quat_to_dcm, chunks=chunks, new_axis=3, meta=nothing(4, self.q.dtype)
-        )
+    def status(self) -> Any:
+        """A flag of each body, (N,)."""
+        return self.bodies.array(self.runs, "status", (), np.uint8, ())
+
+    def compute(self, **options: Any) -> Trajectory:
+        """The run's trajectory; ``options`` are those of ``dask.compute``."""
+        (found,) = dask.compute(self, **options)
+        return found  # type: ignore[no-any-return]
+
+    def __dask_postcompute__(self) -> tuple[Callable[..., Trajectory], tuple[()]]:
+        return _joined, ()
+
+    def __dask_postpersist__(self) -> tuple[Callable[..., LazyTrajectory], tuple[Any, ...]]:
+        return _persisted, (self, *self.runs.__dask_postpersist__())
+
+
+def _joined(runs: Sequence[Trajectory]) -> Trajectory:
+    """Trajectories of chunks side by side."""
+
+    def all_of(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(run, name) for run in runs], axis=1)
+
+    carried = {
+        name: np.concatenate([run.carried[name] for run in runs], axis=1)
+        for name in runs[0].carried
+    }
+    status = np.concatenate([run.status for run in runs])
+    return replace(
+        runs[0],
+        state=all_of("state"),
+        norm_error=all_of("norm_error"),
+        status=status,
+        carried=carried,
+    )
+
+
+def _persisted(
+    graph: Any, lazy: LazyTrajectory, rebuild: Callable[..., Any], given: Any, **options: Any
+) -> LazyTrajectory:
+    return replace(lazy, runs=rebuild(graph, *given, **options))
 
 
 def propagate(
@@ -87,7 +144,8 @@ def propagate(
 
     Returns
     -------
-    LazyTrajectory : Dask arrays with the bits that ``fastatt.propagate`` gives.
+    LazyTrajectory
+        With the bits that ``fastatt.propagate`` gives: ``compute()`` makes it a ``Trajectory``.
 
     Raises
     ------
@@ -101,7 +159,7 @@ def propagate(
     >>> lazy = fd.propagate(scene, [[1, 0, 0, 0]] * 5, [0.1, 0.2, 0.3], dt=0.1, n_steps=9, chunks=2)
     >>> lazy.q.chunks
     ((1,), (2, 2, 1), (4,))
-    >>> lazy.q.compute().shape
+    >>> lazy.compute().q.shape
     (1, 5, 4)
     """
     record, named = sent(scene, method, representation, compensated, normalise)
@@ -115,17 +173,8 @@ def propagate(
         "representation": representation, "compensated": compensated, "normalise": normalise,
         "invalid": invalid, "t0": begin,
     }  # fmt: skip
-    is_matrix = chosen(scene, record, representation, False, normalise).attitude.to_dcm_array
-    shapes: dict[str, tuple[int, ...]] = {"q": (4,), "w": (3,)}
-    shapes |= {"dcm": (3, 3)} if is_matrix is not None else {}
-    shapes |= {"v": (3,)} if scene.moves else {}
-    shapes |= {"r": (3,)} if r0 is not None else {}
-    t = clock.times(begin)
-    runs = bodies.mapped(partial(_propagated, names=(*shapes, "status"), options=options))
-    found = {name: bodies.array(runs, name, (t.size,), kind, shapes[name]) for name in shapes}
-    status = bodies.array(runs, "status", (), np.uint8, ())
-    matrix = found.pop("dcm", None)
-    return LazyTrajectory(t, status=status, method=record.name, matrix=matrix, **found)
+    runs = bodies.mapped(partial(_propagated, options=options))
+    return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind)
 
 
 def sent(
@@ -140,9 +189,8 @@ def sent(
     return record, record.name if METHODS.get(record.name) is record else record
 
 
-def _propagated(
-    scene: Scene, states: Sequence[Any], names: Sequence[str], options: dict[str, Any]
-) -> dict[str, Any]:
+def _propagated(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Trajectory:
+    """The trajectory of a chunk, which says its rates without the scene."""
     q0, w0, v0, r0 = states
     run = run_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
-    return {name: getattr(run, name) for name in names}
+    return replace(run, carried={"w": run.w, **run.carried}, packed=None, end=None)

@@ -18,7 +18,7 @@ from fastatt.dask.chunks import Bodies
 from fastatt.dask.runs import sent
 from fastatt.methods import Method
 from fastatt.propagation.drift_statistics import Measure
-from fastatt.propagation.drift_statistics import drift_statistics as watch_chunk
+from fastatt.propagation.drift_statistics import drift_statistics as chunk_statistics
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.measure import Case, Problem, Rung, ladder_rows, last_state
@@ -29,7 +29,6 @@ _OPTIONS = (
     *("dt", "n_steps", "method", "representation", "dtype"),
     *("t0", "compensated", "normalise", "invalid"),
 )
-_MEASURES = ("norm", "orthogonality", "energy", "momentum")
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def drift_statistics(
     flag = options.get("invalid") == "flag"
     bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=flag)
     options["method"] = sent(scene, options.get("method"), options.get("representation", "quat"))[1]
-    return bodies.merged(_joined, partial(_watched, options={**options, "every": every}))
+    return bodies.merged(_joined, partial(_statistics, options={**options, "every": every}))
 
 
 def work_precision(
@@ -137,29 +136,26 @@ def _case(
     return Case(method, representation, kind), checks.whole(name, run[1], 1)
 
 
-def _watched(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> dict[str, Any]:
+def _statistics(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Drifts:
+    """Drifts of a chunk."""
     q0, w0, v0, r0 = states
-    seen = watch_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
-    measures = {name: getattr(seen, name) for name in _MEASURES}
-    return {
-        **{name: None if x is None else Measure.joined([x]) for name, x in measures.items()},
-        "saves": seen.saves,
-        "bodies": seen.trajectory.status.size,
-        "flags": Counter(seen.trajectory.status_counts()),
-    }
+    seen = chunk_statistics(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
+    run = seen.trajectory
+    return _of_parts([seen], seen.saves, run.status.size, run.status_counts())
 
 
-def _joined(chunks: list[dict[str, Any]]) -> Drifts:
-    def joined(name: str) -> Any:
-        each = [chunk[name] for chunk in chunks]
-        return None if each[0] is None else Measure.joined(each)
+def _joined(chunks: list[Drifts]) -> Drifts:
+    """Drifts of all chunks."""
+    flags: Counter[str] = sum((Counter(chunk.flags) for chunk in chunks), Counter())
+    return _of_parts(chunks, chunks[0].saves, sum(chunk.bodies for chunk in chunks), dict(flags))
 
-    return Drifts(
-        **{name: joined(name) for name in _MEASURES},
-        saves=chunks[0]["saves"],
-        bodies=sum(chunk["bodies"] for chunk in chunks),
-        flags=dict(sum((chunk["flags"] for chunk in chunks), Counter())),
-    )
+
+def _of_parts(parts: Sequence[Any], saves: int, bodies: int, flags: dict[str, int]) -> Drifts:
+    measures: dict[str, Any] = {}
+    for name in ("norm", "orthogonality", "energy", "momentum"):
+        each = [getattr(part, name) for part in parts]
+        measures[name] = None if each[0] is None else Measure.joined(each)
+    return Drifts(**measures, saves=saves, bodies=bodies, flags=flags)
 
 
 def _measured(

@@ -1,6 +1,7 @@
 """To and from others: conventions of attitudes, tables of a run, attitude ephemeris messages."""
 
-from fastatt.interchange.aem import Aem, AemSegment, aem_of, read_aem
+from fastatt.interchange.aem import Aem, AemSegment, read_aem
+from fastatt.interchange.aem_of_run import aem_of
 from fastatt.interchange.conventions import (
     from_gibbs,
     from_jpl,

@@ -1,17 +1,17 @@
 """Attitude ephemeris messages (AEM) of the CCSDS, as text.
 
-CCSDS 504.0-B-1 (2008), version 1.0, and 504.0-B-2 (2024), version 2.0, whose order of a
-quaternion's numbers, names of types and ways to say a direction differ. Nothing is converted
-between time systems or frames: their names are kept as they are given.
+CCSDS 504.0-B-1 (2008), version 1.0, and 504.0-B-2 (2024), version 2.0. Nothing is converted between
+time systems or frames: their names are kept as they are given.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +21,21 @@ from fastatt.arrays import normalised, quat_multiply, quat_rotate, quat_rotate_i
 from fastatt.interchange import epochs
 from fastatt.interchange.conventions import from_scalar_last, to_passive, to_scalar_last
 
-if TYPE_CHECKING:
-    from fastatt.propagation.trajectory import Trajectory
-
 _DERIVATIVE = "QUATERNION/DERIVATIVE"
-# by version: numbers of a data line after its time, by type; the keyword of the rates' frame
-_TYPES = {
+# numbers of a data line after its time, by version and type; the last type has the rates
+TYPES = {
     "1.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/RATE": 7},
     "2.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/ANGVEL": 7},
 }
-_RATES_ALONG = {"1.0": "RATE_FRAME", "2.0": "ANGVEL_FRAME"}
+RATES_ALONG = {"1.0": "RATE_FRAME", "2.0": "ANGVEL_FRAME"}
+# what version 2.0 fixes, and 1.0 has keywords for
+FIXED = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
 _HEADER = ("CLASSIFICATION", "CREATION_DATE", "ORIGINATOR", "MESSAGE_ID")
 _REQUIRED = (
     "OBJECT_NAME", "OBJECT_ID", "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "START_TIME",
     "STOP_TIME", "ATTITUDE_TYPE",
 )  # fmt: skip
-# in the standard's order; those of one version only are absent from the other's messages
+# in the standard's order
 _METADATA = (
     "OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME_A", "REF_FRAME_B", "ATTITUDE_DIR",
     "TIME_SYSTEM", "START_TIME", "USEABLE_START_TIME", "USEABLE_STOP_TIME", "STOP_TIME",
@@ -50,6 +49,9 @@ _CARRIED = (
 )  # fmt: skip
 # |q| of a file's numbers, which are rounded to a few digits
 _ROUNDED = 0.01
+_MARKS = ("META_START", "META_STOP", "DATA_START", "DATA_STOP")
+#: a line and its number
+_Numbered = tuple[int, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +95,9 @@ class Aem:
 
         Raises ``ValueError`` for what is no message, such as times that do not rise.
         """
-        checks.choice("version", self.version, _TYPES)
+        checks.choice("version", self.version, TYPES)
         lines = [f"CCSDS_AEM_VERS = {self.version}", *_comments(self.comments)]
-        lines += _assigned("header", self.header, _HEADER)
+        lines += _assignments("header", self.header, _HEADER)
         for k, segment in enumerate(self.segments):
             lines += ["", *_block(segment, self.version, f"segments[{k}]")]
         return "\n".join(lines) + "\n"
@@ -105,117 +107,153 @@ class Aem:
         Path(path).write_text(self.text(), encoding="ascii")
 
 
-def aem_of(
-    run: Trajectory,
-    *,
-    epoch: str,
-    frame: str,
-    body_frame: str = "SC_BODY_1",
-    body: int = 0,
-    version: str = "2.0",
-    attitude_type: str | None = None,
-    metadata: Mapping[str, str] | None = None,
-    header: Mapping[str, str] | None = None,
-) -> Aem:
-    """The message of one body of a run.
-
-    Parameters
-    ----------
-    run : with saves at rising times.
-    epoch : time tag of the run's t = 0, "2026-01-01T00:00:00" or "2026-001T00:00:00", in the
-        metadata's TIME_SYSTEM, UTC unless said otherwise; across UTC's leap seconds, t counts them.
-    frame, body_frame : the standard's names of the inertial frame and of the body's.
-    body : which of an ensemble.
-    version : "1.0" (CCSDS 504.0-B-1) or "2.0" (504.0-B-2).
-    attitude_type : None is QUATERNION with the angular velocity beside it, called QUATERNION/RATE
-        in version 1.0 and QUATERNION/ANGVEL in 2.0; or "QUATERNION", "QUATERNION/DERIVATIVE".
-    metadata, header : further keywords, such as ``{"OBJECT_NAME": "SAT-1"}``.
-
-    Raises
-    ------
-    ValueError : an argument that does not fit; attitudes that are not numbers.
-    """
-    types = list(_TYPES[checks.choice("version", version, _TYPES)])
-    wanted = checks.choice("attitude_type", attitude_type or types[-1], types)
-    n = run.status.size
-    if checks.whole("body", body, 0) >= n:
-        raise ValueError(f"body: found {body}; accepted: 0 to {n - 1}")
-    q, w = (x if run.one_body else x[:, body] for x in (run.q, run.w))
-    said: dict[str, str] = {
-        "OBJECT_NAME": "UNKNOWN",
-        "OBJECT_ID": "UNKNOWN",
-        "REF_FRAME_A": frame,
-        "REF_FRAME_B": body_frame,
-        "TIME_SYSTEM": "UTC",
-        "ATTITUDE_TYPE": wanted,
-    }
-    if version == "1.0":
-        said |= {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
-    if wanted == types[-1]:
-        said[_RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
-    said |= metadata or {}
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    first = {"CREATION_DATE": now, "ORIGINATOR": "FASTATT", **(header or {})}
-    q, w = (np.asarray(x, dtype=np.float64) for x in (q, w))
-    return Aem(version, first, (AemSegment(_line("epoch", epoch), run.t, q, w, said),))
-
-
 def read_aem(path: str | Path) -> Aem:
     """Read an attitude ephemeris message, version 1.0 or 2.0.
 
-    Types are QUATERNION, QUATERNION/DERIVATIVE and QUATERNION/RATE or QUATERNION/ANGVEL; a
-    segment's ``epoch`` is the time tag of its first line.
+    Types are QUATERNION, QUATERNION/DERIVATIVE and QUATERNION/RATE or QUATERNION/ANGVEL. A
+    segment's ``epoch`` is the time tag of its first line. ATTITUDE_DIR and QUATERNION_TYPE count in
+    a message of version 2.0 too, which has fixed them.
 
-    Raises ``ValueError``, with the line, for what is no such message or can be read in two ways:
-    an unknown order of a quaternion's numbers, rates along an unknown frame, Euler's rates.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    Aem
+        With its segments.
+
+    Raises
+    ------
+    ValueError
+        With the line, for what is no such message or can be read in two ways: an unknown order of a
+        quaternion's numbers, rates along an unknown frame, Euler's rates, data outside START_TIME
+        and STOP_TIME.
     """
-    lines = _Lines(Path(path).read_text(encoding="utf-8"))
-    key, version = lines.assignment(lines.next())
-    if key != "CCSDS_AEM_VERS" or version not in _TYPES:
-        raise lines.wrong(f"found {key} = {version}; accepted: CCSDS_AEM_VERS = 1.0 or 2.0")
-    header, comments = lines.assignments("META_START")
-    segments = []
-    while lines.left:
-        segments.append(_segment(lines, version))
-        if lines.left:
-            lines.expect("META_START")
-    return Aem(version, header, tuple(segments), comments)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(
+            f"{path}: found bytes that are no text in ASCII or UTF-8 (UTF-16, or a binary file); "
+            "accepted: a message as text"
+        ) from None
+    lines = [(k, line.strip()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    if not lines:
+        raise ValueError(f"{path}: is empty; accepted: a message, from CCSDS_AEM_VERS on")
+    with _prefixed(f"line {lines[0][0]}"):
+        key, version = _assignment(lines[0][1])
+        if key != "CCSDS_AEM_VERS" or version not in TYPES:
+            raise ValueError(f"found {key} = {version}; accepted: CCSDS_AEM_VERS = 1.0 or 2.0")
+    sections = _sections(lines[1:])
+    header, comments = _values(next(sections))
+    segments = tuple(_segment(*block, version) for block in zip(sections, sections, strict=True))
+    return Aem(version, header, segments, comments)
 
 
-def _segment(lines: _Lines, version: str) -> AemSegment:
-    metadata, comments = lines.assignments("META_STOP")
-    code = _Code(metadata, version, lines.wrong)
-    lines.expect("DATA_START")
-    more, tags, rows = [], [], []
-    while (line := lines.next()) != "DATA_STOP":
+@contextmanager
+def _prefixed(place: str) -> Iterator[None]:
+    """Say in a refusal where it is about."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from None
+
+
+def _sections(lines: list[_Numbered]) -> Iterator[list[_Numbered]]:
+    """Lines of the header, then of each block those of its metadata and those of its data."""
+    marks = cycle(_MARKS)
+    mark, inside = next(marks), True
+    section: list[_Numbered] = []
+    for k, line in lines:
+        if line == mark:
+            if inside:
+                yield section
+            section, inside, mark = [], mark.endswith("START"), next(marks)
+        elif not inside or line in _MARKS:
+            raise ValueError(f"line {k}: found {line}; accepted: {mark}")
+        else:
+            section.append((k, line))
+    if inside or mark != _MARKS[0]:
+        raise ValueError(f"line {lines[-1][0]}: the message ends before a block does")
+
+
+def _assignment(line: str) -> tuple[str, str]:
+    """Keyword and value of a line."""
+    key, _, value = (x.strip() for x in line.partition("="))
+    if not (key and value):
+        raise ValueError(f"found {line}; accepted: KEYWORD = value")
+    return key, value
+
+
+def _values(section: list[_Numbered]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Values by keyword, and the comments among them."""
+    found: dict[str, str] = {}
+    comments = []
+    for k, line in section:
+        with _prefixed(f"line {k}"):
+            if line.startswith("COMMENT"):
+                comments.append(line[7:].strip())
+                continue
+            key, value = _assignment(line)
+            if key in found:
+                raise ValueError(f"{key} is there twice")
+            found[key] = value
+    return found, tuple(comments)
+
+
+def _segment(about: list[_Numbered], data: list[_Numbered], version: str) -> AemSegment:
+    metadata, comments = _values(about)
+    with _prefixed(f"metadata up to line {about[-1][0] if about else 0}"):
+        layout = _Layout(metadata, version)
+    comments += tuple(line[7:].strip() for _, line in data if line.startswith("COMMENT"))
+    tags, rows = [], []
+    for k, line in data:
         if line.startswith("COMMENT"):
-            more.append(line[7:].strip())
             continue
         tag, *numbers = line.split()
         try:
-            row = [float(x) for x in numbers]
+            row = np.array(numbers, dtype=np.float64)
         except ValueError:
-            raise lines.wrong(f"found {line}; accepted: a time and numbers") from None
-        if len(row) != code.count or not np.isfinite(row).all():
-            raise lines.wrong(
-                f"found {line}; accepted: a time and {code.count} numbers, {code.kind}"
+            row = np.empty(0)
+        if row.size != layout.count or not np.isfinite(row).all():
+            raise ValueError(
+                f"line {k}: found {line}; accepted: a time and {layout.count} numbers, "
+                f"{layout.kind}"
             )
         tags.append(tag)
         rows.append(row)
-    if not tags:
-        raise lines.wrong("found no data line")
-    try:
-        t = epochs.seconds_since(tags[0], tags, leaps=metadata["TIME_SYSTEM"].upper() == "UTC")
-    except ValueError as error:
-        raise lines.wrong(str(error)) from None
-    if (np.diff(t) <= 0.0).any():
-        raise lines.wrong(f"time {tags[int(np.argmax(np.diff(t) <= 0.0)) + 1]} does not rise")
-    q, w = code.read(np.array(rows))
-    size = np.linalg.norm(q, axis=1)
-    if (np.abs(size - 1.0) > _ROUNDED).any():
-        k = int(np.argmax(np.abs(size - 1.0)))
-        raise lines.wrong(f"quaternion at {tags[k]} has length {size[k]:.3g}; accepted: 1")
-    return AemSegment(tags[0], t, q, w, metadata, (*comments, *more))
+    with _prefixed(f"data up to line {data[-1][0] if data else about[-1][0]}"):
+        if not tags:
+            raise ValueError("found no data line; accepted: one or more")
+        t = _checked_times(tags, metadata)
+        q, w = layout.read(np.array(rows))
+        size = np.linalg.norm(q, axis=1)
+        if (np.abs(size - 1.0) > _ROUNDED).any():
+            k = int(np.argmax(np.abs(size - 1.0)))
+            raise ValueError(f"quaternion at {tags[k]} has length {size[k]:.3g}; accepted: 1")
+    return AemSegment(tags[0], t, q, w, metadata, comments)
+
+
+def _checked_times(tags: list[str], metadata: Mapping[str, str]) -> NDArray[np.float64]:
+    """Seconds since the first of a block's time tags, which rise within the block's span."""
+    span = [metadata["START_TIME"], metadata["STOP_TIME"]]
+    found = epochs.seconds_since(tags[0], [*tags, *span], leaps=_has_leaps(metadata))
+    t, (start, stop) = found[:-2], found[-2:]
+    falls = np.flatnonzero(np.diff(t) <= 0.0)
+    if falls.size:
+        raise ValueError(f"time {tags[falls[0] + 1]} does not rise; accepted: rising times")
+    if not start <= t[0] <= t[-1] <= stop:
+        raise ValueError(
+            f"found times from {tags[0]} to {tags[-1]}; accepted: within START_TIME and STOP_TIME, "
+            f"{span[0]} to {span[1]}"
+        )
+    return t
+
+
+def _has_leaps(metadata: Mapping[str, str]) -> bool:
+    """Whether a block's time system has leap seconds."""
+    return metadata["TIME_SYSTEM"].upper() == "UTC"
 
 
 def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
@@ -223,86 +261,83 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     metadata = {"START_TIME": "", "STOP_TIME": "", **segment.metadata}
     t = checks.array(f"{name}.t", segment.t, "(S,)").astype(np.float64)
     q = checks.attitudes(f"{name}.q", segment.q, f"({t.size}, 4)")
-    if (np.diff(t) <= 0.0).any():
-        raise ValueError(f"{name}.t: does not rise; accepted: rising times")
-
-    def wrong(text: str) -> ValueError:
-        return ValueError(f"{name}.metadata: {text}")
-
-    code = _Code(metadata, version, wrong)
+    with _prefixed(f"{name}.metadata"):
+        layout = _Layout(metadata, version)
     w = None
-    if code.count > 4:
+    if layout.count > 4:
         if segment.w is None:
-            raise ValueError(f"{name}.w: is missing; {code.kind} needs (S, 3), rad/s")
+            raise ValueError(f"{name}.w: is missing; {layout.kind} needs (S, 3), rad/s")
         w = checks.array(f"{name}.w", segment.w, f"({t.size}, 3)")
-    tags = epochs.tags(segment.epoch, t, leaps=metadata["TIME_SYSTEM"].upper() == "UTC")
+    tags = epochs.tags(segment.epoch, t, leaps=_has_leaps(metadata))
     metadata["START_TIME"] = metadata["START_TIME"] or tags[0]
     metadata["STOP_TIME"] = metadata["STOP_TIME"] or tags[-1]
+    with _prefixed(f"{name}.t"):
+        _checked_times(tags, metadata)
     yield "META_START"
     yield from _comments(segment.comments)
-    yield from _assigned(f"{name}.metadata", metadata, _METADATA)
+    yield from _assignments(f"{name}.metadata", metadata, _METADATA)
     yield from ("META_STOP", "", "DATA_START")
-    for tag, row in zip(tags, code.written(q, w).tolist(), strict=True):
+    for tag, row in zip(tags, layout.written(q, w).tolist(), strict=True):
         yield " ".join([tag, *map(_number, row)])
     yield "DATA_STOP"
 
 
-class _Code:
+class _Layout:
     """How a block's metadata says that its data lines are to be read.
 
     B-2, annex F: the quaternion from frame A to frame B is the rotation that takes A's axes to
-    B's, so it maps components along B to components along A. B-1's ATTITUDE_DIR may be B2A.
+    B's, so it maps components along B to components along A. ATTITUDE_DIR may be B2A.
+
+    Raises ``ValueError`` for what can be read in two ways.
     """
 
-    def __init__(
-        self, metadata: Mapping[str, str], version: str, wrong: Callable[[str], ValueError]
-    ) -> None:
-        def choice(key: str, accepted: Mapping[str, Any] | tuple[str, ...]) -> str:
-            found = metadata.get(key, "").upper()
+    def __init__(self, metadata: Mapping[str, str], version: str) -> None:
+        said = metadata if version == "1.0" else {**FIXED, **metadata}
+
+        def choice(key: str, accepted: Iterable[str]) -> str:
+            found = said.get(key, "").upper()
             if found not in accepted:
-                said = f"found {key} = {found}" if found else f"{key} is missing"
-                raise wrong(f"{said}; accepted: {', '.join(accepted)}")
+                start = f"found {key} = {found}" if found else f"{key} is missing"
+                raise ValueError(f"{start}; accepted: {', '.join(accepted)}")
             return found
 
         missing = [key for key in _REQUIRED if key not in metadata]
         if missing:
-            raise wrong(f"metadata without {', '.join(missing)}")
-        self.kind = choice("ATTITUDE_TYPE", _TYPES[version])
-        self.count = _TYPES[version][self.kind]
-        old = version == "1.0"
-        self.first = old and choice("QUATERNION_TYPE", ("FIRST", "LAST")) == "FIRST"
-        backward = old and choice("ATTITUDE_DIR", ("A2B", "B2A")) == "B2A"
-        a, b = (metadata[f"REF_FRAME_{x}"] for x in "AB")
-        swapped = a.upper().startswith(_CARRIED) and not b.upper().startswith(_CARRIED)
+            raise ValueError(f"metadata without {', '.join(missing)}")
+        self.kind = choice("ATTITUDE_TYPE", TYPES[version])
+        self.count = TYPES[version][self.kind]
+        self.scalar_first = choice("QUATERNION_TYPE", ("FIRST", "LAST")) == "FIRST"
+        backward = choice("ATTITUDE_DIR", ("A2B", "B2A")) == "B2A"
+        a, b = (metadata[f"REF_FRAME_{x}"].upper() for x in "AB")
+        swapped = a.startswith(_CARRIED) and not b.startswith(_CARRIED)
         self.reverse = backward != swapped
         self.sign = -1.0 if swapped else 1.0
         self.in_body = True
         if self.count == 7:
             if backward or "EULER_ROT_SEQ" in metadata:
-                raise wrong(
+                raise ValueError(
                     f"{self.kind} with ATTITUDE_DIR B2A or EULER_ROT_SEQ can be read in two ways; "
                     f"accepted: A2B without it, or {_DERIVATIVE}"
                 )
-            names = dict.fromkeys(("REF_FRAME_A", "REF_FRAME_B", a.upper(), b.upper()))
-            along = choice(_RATES_ALONG[version], tuple(names))
-            body = ("REF_FRAME_A", a) if swapped else ("REF_FRAME_B", b)
-            self.in_body = along in (body[0], body[1].upper())
+            names = dict.fromkeys(("REF_FRAME_A", "REF_FRAME_B", a, b))
+            along = choice(RATES_ALONG[version], names)
+            self.in_body = along in (("REF_FRAME_A", a) if swapped else ("REF_FRAME_B", b))
 
     def read(self, rows: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any] | None]:
         """(q, w) of data lines' numbers."""
-        q = self._turned(rows[:, :4])
+        q = self._read_quaternions(rows[:, :4])
         if self.count == 4:
             return q, None
         if self.kind == _DERIVATIVE:
             # w = 2 q*∘q̇, of unit q
-            rate = 2.0 * quat_multiply(to_passive(q), self._turned(rows[:, 4:]))[:, 1:]
+            rate = 2.0 * quat_multiply(to_passive(q), self._read_quaternions(rows[:, 4:]))[:, 1:]
             return q, rate / (q * q).sum(axis=1, keepdims=True)
         w = self.sign * np.radians(rows[:, 4:])
         return q, w if self.in_body else quat_rotate_inverse(normalised(q), w)
 
-    def _turned(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Scalar first, and in the other direction where that is ours."""
-        p = numbers if self.first else from_scalar_last(numbers)
+    def _read_quaternions(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Scalar first, from the spacecraft's frame to the other one."""
+        p = numbers if self.scalar_first else from_scalar_last(numbers)
         return to_passive(p) if self.reverse else p
 
     def written(self, q: NDArray[Any], w: NDArray[Any] | None) -> NDArray[np.float64]:
@@ -311,62 +346,10 @@ class _Code:
         if w is not None and self.kind == _DERIVATIVE:
             parts.append(0.5 * quat_multiply(q, np.concatenate([0.0 * w[:, :1], w], axis=1)))
         parts = [to_passive(p) if self.reverse else p for p in parts]
-        parts = [p if self.first else to_scalar_last(p) for p in parts]
+        parts = [p if self.scalar_first else to_scalar_last(p) for p in parts]
         if w is not None and self.kind != _DERIVATIVE:
-            along = w if self.in_body else quat_rotate(normalised(q), w)
-            parts.append(self.sign * np.degrees(along))
+            parts.append(self.sign * np.degrees(w if self.in_body else quat_rotate(normalised(q), w)))
         return np.concatenate(parts, axis=1)
-
-
-class _Lines:
-    """Lines of a message that are not blank, one after the other."""
-
-    def __init__(self, text: str) -> None:
-        self._lines = [(k, x.strip()) for k, x in enumerate(text.splitlines(), 1) if x.strip()]
-        self._at = 0
-
-    @property
-    def left(self) -> bool:
-        """Whether there are more."""
-        return self._at < len(self._lines)
-
-    def next(self) -> str:
-        """The next one."""
-        if not self.left:
-            last = self._lines[-1][0] if self._lines else 0
-            raise ValueError(f"line {last}: the message ends before a block does")
-        self._at += 1
-        return self._lines[self._at - 1][1]
-
-    def wrong(self, text: str) -> ValueError:
-        """What to raise about the line that was read last."""
-        return ValueError(f"line {self._lines[self._at - 1][0]}: {text}")
-
-    def expect(self, word: str) -> None:
-        """Pass a line that has to be there."""
-        if (found := self.next()) != word:
-            raise self.wrong(f"found {found}; accepted: {word}")
-
-    def assignment(self, line: str) -> tuple[str, str]:
-        """Keyword and value of the line that was read."""
-        key, equals, value = (x.strip() for x in line.partition("="))
-        if not (equals and key and value):
-            raise self.wrong(f"found {line}; accepted: KEYWORD = value")
-        return key, value
-
-    def assignments(self, end: str) -> tuple[dict[str, str], tuple[str, ...]]:
-        """Keywords with their values up to a line, and the comments among them."""
-        found: dict[str, str] = {}
-        comments = []
-        while (line := self.next()) != end:
-            if line.split()[0] == "COMMENT":
-                comments.append(line[7:].strip())
-                continue
-            key, value = self.assignment(line)
-            if key in found:
-                raise self.wrong(f"{key} is there twice")
-            found[key] = value
-        return found, tuple(comments)
 
 
 def _comments(comments: tuple[str, ...]) -> list[str]:
@@ -374,13 +357,13 @@ def _comments(comments: tuple[str, ...]) -> list[str]:
 
 
 def _line(name: str, value: Any) -> str:
-    """A value, which stands in one line of ASCII and is there."""
+    """A value that is one line of ASCII."""
     if isinstance(value, str) and value.strip() and value.isascii() and value.isprintable():
         return value
     raise ValueError(f"{name}: found {checks.brief(value)}; accepted: a line of ASCII text")
 
 
-def _assigned(name: str, values: Mapping[str, str], known: tuple[str, ...]) -> Iterator[str]:
+def _assignments(name: str, values: Mapping[str, str], known: tuple[str, ...]) -> Iterator[str]:
     """Lines in the standard's order."""
     unknown = [key for key in values if key not in known]
     if unknown:

@@ -8,27 +8,28 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Sequence
-from datetime import date, timedelta
+from datetime import UTC, date, datetime
 from decimal import Decimal, localcontext
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import checks
+
 _TAG = re.compile(
-    r"(\d{4})-(?:(\d{2})-(\d{2})|(\d{3}))T(\d{2}):(\d{2}):(\d{2}(?:\.\d*)?)Z?", re.ASCII
+    r"(\d{4})-(?:(\d{2}-\d{2})|(\d{3}))T([01]\d|2[0-3]):([0-5]\d):(\d{2}(?:\.\d*)?)Z?", re.ASCII
 )
+_ACCEPTED = "YYYY-MM-DDThh:mm:ss.d or YYYY-DDDThh:mm:ss.d"
 _DAY = 86400
 _DIGITS = 60
 # UTC days that ended with a leap second; IERS, Bulletin C, none announced since
-_LEAPS = [
-    date(year, month, 30 if month == 6 else 31).toordinal()
-    for year, month in (
-        (1972, 6), (1972, 12), (1973, 12), (1974, 12), (1975, 12), (1976, 12), (1977, 12),
-        (1978, 12), (1979, 12), (1981, 6), (1982, 6), (1983, 6), (1985, 6), (1987, 12), (1989, 12),
-        (1990, 12), (1992, 6), (1993, 6), (1994, 6), (1995, 12), (1997, 6), (1998, 12), (2005, 12),
-        (2008, 12), (2012, 6), (2015, 6), (2016, 12),
-    )
-]  # fmt: skip
+_JUNE = (1972, 1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)
+_DECEMBER = (*range(1972, 1980), 1987, 1989, 1990, 1995, 1998, 2005, 2008, 2016)
+_LEAPS = sorted(
+    [date(year, 6, 30).toordinal() for year in _JUNE]
+    + [date(year, 12, 31).toordinal() for year in _DECEMBER]
+)
 
 
 def seconds_since(epoch: str, tags: Sequence[str], *, leaps: bool) -> NDArray[np.float64]:
@@ -54,13 +55,35 @@ def tags(epoch: str, t: NDArray[np.float64], *, leaps: bool) -> list[str]:
             raise ValueError(f"t: passes the years 1 to 9999 from {epoch}") from None
 
 
-def _before(day: int) -> int:
+def tag_of(epoch: Any, system: str) -> str:
+    """The time tag of an epoch, a ``datetime`` or text, in a time system such as "UTC".
+
+    Raises ``ValueError`` for other text, and for a time with an offset in a system other than UTC;
+    ``TypeError`` for what is neither.
+    """
+    accepted = f'a datetime, "unix", or text such as {_ACCEPTED}'
+    if isinstance(epoch, str):
+        if _TAG.fullmatch(epoch):
+            return epoch
+        try:
+            epoch = datetime.fromisoformat(epoch)
+        except ValueError:
+            raise ValueError(f"epoch: found {checks.brief(epoch)}; accepted: {accepted}") from None
+    if not isinstance(epoch, datetime):
+        raise TypeError(f"epoch: found {checks.brief(epoch)}; accepted: {accepted}")
+    if epoch.tzinfo is not None:
+        if system.upper() != "UTC":
+            raise ValueError(
+                f"epoch: found {epoch.isoformat()}, with an offset from UTC, and TIME_SYSTEM "
+                f"{system}; accepted: a time in {system}, without an offset"
+            )
+        epoch = epoch.astimezone(UTC).replace(tzinfo=None)
+    return str(epoch.isoformat())
+
+
+def _leaps_before(day: int) -> int:
     """Leap seconds before a day begins."""
     return bisect_left(_LEAPS, day)
-
-
-def _length(day: int, *, leaps: bool) -> int:
-    return _DAY + (leaps and day in _LEAPS)
 
 
 def _count(tag: str, *, leaps: bool) -> Decimal:
@@ -69,37 +92,30 @@ def _count(tag: str, *, leaps: bool) -> Decimal:
     try:
         if found is None:
             raise ValueError
-        year, month, of_month, of_year, hour, minute, second = found.groups()
-        if of_year is None:
-            day = date(int(year), int(month), int(of_month)).toordinal()
-        else:
-            day = date(int(year), 1, 1).toordinal() + int(of_year) - 1
-            if date.fromordinal(day).year != int(year):
-                raise ValueError
+        year, of_month, of_year, hour, minute, second = found.groups()
+        begin = date.fromisoformat(f"{year}-{of_month or '01-01'}")
+        day = begin.toordinal() + int(of_year or 1) - 1
         within = 3600 * int(hour) + 60 * int(minute) + Decimal(second)
-        last = hour == "23" and minute == "59"
-        if int(hour) > 23 or int(minute) > 59 or (Decimal(second) >= 60 and not last):
+        # a second 60 is in the last minute alone, of a day that has one
+        is_last = hour == "23" and minute == "59"
+        length = _DAY + (leaps and day in _LEAPS)
+        if date.fromordinal(day).year != begin.year or within >= length:
             raise ValueError
-        if within >= _length(day, leaps=leaps):
+        if Decimal(second) >= 60 and not is_last:
             raise ValueError
     except ValueError:
-        raise ValueError(
-            f"time: found {tag}; accepted: YYYY-MM-DDThh:mm:ss.d or YYYY-DDDThh:mm:ss.d"
-        ) from None
-    return day * _DAY + within + (_before(day) if leaps else 0)
+        raise ValueError(f"time: found {tag}; accepted: {_ACCEPTED}") from None
+    return day * _DAY + within + (_leaps_before(day) if leaps else 0)
 
 
 def _tag(count: Decimal, *, leaps: bool) -> str:
     day = int(count // _DAY)
     if leaps:
-        while day * _DAY + _before(day) > count:
+        while day * _DAY + _leaps_before(day) > count:
             day -= 1
-    within = count - day * _DAY - (_before(day) if leaps else 0)
+    within = count - day * _DAY - (_leaps_before(day) if leaps else 0)
     # the second 60 belongs to the last minute
     minutes = min(int(within // 60), 1439)
-    seconds = within - 60 * minutes
-    text = f"{seconds.normalize():f}"
-    whole, _, fraction = text.partition(".")
-    day_text = (date(1, 1, 1) + timedelta(days=day - 1)).isoformat()
-    clock = f"{minutes // 60:02d}:{minutes % 60:02d}:{int(whole):02d}"
-    return f"{day_text}T{clock}{'.' * bool(fraction)}{fraction}"
+    whole, point, fraction = f"{(within - 60 * minutes).normalize():f}".partition(".")
+    clock = f"{minutes // 60:02d}:{minutes % 60:02d}:{int(whole):02d}{point}{fraction}"
+    return f"{date.fromordinal(day)}T{clock}"

@@ -149,6 +149,26 @@ def quaternion_feedback(e, w, stiffness, damping):
 
 
 @kernel
+def sign_of_scalar(e):
+    """1 or −1, the sign of a quaternion's scalar part; of zero 1."""
+    F = type(e[0])
+    return F(-1.0) if e[0] < F(0.0) else F(1.0)
+
+
+@kernel
+def saturated(v, limit):
+    """Each component within ±limit, three numbers above 0; NaN stays."""
+    x = limit[0] if v[0] > limit[0] else v[0]
+    y = limit[1] if v[1] > limit[1] else v[1]
+    z = limit[2] if v[2] > limit[2] else v[2]
+    return (
+        -limit[0] if x < -limit[0] else x,
+        -limit[1] if y < -limit[1] else y,
+        -limit[2] if z < -limit[2] else z,
+    )
+
+
+@kernel
 def target_error(target, q):
     """target*∘q: the attitude seen from the target's."""
     return quat.mul(quat.conj(target), q)

@@ -22,6 +22,7 @@ from fastatt.logs.stamps import Chunk
 
 _NAMES = ("t", "q0", "q1", "q2", "q3")
 _ZARR_ROWS = 1 << 17  # of a chunk
+_UNIX = 1e8  # s, from which on stamps are Unix time: 1973
 Write = Callable[[NDArray[np.float64]], object]
 
 
@@ -30,8 +31,9 @@ def integrate_chunks(
 ) -> None:
     """Attitudes of a log's samples, those of ``integrate_rates`` over each piece, bit for bit.
 
-    ``write`` gets rows t (s), q0 ... q3, and with ``bad="split"`` the number of the piece, each of
-    which begins at ``q0``. ``keep`` gets the chunks.
+    ``write`` gets rows t, q0 ... q3, and with ``bad="split"`` the number of the piece, each of
+    which begins at ``q0``; t is Unix time, s, where the log's stamps are, else s from the first
+    sample. ``keep`` gets the chunks.
     """
     piece = _Piece(reader, q0, method, 0)
     with rounding.noted() as told:
@@ -77,7 +79,8 @@ class _Piece:
     def _rows(self, q: NDArray[Any]) -> NDArray[np.float64]:
         n = len(q)
         rows = np.empty((n, 6 if self.reader.options.bad == "split" else 5))
-        rows[:, 0], rows[:, 5:] = self.waiting[:n], self.number
+        begin = self.reader.start if self.reader.start > _UNIX else 0.0
+        rows[:, 0], rows[:, 5:] = begin + self.waiting[:n], self.number
         for k in range(4):  # several times as fast as rows of four
             rows[:, 1 + k] = q[:, k]
         self.waiting = self.waiting[n:]

@@ -140,7 +140,11 @@ def _title(run: Trajectory) -> str:
     n = run.status.size
     flagged = np.count_nonzero(run.status)
     said = f", {flagged} flagged" if flagged else ""
-    return f"{run.method}, {'1 body' if n == 1 else f'{n} bodies'}{said}, step {run.dt:g} s"
+    # of each body its own, where the run has such
+    steps = dict.fromkeys(f"{x:g}" for x in (np.min(run.dt), np.max(run.dt)))
+    return (
+        f"{run.method}, {'1 body' if n == 1 else f'{n} bodies'}{said}, step {' to '.join(steps)} s"
+    )
 
 
 def _numbers(run: Trajectory) -> NDArray[np.bool_]:

@@ -14,6 +14,8 @@ from fastatt.scene.torques import Dependence
 
 # in this order, the first that fits the scene and the representation
 DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
+# names of explicit Runge-Kutta methods in other libraries
+_ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")
 # steps between two looks at the norm of a compensated state
 _RESTORE = 64
 
@@ -112,9 +114,17 @@ def _named(scene: Scene, method: str | None, representation: str | Attitude, nee
     if known is not None and known.is_exact and scene.kind == "torqued":
         form_of(scene)  # says why there is none
     if method is not None:
-        checks.choice("method", method, methods_for(scene, need=need))
-        name = f'method for representation "{_name_of(representation)}"'
-        return checks.choice(name, method, methods_for(scene, representation, need=need))
+        name, able = "method", methods_for(scene, need=need)
+        if method in able:
+            name = f'method for representation "{_name_of(representation)}"'
+            able = methods_for(scene, representation, need=need)
+        if known is None:
+            elsewhere = str(method).casefold() in _ELSEWHERE
+            reason = " (nearest: rk8)" if elsewhere else checks.nearest(method, able)
+        else:
+            reason = _reason(known, scene)
+        accepted = ", ".join(able)
+        raise ValueError(f"{name}: found {checks.brief(method)}; accepted: {accepted}{reason}")
     fitting = methods_for(scene, representation, need=need)
     if not fitting:
         raise ValueError(
@@ -122,6 +132,26 @@ def _named(scene: Scene, method: str | None, representation: str | Attitude, nee
             f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
         )
     return next((name for name in DEFAULTS if name in fitting), fitting[0])
+
+
+def _reason(method: Method, scene: Scene) -> str:
+    """Why a method does not take a scene, as the end of a message; empty where it does."""
+    found = "a rate" if scene.kind == "rate" else "inertia"
+    if method.window is not None:
+        return f" ({method.name} is for samples: fastatt.integrate_rates)"
+    if scene.kind not in method.scenes and (scene.kind == "rate" or "rate" in method.scenes):
+        needed = "inertia" if scene.kind == "rate" else "a rate"
+        return f" ({method.name} needs {needed}; this scene has {found})"
+    if scene.kind not in method.scenes:
+        return f" ({method.name} is for {', '.join(method.scenes)} bodies; this is {scene.kind})"
+    if scene.moves and not method.couples:
+        return f" ({method.name} steps no velocity; this scene has mass)"
+    if scene.kind == "torqued" and not _takes(method, scene):
+        return (
+            f" ({method.name} needs a torque that does not depend on w, but for linear damping "
+            "along principal axes)"
+        )
+    return ""
 
 
 def chosen(

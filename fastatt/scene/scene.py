@@ -73,6 +73,8 @@ class Scene:
         checks.choice("frame", self.frame, ("body", "inertial"))
         if (self.rate is None) == (self.inertia is None):
             found = "neither" if self.rate is None else "both"
+            if self.rate is None and self.torque is not None:
+                found = "neither beside a torque, which needs inertia"
             raise ValueError(f"rate, inertia: found {found}; accepted: one of them")
         if self.params is not None and not callable(self._acting):
             raise ValueError(

@@ -112,17 +112,35 @@ class MagneticDipole(NamedTuple):
 
 
 class QuaternionPD(NamedTuple):
-    """Attitude controller τ = −k sgn(e0) (e1, e2, e3) − c w with e = target*∘q.
+    """Attitude controller τ = −K sgn(e0) (e1, e2, e3) − D w with e = target*∘q.
 
-    ``stiffness`` k, N·m, ``damping`` c, N·m·s: numbers or (N,); ``target``: (4,) or (N, 4), unit,
-    or a table, whose signs go on from sample to sample. The rate of a target that moves, seen from
-    the body, is then taken off w. Where e0 passes 0 the torque jumps: across it a step of any
-    method is of order 1. Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
+    The rate of a target that moves, seen from the body, is taken off w. Where e0 passes 0 the
+    torque jumps: across it a step of any method is of order 1. Wie, *Space Vehicle Dynamics and
+    Control* (2008), §7.3.
+
+    Parameters
+    ----------
+    stiffness : array_like
+        K, N·m: a number, (3,) per body axis, or a (3, 3) matrix along body axes, symmetric and
+        without negative eigenvalues. Of each body (N, 1, 1) or (N, 3, 3).
+    damping : array_like
+        D, N·m·s, in the same shapes.
+    target : array_like or TimeSeries
+        (4,) or (N, 4), unit quaternions, or a table, whose signs go on from sample to sample.
+    limit : array_like, optional
+        Largest torque along each body axis, N·m, above 0: a number, (3,), (N, 1) or (N, 3).
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> pd = fa.torques.QuaternionPD((2.0, 1.0, 1.0), 3.0, limit=0.1)
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=pd)
     """
 
     stiffness: ArrayLike
     damping: ArrayLike
     target: ArrayLike | TimeSeries = (1.0, 0.0, 0.0, 0.0)
+    limit: ArrayLike | None = None
 
 
 class Rotor(NamedTuple):

@@ -6,10 +6,11 @@ body axes; fields and weights that are fixed in space are given along inertial a
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,18 @@ from fastatt.scene.torque_models import (
     Rotor,
     Sampled,
 )
-from fastatt.tracing.formulas import Vector, as_like, dot, minus, plus, quat, rigid, scale, vec3
+from fastatt.tracing.formulas import (
+    Vector,
+    as_like,
+    dot,
+    minus,
+    plus,
+    product,
+    quat,
+    rigid,
+    scale,
+    vec3,
+)
 from fastatt.tracing.graph import apply
 from fastatt.tracing.nodes import NotStraight
 from fastatt.tracing.user import UserFunction, nested, points, user_function
@@ -136,18 +148,49 @@ def _central_gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
     return _gravity_gradient_at(t, pose, (*pose.place[1], p[0]))
 
 
-def _quaternion_pd(t: Any, pose: Pose, p: Vector) -> Any:
-    target, turning = p[2:6], p[6:]
-    w = pose.w
-    if turning:
-        # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
-        target = quat.normalise(target)
-        rate = quat.mul(turning, quat.conj(p[2:6]))
-        size = dot(p[2:6], p[2:6])
-        own = pose.to_body(tuple(2.0 * x / size for x in rate[1:]))
-        w = minus(w, own)
-    error = rigid.target_error(target, pose.quaternion)
-    return rigid.quaternion_feedback(error, w, p[0], p[1])
+@lru_cache(maxsize=18)
+def _controller(stiffness: int, damping: int, limited: bool) -> TorqueRecord:
+    """The record of a controller whose gains are 1, 3 (an axis each) or 9 numbers (a matrix)."""
+
+    def formula(t: Any, pose: Pose, p: Vector) -> Any:
+        k, c, rest = p[:stiffness], p[stiffness : stiffness + damping], p[stiffness + damping :]
+        limit = rest[-3:] if limited else ()
+        target, turning = rest[:4], rest[4 : len(rest) - len(limit)]
+        w = pose.w
+        if turning:
+            # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
+            rate = quat.mul(turning, quat.conj(target))
+            size = dot(target, target)
+            target = quat.normalise(target)
+            w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
+        error = rigid.target_error(target, pose.quaternion)
+        if len(k) == len(c) == 1:
+            torque = rigid.quaternion_feedback(error, w, k[0], c[0])
+        else:
+            shorter = scale(-rigid.sign_of_scalar(error), error[1:])
+            torque = minus(_gained(k, shorter), _gained(c, w))
+        return rigid.saturated(torque, limit) if limited else torque
+
+    widths = (stiffness, damping)
+    fields = [*(Field((n,)) for n in widths), Field((4,), table="slopes"), Field((3,), True)]
+    return TorqueRecord(
+        QuaternionPD, tuple(fields if limited else fields[:3]), formula, Dependence.RATE, False
+    )
+
+
+def _gained(gain: Vector, v: Vector) -> Vector:
+    """A number, a number an axis or a matrix times a vector."""
+    if len(gain) == 9:
+        return tuple(dot(gain[3 * i : 3 * i + 3], v) for i in range(3))
+    return product(gain * 3 if len(gain) == 1 else gain, v)
+
+
+def _largest_gain(gain: Any) -> Any:
+    """The largest number of a gain or, of a matrix, a bound of its eigenvalues; (N,) if own."""
+    found = np.abs(np.asarray(gain, dtype=np.float64))
+    if found.ndim >= 2:
+        return found.sum(axis=-1).max(axis=-1)
+    return found.max(axis=-1) if found.ndim else found
 
 
 def _rotor(t: Any, pose: Pose, p: Vector) -> Any:
@@ -208,9 +251,12 @@ _ALL = (
         potential=lambda t, pose, p: -dot(p[:3], pose.to_body(p[3:])),
         lever=lambda p: (p[:3], -p[3:]),
     ),
+    # what a scene's row is taken from; the formula depends on the gains: _pack_controller
     TorqueRecord(
-        QuaternionPD, (_NUMBER, _NUMBER, Field((4,), table="slopes")), _quaternion_pd, _RATE, False,
-        decay=lambda model: np.abs(model.damping),
+        QuaternionPD,
+        (Field((3, 3)), Field((3, 3)), Field((4,), table="slopes"), _VECTOR),
+        _controller(1, 1, False).formula, _RATE, False,
+        decay=lambda model: _largest_gain(model.damping),
     ),
     TorqueRecord(
         Rotor, (Field((3,), table="slopes"),), _rotor, _RATE, False,
@@ -355,11 +401,52 @@ def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -
                 f"{argument}: QuaternionPD.target of row {row} turns its sign, or by half a turn, "
                 f"behind sample {k}; accepted: quaternions whose signs go on"
             )
-    packed = models.pack_fields(model, RECORDS[QuaternionPD], n_bodies, argument)
+    name = f"{argument}: QuaternionPD"
+    k = _gains(f"{name}.stiffness", model.stiffness)
+    c = _gains(f"{name}.damping", model.damping)
+    given = {"stiffness": k, "damping": c, "target": model.target}
+    if model.limit is not None:
+        limit = models.numbers(f"{name}.limit", model.limit)
+        if limit.ndim > 2 or limit.shape[-1:] not in ((), (1,), (3,)):
+            raise ValueError(
+                f"{name}.limit {checks.shape(limit)}; accepted: a number, (3,) per axis, (N, 1) or "
+                "(N, 3) per body"
+            )
+        given["limit"] = np.broadcast_to(limit, (*limit.shape[:-1], 3))
+    record = _controller(k.shape[-1], c.shape[-1], "limit" in given)
+    fields = namedtuple("QuaternionPD", given)(**given)  # noqa: PYI024
+    packed = models.pack_fields(fields, record, n_bodies, argument)
     if not isinstance(model.target, TimeSeries):
-        p = packed.params
-        _check_unit(f"{argument}: QuaternionPD.target", p[..., 2:], p[..., 0])
+        p, at = packed.params, k.shape[-1] + c.shape[-1]
+        strength = np.abs(p[..., : k.shape[-1]]).max(axis=-1)
+        _check_unit(f"{name}.target", p[..., at : at + 4], strength)
     return packed
+
+
+def _gains(name: str, value: Any) -> NDArray[np.float64]:
+    """Gains as rows of 1, 3 or 9 numbers, (n,) of all bodies or (N, n).
+
+    Raises ``ValueError`` for other shapes, negative gains and matrices that are not symmetric.
+    """
+    gains = models.numbers(name, value)
+    if gains.shape == (1, 1):  # a body's number of (N, 1, 1)
+        gains = gains[0, 0]
+    if gains.shape not in ((), (3,), (3, 3)) and not (
+        gains.ndim == 3 and gains.size and gains.shape[1:] in ((1, 1), (3, 3))
+    ):
+        raise ValueError(
+            f"{name} {checks.shape(gains)}; accepted: a number, (3,) per axis, a (3, 3) matrix, "
+            "and of each body (N, 1, 1) or (N, 3, 3)"
+        )
+    if gains.shape[-2:] != (3, 3):
+        checks.refuse(name, gains, gains < 0.0, "0 or more")
+        return gains.reshape(-1) if gains.ndim < 3 else gains.reshape(-1, 1)
+    size = np.abs(gains).max(axis=(-2, -1))
+    lowest = np.linalg.eigvalsh(gains)[..., 0]
+    asymmetry = np.abs(gains - np.swapaxes(gains, -2, -1)).max(axis=(-2, -1))
+    checks.refuse(f"{name}: its asymmetry", asymmetry, asymmetry > 1e-9 * size, "0")
+    checks.refuse(f"{name}: its lowest eigenvalue", lowest, lowest < -1e-9 * size, "0 or more")
+    return gains.reshape(*gains.shape[:-2], 9)
 
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:

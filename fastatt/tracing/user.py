@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import re
 from collections.abc import Callable, Sequence
 from types import CellType, FunctionType, ModuleType
 from typing import Any, NamedTuple
@@ -31,6 +32,8 @@ from fastatt.tracing.trace import Standing, traceable
 POINTS = 8
 # of a component beside its largest over the points; a wrong formula is off by far more
 _TOLERANCE = 1e-9
+# what terminals read as a colour
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class Form(NamedTuple):
@@ -374,9 +377,9 @@ def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     except Exception as error:
         raise TypeError(
             f"{user.argument}: {user.described} does not compile for floats, with p a tuple of "
-            f"{user.n_params} floats: {_words_of(error)} ({_place_of(error, plain)}); accepted is "
-            "a function that numba.njit compiles, or that is traced: this is not, for "
-            f"{user.reason}"
+            f"{user.n_params} floats ({_place_of(error, plain)}); accepted is a function that "
+            f"numba.njit compiles, or that is traced: this is not, for {user.reason}. Numba says: "
+            f"{_words_of(error)}"
         ) from error
     returned = inner.overloads[signature].signature.return_type
     n = user.form.results
@@ -425,9 +428,10 @@ def _wrong(user: UserFunction, found: str) -> TypeError:
 
 
 def _words_of(error: Exception) -> str:
-    """Numba's reason in a line: what it says first that is not about its own steps."""
+    """Numba's reason in a line, without colours: what it says first that is not about its steps."""
     skipped = ("Failed in ", "During: ")
-    lines = [x.strip() for x in str(error).splitlines() if not x.startswith(skipped)]
+    text = _COLOUR.sub("", str(error))
+    lines = [x.strip() for x in text.splitlines() if not x.startswith(skipped)]
     said: list[str] = []
     for line in lines:
         if not line and said:

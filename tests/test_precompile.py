@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt import precompile as warming
+from fastatt import precompile
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = """
@@ -22,12 +22,12 @@ momentum = [0.1, 0.0, 0.2]
 """
 # the command, of two methods: that a scene's are all those that fit is in other tests
 COMMAND = """
-from fastatt import cli, precompile as warming
-every = warming.of_scene
-warming.of_scene = lambda *a, **k: [t for t in every(*a, **k) if t.method in ("rk4", "cf4")]
+from fastatt import cli, precompile
+every = precompile.of_scene
+precompile.of_scene = lambda *a, **k: [t for t in every(*a, **k) if t.method in ("rk4", "cf4")]
 if __name__ == "__main__":  # else its processes would run it too
     for processes in ("2", "1"):
-        assert not cli.main(["warm", "--scene-file", "scene.toml", "-j", processes])
+        assert not cli.main(["precompile", "--scene-file", "scene.toml", "-j", processes])
     exec({runs!r})
 """
 # works on all cases, each of which has a cache of its own
@@ -35,7 +35,7 @@ EACH = """
 import os, warnings
 import numpy as np
 import fastatt as fa
-from fastatt import precompile as warming
+from fastatt import precompile
 from fastatt.codegen import modules
 from pathlib import Path
 from fastatt.trade.scene_file import read_scene
@@ -111,7 +111,7 @@ CASES = {
 def test_a_later_process_compiles_nothing(tmp_path):
     """A case's cache is filled by its own tasks alone."""
     tasks = {
-        name: "".join(f"warming.Task({scene!r}, {method!r}).run();" for scene, method in asked)
+        name: "".join(f"precompile.Task({scene!r}, {method!r}).run();" for scene, method in asked)
         for name, (asked, _) in CASES.items()
     }
     for made, hits in each(tasks, tmp_path).values():
@@ -136,9 +136,9 @@ def test_the_command_compiles_the_methods_of_a_scene(tmp_path):
 
 
 def test_what_is_usual_is_every_method():
-    tasks = warming.usual()
-    for name, scene in warming.SCENES.items():
-        shared, own = scene(1.0), scene(warming._OWN)
+    tasks = precompile.usual()
+    for name, scene in precompile.SCENES.items():
+        shared, own = scene(1.0), scene(precompile._OWN)
         assert (shared.packed(64).params.ndim, own.packed(64).params.ndim) == (1, 2)
         for made in (shared, own):
             assert {t.method for t in tasks if t.scene == name} == set(fa.methods_for(made))
@@ -148,11 +148,11 @@ def test_what_is_usual_is_every_method():
 
 
 def test_everything_is_every_representation_and_precision():
-    tasks = warming.usual(everything=True)
+    tasks = precompile.usual(everything=True)
     found = {(t.method, t.representation, t.dtype) for t in tasks if t.scene == "coning"}
     assert found == {
         (m, rep, dtype)
-        for m in fa.methods_for(warming.SCENES["coning"](1.0))
+        for m in fa.methods_for(precompile.SCENES["coning"](1.0))
         for rep in fa.METHODS[m].representations
         for dtype in ("float64", "float32")
     }
@@ -163,14 +163,14 @@ def test_everything_is_every_representation_and_precision():
 @pytest.mark.parametrize("scene", ["coning", "free"])
 def test_every_representation_is_run(scene, representation):
     """Coordinates too, which have poles."""
-    warming.Task(scene, "rk4", representation).run()
+    precompile.Task(scene, "rk4", representation).run()
 
 
 def test_a_scene_with_mass_and_rows_of_its_own():
     """Each body's numbers are taken as they are, with and without positions."""
     moments = np.array([[2.0, 1.5, 1.0], [2.0, 1.6, 1.1]])
     scene = fa.Scene(inertia=moments, mass=2.0, force=(0.0, 0.0, 1.0))
-    tasks = warming.of_scene(scene)
+    tasks = precompile.of_scene(scene)
     assert {t.method for t in tasks} == set(fa.methods_for(scene))
     assert {t.representation for t in tasks} == {"quat", "dcm"}
     tasks[0].run()

@@ -1,0 +1,132 @@
+"""An attitude ephemeris message of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.interchange import epochs
+from fastatt.interchange.aem import FIXED, RATES_ALONG, TYPES, Aem, AemSegment
+
+if TYPE_CHECKING:
+    from fastatt.propagation.trajectory import Trajectory
+
+# s; no run lasts so long, and Unix time passed it in 1973
+_LONG = 1e8
+
+
+def aem_of(
+    run: Trajectory,
+    *,
+    epoch: str | datetime,
+    frame: str,
+    body_frame: str = "SC_BODY_1",
+    body: int | None = None,
+    version: str = "2.0",
+    attitude_type: str | None = None,
+    metadata: Mapping[str, str] | None = None,
+    header: Mapping[str, str] | None = None,
+) -> Aem:
+    """The message of one body of a run.
+
+    Parameters
+    ----------
+    run : Trajectory
+        With saves at rising times.
+    epoch : datetime or str
+        Time of the run's t = 0 in the metadata's TIME_SYSTEM, which is UTC unless said otherwise:
+        a ``datetime`` or text such as "2026-01-01T00:00:00"; t then counts every second, the leap
+        seconds of UTC too. Or "unix": t is Unix time, which skips leap seconds, in UTC.
+    frame, body_frame : str
+        The standard's names of the inertial frame and of the body's.
+    body : int, optional
+        Which of an ensemble: a message is of one object.
+    version : str
+        "1.0" (CCSDS 504.0-B-1) or "2.0" (504.0-B-2).
+    attitude_type : str, optional
+        "QUATERNION", "QUATERNION/DERIVATIVE" or, by default, with the angular velocity,
+        "QUATERNION/RATE" in version 1.0 and "QUATERNION/ANGVEL" in 2.0.
+    metadata, header : Mapping, optional
+        Further keywords, such as ``{"OBJECT_NAME": "SAT-1"}``.
+
+    Returns
+    -------
+    Aem
+        With one segment.
+
+    Raises
+    ------
+    ValueError
+        An argument that does not fit; an ensemble without ``body``; times beyond 1e8 s after an
+        epoch of 1970, which Unix time and elapsed seconds read differently; attitudes that are not
+        numbers.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 0.1)))
+    >>> run = fa.propagate(scene, [1, 0, 0, 0], dt=1.0, n_steps=2, save_every=1, t0=1.7e9)
+    >>> aem = fa.interchange.aem_of(run, epoch="unix", frame="ICRF")
+    >>> aem.segments[0].epoch, aem.segments[0].t
+    ('2023-11-14T22:13:20', array([0., 1., 2.]))
+    """
+    types = list(TYPES[checks.choice("version", version, TYPES)])
+    kind = checks.choice("attitude_type", attitude_type or types[-1], types)
+    said: dict[str, str] = {
+        "OBJECT_NAME": "UNKNOWN",
+        "OBJECT_ID": "UNKNOWN",
+        "REF_FRAME_A": frame,
+        "REF_FRAME_B": body_frame,
+        "TIME_SYSTEM": "UTC",
+        "ATTITUDE_TYPE": kind,
+    }
+    if version == "1.0":
+        said |= FIXED
+    if kind == types[-1]:
+        said[RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
+    said |= metadata or {}
+    begin, t = _times(epoch, run.t, said["TIME_SYSTEM"])
+    q, w = (np.asarray(x, dtype=np.float64) for x in _of_body(run, body))
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    first = {"CREATION_DATE": now, "ORIGINATOR": "FASTATT", **(header or {})}
+    direction, order = ({**FIXED, **said}[key] for key in FIXED)
+    comment = f"quaternions: scalar {order.lower()}, {direction} of REF_FRAME_A and REF_FRAME_B"
+    return Aem(version, first, (AemSegment(begin, t, q, w, said, (comment,)),))
+
+
+def _of_body(run: Trajectory, body: int | None) -> list[NDArray[Any]]:
+    """Attitudes and angular velocities of one body."""
+    n = run.status.size
+    if body is None and n > 1:
+        raise ValueError(
+            f"body: is missing, the run has {n} bodies; accepted: 0 to {n - 1}, since a message is "
+            "of one object"
+        )
+    if body is not None and checks.whole("body", body, 0) >= n:
+        raise ValueError(f"body: found {body}; accepted: 0 to {n - 1}")
+    return [x if run.one_body else x[:, body or 0] for x in (run.q, run.w)]
+
+
+def _times(
+    epoch: str | datetime, t: NDArray[np.float64], system: str
+) -> tuple[str, NDArray[np.float64]]:
+    """(time tag, seconds since then, leap seconds counted) of a run's times."""
+    if epoch == "unix":
+        if system.upper() != "UTC":
+            raise ValueError(
+                f'epoch: found "unix" with TIME_SYSTEM {system}; accepted: with UTC, or a time'
+            )
+        tags = epochs.tags("1970-01-01T00:00:00", t, leaps=False)
+        return tags[0], epochs.seconds_since(tags[0], tags, leaps=True)
+    tag = epochs.tag_of(epoch, system)
+    if tag.startswith("1970") and np.abs(t).max() > _LONG:
+        raise ValueError(
+            f"epoch: found {tag} with t up to {t[-1]:.10g} s, in which leap seconds count; "
+            'accepted: "unix" where t is Unix time, or a time near the run, t counted from it'
+        )
+    return tag, t
