@@ -1,4 +1,4 @@
-"""Log files: read and parsed, read whole, and integrated in chunks, beside pandas."""
+"""Log files: parsed, read whole, and integrated to files of attitudes, beside pandas."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 import fastatt as fa
-from fastatt.logs.attitudes import integrate_chunks, writing
-from fastatt.logs.reader import Options, reading
+from fastatt.logs.attitudes import attitude_file, attitude_rows
+from fastatt.logs.text import Text, opened
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 ROWS = 20_000 if SMOKE else 5_000_000
@@ -28,17 +28,16 @@ def log(tmp_path_factory):
 
 
 def parsed(path: Path) -> int:
-    """Blocks of numbers, of which nothing is done."""
-    with reading(path, Options(beside=())) as log:
-        wanted = log.columns.values
-        return sum(len(b.values) for b in log.table.rows(log.columns.clock, wanted, mend=False))
+    """Numbers, of which nothing is done."""
+    with opened(path) as (name, stream):
+        table = Text(name, stream, None)
+        return len(table.read([1, 2, 3], [0], numbers=3, strict=True)[0])
 
 
 def integrated(path: Path, suffix: str) -> int:
-    out = path.with_suffix(suffix)
-    with reading(path, Options(beside=())) as log, writing(out) as write:
-        integrate_chunks(log, (1.0, 0.0, 0.0, 0.0), "previous", write)
-    return log.samples
+    rows = attitude_rows(fa.read_gyro_log(path), (1.0, 0.0, 0.0, 0.0), "previous")
+    attitude_file(path.with_suffix(suffix))(rows)
+    return len(rows)
 
 
 @pytest.mark.parametrize(
@@ -46,11 +45,11 @@ def integrated(path: Path, suffix: str) -> int:
     [
         lambda path: len(pd.read_csv(path)),
         parsed,
-        lambda path: len(fa.read_log(path).t),
+        lambda path: len(fa.read_gyro_log(path).t),
         lambda path: integrated(path, ".npy"),
         lambda path: integrated(path, ".attitudes.csv"),
     ],
-    ids=["pandas.read_csv", "read and parsed", "read_log", "to attitudes, npy", "and csv"],
+    ids=["pandas.read_csv", "read and parsed", "read_gyro_log", "to attitudes, npy", "and csv"],
 )
 def test_log(benchmark, log, way):
     def setup():

@@ -316,7 +316,7 @@ def sciml(quick: bool) -> Problem:
 
 def _from_the_maker() -> str:
     """The methods' largest angles from the attitudes of a maker's filter, on its recording."""
-    log = fa.read_log(find_recordings()[0], unit="rad/s")
+    log = fa.read_gyro_log(find_recordings()[0], unit="rad/s")
     angles = [
         fa.angle_between(
             fa.integrate_rates(log.rates, log.dt, log.attitudes[0], method=method), log.attitudes
@@ -336,7 +336,7 @@ def gyro_log(quick: bool) -> Log:
     from scipy.integrate import solve_ivp
 
     path = next(p for p in find_recordings() if p.name == RECORDING)
-    log = fa.read_log(path, unit="rad/s")
+    log = fa.read_gyro_log(path, unit="rad/s")
     rates, h = log.rates[: 201 if quick else None], float(np.mean(log.dt))
     n = len(rates)
     t = h * np.arange(n)

@@ -47,7 +47,7 @@ def x_imu3() -> Recording:
     """10 s by hand, the first 1.1 s on a table; axes north, west, up."""
     parts = files("scikit-kinematics")
     folder = next(f for f in parts if f.match("data_xio3/Inertial.csv")).locate().parent
-    log = fa.read_log(folder / "Inertial.csv")
+    log = fa.read_gyro_log(folder / "Inertial.csv")
     when, *columns = np.loadtxt(folder / "Magnetometer.csv", delimiter=",", skiprows=1).T
     mag = np.stack([np.interp(log.t, 1e-6 * when - log.start, x) for x in columns], axis=1)
     q = np.loadtxt(folder / "Quaternion.csv", delimiter=",", skiprows=1)[:, 1:]

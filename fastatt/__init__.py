@@ -20,16 +20,16 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 __all__ = [
-    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "GyroIntegrator", "Log",
-    "LogError", "LogWarning", "Method", "OrderWarning", "OwnSteps", "Plan", "Recommendation",
-    "Reducer", "Scene", "SelfCheck", "Status", "StepWarning", "TimeSeries", "Trajectory",
-    "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity", "checkpoint",
-    "closed_form", "dcm_to_quat", "drift", "drift_statistics", "error_budget", "estimation",
-    "euler313_to_quat", "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates",
-    "interchange", "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
-    "methods_for", "own_steps", "plan", "plots", "potential_energy", "propagate",
+    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "GyroIntegrator", "GyroLog",
+    "GyroLogError", "GyroLogWarning", "Method", "OrderWarning", "OwnSteps", "Plan",
+    "Recommendation", "Reducer", "Scene", "SelfCheck", "Status", "StepWarning", "TimeSeries",
+    "Trajectory", "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity",
+    "checkpoint", "closed_form", "dcm_to_quat", "drift", "drift_statistics", "error_budget",
+    "estimation", "euler313_to_quat", "forces", "from_scipy", "gyro_steps", "inspect_step",
+    "integrate_rates", "interchange", "interpolate", "kernels", "kinetic_energy", "lie_group",
+    "mean_attitude", "methods_for", "own_steps", "plan", "plots", "potential_energy", "propagate",
     "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
-    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_log", "recommend", "reducer",
+    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_gyro_log", "recommend", "reducer",
     "rotation_vector_to_quat", "runge_kutta", "self_check", "single_step", "to_file", "to_scipy",
     "torques", "work_precision",
 ]  # fmt: skip
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from fastatt.gyro.integrate import integrate_rates
     from fastatt.gyro.streaming import GyroIntegrator
     from fastatt.interchange import from_scipy, to_scipy
-    from fastatt.logs import Log, LogError, LogWarning, read_log
+    from fastatt.logs import GyroLog, GyroLogError, GyroLogWarning, read_gyro_log
     from fastatt.methods import METHODS, Method
     from fastatt.methods.lie_group import lie_group
     from fastatt.methods.runge_kutta import runge_kutta

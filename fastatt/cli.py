@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +14,12 @@ import numpy as np
 from fastatt import __version__, listing, precompile
 from fastatt.checks import attitudes, choice, real, whole
 from fastatt.codegen import modules
-from fastatt.gyro.integrate import integrate_rates, methods_for_samples
-from fastatt.logs.attitudes import integrate_chunks, writing
-from fastatt.logs.log import in_one
+from fastatt.gyro.integrate import methods_for_samples
+from fastatt.logs.attitudes import attitude_file, attitude_rows
+from fastatt.logs.gaps import ON_BAD_ROWS
+from fastatt.logs.log import read_gyro_log
 from fastatt.logs.names import TIME_UNITS, UNITS
-from fastatt.logs.reader import Options, reading
 from fastatt.logs.reference import against_reference, read_attitudes
-from fastatt.logs.stamps import BAD, Chunk
 from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.advice import recommend
@@ -95,8 +92,8 @@ def _parser() -> argparse.ArgumentParser:
     integrate = command(
         _integrate,
         "gyro log to attitudes",
-        "Read a gyro log, integrate it, write the attitudes (body to inertial, scalar first), a "
-        "chunk at a time; with --compare, say how far the methods differ on it.",
+        "Read a gyro log, integrate it, write the attitudes (body to inertial, scalar first); with "
+        "--compare, say how far the methods differ on it.",
     )
     _add_log(integrate)
 
@@ -203,10 +200,10 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
     add("--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3")
     add(
-        "--bad",
-        choices=BAD,
+        "--on-bad-rows",
+        choices=ON_BAD_ROWS,
         default="refuse",
-        help="what becomes of rows that are no numbers, stamps that do not grow, and gaps: refuse "
+        help="what becomes of rows without a rate, stamps that do not grow, and gaps: refuse "
         "(default), drop (intervals go across), split (each piece begins at q0), hold (the last "
         "rates stay)",
     )
@@ -282,30 +279,28 @@ def _integrate(arguments: argparse.Namespace) -> int:
     for what, path in read.items():
         if path is not None and out.exists() and out.samefile(path):
             raise ValueError(f"--out: found {out}, which is {what}; accepted: another file")
+    write = attitude_file(out)
     size = 0 if piped else Path(arguments.log).stat().st_size
-    said: dict[str, Any] = {f.name: vars(arguments).get(f.name) for f in fields(Options)}
-    said["beside"] = ("quat",) if arguments.compare else ()
+    said = ("columns", "unit", "rate", "time_column", "time_unit", "on_bad_rows", "max_gap")
+    given = {name: getattr(arguments, name) for name in (*said, "bias_seconds")}
     reference = arguments.reference and read_attitudes(arguments.reference)
-    kept: list[Chunk] | None = [] if arguments.compare or reference else None
-    with (
-        progress_bar(_bar_wanted(arguments.quiet), size, "B") as done,
-        reading(arguments.log, Options(**said), done) as reader,
-        writing(out, pieces=arguments.bad == "split") as write,
-    ):
-        integrate_chunks(reader, q0, arguments.method, write, kept)
-    print(reader.summary())
-    n, method = reader.samples, arguments.method
+    method, split = arguments.method, arguments.on_bad_rows == "split"
+    with progress_bar(_bar_wanted(arguments.quiet), size, "B") as done:
+        log = read_gyro_log(arguments.log, progress=done, **given)
+    rows = attitude_rows(log, q0, method, pieces=split)
+    write(rows)
+    print(log.summary)
+    n = len(rows)
     print(f"{out}: {n} attitudes by {method}, body to inertial, scalar first")
-    if kept is None or n == 1:
+    if not (arguments.compare or reference) or n == 1:
         return 0
-    log = in_one(reader, kept)
     if len(log.pieces) > 1:
         raise ValueError(
-            f"--bad: found {len(log.pieces)} pieces; accepted with --compare and --reference: one"
+            f"--on-bad-rows: found {len(log.pieces)} pieces; accepted with --compare and "
+            "--reference: one"
         )
     if reference:
-        q = integrate_rates(log.rates, log.dt, q0, method=method, max_gap=math.inf)
-        print(against_reference(log.t, q, reference, log.start))
+        print(against_reference(log.t, rows[:, 1:5], reference, log.start))
     if arguments.compare:
         print("comparing with the other methods ...", flush=True)
         print(compare_on_log(log, method))

@@ -62,7 +62,7 @@ def test_what_the_fuzz_is_after_is_found(function):
 
 def test_a_log_that_is_read_otherwise_than_written_is_found(tmp_path):
     path = logs.written(tmp_path, b"wx,wy,wz\n1,2,3\n4,5,6\n")
-    log = fa.read_log(path, rate=10.0, unit="rad/s")
+    log = fa.read_gyro_log(path, rate=10.0, unit="rad/s")
     meant = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     t = np.array([0.0, 0.1])
     assert logs.read_wrong(log, logs.Log(b"", {}, meant, t)) is None

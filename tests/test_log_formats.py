@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 import warnings
 from typing import NamedTuple
@@ -11,8 +10,6 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.logs import LogError, blocks
-from fastatt.logs import reader as reading
 
 W = np.array([[0.1, -0.2, 0.3], [0.4, 0.5, -0.6], [-0.7, 0.8, 0.9]])
 A = np.array([[0.5, -0.25, 9.75], [0.25, 0.5, 9.5], [-0.5, 0.25, 9.25]])
@@ -208,6 +205,47 @@ CASES = {
         warned="GyrX has no unit",
     ),
     "Shimmer": Case(SHIMMER, 0.0195, DEG),
+    "ROS 2": Case(
+        table(
+            "header.stamp.sec,header.stamp.nanosec,angular_velocity.x,angular_velocity.y,"
+            "angular_velocity.z",
+            [1700000000, 1700000000, 1700000001],
+            np.array([[600_000_001], [800_000_001], [1]]), W,
+        ).replace(".0,", ","),
+        0.2,
+    ),
+    "Xsens, update rate": Case(
+        "// Update Rate: 100.0Hz\n"
+        + table("PacketCounter\tGyr_X\tGyr_Y\tGyr_Z", [7, 8, 9], W, separator="\t"),
+        0.01,
+        warned="Gyr_X has no unit",
+    ),
+    "Xsens, SampleTimeFine": Case(
+        "// Update Rate: 10.0Hz\n"
+        + table("SampleTimeFine\tGyr_X\tGyr_Y\tGyr_Z", [5000, 6000, 7000], W, separator="\t"),
+        0.1,
+        warned="SampleTimeFine has no unit: taken as 100us (10 Hz)",
+    ),
+    "Xsens DOT": Case(
+        table("PacketCounter,SampleTimeFine,Gyr_X,Gyr_Y,Gyr_Z", [7, 8, 9],
+              np.array([[3_000_000_000], [3_000_016_667], [3_000_033_334]]), W),
+        0.016667,
+        warned="SampleTimeFine has no unit: taken as us (60 Hz)",
+    ),
+    "times of day": Case(
+        table("time;gyro_x [rad/s];gyro_y [rad/s];gyro_z [rad/s]",
+              ["23:59:59.950", "00:00:00.000", "00:00:00.05"], W, separator=";"),
+        0.05,
+    ),
+    "quoted decimal commas": Case(
+        "time (s),wx (rad/s),wy (rad/s),wz (rad/s)\n"
+        + "".join(
+            ",".join(f'"{x}"'.replace(".", ",") for x in (t, *w)) + "\n"
+            for t, w in zip(SECONDS, W.tolist(), strict=True)
+        ),
+        0.01,
+    ),
+    "Hz": Case(table("t [s],wx [Hz],wy [Hz],wz [Hz]", SECONDS, W), 0.01, 2.0 * np.pi),
     "ISO 8601": Case(
         table("time,gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s]",
               [f"2024-05-06T07:08:09.{5 * k:06d}+02:00" for k in range(3)], W),
@@ -219,22 +257,11 @@ CASES = {
 def read(path, case, **options):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        log = fa.read_log(path, **options)
+        log = fa.read_gyro_log(path, **options)
     text = "; ".join(str(w.message) for w in said)
     assert case.warned in text
     assert bool(text) == bool(case.warned)
     return log
-
-
-@pytest.mark.filterwarnings("ignore::fastatt.LogWarning")
-def test_a_guess_that_later_rows_belie_is_refused(monkeypatch):
-    monkeypatch.setattr(reading, "_LOOK", 2)
-    monkeypatch.setattr(blocks, "BYTES", 1)
-    monkeypatch.setattr(blocks, "_HEAD", 2)
-    text = "gx,gy,gz\n1,2,3\n1,2,3\n1,2,3\n{},1,1\n"
-    assert fa.read_log(io.StringIO(text.format(34)), rate=10.0).unit == "rad/s (assumed)"
-    with pytest.raises(LogError, match="at most 35 in the first rows and reach 40 later"):
-        fa.read_log(io.StringIO(text.format(40)), rate=10.0)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -12,11 +12,12 @@ from each import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fastatt.logs import LogError, blocks, read_log
-from fastatt.logs.attitudes import writing
+from fastatt.logs import GyroLogError, read_gyro_log
+from fastatt.logs import text as texts
+from fastatt.logs.attitudes import attitude_file
 
 # units that are taken from the size of numbers have tests of their own
-pytestmark = pytest.mark.filterwarnings("ignore::fastatt.LogWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::fastatt.GyroLogWarning")
 
 EPS = 2.0**-52
 DEG = math.radians(1.0)
@@ -37,17 +38,17 @@ def rows(separator, first=""):
 def test_layouts(tmp_path, separator, names):
     head = names.format(separator)
     columns = None if "gyr" in head.lower() else ["gx", "gy", "gz"]
-    log = read_log(
+    log = read_gyro_log(
         write(tmp_path / "a.txt", f"{head}\n{rows(separator)}"), rate=50.0, columns=columns
     )
     assert np.array_equal(log.rates, RATES)
-    assert log.dt == 0.02
+    assert log.dt.tolist() == [0.02, 0.02]
     assert log.t == pytest.approx([0.0, 0.02, 0.04])
 
 
 def test_no_names_at_all(tmp_path):
     path = write(tmp_path / "a.csv", rows(",", "9,"))
-    log = read_log(path, rate=10.0, columns=["2", "3", "4"])
+    log = read_gyro_log(path, rate=10.0, columns=["2", "3", "4"])
     assert np.array_equal(log.rates, RATES)
     assert log.unit == "rad/s (assumed)"
 
@@ -56,7 +57,7 @@ def test_comments_and_their_sample_rate(tmp_path):
     text = "// Start: 0\n// Sample rate: 50.0Hz\n\nCounter\tGyr_X\tGyr_Y\tGyr_Z\t\n" + rows(
         "\t", "7\t"
     )
-    log = read_log(write(tmp_path / "a.txt", text))
+    log = read_gyro_log(write(tmp_path / "a.txt", text))
     assert log.rate == 50.0
     assert np.array_equal(log.rates, RATES)
 
@@ -71,7 +72,7 @@ def test_comments_and_their_sample_rate(tmp_path):
     ],
 )
 def test_units(tmp_path, names, unit, factor):
-    log = read_log(write(tmp_path / "a.csv", f"{names}\n{rows(',')}"), rate=1.0, unit=unit)
+    log = read_gyro_log(write(tmp_path / "a.csv", f"{names}\n{rows(',')}"), rate=1.0, unit=unit)
     assert log.rates == pytest.approx(RATES * factor, rel=1e-15)
 
 
@@ -82,7 +83,7 @@ def test_time_stamps(tmp_path, name, scale):
     stamps = [5.0, 5.5, 7.0]
     lines = [f"{t},{','.join(map(str, r))}" for t, r in zip(stamps, RATES, strict=True)]
     path = write(tmp_path / "a.csv", "\n".join([f"{name},wx,wy,wz", *lines]))
-    log = read_log(path)
+    log = read_gyro_log(path)
     assert log.dt == pytest.approx([0.5 * scale, 1.5 * scale])
     assert log.t[0] == 0.0
 
@@ -90,7 +91,7 @@ def test_time_stamps(tmp_path, name, scale):
 def test_maker_orientation(tmp_path):
     lines = "\n".join(",".join(map(str, r)) + ",1,0,0,0" for r in RATES)
     path = write(tmp_path / "a.csv", "wx,wy,wz,Quat_w,Quat_x,Quat_y,Quat_z\n" + lines)
-    assert read_log(path, rate=1.0).attitudes.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 3
+    assert read_gyro_log(path, rate=1.0).attitudes.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 3
 
 
 EUROC = (
@@ -104,7 +105,7 @@ STAMPED = "\n".join(
 
 def test_names_and_units_in_a_comment(tmp_path):
     """EuRoC's logs."""
-    log = read_log(write(tmp_path / "a.csv", f"{EUROC}\n{STAMPED}\n"))
+    log = read_gyro_log(write(tmp_path / "a.csv", f"{EUROC}\n{STAMPED}\n"))
     assert np.array_equal(log.rates, RATES)
     assert log.unit == "rad/s"
     # stamps near 1.4e18 stand 256 apart in double precision: they are whole numbers here
@@ -113,7 +114,7 @@ def test_names_and_units_in_a_comment(tmp_path):
 
 def test_a_comment_that_names_no_gyro_is_none(tmp_path):
     path = write(tmp_path / "a.csv", f"# a,b,deg/s,d\n{rows(',', '7,')}")
-    log = read_log(path, columns=["2", "3", "4"], rate=1.0)
+    log = read_gyro_log(path, columns=["2", "3", "4"], rate=1.0)
     assert (log.unit, log.columns[0]) == ("rad/s (assumed)", "column 2")
 
 
@@ -137,12 +138,63 @@ def test_times_that_fit_no_rate_or_two_are_refused_unless_they_are_said(
 ):
     path = write(tmp_path / "a.csv", "\n".join(f"{t},1,2,3" for t in stamps))
     if found:
-        with pytest.raises(LogError, match=f"a.csv: column 1 has no unit, and its {found}"):
-            read_log(path, **NAMED)
-    log = read_log(path, **NAMED, time_unit=unit, max_gap=np.inf)
+        with pytest.raises(GyroLogError, match=f"a.csv: column 1 has no unit, and its {found}"):
+            read_gyro_log(path, **NAMED)
+    log = read_gyro_log(path, **NAMED, time_unit=unit, max_gap=np.inf)
     scale = {"s": 1.0, "ms": 1e-3}[unit]
     assert log.t == pytest.approx((np.array(stamps) - stamps[0]) * scale, rel=1e-15)
-    assert read_log(path, columns=["2", "3", "4"], rate=2e-7).rate == pytest.approx(2e-7)
+    assert read_gyro_log(path, columns=["2", "3", "4"], rate=2e-7).rate == pytest.approx(2e-7)
+
+
+@pytest.mark.parametrize("scale", [1, 1000, 10**6])
+def test_dates_at_a_slow_rate_are_not_taken_for_another_unit(tmp_path, scale):
+    """Seconds from 1970, a sample a minute: in ms it would be 16.7 Hz."""
+    path = write(
+        tmp_path / "a.csv", "\n".join(f"{(1_700_000_000 + 60 * k) * scale},1,2,3" for k in range(9))
+    )
+    with pytest.raises(GyroLogError, match="column 1 has no unit, and its interval 6"):
+        read_gyro_log(path, **NAMED)
+    unit = {1: "s", 1000: "ms", 10**6: "us"}[scale]
+    assert read_gyro_log(path, **NAMED, time_unit=unit).dt.tolist() == [60.0] * 8
+    path = write(
+        tmp_path / "b.csv", "\n".join(f"{1.7e9 * scale + 0.06 * scale * k},1,2,3" for k in range(9))
+    )
+    assert read_gyro_log(path, **NAMED).rate == pytest.approx(16.7, rel=2e-3)
+
+
+def test_the_update_rate_tells_the_unit_of_sample_time_fine():
+    """1000 counts are 100 ms of an MTi, or 1 ms of a DOT."""
+    text = "SampleTimeFine,Gyr_X,Gyr_Y,Gyr_Z\n" + "".join(f"{k}000,1,2,3\n" for k in range(9))
+    for rate in (10.0, 1000.0):
+        log = read_gyro_log(io.StringIO(f"// Update Rate: {rate}Hz\n{text}"))
+        assert log.rate == pytest.approx(rate)
+    with pytest.raises(GyroLogError, match=r"SampleTimeFine has no unit, .* more than one; accept"):
+        read_gyro_log(io.StringIO(text))
+    assert read_gyro_log(io.StringIO(text), time_unit="100us").rate == pytest.approx(10.0)
+
+
+def test_axes_alone_need_a_name_of_their_file(tmp_path):
+    """Sensor Logger's and PX4's: a folder's name says nothing, and without it they are refused."""
+    text = "seconds_elapsed,z,y,x\n0.0,1,2,3\n0.1,1,2,3\n"
+    folder = tmp_path / "gyro"
+    folder.mkdir()
+    for source in (io.StringIO(text), write(folder / "Accelerometer.csv", text)):
+        with pytest.raises(GyroLogError, match=r"'x', 'y', 'z' do not name their.*Gyroscope\.csv"):
+            read_gyro_log(source)
+    log = read_gyro_log(write(tmp_path / "Gyroscope.csv", text))
+    assert log.rates[0].tolist() == [3.0, 2.0, 1.0]
+    assert "; a gyro's, as the file's name or its comments say" in log.summary
+
+
+@pytest.mark.parametrize("rate", [None, 10.0])
+@pytest.mark.parametrize("how", ["refuse", "drop", "hold"])
+def test_intervals_are_an_array(rate, how):
+    for n in (2, 3):
+        data = {"t [s]": 0.1 * np.arange(n), "gyro": np.ones((n, 3))}
+        log = read_gyro_log(data, rate=rate, unit="rad/s", on_bad_rows=how)
+        assert isinstance(log.dt, np.ndarray)
+        assert np.allclose(log.dt, [0.1] * (n - 1), rtol=1e-15, atol=0.0)
+        assert log.rate == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(
@@ -159,16 +211,16 @@ def test_times_that_fit_no_rate_or_two_are_refused_unless_they_are_said(
 )
 def test_times_without_a_unit_by_their_size(tmp_path, stamps, scale):
     path = write(tmp_path / "a.csv", "\n".join(f"{t},1,2,3" for t in stamps))
-    log = read_log(path, **NAMED)
+    log = read_gyro_log(path, **NAMED)
     # seconds near 1.4e9 stand 2.4e-7 apart
     assert log.t == pytest.approx((np.array(stamps) - stamps[0]) * scale, rel=1e-15, abs=1.2e-7)
 
 
 def test_the_unit_of_time_that_is_said_stands_above_a_name(tmp_path):
     path = write(tmp_path / "a.csv", "time [s],wx,wy,wz\n0,1,2,3\n2000,1,2,3\n")
-    with pytest.raises(LogError, match=r"time \[s\] gives 0\.0005 Hz in s; .*0\.5 Hz in ms"):
-        read_log(path)
-    assert read_log(path, time_unit="us").dt == pytest.approx([2e-3], rel=1e-15)
+    with pytest.raises(GyroLogError, match=r"time \[s\] gives 0\.0005 Hz in s; .*0\.5 Hz in ms"):
+        read_gyro_log(path)
+    assert read_gyro_log(path, time_unit="us").dt == pytest.approx([2e-3], rel=1e-15)
 
 
 GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
@@ -215,7 +267,7 @@ GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
         (GOOD, {"rate": 0.0}, "rate: found 0.0"),
         (GOOD, {"rate": float("nan")}, "rate: found nan"),
         (GOOD, {"unit": "rps"}, "unit: found 'rps'; accepted: rad/s, deg/s"),
-        (GOOD, {"time_unit": "h"}, "time_unit: found 'h'; accepted: s, ms, us, ns"),
+        (GOOD, {"time_unit": "h"}, "time_unit: found 'h'; accepted: s, ms, 100us, us, ns"),
         (
             "# sample rate: 1e7 Hz\nwx,wy,wz\n1,2,3\n",
             {},
@@ -225,8 +277,16 @@ GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
         ("t,wx,wy,wz\n0,1,2,3\n", {}, "at least two"),
         (GOOD, {"max_gap": 0.5}, "line 3: a gap of 1 s; accepted: at most 0.5 s"),
         (GOOD, {"max_gap": 0.0}, "max_gap: found 0.0; accepted: a number above 0"),
-        (GOOD, {"bad": "keep"}, "bad: found 'keep'; accepted: refuse, drop, split, hold"),
-        (GOOD, {"bias_seconds": 9.0}, "bias_seconds: found 9; accepted: less than the log"),
+        (
+            GOOD,
+            {"on_bad_rows": "keep"},
+            "on_bad_rows: found 'keep'; accepted: refuse, drop, split, hold",
+        ),
+        (
+            GOOD,
+            {"bias_seconds": 9.0},
+            "bias_seconds: found all of the log in the first 9 s; accepted",
+        ),
         (GOOD.replace("1,2,3", ".1,0,0"), {"bias_seconds": 0.1}, "found one sample in the first"),
         (GOOD, {"bias_seconds": 1.5}, "not at rest in the first 1.5 s .mean rate 3 rad/s"),
         (GOOD.replace("[s]", "[min]"), {}, "t .min.: found the unit 'min'"),
@@ -247,7 +307,7 @@ GOOD = "t [s],wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
 )
 def test_refusals(tmp_path, text, options, message):
     with pytest.raises(ValueError, match=message) as caught:
-        read_log(write(tmp_path / "a.csv", text), **options)
+        read_gyro_log(write(tmp_path / "a.csv", text), **options)
     assert len(str(caught.value).splitlines()) == 1
     assert len(str(caught.value)) < 600
 
@@ -263,19 +323,19 @@ def test_refusals(tmp_path, text, options, message):
 def test_arguments_of_another_type(tmp_path, options, message):
     options = {"source": write(tmp_path / "a.csv", GOOD), **options}
     with pytest.raises(TypeError, match=message):
-        read_log(**options)
+        read_gyro_log(**options)
 
 
 def test_large_numbers_are_numbers(tmp_path):
     path = write(tmp_path / "a.csv", "wx,wy,wz\n" + "1e308,1e308,1e308\n" * 2)
-    assert read_log(path, rate=1.0, unit="rad/s").rates.max() == 1e308
+    assert read_gyro_log(path, rate=1.0, unit="rad/s").rates.max() == 1e308
 
 
 def test_an_index_without_a_name(tmp_path):
     """Data frames write one: the names after it belong to the columns after it."""
     lines = [f"{i},{','.join(map(str, r))}" for i, r in enumerate(RATES)]
     path = write(tmp_path / "a.csv", "\n".join([",wx,wy,wz", *lines]))
-    assert np.array_equal(read_log(path, rate=1.0).rates, RATES)
+    assert np.array_equal(read_gyro_log(path, rate=1.0).rates, RATES)
 
 
 @pytest.mark.parametrize(
@@ -283,42 +343,43 @@ def test_an_index_without_a_name(tmp_path):
 )
 def test_units_in_brackets_between_blanks(tmp_path, head):
     lines = [f"{t} {' '.join(map(str, r))}" for t, r in zip((0, 1, 3), RATES, strict=True)]
-    log = read_log(write(tmp_path / "a.txt", "\n".join([head, *lines])))
+    log = read_gyro_log(write(tmp_path / "a.txt", "\n".join([head, *lines])))
     assert np.array_equal(log.rates, RATES)
     assert log.t.tolist() == [0.0, 1.0, 3.0]
 
 
-@pytest.mark.parametrize("unit", ["rps", "udps", "rad/day", "mrpm", "turns/s", "rad/min"])
+@pytest.mark.parametrize("unit", ["rps", "udps", "rad/day", "mrpm", "turns/s", "rad/min", "kHz"])
 def test_units_that_are_not_known_are_not_guessed(tmp_path, unit):
     path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
-    with pytest.raises(LogError, match="found the unit"):
-        read_log(path, rate=1.0)
-    assert np.array_equal(read_log(path, rate=1.0, unit="rad/s").rates, RATES)
+    with pytest.raises(GyroLogError, match="found the unit"):
+        read_gyro_log(path, rate=1.0)
+    assert np.array_equal(read_gyro_log(path, rate=1.0, unit="rad/s").rates, RATES)
 
 
 @pytest.mark.parametrize(
     ("unit", "seconds", "turned"),
     [("mdps", 1e3, DEG), ("mrad/s", 1e3, 1.0), ("millidegrees/sec", 1e3, DEG)]
     + [(u, 3600.0, DEG) for u in ("deg/h", "deg per hour", "°/hr", "arcsec/s", "arcseconds/s")]
+    + [("Hz", 1.0, math.tau)]
     + [("°/min", 60.0, DEG), ("rpm", 60.0, math.tau), ("rev/s", 1.0, math.tau)],
 )
 def test_other_units(tmp_path, unit, seconds, turned):
     """So many seconds at 1 of the unit turn by an angle."""
     path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
-    rates = read_log(path, rate=1.0).rates
+    rates = read_gyro_log(path, rate=1.0).rates
     assert np.abs(rates * seconds - turned * np.array(RATES)).max() <= 4 * EPS * turned * 3.0
 
 
 @pytest.mark.parametrize("unit", ["dps", "°/s", "deg/sec", "degrees per second", "deg_s"])
 def test_degrees_by_other_names(tmp_path, unit):
     path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
-    assert read_log(path, rate=1.0).unit == "deg/s"
+    assert read_gyro_log(path, rate=1.0).unit == "deg/s"
 
 
 def test_units_that_differ_are_refused(tmp_path):
     path = write(tmp_path / "a.csv", f"wx (deg/s),wy (rad/s),wz (deg/s)\n{rows(',')}")
-    with pytest.raises(LogError, match="one for all"):
-        read_log(path, rate=1.0)
+    with pytest.raises(GyroLogError, match="one for all"):
+        read_gyro_log(path, rate=1.0)
 
 
 @pytest.mark.parametrize(
@@ -329,22 +390,22 @@ def test_units_that_differ_are_refused(tmp_path):
 def test_sample_rates_in_comments(tmp_path, said, rate):
     path = write(tmp_path / "a.csv", f"# Sample rate: {said}\nwx,wy,wz\n{rows(',')}")
     if rate is None:
-        with pytest.raises(LogError, match="no time column and no sample rate"):
-            read_log(path)
+        with pytest.raises(GyroLogError, match="no time column and no sample rate"):
+            read_gyro_log(path)
     else:
-        assert read_log(path).rate == rate
+        assert read_gyro_log(path).rate == rate
 
 
 def test_sample_rates_of_others():
     """Of two rates none is the gyro's for certain; that of a filter or a magnetometer is none."""
     table = f"# gyro sample rate: 100 Hz\n# {{}}\ngx (rad/s),gy (rad/s),gz (rad/s)\n{rows(',')}"
     for other in ("mag sample rate: 20 Hz", "Accelerometer sampling rate = 20", "sample rate: 100"):
-        assert read_log(io.StringIO(table.format(other))).rate == pytest.approx(100.0)
-    with pytest.raises(LogError, match="found the sample rates 100 and 20 Hz; accepted: one"):
-        read_log(io.StringIO(table.format("sample rate: 20 Hz")))
+        assert read_gyro_log(io.StringIO(table.format(other))).rate == pytest.approx(100.0)
+    with pytest.raises(GyroLogError, match="found the sample rates 100 and 20 Hz; accepted: one"):
+        read_gyro_log(io.StringIO(table.format("sample rate: 20 Hz")))
     only = table.format("cutoff frequency: 20 Hz").split("\n", 1)[1]
-    with pytest.raises(LogError, match="no time column and no sample rate"):
-        read_log(io.StringIO(only))
+    with pytest.raises(GyroLogError, match="no time column and no sample rate"):
+        read_gyro_log(io.StringIO(only))
 
 
 @pytest.mark.parametrize(
@@ -352,43 +413,43 @@ def test_sample_rates_of_others():
 )
 def test_byte_order_mark_and_quotes(tmp_path, text):
     path = write(tmp_path / "a.csv", text)
-    assert np.array_equal(read_log(path, rate=1.0, columns=["1", "2", "3"]).rates, RATES)
+    assert np.array_equal(read_gyro_log(path, rate=1.0, columns=["1", "2", "3"]).rates, RATES)
 
 
 def test_missing_file(tmp_path):
     with pytest.raises(FileNotFoundError):
-        read_log(tmp_path / "none.csv")
+        read_gyro_log(tmp_path / "none.csv")
 
 
 def test_blocks_join(tmp_path, monkeypatch, reader):
-    monkeypatch.setattr(blocks, "BYTES", 50)
+    monkeypatch.setattr(texts, "BYTES", 50)
     numbers = np.arange(60.0).reshape(20, 3)
     text = "wx,wy,wz\n" + "\n".join(",".join(map(str, r)) for r in numbers)
     seen: list[int] = []
     path = write(tmp_path / "a.csv", text)
-    found = read_log(path, rate=1.0, unit="rad/s", progress=seen.append)
+    found = read_gyro_log(path, rate=1.0, unit="rad/s", progress=seen.append)
     assert np.array_equal(found.rates, numbers)
     assert sum(seen) == path.stat().st_size - len("wx,wy,wz\n")
 
 
 @pytest.mark.parametrize("size", [1, 10, 40, 150])
 def test_no_row_is_lost_after_blank_lines_and_comments(tmp_path, monkeypatch, size, reader):
-    monkeypatch.setattr(blocks, "BYTES", size)
+    monkeypatch.setattr(texts, "BYTES", size)
     numbers = np.arange(60.0).reshape(20, 3)
     lines = [f"{k},{','.join(map(str, r))}" for k, r in enumerate(numbers)]
     lines[5:5] = ["", "# a note", "#9,1,2,3"]
     lines[12:12] = ["//"] * 8
     path = write(tmp_path / "a.csv", "row,wx,wy,wz\n" + "\n".join(lines))
-    assert np.array_equal(read_log(path, rate=1.0, unit="rad/s").rates, numbers)
+    assert np.array_equal(read_gyro_log(path, rate=1.0, unit="rad/s").rates, numbers)
 
 
 @pytest.mark.parametrize("size", [1, 20, 1000])
 def test_the_line_of_a_bad_row_in_any_block(tmp_path, monkeypatch, size, reader):
-    monkeypatch.setattr(blocks, "BYTES", size)
-    monkeypatch.setattr(blocks, "_HEAD", 3)
+    monkeypatch.setattr(texts, "BYTES", size)
+    monkeypatch.setattr(texts, "_HEAD", 3)
     path = write(tmp_path / "a.csv", "wx,wy,wz\n" + "1,2,3\n\n" * 6 + "1,inf,3\n1,2,x\n")
-    with pytest.raises(LogError, match="line 14: wy is 'inf'"):
-        read_log(path, rate=1.0)
+    with pytest.raises(GyroLogError, match="line 14: wy is 'inf'"):
+        read_gyro_log(path, rate=1.0)
 
 
 def test_both_readers_round_to_nearest(tmp_path, monkeypatch):
@@ -398,25 +459,22 @@ def test_both_readers_round_to_nearest(tmp_path, monkeypatch):
     numbers = random.standard_normal((500, 3)) * 10.0 ** random.integers(-12, 1, (500, 3))
     lines = [",".join(f"{x:.{d}g}" for x, d in zip(r, (15, 17, 20), strict=True)) for r in numbers]
     path = write(tmp_path / "a.csv", "wx,wy,wz\n" + "\n".join(lines))
-    first = read_log(path, rate=1.0).rates
+    first = read_gyro_log(path, rate=1.0).rates
     assert np.array_equal(first, [[float(x) for x in line.split(",")] for line in lines])
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert np.array_equal(read_log(path, rate=1.0).rates, first)
+    assert np.array_equal(read_gyro_log(path, rate=1.0).rates, first)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npy", ".zarr"])
-@pytest.mark.parametrize("pieces", [False, True])
-def test_written_attitudes_come_back(tmp_path, suffix, pieces, reader):
+@pytest.mark.parametrize("columns", [5, 6])
+def test_written_attitudes_come_back(tmp_path, suffix, columns, reader):
     rows = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0], [0.1, 0.6, 0.8, 0.0, 1e-300, 1.0]])
-    rows = rows if pieces else rows[:, :5]
+    rows = rows[:, :columns]
     path = tmp_path / f"a{suffix}"
     if suffix == ".zarr":
         zarr = pytest.importorskip("zarr")
     for _ in range(2):  # over one that is there
-        with writing(path, pieces) as add:
-            add(rows[:1])
-            add(rows[:0])
-            add(rows[1:])
+        attitude_file(path)(rows)
     if suffix == ".zarr":
         found = zarr.open(str(path), mode="r")[:]
     else:
@@ -425,26 +483,17 @@ def test_written_attitudes_come_back(tmp_path, suffix, pieces, reader):
     assert [x.name for x in tmp_path.iterdir()] == [path.name]
 
 
-def fail_in(path):
-    with writing(path) as add:
-        add(np.ones((1, 5)))
-        raise KeyError
-
-
 def test_a_file_that_fails_leaves_the_one_before(tmp_path):
     path = write(tmp_path / "a.csv", "before")
-    with pytest.raises(KeyError):
-        fail_in(path)
+    with pytest.raises(AttributeError):
+        attitude_file(path)(None)
     assert path.read_text(encoding="utf-8") == "before"
     assert [x.name for x in tmp_path.iterdir()] == [path.name]
 
 
 def test_unknown_ending(tmp_path):
-    with (
-        pytest.raises(LogError, match=r"found the ending '.xls'; accepted: .csv, .npy and .zarr"),
-        writing(tmp_path / "a.xls"),
-    ):
-        pass
+    with pytest.raises(GyroLogError, match=r"found the ending '.xls'; accepted: .csv, .npy and .z"):
+        attitude_file(tmp_path / "a.xls")
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.npy", "a.zarr"])
@@ -453,11 +502,8 @@ def test_a_directory_is_not_replaced(tmp_path, name):
     kept = tmp_path / name / "kept"
     kept.parent.mkdir()
     write(kept, "mine")
-    with (
-        pytest.raises(LogError, match=rf"--out: found the directory .*{name}; accepted: a file"),
-        writing(kept.parent),
-    ):
-        pass
+    with pytest.raises(GyroLogError, match=rf"--out: found the directory .*{name}; accepted: a f"):
+        attitude_file(kept.parent)
     assert kept.read_text(encoding="utf-8") == "mine"
 
 
@@ -472,8 +518,8 @@ def test_hostile_files(tmp_path, content):
     path = tmp_path / "hostile.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     try:
-        log = read_log(path, columns=["1", "2", "3"], rate=1.0)
-    except LogError as error:
+        log = read_gyro_log(path, columns=["1", "2", "3"], rate=1.0)
+    except GyroLogError as error:
         message = str(error)
     else:
         message = "" if log.rates.shape[1] == 3 and np.isfinite(log.rates).all() else "read\nwrong"

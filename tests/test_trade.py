@@ -223,7 +223,7 @@ def test_exact_attitudes_obey_the_rates():
 def test_recordings_are_found_and_agree_with_their_maker():
     paths = recordings.find_recordings()
     assert len(paths) == len(recordings.RECORDINGS)
-    log = fa.read_log(paths[0], unit="rad/s")
+    log = fa.read_gyro_log(paths[0], unit="rad/s")
     assert (len(log.rates), log.rate) == (953, 50.0)
     names = ("hold", "previous", "coning3")
     rows = {r.method: r for r in recordings.log_rows(log, repeats=1, methods=names)}
@@ -234,7 +234,7 @@ def test_recordings_are_found_and_agree_with_their_maker():
 
 
 def test_a_log_is_compared_with_every_method(monkeypatch):
-    log = fa.read_log(recordings.find_recordings()[0], unit="rad/s")
+    log = fa.read_gyro_log(recordings.find_recordings()[0], unit="rad/s")
     monkeypatch.setattr(recordings, "integrate_rates", still)
     assert [r.method for r in recordings.log_rows(log, 1)] == methods_for_samples()
     monkeypatch.setattr(recordings, "error_budget", lambda *a, **k: k["rivals"])
@@ -299,7 +299,7 @@ def test_run_leaves_its_files(tmp_path, capsys, by_input, coning, monkeypatch):
     logs, methods = recordings.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
     with warnings.catch_warnings():
         warnings.simplefilter("error", StepWarning)
-        warnings.simplefilter("ignore", fa.LogWarning)  # the recording names no unit
+        warnings.simplefilter("ignore", fa.GyroLogWarning)  # the recording names no unit
         run.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
     names = {"recordings.csv", "recordings.png", "trade.csv", "trade.png"}
     assert {p.name for p in tmp_path.iterdir()} == names

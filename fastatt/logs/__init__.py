@@ -1,6 +1,6 @@
-"""Gyro logs: read as they are found, integrated whole or in chunks, compared with a reference."""
+"""Gyro logs: read as they are found, integrated to attitudes, compared with a reference."""
 
-from fastatt.logs.log import Log, read_log
-from fastatt.logs.names import LogError, LogWarning
+from fastatt.logs.log import GyroLog, read_gyro_log
+from fastatt.logs.names import GyroLogError, GyroLogWarning
 
-__all__ = ["Log", "LogError", "LogWarning", "read_log"]
+__all__ = ["GyroLog", "GyroLogError", "GyroLogWarning", "read_gyro_log"]

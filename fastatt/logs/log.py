@@ -1,8 +1,11 @@
-"""Gyro logs as they are found, read whole."""
+"""Gyro logs as they are found: columns and units understood, samples in order and in SI units."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,36 +14,48 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.logs.reader import Options, Reader, reading
-from fastatt.logs.stamps import Chunk
+from fastatt import checks
+from fastatt.logs import names, stamps
+from fastatt.logs.gaps import ON_BAD_ROWS, Samples, in_order
+from fastatt.logs.names import UNITS, GyroLogError, GyroLogWarning
+from fastatt.logs.tables import Frame, Table, tabular
+from fastatt.logs.text import Text, opened
+
+# rad/s, the range of most gyros (2000 deg/s); deg/s, and of any
+_MOST_RAD, _MOST_DEG = 35.0, 4500.0
+# rad/s of a bias, rad of a rotation about it: above, a body is not at rest
+_LARGEST_BIAS, _LARGEST_ROTATION = 0.2, 0.05
+_MANY = 0.01  # of the rows; when more are left out, a warning says so
 
 
 @dataclass(frozen=True)
-class Log:
+class GyroLog:
     """A gyro log of n samples, in SI units.
 
     Attributes
     ----------
     path : where it came from.
-    t : (n,), s from the first sample.
+    t : (n,), s from the first sample; where the clock was reset it goes on by one usual interval.
     rates : (n, 3), rad/s, body axes.
-    dt : the interval, s, or the n − 1 intervals: what ``integrate_rates`` takes.
+    dt : (n - 1,), the intervals, s.
     accel : (n, 3), or None; m/s² where names, or gravity's size at rest, tell the log's unit.
-    mag : (n, 3) in the log's own unit, or None.
+    mag : (n, 3) in the log's own unit, or None. NaN where the log has no number, as in ``accel``.
     attitudes : (n, 4), those that the log carries, as they stand there, or None.
     columns, unit, timing : the gyro's columns, the unit they were in, where times come from.
+    rate : mean sample rate, Hz.
     start : the first time stamp in s as the log counts it (0 where it has none).
-    pieces : slices of samples without a break between them: one, unless ``bad="split"``.
+    pieces : slices of samples without a break between them: one, unless ``on_bad_rows="split"``.
     summary : what was understood, one line.
     """
 
     path: Path
     rates: NDArray[np.float64]
-    dt: float | NDArray[np.float64]
+    dt: NDArray[np.float64]
     t: NDArray[np.float64]
     columns: tuple[str, ...]
     unit: str
     timing: str
+    rate: float
     attitudes: NDArray[np.float64] | None
     accel: NDArray[np.float64] | None = None
     mag: NDArray[np.float64] | None = None
@@ -48,13 +63,8 @@ class Log:
     pieces: tuple[slice, ...] = ()
     summary: str = ""
 
-    @property
-    def rate(self) -> float:
-        """Mean sample rate, Hz."""
-        return 1.0 / float(np.mean(self.dt))
 
-
-def read_log(
+def read_gyro_log(
     source: Any,
     time_unit: str | None = None,
     *,
@@ -63,76 +73,297 @@ def read_log(
     rate: float | None = None,
     time_column: str | None = None,
     attitude_columns: Sequence[str] | None = None,
-    bad: str = "refuse",
+    on_bad_rows: str = "refuse",
     max_gap: float | None = None,
     bias_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
-) -> Log:
+) -> GyroLog:
     """Read a gyro log and say what was understood (``log.summary``).
 
-    A text table, gzipped or not, is separated by commas, semicolons, tabs or blanks; with
-    semicolons and tabs its numbers may have decimal commas. Names stand in its first lines, in a
+    A text table, gzipped or not, is separated by commas, semicolons, tabs or blanks; its numbers
+    may have decimal commas (quoted ones between commas). Names stand in its first lines, in a
     comment too, a line of units may follow. The gyro's columns, and those of time,
     accelerometer, magnetometer and attitude beside it, are found by the names that loggers write.
+    Where the columns are only x, y and z, the file's name has to say that they are a gyro's.
 
     Parameters
     ----------
-    source : a file's name, "-" for standard input, an open file, a pandas or polars data frame, an
+    source : path, file, data frame, data set or mapping
+        A file's name, "-" for standard input, an open file, a pandas or polars data frame, an
         xarray data set, or a mapping of names to arrays.
-    time_unit : "s", "ms", "us" or "ns"; None: from the column's name, else from the size of the
-        stamps, with a warning. Dates (ISO 8601) have none.
-    columns, time_column, attitude_columns : names, or numbers from 1, of the gyro's x, y, z, of
-        the time stamps and of an attitude's w, x, y, z.
-    unit : "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s", "rev/s" or "rpm";
-        None: from the columns' names, else from the size of the rates, with a warning.
-    rate : sample rate, Hz, in place of time stamps.
-    bad : what becomes of rows that are no numbers, of stamps that do not grow, and of gaps:
+    time_unit : str, optional
+        "s", "ms", "100us", "us" or "ns"; None: from the column's name, else from the size of the
+        stamps, with a warning. Dates (ISO 8601), times of day (hh:mm:ss) and durations have none.
+    columns, time_column, attitude_columns : names, optional
+        Names, or numbers from 1, of the gyro's x, y, z, of the time stamps and of an attitude's w,
+        x, y, z.
+    unit : str, optional
+        "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s", "rev/s", "rpm" or
+        "Hz" (revolutions per second); None: from the columns' names, else from the size of the
+        rates, with a warning.
+    rate : float, optional
+        Sample rate, Hz, in place of time stamps.
+    on_bad_rows : str
+        What becomes of rows without a rate or a stamp, of stamps that do not grow, and of gaps:
         "refuse"; "drop" (the next interval goes across); "split" (``log.pieces``); "hold" (the
-        last rates stay).
-    max_gap : longest interval that is no gap, s; None: 10 times the usual one.
-    bias_seconds : the mean rate of that many seconds from the start, at rest, is taken off.
-    progress : called with the bytes read.
+        last rates stay). Rows that share stamps are spread evenly, unless refused.
+    max_gap : float, optional
+        Longest interval that is no gap, s; None: 10 times the usual one.
+    bias_seconds : float, optional
+        The mean rate of that many seconds from the start, at rest, is taken off.
+    progress : function, optional
+        Called with the bytes read.
 
     Raises
     ------
-    LogError : (a ``ValueError``) what was found, where, and what to say: more than one gyro or
-        time column, units or stamps that fit no gyro, a bad row, a start that is not at rest.
-    TypeError : arguments of another type.
-    OSError : of the file itself.
+    GyroLogError
+        (a ``ValueError``) What was found, where, and what to say: more than one gyro or time
+        column, units or stamps that fit no gyro, a bad row, a start that is not at rest.
+    TypeError
+        Arguments of another type.
+    OSError
+        Of the file itself.
 
     Warns
     -----
-    LogWarning : a unit was taken from the size of numbers.
+    GyroLogWarning
+        A unit was taken from the size of numbers; more than 1 % of the rows were left out, or
+        rows that share stamps were spread.
 
     Examples
     --------
     >>> import fastatt as fa
-    >>> log = fa.read_log({"t": [0.0, 0.01], **{f"gyro_{a} (rad/s)": [0.1, 0.1] for a in "xyz"}})
+    >>> gyro = {f"gyro_{a} (rad/s)": [0.1, 0.1] for a in "xyz"}
+    >>> log = fa.read_gyro_log({"t": [0.0, 0.01], **gyro})
     >>> log.rates.shape, log.dt
     ((2, 3), array([0.01]))
     """
-    options = Options(
-        columns, unit, rate, time_column, time_unit, attitude_columns, bad, max_gap, bias_seconds
+    _check_words(unit=unit, time_unit=time_unit, on_bad_rows=on_bad_rows)
+    max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
+    with ExitStack() as stack:
+        table: Table
+        if tabular(source):
+            table = Frame(source)
+        else:
+            table = Text(*stack.enter_context(opened(source)), progress)
+        try:
+            places = _columns(table, columns, attitude_columns)
+            clock = [] if rate is not None else _clock(table, time_column)
+            axes = tuple(table.column(i) for i in places["gyro"])
+            unit = unit or names.rate_unit(axes)
+        except GyroLogError as error:
+            raise table.error(error) from None
+        hertz = None if clock else _rate(table, rate)
+        wanted = [i for part in places.values() for i in part]
+        values, raw = table.read(wanted, clock, numbers=3, strict=on_bad_rows == "refuse")
+    if not len(values):
+        raise table.error("found no sample; accepted: one at least")
+    shown = unit or _assumed_unit(table, axes[0], values[:, :3])
+    with np.errstate(over="ignore"):
+        values[:, :3] *= UNITS[shown]
+    if unit is None:
+        shown = f"{shown} (assumed)"
+    t, start = _sample_times(table, hertz, len(values)), 0.0
+    if raw is not None:
+        t, start = stamps.times(table, clock, raw, time_unit)
+    clock_name = " and ".join(table.column(i) for i in clock)
+    usual = None if hertz is None else 1.0 / hertz
+    samples = in_order(table, clock_name, t, values[:, :3], on_bad_rows, max_gap, usual)
+    _check(table, samples, len(t), least=2 if clock else 1)
+    values = values[samples.rows]
+    values[samples.added, 3:] = np.nan
+    last = np.maximum.accumulate(np.where(samples.held, 0, np.arange(len(values))))
+    values[:, :3] = values[last, :3]
+    bias = _bias(table, samples.t, values[:, :3], bias_seconds)
+    values[:, :3] -= bias
+    widths = np.cumsum([len(part) for part in places.values()])
+    rates, accel, mag, quat = (
+        np.ascontiguousarray(x) if x.shape[1] else None
+        for x in np.split(values, widths[:-1], axis=1)
     )
-    with reading(source, options, progress) as reader:
-        return in_one(reader, list(reader.chunks()))
-
-
-def in_one(reader: Reader, chunks: list[Chunk]) -> Log:
-    """All chunks of a reader as one log."""
-    t = np.concatenate([c.t for c in chunks])
-    values = np.concatenate([c.values for c in chunks])
-    firsts = np.cumsum([0, *(len(c.t) for c in chunks)])
-    cuts = [int(a) + k for a, c in zip(firsts, chunks, strict=False) for k in c.cuts]
-    columns = reader.columns
-    widths = [len(place or ()) for place in (columns.accel, columns.mag, columns.quat)]
-    beside = np.split(values[:, 3:], np.cumsum(widths)[:-1], axis=1)
-    accel, mag, quat = (np.ascontiguousarray(x) if x.shape[1] else None for x in beside)
-    return Log(
-        path=Path(reader.layout.name), columns=reader.names, unit=reader.unit_said,
-        timing=reader.timing, t=t, start=reader.start,
-        dt=1.0 / reader.rate if reader.rate and len(t) == 1 else reader.dt(t),
-        rates=np.ascontiguousarray(values[:, :3]), accel=accel, mag=mag, attitudes=quat,
-        pieces=tuple(slice(a, b) for a, b in pairwise([0, *cuts, len(t)])),
-        summary=reader.summary(),
+    assert rates is not None
+    dt = np.diff(samples.t)
+    if hertz is not None and not samples.said:
+        dt = np.full(len(dt), 1.0 / hertz)
+    mean_rate = 1.0 / float(np.mean(dt)) if len(dt) else hertz or math.nan
+    timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
+    accel_unit = "" if accel is None else _accel_in_si(table.column(places["accel"][0]), accel)
+    by_name = columns is None and places["gyro"] in names.triples(table.names, "unnamed")
+    said = [
+        f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
+        f"{', '.join(axes)} in {shown}",
+        "a gyro's, as the file's name or its comments say" if by_name else "",
+        *_beside(table, places, accel_unit),
+        ""
+        if bias_seconds is None
+        else f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off",
+        *samples.said,
+    ]
+    return GyroLog(
+        path=Path(table.name), columns=axes, unit=shown, timing=timing, rate=mean_rate, t=samples.t,
+        dt=dt, start=start + float(t[samples.rows[0]]), rates=rates, accel=accel, mag=mag,
+        attitudes=quat, summary="; ".join(filter(None, said)),
+        pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
     )  # fmt: skip
+
+
+def _check_words(**given: str | None) -> None:
+    accepted = {"unit": UNITS, "time_unit": names.TIME_UNITS, "on_bad_rows": ON_BAD_ROWS}
+    for name, word in given.items():
+        if word is not None:
+            checks.choice(name, word, accepted[name])
+
+
+def _span(name: str, seconds: float | None) -> float | None:
+    if seconds is None:
+        return None
+    number = checks.any_real(name, seconds, "a number above 0")
+    if not number > 0.0:
+        raise GyroLogError(f"{name}: found {number}; accepted: a number above 0, s")
+    return number
+
+
+def _columns(
+    table: Table, columns: Sequence[str] | None, attitude_columns: Sequence[str] | None
+) -> dict[str, list[int]]:
+    """Places of columns as said, or as their names are understood; none: []."""
+    if columns is None:
+        gyro = names.gyro(table.names, table.about)
+    else:
+        gyro = table.chosen(columns, 3, "columns")
+    if gyro is None:
+        raise GyroLogError(
+            f"found no three columns named like gyro x, y, z among {table.shown()}; name them with "
+            "columns (names or numbers from 1)"
+        )
+    accel, mag = (names.triples(table.names, sensor) for sensor in ("accel", "mag"))
+    quat = names.quaternion(table.names) or []
+    if attitude_columns is not None:
+        quat = table.chosen(attitude_columns, 4, "attitude columns")
+    one = {k: x[0] if len(x) == 1 else [] for k, x in (("accel", accel), ("mag", mag))}
+    return {"gyro": gyro, **one, "quat": quat}
+
+
+def _clock(table: Table, time_column: str | None) -> list[int]:
+    """The columns of the time stamps; none where the file says its sample rate."""
+    if time_column is not None:
+        return [table.index(time_column, "time column")]
+    clock = names.clock(table.names)
+    if not clock and not table.rates:
+        raise GyroLogError(
+            f"found no time column and no sample rate among {table.shown()}; give a rate in Hz or "
+            "a time column"
+        )
+    return clock
+
+
+def _rate(table: Table, rate: float | None) -> float:
+    """The sample rate that is said, or the file's."""
+    if rate is not None:
+        number = checks.real("rate", rate)
+        if not (number > 0.0 and math.isfinite(1.0 / number)):
+            raise GyroLogError(f"rate: found {number}; accepted: a sample rate above 0, Hz")
+        return number
+    if len(table.rates) > 1:
+        found = " and ".join(f"{x:g}" for x in table.rates)
+        raise table.error(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
+    if not stamps.SLOWEST < table.rates[0] <= stamps.FASTEST:
+        raise table.error(
+            f"the sample rate: found {table.rates[0]:g} Hz; {stamps.PLAUSIBLE}, or any, given as "
+            "rate"
+        )
+    return table.rates[0]
+
+
+def _sample_times(table: Table, hertz: float | None, n: int) -> NDArray[np.float64]:
+    with np.errstate(over="ignore"):
+        t = np.arange(n) / (hertz or 1.0)
+    if not math.isfinite(t[-1]):
+        raise table.error(f"found {n} samples at the rate {hertz:g} Hz; accepted: more")
+    return t
+
+
+def _check(table: Table, samples: Samples, n: int, least: int) -> None:
+    """Refuse a log of too few samples; warn where many rows are left out, or moved."""
+    kept = int((~samples.added).sum())
+    if kept < least:
+        found = f"{kept} of {n} rows that are samples"
+        raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
+    if n - kept > _MANY * n:
+        told = ", ".join(samples.said)
+        _warn(f"{table.name}: {n - kept} of {n} rows are left out ({told})")
+    if samples.spread:
+        _warn(f"{table.name}: rows that share time stamps are spread evenly, unless rate says")
+
+
+def _bias(
+    table: Table, t: NDArray[np.float64], rates: NDArray[np.float64], wanted: float | None
+) -> NDArray[np.float64]:
+    """The mean rate of a start at rest.
+
+    Raises ``GyroLogError`` where the log is shorter, or the body moves.
+    """
+    if wanted is None:
+        return np.zeros(3)
+    rest = t < wanted
+    if rest.all() or rest.sum() < 2:
+        found = "one sample in the first" if rest.sum() == 1 else "all of the log in the first"
+        raise table.error(
+            f"bias_seconds: found {found} {wanted:g} s; accepted: less than the log, and at least "
+            "two samples"
+        )
+    bias: NDArray[np.float64] = rates[rest].mean(axis=0)
+    angles = np.cumsum((rates[rest][:-1] - bias) * np.diff(t[rest])[:, None], axis=0)
+    if _largest(bias) > _LARGEST_BIAS or _largest(angles) > _LARGEST_ROTATION:
+        raise table.error(
+            f"bias_seconds: the body is not at rest in the first {wanted:g} s (mean rate "
+            f"{_largest(bias):.3g} rad/s, rotation about it {_largest(angles):.3g} rad); accepted: "
+            f"at most {_LARGEST_BIAS:g} rad/s and {_LARGEST_ROTATION:g} rad"
+        )
+    return bias
+
+
+def _assumed_unit(table: Table, name: str, rates: NDArray[np.float64]) -> str:
+    """A unit that nothing says, from the largest of the rates."""
+    most = _largest(rates)
+    if most > _MOST_DEG:
+        raise table.error(
+            f"the rates have no unit and reach {most:.4g}; accepted: unit, rad/s or deg/s; the "
+            "counts of a sensor have to be scaled first"
+        )
+    unit = "rad/s" if most <= _MOST_RAD else "deg/s"
+    _warn(
+        f"{table.name}: {name[:60]} has no unit: taken as {unit} (at most {most:.3g}); unit says "
+        "another"
+    )
+    return unit
+
+
+def _beside(table: Table, places: dict[str, list[int]], accel_unit: str) -> Iterator[str]:
+    """What was found beside the gyro."""
+    if places["accel"]:
+        yield f"accelerometer in {accel_unit}: {table.column(places['accel'][0])} ..."
+    if places["mag"]:
+        yield f"magnetometer: {table.column(places['mag'][0])} ..."
+
+
+def _accel_in_si(name: str, accel: NDArray[np.float64]) -> str:
+    """Scale an accelerometer to m/s²: by its name, else where it shows gravity in g; its unit."""
+    scale = names.accel_unit(name)
+    size = np.sqrt((accel * accel).sum(axis=1))
+    size = size[np.isfinite(size)]
+    usual = float(np.median(size)) if size.size else math.nan
+    scale = scale or (names.STANDARD_GRAVITY if 0.8 < usual < 1.25 else None)
+    accel *= scale or 1.0
+    if scale is None and not 0.8 < usual / names.STANDARD_GRAVITY < 1.25:
+        return "a unit not known"
+    return "m/s²" if scale in (1.0, None) else "g"
+
+
+def _largest(x: NDArray[np.float64]) -> float:
+    """The largest finite absolute value, 0 where there is none."""
+    return float(np.max(np.abs(x), initial=0.0, where=np.isfinite(x)))
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, GyroLogWarning, stacklevel=2)

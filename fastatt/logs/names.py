@@ -5,34 +5,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 
-class LogError(ValueError):
+class GyroLogError(ValueError):
     """A log that can't be read, and why, in one line."""
 
 
-class LogWarning(UserWarning):
-    """Something that a log does not say was taken from its numbers."""
+class GyroLogWarning(UserWarning):
+    """A unit was taken from the size of numbers, or many rows of a log were left out or moved."""
 
 
 _DEGREE = math.pi / 180.0
 UNITS = {
     "rad/s": 1.0, "deg/s": _DEGREE, "mrad/s": 1e-3, "mdeg/s": 1e-3 * _DEGREE,
     "deg/min": _DEGREE / 60.0, "deg/h": _DEGREE / 3600.0, "arcsec/s": _DEGREE / 3600.0,
-    "rev/s": 2.0 * math.pi, "rpm": math.pi / 30.0,
+    "rev/s": 2.0 * math.pi, "rpm": math.pi / 30.0, "Hz": 2.0 * math.pi,
 }  # fmt: skip
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # how many of them are a second
+# how many of them are a second; Xsens counts tenths of a millisecond
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "100us": 1e4, "us": 1e6, "ns": 1e9}
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 
-_GYRO = (
-    r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
-    r"|rateofturn"
-)
-_KINDS = {
-    "gyro": re.compile(_GYRO),
+# names of three-axis sensors, without the axis, blanks, dashes and underscores
+_SENSORS = {
+    "gyro": re.compile(
+        r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
+        r"|rateofturn"
+    ),
     "accel": re.compile(r"(?!.*(ang|user|grav)).*acc.*|a|arss|alpha"),
     "mag": re.compile(r".*mag(?!nitude).*|m"),
+    "unnamed": re.compile(r"|xyz"),
 }
 _QUAT = re.compile(
     r"(?P<stem>(.*[./])?((\w*quat\w*?|orientation|q|q_rs)[ _.\[(/-]*)?)(?P<axis>[wxyz])[\])]?"
@@ -42,43 +43,32 @@ _QUAT = re.compile(
 # beside a gyro's rates stand numbers about them
 _NOT_RATES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
-_UNIT_AT_END = re.compile(r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms])|m?g$|m[ _/]*s).*$", re.IGNORECASE)
+_UNIT_AT_END = re.compile(
+    r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|m[ _/]*s).*$", re.IGNORECASE
+)
 _AXIS = re.compile(
     r"(?P<stem>.*?)[ _.\-/]*(?P<axis>[\[(][012xyz][\])]|[xyz])", re.IGNORECASE | re.DOTALL
 )
 _ABOUT_RATES = re.compile(r"gyr|ang(ular)?[ _]?(vel|rate)|rotation[ _]?rate", re.IGNORECASE)
 _TIME = re.compile(
     r"(_*times?|timestamps?|ts?|stamps?|datetime|date|elapsed(time)?|seconds(?P<elapsed>elapsed)?"
-    r"|timesincestart|unixtime(stamp)?|epoch|clock|\w*timestampunix|loggingtime|logtime)(in)?"
+    r"|timesincestart|unixtime(stamp)?|epoch|clock|\w*timestampunix|loggingtime|logtime"
+    r"|sampletimefine)(in)?"
     r"(?P<unit>s|sec|secs|seconds?|ms|msec|milli(second)?s|us|µs|μs|usec|micro(second)?s"
     r"|ns|nsec|nano(second)?s)?"
 )
 _STAMP = re.compile(r"(.*[./])?header[./]stamp", re.IGNORECASE)
+# whole seconds of ROS, and the nanoseconds beside them
+_STAMP_SECONDS = re.compile(r"((?:.*[./])?stamp[./_])secs?", re.IGNORECASE)
 _UNIT = re.compile(
     r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms]"
-    r"|arcsec(s|onds?)?|rev(s|olutions?)?)"
+    r"|(?<!\d)hz|arcsec(s|onds?)?|rev(s|olutions?)?)"
     r"([ _]*(/|per|p)[ _]*(?P<per>[a-z]*)|[ _.*·]*(?P<time>s|sec|min|h|hr|hours?)(?![a-z]))?"
     r"(?![a-z])"
 )
 _SECOND = ("s", "sec", "secs", "second", "seconds")
 # ROS has rad/s (REP 103), Betaflight's flight recorder deg/s
 _BY_CONVENTION = {"rad/s": re.compile(r"angular_velocity[./]"), "deg/s": re.compile("gyroadc")}
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Which columns are what, by their places; accel, mag and quat where there are any."""
-
-    gyro: list[int]
-    clock: int | None
-    accel: list[int] | None = None
-    mag: list[int] | None = None
-    quat: list[int] | None = None
-
-    @property
-    def values(self) -> list[int]:
-        """All but the clock's."""
-        return [i for part in (self.gyro, self.accel, self.mag, self.quat) for i in part or ()]
 
 
 def printable(name: object) -> str:
@@ -92,17 +82,16 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(some[:20]) + (f" and {len(some) - 20} more" if len(some) > 20 else "")
 
 
-def triples(names: Sequence[str], kind: str) -> list[list[int]]:
-    """Columns x, y, z of every sensor of a kind: "gyro", "accel", "mag", or "" of no name."""
+def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
+    """Columns x, y, z of every "gyro", "accel", "mag" or "unnamed" sensor."""
     found: dict[str, list[tuple[str, int]]] = {}
     for i, name in enumerate(names):
-        match = _axis(name)
+        text = bare(name)[0]
+        match = _AXIS.fullmatch(text) or _AXIS.fullmatch(_UNIT_AT_END.sub("", text))
         if match is None:
             continue
         stem = re.sub(r"[ _\-]", "", re.split(r"[./]", match["stem"])[-1]).lower()
-        pattern = _KINDS.get(kind)
-        fits = stem in ("", "xyz") if pattern is None else pattern.fullmatch(stem)
-        if fits and not _NOT_RATES.search(stem):
+        if _SENSORS[sensor].fullmatch(stem) and not _NOT_RATES.search(stem):
             axis = match["axis"].strip("[]()").lower()
             found.setdefault(match["stem"].lower(), []).append((axis, i))
     sets = [sorted(axes) for axes in found.values()]
@@ -112,17 +101,24 @@ def triples(names: Sequence[str], kind: str) -> list[list[int]]:
 def gyro(names: Sequence[str], about: str) -> list[int] | None:
     """The gyro's columns, None where there are none; ``about`` says what the table holds.
 
-    Raises ``LogError`` for more than one gyro.
+    Raises ``GyroLogError`` for more than one gyro, and for axes of a sensor that nothing names.
     """
     found = triples(names, "gyro")
     words = [bare(name)[0].lower() for name in names]
     if not found and all(words.count(word) == 1 for word in "pqr"):
         return [words.index(word) for word in "pqr"]
-    if not found and _ABOUT_RATES.search(about):
-        found = triples(names, "")
+    if not found and (unnamed := triples(names, "unnamed")):
+        if not _ABOUT_RATES.search(about):
+            axes = listed(names[i] for i in unnamed[0])
+            raise GyroLogError(
+                f"found no three columns named like gyro x, y, z: {axes} do not name their sensor; "
+                "accepted: the name that their logger gives a gyro's file (Gyroscope.csv of Sensor "
+                "Logger, *_vehicle_angular_velocity_0.csv of PX4), or columns, to say which"
+            )
+        found = unnamed
     if len(found) > 1:
         first = listed(names[i] for axes in found for i in axes)
-        raise LogError(f"found more than one gyro ({first}); say which with columns")
+        raise GyroLogError(f"found more than one gyro ({first}); say which with columns")
     return found[0] if found else None
 
 
@@ -140,10 +136,12 @@ def quaternion(names: Sequence[str]) -> list[int] | None:
     return [sets[0][axis] for axis in "wxyz"] if only else None
 
 
-def clock(names: Sequence[str]) -> int | None:
-    """The column of time stamps: a sensor's own, else one with a unit, else any.
+def clock(names: Sequence[str]) -> list[int]:
+    """The column of time stamps: a sensor's own, else one with a unit, else any; none: [].
 
-    Raises ``LogError`` for more than one.
+    Where there is none, those of whole seconds and the nanoseconds beside them.
+
+    Raises ``GyroLogError`` for more than one.
     """
     found: dict[int, list[int]] = {}
     for i, name in enumerate(names):
@@ -154,8 +152,18 @@ def clock(names: Sequence[str]) -> int | None:
     best = found[min(found)] if found else []
     if len(best) > 1:
         two = listed(names[i] for i in best)
-        raise LogError(f"found more than one time column ({two}); say which with time_column")
-    return best[0] if best else None
+        raise GyroLogError(f"found more than one time column ({two}); say which with time_column")
+    return best or _seconds_and_nanoseconds(names)
+
+
+def _seconds_and_nanoseconds(names: Sequence[str]) -> list[int]:
+    words = [name.lower() for name in names]
+    pairs = []
+    for i, word in enumerate(words):
+        match = _STAMP_SECONDS.fullmatch(word)
+        beside = [match[1] + end for end in ("nanosec", "nsecs", "nsec")] if match else []
+        pairs += [[i, words.index(name)] for name in beside if name in words]
+    return min(pairs, key=lambda pair: "header" not in words[pair[0]], default=[])
 
 
 def time_unit(name: str) -> str | None:
@@ -176,7 +184,7 @@ def rate_unit(names: Sequence[str]) -> str | None:
     found |= {u: "" for u in (bare(name)[1] for name in names) if not found and "/" in u}
     units = set(found.values())
     if not units <= UNITS.keys() or len(units) > 1:
-        raise LogError(
+        raise GyroLogError(
             f"found the unit {', '.join(found)[:60]} in the names of columns; accepted: one for "
             f"all of {', '.join(UNITS)}, or unit, to say which it is"
         )
@@ -188,13 +196,13 @@ def rate_unit(names: Sequence[str]) -> str | None:
 
 def _unit(match: re.Match[str]) -> str:
     """A unit as ``UNITS`` writes it, known or not."""
-    scale, angle, per = match["scale"] or "", match["angle"], match["per"] or match["time"] or "s"
-    if angle.startswith("rp"):
-        return scale + angle
+    scale, angle, per = match["scale"] or "", match["angle"], match["per"] or match["time"]
     scale = "m" if scale == "milli" else scale
+    if angle.startswith(("rp", "hz")):
+        return scale + angle.replace("hz", "Hz") + (f"/{per}" if per else "")
     for short, others in (("deg", ("°", "dps")), ("rad", ()), ("arcsec", ()), ("rev", ())):
         angle = short if angle.startswith((short, *others)) else angle
-    per = "s" if per in _SECOND else ("h" if per.startswith("h") else per)
+    per = "s" if per is None or per in _SECOND else ("h" if per.startswith("h") else per)
     return f"{scale}{angle}/{per}"
 
 
@@ -219,11 +227,6 @@ def bare(name: str) -> tuple[str, str]:
     if match and match["unit"].strip().lower() not in ("0", "1", "2", "x", "y", "z"):
         return text[: match.start()], match["unit"].strip()
     return text, ""
-
-
-def _axis(name: str) -> re.Match[str] | None:
-    text = bare(name)[0]
-    return _AXIS.fullmatch(text) or _AXIS.fullmatch(_UNIT_AT_END.sub("", text))
 
 
 def _time(name: str) -> re.Match[str] | None:

@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.arrays import angle_between, normalised, quat_multiply, rotation_vector_to_quat
 from fastatt.estimation import attitude_error, attitude_from_vectors, mean_attitude
-from fastatt.logs import names, stamps
-from fastatt.logs.blocks import Table, opened
-from fastatt.logs.names import LogError
-from fastatt.logs.reader import times
+from fastatt.logs import names
+from fastatt.logs.gaps import in_order
+from fastatt.logs.names import GyroLogError
+from fastatt.logs.stamps import times
+from fastatt.logs.text import Text, opened
 
 Floats = NDArray[np.float64]
 _LEAST = 10  # attitudes of the reference within the log
@@ -73,29 +74,26 @@ def read_attitudes(source: Any) -> Reference:
 
     Raises
     ------
-    LogError : columns, stamps or rows that are no attitudes.
+    GyroLogError : columns, stamps or rows that are no attitudes.
     """
     with opened(source) as (name, stream):
-        table = Table(name, stream, None)
-        layout = table.layout
-        quat = names.quaternion(layout.names)
+        table = Text(name, stream, None)
+        quat = names.quaternion(table.names)
         try:
-            clock = names.clock(layout.names)
-        except LogError as error:
-            raise layout.error(error) from None
-        if quat is None or clock is None:
-            raise layout.error(
-                f"found no time and one attitude among {layout.shown()}; accepted: columns named "
+            clock = names.clock(table.names)
+        except GyroLogError as error:
+            raise table.error(error) from None
+        if quat is None or not clock:
+            raise table.error(
+                f"found no time and one attitude among {table.shown()}; accepted: columns named "
                 "like time, qw, qx, qy, qz"
             )
-        blocks = list(table.rows(clock, quat, mend=False))
-    of, start, usual = times(layout, clock, blocks, None)
-    ordered = stamps.Mending(layout, "refuse", math.inf)
-    ordered.set_usual(usual)
-    chunks = [ordered.mended(b, of(b), layout.column(clock)) for b in blocks]
-    q = np.concatenate([c.values for c in chunks])
+        q, raw = table.read(quat, clock, numbers=4, strict=True)
+    assert raw is not None
+    t, start = times(table, clock, raw, None)
+    samples = in_order(table, table.column(clock[0]), t, q, "refuse", math.inf)
     checks.attitudes(name, q)
-    return Reference(np.concatenate([c.t for c in chunks]), normalised(q), start)
+    return Reference(samples.t, normalised(q), start)
 
 
 def against_reference(
@@ -131,7 +129,7 @@ def against_reference(
     )
     told = alike > _ALIKE
     if not (told or common):
-        raise LogError(
+        raise GyroLogError(
             "reference: its clock has no time in common with the log's, and the angular speeds do "
             f"not tell the shift (correlation {alike:.2f}); accepted: times that overlap"
         )
@@ -153,7 +151,7 @@ def against_reference(
 def _inside(t: Floats, own: Floats) -> NDArray[np.bool_]:
     inside: NDArray[np.bool_] = (own >= t[0]) & (own <= t[-1])
     if inside.sum() < _LEAST:
-        raise LogError(
+        raise GyroLogError(
             f"reference: {inside.sum()} attitudes within the log's time; accepted: at least "
             f"{_LEAST}"
         )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between
 from fastatt.gyro.integrate import integrate_rates, methods_for_samples
-from fastatt.logs import Log
+from fastatt.logs import GyroLog
 from fastatt.rounding import noted
 from fastatt.trade.error_budget import LEAST, error_budget
 from fastatt.trade.measure import best_time
@@ -75,19 +75,22 @@ def find_recordings() -> list[Path]:
     return [found[name] for name in RECORDINGS]
 
 
-def _start(log: Log) -> NDArray[np.float64]:
-    return np.array([1.0, 0.0, 0.0, 0.0]) if log.attitudes is None else log.attitudes[0]
+def _start(log: GyroLog) -> NDArray[np.float64]:
+    if log.attitudes is None or not np.isfinite(log.attitudes[0]).all():
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    first: NDArray[np.float64] = log.attitudes[0]
+    return first
 
 
-def _attitudes(log: Log, method: str, every: int = 1) -> NDArray[Any]:
+def _attitudes(log: GyroLog, method: str, every: int = 1) -> NDArray[Any]:
     """By a method from every so many samples; gaps were looked at when the log was read."""
     dt = log.dt
     if every > 1:
-        dt = np.diff(log.t[::every]) if isinstance(dt, np.ndarray) else every * dt
+        dt = np.diff(log.t[::every])
     return integrate_rates(log.rates[::every], dt, _start(log), method=method, max_gap=math.inf)
 
 
-def log_rows(log: Log, repeats: int, methods: Sequence[str] | None = None) -> list[LogRow]:
+def log_rows(log: GyroLog, repeats: int, methods: Sequence[str] | None = None) -> list[LogRow]:
     """The methods, or every one, on one log.
 
     The difference of each from the reference, from itself at half the rate, and from the maker's
@@ -104,7 +107,7 @@ def log_rows(log: Log, repeats: int, methods: Sequence[str] | None = None) -> li
         away = angle_between(q, reference) * DEGREES
         maker = None
         if log.attitudes is not None:
-            maker = float(angle_between(q, log.attitudes).max() * DEGREES)
+            maker = float(np.nanmax(angle_between(q, log.attitudes)) * DEGREES)
         rows.append(
             LogRow(
                 recording=log.path.name,
@@ -122,7 +125,7 @@ def log_rows(log: Log, repeats: int, methods: Sequence[str] | None = None) -> li
     return rows
 
 
-def compare_on_log(log: Log, method: str, methods: Sequence[str] | None = None) -> str:
+def compare_on_log(log: GyroLog, method: str, methods: Sequence[str] | None = None) -> str:
     """Table: how far the methods differ on a log, and where the error of one comes from.
 
     ``methods`` are the others to compare with, None for all.
@@ -156,7 +159,7 @@ def log_table(rows: Sequence[LogRow]) -> str:
     return "\n".join(lines)
 
 
-def departures(log: Log, methods: Sequence[str] | None = None) -> plots.Departures:
+def departures(log: GyroLog, methods: Sequence[str] | None = None) -> plots.Departures:
     """Each method's angle from the reference on a recording, and the maker's orientation's."""
     from fastatt import plots
 

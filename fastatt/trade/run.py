@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fastatt import checks
 from fastatt.gyro.integrate import methods_for_samples
-from fastatt.logs import Log, read_log
+from fastatt.logs import GyroLog, read_gyro_log
 from fastatt.trade import ensembles, recordings
 from fastatt.trade.ensembles import BODY_SCENES, CONING, RATE, SAMPLES
 from fastatt.trade.measure import Case, Row, frontier, machine_line, panel, trade_table, write_csv
@@ -64,7 +64,7 @@ def run_trade(
         paths = recordings.find_recordings() if logs is None else logs
         # the recordings' maker writes rad/s, and does not say so
         unit = "rad/s" if logs is None else None
-        read = [read_log(path, unit=unit) for path in paths]
+        read = [read_gyro_log(path, unit=unit) for path in paths]
     out.mkdir(parents=True, exist_ok=True)
     repeats = 1 if quick else 3
     print(machine_line())
@@ -117,7 +117,7 @@ def _plan(
     return plan
 
 
-def _run_recordings(out: Path, logs: Sequence[Log], cases: _Cases, repeats: int) -> list[str]:
+def _run_recordings(out: Path, logs: Sequence[GyroLog], cases: _Cases, repeats: int) -> list[str]:
     from fastatt import plots
 
     names = [case.name for case in cases[RECORDED]]

@@ -168,8 +168,6 @@ def read_wrong(log: Any, meant: Log) -> str | None:  # noqa: PLR0911
         return "times not finite"
     if not log.rate > 0.0:
         return "sample rate not above 0"
-    if log.attitudes is not None and not np.isfinite(log.attitudes).all():
-        return "attitudes not finite"
     if meant.rates is None:
         return None
     if log.rates.shape != meant.rates.shape:

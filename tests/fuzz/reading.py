@@ -19,7 +19,8 @@ from fuzz.logs import Log, hostile_log, read_wrong, written
 
 READER = (
     "source", "time stamp", "columns", "unit", "rate", "time_column", "attitude_columns",
-    "time_unit", "bad", "max_gap", "bias_seconds", "time column", "attitude columns", "log.csv",
+    "time_unit", "on_bad_rows", "max_gap", "bias_seconds", "time column", "attitude columns",
+    "log.csv",
 )  # fmt: skip
 
 
@@ -33,7 +34,7 @@ def read(d: Draw, folder: Path) -> Call:
             ("rate", lambda: d.real(50.0)),
             ("unit", lambda: d.word("rad/s", "deg/s")),
             ("time_unit", lambda: d.word("s", "ms", "us", "ns")),
-            ("bad", lambda: d.word("drop", "split", "hold")),
+            ("on_bad_rows", lambda: d.word("drop", "split", "hold")),
             ("max_gap", lambda: d.real(1.0)),
             ("bias_seconds", lambda: d.real(1.0)),
             ("columns", lambda: _chosen(d, 3)),
@@ -51,7 +52,7 @@ def read(d: Draw, folder: Path) -> Call:
     def judge(log: Any) -> str | None:
         return read_wrong(log, meant)
 
-    return Call(fa.read_log, (path,), options, judge, READER, (*REFUSALS, OSError))
+    return Call(fa.read_gyro_log, (path,), options, judge, READER, (*REFUSALS, OSError))
 
 
 def _chosen(d: Draw, n: int) -> Any:

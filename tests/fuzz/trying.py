@@ -4,8 +4,8 @@
 what was found. A call passes when it gives back finite numbers and unit attitudes (of each body
 with status 0, and right ones where the right ones are known), or refuses in one line that names the
 argument. Anything else is a finding: another exception, a warning but ``StepWarning`` and
-``LogWarning``, more than 5 s, numbers that are not finite with status 0, a log read otherwise than
-it was written.
+``GyroLogWarning``, more than 5 s, numbers that are not finite with status 0, a log read otherwise
+than it was written.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 import fastatt as fa
-from fastatt.logs import blocks
+from fastatt.logs import text
 from fuzz.arrays import (
     METHODS,
     combined,
@@ -89,7 +89,7 @@ def tried(call: Call) -> tuple[str, str | None]:
             outcome = "refused"
         elif wrong is None and outcome == "returned":
             wrong = call.judge(result)
-    others = [w for w in said if not issubclass(w.category, (fa.StepWarning, fa.LogWarning))]
+    others = [w for w in said if not issubclass(w.category, (fa.StepWarning, fa.GyroLogWarning))]
     if wrong is None and others:
         wrong = f"{others[0].category.__name__}: {str(others[0].message)[:60]!r}"
     if wrong is None and took > SLOW:
@@ -121,7 +121,7 @@ def targets(
         ("energies", 1.0, energetic),
         ("drift", 0.1, drifted),
         ("methods_for, single_step", 0.4, listed),
-        ("read_log", 5.0, lambda d: read(d, folder)),
+        ("read_gyro_log", 5.0, lambda d: read(d, folder)),
         ("fastatt integrate", 1.5, lambda d: commanded(d, folder, methods)),
     ]  # fmt: skip
 
@@ -135,14 +135,14 @@ def fuzz(
     counts: Counter[tuple[str, str]] = Counter()
     found: list[Finding] = []
     weights = [w for _, w, _ in chosen]
-    size = blocks.BYTES
+    size = text.BYTES
     try:
         for i in range(inputs):
             name, _, make = d.random.choices(chosen, weights)[0]
             with np.errstate(all="ignore"), warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 call = make(d)
-            blocks.BYTES = d.one((size, 1, 40))  # blocks end anywhere
+            text.BYTES = d.one((size, 1, 40))  # blocks end anywhere
             faulthandler.dump_traceback_later(HUNG, exit=True)
             outcome, wrong = tried(call)
             outcomes[name][outcome] += 1
@@ -154,7 +154,7 @@ def fuzz(
             progress(i)
     finally:
         faulthandler.cancel_dump_traceback_later()
-        blocks.BYTES = size
+        text.BYTES = size
     return outcomes, counts, found
 
 

@@ -1,0 +1,231 @@
+"""Rows that are no samples: without numbers, with stamps that do not grow, before and after gaps.
+
+A stamp that does not grow, or leaps, is an outlier where the rows after it go on from the row
+before it; else the clock was reset, or there is a gap. Many equal stamps are those of packets, or
+too coarse for the rate: such rows are samples, and their times are spread evenly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt.logs.tables import Table
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+ON_BAD_ROWS = ("refuse", "drop", "split", "hold")
+_GAP = 10.0  # an interval this many times the usual is a gap
+_AHEAD = 8  # rows by which an outlier is told from a reset: as many in a row can be outliers
+_REGULAR = 2.5  # usual intervals, the longest step of rows that follow each other
+_SHARED = 0.05  # of the rows, and 3 at least, share a stamp where it is no single repetition
+
+
+class Samples(NamedTuple):
+    """Rows in order, as samples.
+
+    ``t``: s from the first; ``rows``: where each stands in the table; ``held``: whether its rates
+    are those of the sample before; ``added``: whether it is no row, but holds them up to a gap's
+    end; ``cuts``: where a piece begins.
+    """
+
+    t: Floats
+    rows: NDArray[np.int64]
+    held: Flags
+    added: Flags
+    cuts: list[int]
+    said: list[str]
+    spread: bool
+
+
+def in_order(
+    table: Table,
+    clock: str,
+    t: Floats,
+    rates: Floats,
+    on_bad_rows: str,
+    max_gap: float | None,
+    usual: float | None = None,
+) -> Samples:
+    """The rows of a table that are samples.
+
+    Parameters
+    ----------
+    table, clock : the table and its clock's name, for messages.
+    t : (n,), s, NaN of a row without a stamp.
+    rates : (n, 3), NaN in rows without numbers.
+    on_bad_rows : "refuse"; "drop" (intervals go across what was left out); "split" (a new piece
+        begins after it); "hold" (the last rates stay: in rows without numbers, and over a gap up
+        to one usual interval before its end).
+    max_gap : the longest interval that is no gap, s; None: 10 usual ones.
+    usual : the usual interval, s; None: the median.
+
+    Raises
+    ------
+    GyroLogError : with "refuse", for the first row that is no sample.
+    """
+    stamped, numbers = np.isfinite(t), np.asarray(np.isfinite(rates).all(axis=1))
+    usable = stamped & numbers
+    if on_bad_rows == "hold":
+        usable = stamped & np.logical_or.accumulate(usable)  # none to hold before the first
+    rows = np.flatnonzero(usable)
+    s = t[rows]
+    shared = _shared(s, rates[rows])
+    if on_bad_rows == "refuse" and not usable.all():
+        where = f"{clock[:60]} in {table.place(int(np.argmin(usable)))}"
+        raise table.error(f"{where}, or a number beside it, overflows; accepted: finite numbers")
+    if on_bad_rows == "refuse" and shared.any():
+        raise table.error(
+            f"{clock[:60]}: {shared.sum()} rows share the stamp of the row before, the first in "
+            f"{table.place(int(np.argmax(shared)))}: packets, or stamps too coarse for the rate; "
+            "accepted: time stamps that grow, a rate in Hz, or on_bad_rows, which spreads them"
+        )
+    if shared.any():
+        s = _spread(s, np.flatnonzero(~shared))
+    if usual is None:
+        steps = np.diff(s)
+        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
+    longest = _GAP * usual if max_gap is None else max_gap
+    dropped, resets = _misplaced(s, usual, longest)
+    if on_bad_rows == "refuse":
+        _refuse_first(table, clock[:60], s, dropped, resets, longest)
+    resets = [k - int(np.searchsorted(dropped, k)) for k in resets]
+    s, rows = np.delete(s, dropped), np.delete(rows, dropped)
+    if resets:  # what passed is not known: one usual interval
+        steps = np.diff(s)
+        steps[np.array(resets) - 1] = usual
+        s = np.append(0.0, np.cumsum(steps))
+    s = s - s[:1]
+    gaps = np.flatnonzero(np.diff(s) > longest) + 1
+    held = ~numbers[rows]
+    counts = {
+        "rows dropped": len(t) - len(rows),
+        "rows held": int(held.sum()),
+        "gaps": len(gaps),
+        "clock resets": len(resets),
+    }
+    plain = np.zeros(len(rows), dtype=bool)
+    samples = Samples(s, rows, plain, plain, [], [], bool(shared.any()))
+    if on_bad_rows == "split":
+        left_out = np.flatnonzero(np.diff(rows) > 1) + 1
+        samples.cuts.extend(sorted({*left_out.tolist(), *gaps.tolist(), *resets}))
+    elif on_bad_rows == "hold":
+        samples = _held(samples, held, gaps, usual)
+    samples.said.extend(f"{n} {what}" for what, n in counts.items() if n)
+    return samples
+
+
+def _shared(s: Floats, rates: Floats) -> Flags:
+    """Which rows share the stamp of the row before; none where such rows are repetitions."""
+    equal: Flags = np.asarray(np.diff(s, prepend=np.nan) == 0.0)
+    none = np.zeros(len(s), dtype=bool)
+    if equal.sum() < max(3.0, _SHARED * len(s)):
+        return none
+    same = np.zeros(len(s), dtype=bool)
+    same[1:] = (rates[1:] == rates[:-1]).all(axis=1)
+    repeated = same[equal].mean() > 0.5 and not same[~equal].mean() > 0.5
+    return none if repeated else equal
+
+
+def _spread(s: Floats, firsts: NDArray[np.int64]) -> Floats:
+    """Times of rows of which groups share a stamp, that of the first of each."""
+    n = len(s)
+    steps = np.diff(s[firsts])
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    if usual > 0.0:
+        slope, start = np.polyfit(firsts, s[firsts], 1)
+        line: Floats = start + slope * np.arange(n)
+        if np.abs(s - line).max() <= usual:  # one rate throughout
+            return line
+    steps = np.append(np.where((steps > 0.0) & (steps <= _GAP * usual), steps, usual), usual)
+    sizes = np.diff(firsts, append=n)
+    within = np.arange(n) - np.repeat(firsts, sizes)
+    return s + within * np.repeat(steps / sizes, sizes)
+
+
+def _misplaced(s: Floats, usual: float, longest: float) -> tuple[list[int], list[int]]:
+    """Outliers, and the rows with which the clock was reset."""
+    n = len(s)
+    dropped: set[int] = set()
+    resets: list[int] = []
+
+    def follows(step: float) -> bool:
+        return 0.0 < step <= longest
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        steps = np.diff(s)
+        odd = np.flatnonzero(~((steps > 0.0) & (steps <= longest))) + 1
+        if n > 2 and steps[0] > max(longest, np.ptp(s[1:])) and follows(steps[1]):
+            dropped.add(0)  # a first stamp of another clock
+            odd = odd[odd > 1]
+        done = 0
+        for first in odd.tolist():
+            if first < done:
+                continue
+            i, last = first, first - 1
+            while i < n and not follows(s[i] - s[last]):
+                after = s[i : i + _AHEAD + 1]
+                following = np.diff(after)
+                regular = len(following) > 0 and bool(
+                    ((following > 0.0) & (following <= _REGULAR * usual)).all()
+                )
+                goes_on = bool(((after > s[last]) & (after - s[last] <= longest)).any())
+                ahead = s[i] > s[last]
+                believed = ahead if len(following) == 0 else follows(following[0])
+                if s[i] != s[last] and (regular or (believed and not goes_on)):
+                    if not ahead:
+                        before = _before(s, i, dropped)
+                        if before is not None and follows(s[i] - s[before]):
+                            dropped.update(range(before + 1, i))
+                        else:
+                            resets.append(i)
+                    break
+                dropped.add(i)
+                i += 1
+            done = i + 1
+    if resets[:1] == [1]:  # nothing was before it but a first stamp of another clock
+        return sorted({0, *dropped}), resets[1:]
+    return sorted(dropped), resets
+
+
+def _before(s: Floats, i: int, dropped: set[int]) -> int | None:
+    """The row before row i that is earlier, ``_AHEAD`` rows back at most; None where none is."""
+    kept = [k for k in range(max(0, i - 2 * _AHEAD), i) if k not in dropped][-_AHEAD - 1 :]
+    earlier = [k for k in kept if s[k] < s[i]]
+    return earlier[-1] if earlier else None
+
+
+def _refuse_first(
+    table: Table, clock: str, s: Floats, dropped: list[int], resets: list[int], longest: float
+) -> None:
+    gaps = (np.flatnonzero(np.diff(s) > longest) + 1).tolist()
+    k = min([*dropped, *resets, *gaps], default=None)
+    if k is None:
+        return
+    where, step = f"{clock} in {table.place(k)}", float(s[k] - s[max(k - 1, 0)])
+    if k in gaps and k not in dropped:
+        raise table.error(
+            f"{where}: a gap of {step:.6g} s; accepted: at most {longest:.6g} s, max_gap, or "
+            "on_bad_rows, to say what becomes of gaps"
+        )
+    what = "an outlier" if step > 0.0 or k == 0 else "decreasing" if step else "repeated"
+    if k in resets:
+        what = "decreasing, and the clock goes on from there"
+    raise table.error(
+        f"{where} is {what} ({s[k] - s[0]:.9g} s after the first); accepted: time stamps that "
+        "grow, a rate in Hz, or on_bad_rows, to say what becomes of such rows"
+    )
+
+
+def _held(samples: Samples, held: Flags, gaps: NDArray[np.int64], usual: float) -> Samples:
+    """The last sample's rates in rows without numbers, and once more before the end of each gap."""
+    t, rows = samples.t, samples.rows
+    ends = t[gaps] - np.minimum(usual, 0.5 * (t[gaps] - t[gaps - 1]))
+    return samples._replace(
+        t=np.insert(t, gaps, ends),
+        rows=np.insert(rows, gaps, rows[gaps - 1]),
+        held=np.insert(held, gaps, True),
+        added=np.insert(np.zeros(len(t), dtype=bool), gaps, True),
+    )

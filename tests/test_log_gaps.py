@@ -1,0 +1,171 @@
+"""Rows that are no samples: told apart, and no more of a log lost than them."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.cli import main
+from fastatt.logs import GyroLogError, GyroLogWarning
+
+N, H = 1000, 0.01
+T = H * np.arange(N)
+RATES = np.stack([np.sin(T), np.cos(3 * T), 0.1 * T], axis=1)
+NAMES = [f"gyro_{a} [rad/s]" for a in "xyz"]
+
+
+def table(t, rates=RATES, **more):
+    return {"t [s]": t, **dict(zip(NAMES, rates.T, strict=True)), **more}
+
+
+def at_rows(*places):
+    """T with other stamps at some rows."""
+    t = T.copy()
+    for row, stamp in places:
+        t[row] = stamp
+    return t
+
+
+@pytest.mark.parametrize("how", ["refuse", "drop", "split", "hold"])
+@pytest.mark.parametrize("sensor", ["mag", "acc"])
+def test_cells_of_other_sensors_are_left_empty(how, sensor, reader):
+    """A magnetometer at a twentieth of the gyro's rate: all gyro samples stay as they are."""
+    head = ",".join(["t [s]", *NAMES, *(f"{sensor}_{a}" for a in "xyz")])
+    lines = [
+        f"{t!r},{','.join(map(repr, w))},{'0.1,0.2,0.3' if k % 20 == 0 else ',,'}"
+        for k, (t, w) in enumerate(zip(T.tolist(), RATES.tolist(), strict=True))
+    ]
+    log = fa.read_gyro_log(io.StringIO("\n".join([head, *lines])), on_bad_rows=how)
+    assert np.array_equal(log.rates, RATES)
+    assert log.pieces == (slice(0, N),)
+    found = log.mag if sensor == "mag" else log.accel
+    assert np.array_equal(np.isfinite(found).all(axis=1), np.arange(N) % 20 == 0)
+    assert np.isnan(found[1]).all()
+
+
+def test_held_samples_keep_other_sensors_as_they_are():
+    rates = RATES.copy()
+    rates[5] = np.nan
+    mag = {f"mag_{a}": 1.0 + np.arange(N) for a in "xyz"}
+    t = np.where(np.arange(N) < 500, T, T + 3.0)
+    log = fa.read_gyro_log(table(t, rates, **mag), on_bad_rows="hold")
+    assert len(log.t) == N + 1  # and one before the gap's end
+    assert np.array_equal(log.rates[[5, 500]], RATES[[4, 499]])
+    assert np.array_equal(log.mag[5], [6.0] * 3)
+    assert np.isnan(log.mag[500]).all()
+    assert np.array_equal(log.mag[501], [501.0] * 3)
+
+
+@pytest.mark.parametrize("how", ["drop", "split", "hold"])
+@pytest.mark.parametrize(
+    ("places", "lost"),
+    [
+        ([(10, 1e9)], [10]),
+        ([(10, 0.0)], [10]),
+        ([(10, np.nan)], [10]),
+        ([(10, T[14] + 0.1 * H)], [10]),  # ahead of rows to come
+        ([(10, 1e9), (11, 1e9 + H), (12, 1e9 + 2 * H)], [10, 11, 12]),
+        ([(400, -5.0), (700, 5e5)], [400, 700]),
+        ([(300, T[299])], [300]),  # a repeated stamp
+        ([(0, 1e9)], [0]),
+        ([(0, -1e9)], [0]),
+        ([(998, 1e9)], [998]),
+        ([(999, 0.0)], [999]),
+    ],
+)
+def test_an_outlier_costs_its_own_row(how, places, lost):
+    log = fa.read_gyro_log(table(at_rows(*places)), on_bad_rows=how)
+    kept = np.delete(np.arange(N), lost)
+    assert np.array_equal(log.rates, RATES[kept])
+    assert np.allclose(log.t, T[kept] - T[kept[0]], rtol=0.0, atol=1e-6)
+    assert len(log.pieces) == (2 if how == "split" and lost[0] not in (0, 999) else 1) + (
+        how == "split" and len(places) == 2
+    )
+
+
+@pytest.mark.parametrize("at", [4, 11, 500, 995])
+@pytest.mark.parametrize("to", [0.0, -100.0])
+def test_a_reset_of_the_clock_costs_nothing(at, to):
+    t = np.where(np.arange(N) < at, T, T - T[at] + to)
+    for how in ("drop", "hold", "split"):
+        log = fa.read_gyro_log(table(t), on_bad_rows=how)
+        assert np.array_equal(log.rates, RATES)
+        assert np.allclose(log.t, T, rtol=0.0, atol=1e-12)
+        assert log.summary.endswith("; 1 clock resets")
+        assert log.pieces == ((slice(0, at), slice(at, N)) if how == "split" else (slice(0, N),))
+
+
+@pytest.mark.parametrize(
+    ("t", "message"),
+    [
+        (at_rows((10, 1e9)), r"row 10 is an outlier"),
+        (at_rows((10, 0.0)), r"row 10 is decreasing \(0 s after the first\); accepted"),
+        (np.where(np.arange(N) < 500, T, T - 5.0), "row 500 is decreasing, and the clock goes on"),
+        (H * (np.arange(N) // 4 * 4), "750 rows share the stamp of the row before, .*row 1: pack"),
+    ],
+)
+def test_what_is_refused_says_what_it_is(t, message):
+    with pytest.raises(GyroLogError, match=message):
+        fa.read_gyro_log(table(t))
+
+
+@pytest.mark.parametrize("how", ["drop", "split", "hold"])
+@pytest.mark.parametrize("size", [3, 4, 10])
+def test_packets_that_share_a_stamp_are_spread(how, size):
+    packets = np.arange(N) // size * size * H
+    with pytest.warns(GyroLogWarning, match="rows that share time stamps are spread"):
+        log = fa.read_gyro_log(table(packets), on_bad_rows=how)
+    assert np.array_equal(log.rates, RATES)
+    assert np.allclose(log.t, T, rtol=0.0, atol=1e-9)
+    # with a hole, and packets that come early or late
+    packets = np.where(np.arange(N) < 600, packets, packets + 5.0)
+    with pytest.warns(GyroLogWarning, match="spread"):
+        log = fa.read_gyro_log(table(packets), on_bad_rows="split")
+    assert log.pieces == (slice(0, 600), slice(600, N))
+    assert np.allclose(log.dt[:599], H, rtol=0.2, atol=0.0)
+
+
+def test_whole_milliseconds_at_1600_hz():
+    rates = np.cumsum(np.random.default_rng(0).normal(size=(N, 3)), axis=0)
+    stamps = table(np.floor(np.arange(N) / 1.6), rates)
+    stamps["t [ms]"] = stamps.pop("t [s]").astype(int)
+    with pytest.warns(GyroLogWarning, match="spread"):
+        log = fa.read_gyro_log(stamps, on_bad_rows="drop")
+    assert np.array_equal(log.rates, rates)
+    assert np.allclose(log.t, np.arange(N) / 1600, rtol=0.0, atol=5e-6)
+    assert log.rate == pytest.approx(1600.0, rel=1e-3)
+
+
+def test_repeated_rows_are_no_samples():
+    """A logger that is faster than its gyro."""
+    with pytest.warns(GyroLogWarning, match="1000 of 2000 rows are left out"):
+        log = fa.read_gyro_log(
+            table(np.repeat(T, 2), np.repeat(RATES, 2, axis=0)), on_bad_rows="drop"
+        )
+    assert np.array_equal(log.rates, RATES)
+
+
+@pytest.mark.parametrize(("bad", "warned"), [(10, False), (11, True)])
+def test_more_than_a_hundredth_is_warned_of(bad, warned, tmp_path, capsys):
+    rates = RATES.copy()
+    rates[50 : 50 + bad] = np.nan
+    path = tmp_path / "log.csv"
+    head = ",".join(["t [s]", *NAMES])
+    np.savetxt(path, np.column_stack([T, rates]), delimiter=",", header=head, comments="")
+    arguments = [
+        "integrate",
+        str(path),
+        "-q",
+        "--on-bad-rows",
+        "drop",
+        "-o",
+        str(tmp_path / "q.npy"),
+    ]
+    assert main(arguments) == 0
+    found = capsys.readouterr()
+    said = f"fastatt: warning: {path}: 11 of 1000 rows are left out (11 rows dropped, 1 gaps)\n"
+    assert found.err == (said if warned else "")
+    assert f"; {bad} rows dropped" in found.out
