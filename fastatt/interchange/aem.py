@@ -348,7 +348,9 @@ class _Layout:
         parts = [to_passive(p) if self.reverse else p for p in parts]
         parts = [p if self.scalar_first else to_scalar_last(p) for p in parts]
         if w is not None and self.kind != _DERIVATIVE:
-            parts.append(self.sign * np.degrees(w if self.in_body else quat_rotate(normalised(q), w)))
+            parts.append(
+                self.sign * np.degrees(w if self.in_body else quat_rotate(normalised(q), w))
+            )
         return np.concatenate(parts, axis=1)
 
 
