@@ -297,7 +297,7 @@ HELD = fa.TimeSeries([0.0, 1.0], [0.5, 0.5])
 
 
 def test_a_function_that_is_called_reads_no_table():
-    with pytest.raises(TypeError, match=r"by_series.*HELD.*or that is traced: this is not, for a"):
+    with pytest.raises(TypeError, match=r"by_series.*or that is traced: this is not, for a.*HELD"):
         fa.Scene(rate=by_series, params=[1.0])
 
 
