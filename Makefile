@@ -18,7 +18,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 # bytecode too: else each of the tests' processes would compile all that it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv test trade bench leaderboard extremes cases scale bench-smoke lint format types layers docs readme clean
+.PHONY: help venv test trade bench leaderboard extremes cases scale hostile bench-smoke lint format types layers docs readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -72,6 +72,9 @@ cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.m
 
 scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench/SCALE.md
 	$(BIN)/python bench/scale.py
+
+hostile: $(VENV)/.test  ## advice where what acts jumps, five minutes: the table of docs/methods.md
+	$(BIN)/python bench/hostile.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
 	@if ls bench/bench_*.py >/dev/null 2>&1; \

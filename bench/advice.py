@@ -27,6 +27,7 @@ import fastatt as fa
 from fastatt.kernels.trig import sincos
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.threads import progress_bar
+from fastatt.trade.ladder import largest_angle, see
 from fastatt.trade.measure import Case, Problem, machine_line, write_csv
 from fastatt.trade.reference import Reference, reference, turns
 from fastatt.trade.work_precision import cases_of
@@ -154,11 +155,10 @@ def draw(seed: int, number: int, n: int) -> tuple[str, Problem, float]:
 
 
 def error(problem: Problem, case: Case, n: int, known: Reference) -> float:
-    """The largest over the run, at up to 16 even times."""
-    every, exact = known.beside(n)
-    run = problem.run(case, n, every)
-    apart = fa.angle_between(run.q[1:], exact).max()
-    return math.inf if run.status.any() or not np.isfinite(apart) else float(apart)
+    """The largest over the run, at up to 16 even times and after the first 16 steps."""
+    seen = see(problem, case, n, 16)
+    apart = largest_angle(seen.q, known.at(seen.times)).max()
+    return math.inf if seen.flagged.any() else float(apart)
 
 
 def once(problem: Problem, case: Case, n: int) -> float:
@@ -201,11 +201,11 @@ def least(
 
 
 def sweep(
-    problem: Problem, tol: float, known: Reference, best: float
+    problem: Problem, tol: float, known: Reference, best: float, methods: list[str] | None = None
 ) -> list[tuple[float, Case, int]]:
     """The best of every method and precision that is not far slower than ``best`` s."""
     found = []
-    cases = cases_of(problem.ensemble.scene, None, ("quat",), ("float64", "float32"))
+    cases = cases_of(problem.ensemble.scene, methods, ("quat",), ("float64", "float32"))
     for case in sorted(cases, key=lambda c: -(c.record.order or 99)):
         if case.dtype == "float32" and tol < 1e-7:
             continue
@@ -227,14 +227,16 @@ def side_by_side(problem: Problem, runs: list[tuple[Case, int]], seconds: float)
     return times
 
 
-def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
-    """Draw, ask, run, sweep."""
+def trial(
+    seed: int, number: int, n_bodies: int, seconds: float, methods: list[str] | None = None
+) -> Trial:
+    """Draw, ask, run, sweep; ``methods`` are those to choose among, None for all."""
     kind, problem, tol = draw(seed, number, n_bodies)
     e = problem.ensemble
-    known = reference(problem, looks=16)
+    known = reference(problem, most=16)
     begin = perf_counter()
     try:
-        chosen = fa.recommend(e.scene, e.q0, e.w0, t_end=problem.t_end, tol=tol)
+        chosen = fa.recommend(e.scene, e.q0, e.w0, t_end=problem.t_end, tol=tol, methods=methods)
     except ValueError as refusal:
         return Trial(
             seed, number, kind, tol, problem.t_end, "", 0, 0.0, math.inf, 0.0, math.inf, "", 0,
@@ -245,7 +247,7 @@ def trial(seed: int, number: int, n_bodies: int, seconds: float) -> Trial:
     true = error(problem, case, chosen.n_steps, known)
     # a scene that needs 10^6 steps would be swept for hours
     bound = min(once(problem, case, chosen.n_steps) for _ in range(2)) if true <= tol else math.inf
-    best = sweep(problem, tol, known, bound)[:3]
+    best = sweep(problem, tol, known, bound, methods)[:3]
     runs = [(case, chosen.n_steps), *[(c, n) for _, c, n in best]]
     own, *others = side_by_side(problem, runs, seconds)
     i = int(np.argmin(others)) if others else -1

@@ -129,8 +129,8 @@ def jsbsim() -> Iterator[Row]:
     # (f now + f a step ago)/2 for (f now + f a step ahead)/2
     rule = fa.runge_kutta("late", order=1, c=(0, -1), a=((-1,),), b=(1 / 2, 1 / 2))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", fa.OrderWarning)
-        found = fa.self_check(
+        warnings.simplefilter("ignore", fa.ConvergenceWarning)
+        found = fa.check_convergence(
             scene, IDENTITY, TOP_RATE, dt=1 / 960, n_steps=24, method=replace(rule, order=2)
         )
     assert not found.passed
@@ -239,7 +239,7 @@ Wheels are Honeywell HR16 of 100 N·m·s at 6000 rpm, without friction; motors s
 A free body, I = (10, 20, 26), w = (1, 15, 1), of van Zon and Schofield, for 10 s at 120 Hz.
 The notebook is `check_cases/notebooks/rotation`; figures are those of JSBSim 1.3.3 run so.
 Its "trapezoidal" rule takes the slope of a step ago for that of a step ahead.
-Written as a tableau it is refused with order 2, and `fa.self_check` finds its order.""",
+Written as a tableau it is refused with order 2, and `fa.check_convergence` finds its order.""",
         "off by 36.8° (Euler), 24.7°, 6.2°, 0.28° and 0.199° (Adams-Bashforth 2 to 5); "
         "the trapezoidal rule diverges after 5.6 s, and at 240 Hz is off as Euler's at 120 Hz.",
         jsbsim,

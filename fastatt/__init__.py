@@ -20,18 +20,19 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 __all__ = [
-    "METHODS", "Attitude", "Drift", "DriftStatistics", "ErrorBudget", "GyroIntegrator", "GyroLog",
-    "GyroLogError", "GyroLogWarning", "Method", "OrderWarning", "OwnSteps", "Plan",
-    "Recommendation", "Reducer", "Scene", "SelfCheck", "Status", "StepWarning", "TimeSeries",
-    "Trajectory", "WorkPrecision", "angle_between", "angular_momentum", "angular_velocity",
-    "checkpoint", "closed_form", "dcm_to_quat", "drift", "drift_statistics", "error_budget",
-    "estimation", "euler313_to_quat", "forces", "from_scipy", "gyro_steps", "inspect_step",
-    "integrate_rates", "interchange", "interpolate", "kernels", "kinetic_energy", "lie_group",
-    "mean_attitude", "methods_for", "own_steps", "plan", "plots", "potential_energy", "propagate",
-    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
-    "quat_to_euler313", "quat_to_rotation_vector", "rates", "read_gyro_log", "recommend", "reducer",
-    "rotation_vector_to_quat", "runge_kutta", "self_check", "single_step", "to_file", "to_scipy",
-    "torques", "work_precision",
+    "METHODS", "Attitude", "ConvergenceCheck", "ConvergenceWarning", "Drift", "DriftStatistics",
+    "ErrorBudget", "GyroIntegrator", "GyroLog", "GyroLogError", "GyroLogWarning", "Method",
+    "PerBodySteps", "Plan", "Recommendation", "Reducer", "Scene", "Status", "StepWarning",
+    "TimeSeries", "Trajectory", "WorkPrecision", "angle_between", "angular_momentum",
+    "angular_velocity", "check_convergence", "checkpoint", "closed_form", "dcm_to_quat", "drift",
+    "drift_statistics", "error_budget", "estimation", "euler313_to_quat", "forces", "from_scipy",
+    "gyro_steps", "inspect_step", "integrate_rates", "interchange", "interpolate", "kernels",
+    "kinetic_energy", "lie_group", "mean_attitude", "methods_for", "per_body_steps", "plan",
+    "plots", "potential_energy", "propagate", "propagate_directions", "quat_multiply",
+    "quat_rotate", "quat_rotate_inverse", "quat_to_dcm", "quat_to_euler313",
+    "quat_to_rotation_vector", "rates", "read_gyro_log", "recommend", "reducer",
+    "rotation_vector_to_quat", "runge_kutta", "single_step", "to_file", "to_scipy", "torques",
+    "work_precision",
 ]  # fmt: skip
 
 # imported when it is first asked for, so that a process pays for what it uses
@@ -64,7 +65,6 @@ if TYPE_CHECKING:
     from fastatt.propagation import closed_form
     from fastatt.propagation.angular_velocity import angular_velocity
     from fastatt.propagation.choice_of_method import methods_for
-    from fastatt.propagation.convergence import OrderWarning, SelfCheck
     from fastatt.propagation.drift import Drift, drift
     from fastatt.propagation.drift_statistics import DriftStatistics, drift_statistics
     from fastatt.propagation.energy import (
@@ -76,7 +76,7 @@ if TYPE_CHECKING:
     from fastatt.propagation.inspect_step import inspect_step
     from fastatt.propagation.interpolation import interpolate
     from fastatt.propagation.plan import Plan
-    from fastatt.propagation.propagate import plan, propagate, propagate_directions, self_check
+    from fastatt.propagation.propagate import plan, propagate, propagate_directions
     from fastatt.propagation.reducer import Reducer, reducer
     from fastatt.propagation.resume import checkpoint
     from fastatt.propagation.trajectory import Trajectory
@@ -85,8 +85,13 @@ if TYPE_CHECKING:
     from fastatt.scene.scene import Scene
     from fastatt.scene.time_series import TimeSeries
     from fastatt.trade.advice import recommend
-    from fastatt.trade.each import OwnSteps, own_steps
+    from fastatt.trade.convergence import (
+        ConvergenceCheck,
+        ConvergenceWarning,
+        check_convergence,
+    )
     from fastatt.trade.error_budget import ErrorBudget, error_budget
+    from fastatt.trade.per_body import PerBodySteps, per_body_steps
     from fastatt.trade.recommendation import Recommendation
     from fastatt.trade.work_precision import WorkPrecision, work_precision
 

@@ -1,8 +1,18 @@
-"""``python -m fastatt``."""
+"""``fastatt`` and ``python -m fastatt``."""
 
 import sys
 
-from fastatt.cli import main
+
+def main() -> int:
+    """Run one command; Ctrl-C ends it with one line, while modules are still imported too."""
+    try:
+        from fastatt.cli import main as run
+
+        return run()
+    except KeyboardInterrupt:
+        print("fastatt: stopped", file=sys.stderr)
+        return 130
+
 
 # processes that the command starts import this file too
 if __name__ == "__main__":

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
+import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +28,7 @@ from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.advice import recommend
 from fastatt.trade.recordings import compare_on_log
-from fastatt.trade.run import DEFAULT_SCENES, SCENES, run_trade
+from fastatt.trade.run import DEFAULT_SCENES, SCENES, open_folder, run_trade
 from fastatt.trade.scene_file import from_words, read_rows, read_scene
 from fastatt.trade.work_precision import work_precision
 
@@ -40,10 +44,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.simplefilter("always")
             warnings.showwarning = _teller()
             result: int = arguments.run(arguments)
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # what is left to be written would fail again at the exit
+        with suppress(OSError, ValueError):  # of a stream that is no file
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print("fastatt: standard output was closed before the end", file=sys.stderr)
+        return 2
     except (ValueError, TypeError, OSError, ImportError) as error:
         text = str(error)
         if isinstance(error, OSError) and error.strerror:  # numpy's have none
-            text = f"{error.strerror}: {error.filename}"
+            text = (
+                error.strerror if error.filename is None else f"{error.strerror}: {error.filename}"
+            )
         print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -235,7 +248,7 @@ def _add_scene(command: argparse.ArgumentParser) -> None:
     add("--frame", choices=("body", "inertial"), help="axes of the rate")
     add("--q0", type=Path, help="initial attitudes, .csv or .npy (default: random)")
     add("--w0", type=Path, help="initial rates, rad/s, .csv or .npy (default: random)")
-    add("--spin", type=float, default=1.0, help="of random rates, rad/s an axis (default: 1)")
+    add("--spin", type=float, help="of random rates, rad/s an axis (default: 1)")
     command.add_argument(
         "--bodies", type=int, default=4096, help="size of the ensemble (default: 4096)"
     )
@@ -338,7 +351,8 @@ def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
     if q0 is None:
         q0 = generator.normal(size=(n, 4))
     if w0 is None and scene.kind != "rate":
-        w0 = real("--spin", arguments.spin) * generator.normal(size=(n, 3))
+        spin = 1.0 if arguments.spin is None else real("--spin", arguments.spin)
+        w0 = spin * generator.normal(size=(n, 3))
     return q0, w0
 
 
@@ -361,14 +375,14 @@ def _trade_own(arguments: argparse.Namespace, scene: Scene) -> int:
     if arguments.t_end is None:
         raise ValueError("--t-end: is missing; a scene of your own needs its duration, s")
     q0, w0 = _ensemble(arguments, scene)
+    out: Path = arguments.out
+    open_folder(out)
     quick = arguments.quick
     found = work_precision(
         scene, q0, w0, t_end=arguments.t_end, methods=arguments.methods,
         dtypes=("float64",) if quick else ("float64", "float32"), repeats=1 if quick else 3,
         max_seconds=5.0 if quick else 60.0, progress=_bar_wanted(arguments.quiet),
     )  # fmt: skip
-    out: Path = arguments.out
-    out.mkdir(parents=True, exist_ok=True)
     print(found)
     for ending, write in ((".csv", found.to_csv), (".json", found.to_json), (".png", found.plot)):
         write(out / f"work_precision{ending}")
@@ -380,6 +394,12 @@ def _trade(arguments: argparse.Namespace) -> int:
     own = _own_scene(arguments)
     if own is not None:
         return _trade_own(arguments, own)
+    for name in ("t_end", "q0", "w0", "spin"):
+        if getattr(arguments, name) is not None:
+            raise ValueError(
+                f"--{name.replace('_', '-')}: found without a scene of your own; accepted: with "
+                "--inertia, --rate or --scene-file"
+            )
     scenes = arguments.scene or DEFAULT_SCENES
     run_trade(
         arguments.out, scenes=SCENES if _ALL in scenes else scenes, methods=arguments.methods,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from fastatt.trade.measure import Case, write_csv
 sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
 
 import advice
+import choices
 import consistency
+import hostile
 import long_runs
 import method_table
-import own_steps
+import per_body_steps
 import recordings
 import scale
 
@@ -75,23 +78,58 @@ def test_scale_tells_cost_calls_and_memory(tmp_path, monkeypatch):
     assert (tmp_path / "scale.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("kind", ["coning", "free"])
-def test_advice_is_compared_with_a_sweep(kind):
-    number = list(advice.KINDS).index(kind)
-    found = advice.trial(1, number, 64, 0.01)
-    assert found.kind == kind
-    assert found.refused or found.met
+def test_advice_is_compared_with_a_sweep():
+    """Of few methods: the sweep compiles each in two precisions."""
+    number = list(advice.KINDS).index("free")
+    found = advice.trial(1, number, 64, 0.01, methods=["rk4", "exact"])
+    assert found.kind == "free"
+    assert found.met
+    assert found.best_steps >= 1
     assert found.advice_seconds > 0.0
 
 
-def test_own_steps_are_compared_at_an_equal_error(monkeypatch, capsys):
+def test_promises_are_compared_where_what_acts_jumps():
+    """Pulses, jumps and ramps; a promise that is too small is found out."""
+    lines = hostile.report(3, 2, seed=1)[2:]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    assert [c[1] for c in cells] == ["pulse", "jump", "ramp", "pulse", "jump"]
+    assert [c[6] for c in cells] == ["0"] * 5
+    assert [c[3] for c in cells[:2]] == ["1", "1"]
+    case = hostile.draw(1, 2, 3)
+    arguments = {"dt": case.t_end / 40, "n_steps": 40, "method": "rk4", "t0": case.t0}
+    for promise, found in ((1e-9, "broken"), (1.0, "kept")):
+        chosen = SimpleNamespace(arguments=arguments, expected_error=promise)
+        assert hostile.outcome(case._replace(tol=2.0), chosen)[0] == found
+
+
+def test_the_tables_of_choices(monkeypatch):
+    """Of smooth clean samples coning2 is below coning3, and picard below both."""
+    monkeypatch.setattr(choices, "LENGTHS", (200,))
+    head, _, *rows = [line.split("|")[1:-1] for line in choices.samples()]
+    names = [cell.strip() for cell in head]
+    for row in rows:
+        errors = dict(zip(names[1:], map(float, row[1:]), strict=True))
+        if "clean" in row[0]:
+            assert errors["picard"] < errors["coning2"] < errors["coning3"]
+    flagged = {
+        row[0].strip(): int(row[1]) for row in map(cells_of, list(choices.large_steps())[2:])
+    }
+    assert flagged["`rk8`"] == flagged["`gbs16`"] == 0
+    assert min(flagged["`dmv10`"], flagged["`strang2`"]) > 0
+
+
+def cells_of(line):
+    return line.split("|")[1:-1]
+
+
+def test_per_body_steps_are_compared_at_an_equal_error(monkeypatch, capsys):
     """The same largest error within some percent, and fewer steps."""
-    monkeypatch.setattr(own_steps, "BODIES", 150)
-    monkeypatch.setattr(own_steps, "REFERENCE", 150)
-    monkeypatch.setattr(own_steps, "shortest", lambda run: (1.0, run()))
-    first = dict([next(iter(own_steps.problems().items()))])
-    monkeypatch.setattr(own_steps, "problems", lambda: first)
-    own_steps.main()
+    monkeypatch.setattr(per_body_steps, "BODIES", 150)
+    monkeypatch.setattr(per_body_steps, "REFERENCE", 150)
+    monkeypatch.setattr(per_body_steps, "shortest", lambda run: (1.0, run()))
+    first = dict([next(iter(per_body_steps.problems().items()))])
+    monkeypatch.setattr(per_body_steps, "problems", lambda: first)
+    per_body_steps.main()
     cells = capsys.readouterr().out.splitlines()[-1].split("|")[1:-1]
     assert cells[0].strip() == "free bodies"
     assert float(cells[3]) < 1e-5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import subprocess
 import sys
 from functools import partial
@@ -11,6 +12,7 @@ import pytest
 
 import fastatt as fa
 from fastatt import cli
+from fastatt.__main__ import main as start
 from fastatt.cli import main
 from fastatt.propagation.inspect_step import inspect_step
 from fastatt.trade.recordings import compare_on_log
@@ -125,6 +127,9 @@ ADVISE = ("recommend", "--t-end", "5", "--tol", "1e-8")
         (["trade", "--scene", "free", "--methods", "rk4,magnus4"], "--methods: found 'magnus4'"),
         (["trade", "--scene", "torqued", "--methods", "dmv4"], "accepted: rk4, cf4, rkmk4, rk8"),
         (["trade", "--inertia", "1,1,1"], "--t-end: is missing"),
+        (["trade", "--t-end", "-5"], "--t-end: found without a scene of your own; accepted: with"),
+        (["trade", "--w0", "{log}"], "--w0: found without a scene of your own"),
+        (["trade", "--spin", "3"], "--spin: found without a scene of your own"),
         (["trade", "--inertia", "1,1,1", "--t-end", "1", "--scene", "free"], "--scene: found with"),
         ([*ADVISE], "no scene: accepted: --inertia, --rate or --scene-file"),
         ([*ADVISE, "--inertia", "1,2"], "--inertia: found 2 numbers; accepted: 3 or 9"),
@@ -193,7 +198,7 @@ def test_recommend(capsys, tmp_path):
     assert main([*ADVISE, *scene, "--methods", "magnus4,rk4"]) == 0
     text = capsys.readouterr().out
     assert "(tol 1e-08)" in text
-    assert "from 40 of 40 bodies" in text
+    assert "measured over 40 of 40 bodies" in text
 
 
 def test_a_tolerance_out_of_reach_is_bad_input(capsys):
@@ -293,6 +298,45 @@ def test_methods_say_what_they_take(capsys):
     assert of_tops in lines["exact"]
     assert "order 1, 2 for increments; samples: " in lines["hold"]
     assert "order 4; increments: " in lines["coning3_optimal"]
+
+
+@pytest.mark.parametrize("scene", [[], ["--inertia", "2,1,1.5", "--t-end", "1"]])
+def test_where_results_cannot_go_nothing_is_measured(capsys, tmp_path, monkeypatch, scene):
+    taken = tmp_path / "results"
+    taken.write_text("")
+    for name in ("fastatt.cli.work_precision", "fastatt.trade.recordings.log_rows"):
+        monkeypatch.setattr(name, lambda *a, **k: pytest.fail("measured"))
+    assert main(["trade", "-o", str(taken), *scene]) == 2
+    assert capsys.readouterr().err == f"fastatt: File exists: {taken}\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OSError(28, "No space left on device"), "No space left on device"),
+        (BrokenPipeError(32, "Broken pipe"), "standard output was closed before the end"),
+    ],
+)
+def test_errors_without_a_file_are_a_line(capsys, monkeypatch, error, line):
+    def failing(scene):
+        raise error
+
+    monkeypatch.setattr("fastatt.cli.listing.listed", failing)
+    assert main(["methods"]) == 2
+    assert capsys.readouterr().err == f"fastatt: {line}\n"
+
+
+def test_ctrl_c_while_modules_are_imported_is_a_line(capsys, monkeypatch):
+    known = builtins.__import__
+
+    def interrupted(name, *about, **more):
+        if name == "fastatt.cli":
+            raise KeyboardInterrupt
+        return known(name, *about, **more)
+
+    monkeypatch.setattr("builtins.__import__", interrupted)
+    assert start() == 130
+    assert capsys.readouterr().err == "fastatt: stopped\n"
 
 
 def test_as_a_module():

@@ -160,7 +160,7 @@ def test_methods_of_ones_own_go_wherever_a_name_goes(method):
     assert (traj.method, traj.record) == (method.name, method)
     assert method.name in traj.summary()
     assert method.name in fa.inspect_step(scene, method)
-    check = fa.self_check(scene, START, dt=0.1, n_steps=20, method=method, sample=2)
+    check = fa.check_convergence(scene, START, dt=0.1, n_steps=20, method=method, sample=2)
     assert (check.method, check.declared) == (method.name, 4)
     assert check.passed
     back = fa.propagate(scene, traj.q[-1], dt=-0.1, n_steps=20, t0=2.0, method=method)
@@ -343,8 +343,8 @@ def test_a_method_that_does_not_fit_is_refused():
 def test_an_order_that_is_not_there_is_warned_of():
     untrue = fa.lie_group("untrue", order=4, exponents=simpson)
     scene = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
-    with pytest.warns(fa.OrderWarning, match="untrue"):
-        check = fa.self_check(scene, START, dt=0.1, n_steps=20, method=untrue, sample=1)
+    with pytest.warns(fa.ConvergenceWarning, match="untrue"):
+        check = fa.check_convergence(scene, START, dt=0.1, n_steps=20, method=untrue, sample=1)
     assert not check.passed
 
 

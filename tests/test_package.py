@@ -69,7 +69,7 @@ def test_licence_is_shipped(wheel):
 
 def test_command_is_declared(wheel):
     (name,) = (n for n in wheel.namelist() if n.endswith(".dist-info/entry_points.txt"))
-    assert "fastatt = fastatt.cli:main" in wheel.read(name).decode()
+    assert "fastatt = fastatt.__main__:main" in wheel.read(name).decode()
 
 
 @pytest.mark.parametrize(

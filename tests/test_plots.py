@@ -136,6 +136,19 @@ def test_polhode_is_poinsots():
     assert "rad/s" in plane.get_ylabel()
 
 
+def test_no_polhode_of_a_flagged_body():
+    """Steps too large for it: its curve would be another motion's."""
+    w0 = np.array([[0.3, 0.2, 0.5], [30.0, 20.0, 50.0], [0.1, 0.4, 0.2]])
+    with pytest.warns(fa.StepWarning):
+        run = fa.propagate(
+            BODY, (1, 0, 0, 0), w0, dt=0.1, n_steps=50, save_every=1, method="rk4", invalid="flag"
+        )
+    assert run.status.astype(bool).tolist() == [False, True, False]
+    assert len(drawn(fa.plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 2
+    with pytest.raises(ValueError, match="bodies: found 1, which is flagged"):
+        fa.plots.polhode(run, BODY, "a.png", bodies=[0, 1])
+
+
 def test_polhodes_of_some_bodies():
     run = run_of(9)
     figure = drawn(fa.plots.polhode, run, scene=BODY, bodies=[2, 5])

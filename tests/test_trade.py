@@ -33,7 +33,7 @@ CONING = {
     "rate function": [Case("lie_midpoint"), Case("rk4")],
     "samples": [Case("previous")],
 }
-# those of the reference and of what confirms it
+# of two families, one of them the reference's
 BODIES = {"free": ("dmv10", "exact"), "top": ("rk8", "suzuki4"), "torqued": ("rk8", "rkmk4")}
 
 

@@ -47,7 +47,8 @@ POLYNOMIAL = sampled_method(
     order=4,
     of_rates=0.7,
     of_increments=0.8,
-    summary="three intervals at a time, 33/80 and 57/80 of increments: right for any smooth motion",
+    summary="three intervals at a time, 33/80 and 57/80 of increments; on smooth motion "
+    "coning2 has less error",
     source="Savage, J. Guidance 21 (1998) 19; coefficients by a parabola through three increments",
 )
 OPTIMAL = sampled_method(

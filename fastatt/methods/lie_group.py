@@ -130,7 +130,7 @@ def lie_group(
     Parameters
     ----------
     name : what tables call it.
-    order : the order declared, which ``fastatt.self_check`` compares with what is measured.
+    order : the order declared, which ``fastatt.check_convergence`` compares with what is measured.
     exponents : ``f(w, t, h) -> (u1, u2, …)``, tuples of three: the step is q∘exp(u1)∘exp(u2)…, in
         body axes, rad. ``w(t)`` gives the rate, rad/s. Ordinary arithmetic, ``math`` and the
         kernels of ``fastatt.kernels``; it is called once, with numbers that record it.

@@ -141,7 +141,7 @@ STRANG2 = _method(
     2,
     (1.0,),
     (1.2, 3.3),
-    "two rotations a step: huge ensembles, any step; exact for symmetric bodies",
+    "two rotations a step: huge ensembles; exact for symmetric bodies",
     "McLachlan, SIAM J. Sci. Comput. 16 (1995) 151; Touma and Wisdom, Astron. J. 107 (1994) 1189",
 )
 SUZUKI4 = _method(
@@ -149,7 +149,7 @@ SUZUKI4 = _method(
     4,
     _centre((_SUZUKI, _SUZUKI)),
     (1.8, 10.0),
-    "five strang2 steps: order 4 at large steps",
+    "five strang2 steps: order 4",
     "Suzuki, Phys. Lett. A 146 (1990) 319",
 )
 KAHAN_LI6 = _method(

@@ -95,23 +95,30 @@ def polhode(
     run : with two saves at least, close enough to draw curves through.
     scene : the run's, with inertia.
     path : of the picture; its ending says the format (png, pdf, svg).
-    bodies : up to 8 of an ensemble; None takes 4, evenly from the first to the last.
+    bodies : up to 8 of an ensemble; None takes 4 without a flag, evenly from the
+        first to the last.
 
     Raises
     ------
-    ValueError : a scene without inertia, a run with one save, bodies that are not there.
+    ValueError : a scene without inertia, a run with one save, bodies that are not there or carry a
+        flag.
     """
     check_run(run)
     if as_scene(scene).inertia is None:
         raise ValueError("scene: found a rate; accepted: a scene with inertia")
     n = run.status.size
     if bodies is None:
-        fine = np.flatnonzero(_numbers(run))
+        fine = np.flatnonzero(run.status == 0)
+        if not fine.size:
+            raise ValueError("run: found flags of all bodies; accepted: a body without one")
         chosen = fine[np.unique(np.linspace(0, fine.size - 1, min(fine.size, _CHOSEN)).astype(int))]
     else:
         chosen = np.array([checks.whole("bodies", k, 0) for k in bodies], dtype=int)
         if not 0 < chosen.size <= _CURVES or chosen.max() >= n:
             raise ValueError(f"bodies: found {list(bodies)}; accepted: 1 to 8 of 0 to {n - 1}")
+        if run.status[chosen].any():
+            flagged = chosen[run.status[chosen] != 0]
+            raise ValueError(f"bodies: found {flagged[0]}, which is flagged; accepted: others")
     q, w = (x.reshape(len(run.t), n, -1)[:, chosen] for x in (run.q, run.w))
     m = angular_momentum(w, scene[chosen].inertia)  # type: ignore[arg-type]
     space, held = quat_rotate(q, w), quat_rotate(q[0], m[0])

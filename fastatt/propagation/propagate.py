@@ -15,8 +15,6 @@ from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen, method_of
-from fastatt.propagation.convergence import SelfCheck, examine
-from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.execute import carry_out, holds_end
 from fastatt.propagation.histories import ToFile, saving
 from fastatt.propagation.initial import Given, initial, same_number
@@ -254,66 +252,6 @@ def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
     if n_threads is None and n_bodies * n_steps < _SHORT:
         return 1
     return number_of(n_threads)
-
-
-def self_check(
-    scene: Scene,
-    q0: ArrayLike,
-    w0: ArrayLike | None = None,
-    *,
-    v0: ArrayLike | None = None,
-    r0: ArrayLike | None = None,
-    dt: float,
-    n_steps: int,
-    method: str | Method | None = None,
-    representation: str | Attitude = "quat",
-    dtype: DTypeLike | None = None,
-    n_threads: int | None = None,
-    t0: float = 0.0,
-    sample: int = 64,
-    at: str = "run",
-) -> SelfCheck:
-    """Order and error that a run shows of itself, by halving its step on a sample of its bodies.
-
-    Takes 3 to some 100 times as long as the run takes on ``sample`` bodies: the step is halved
-    twice, and again while the order is below the declared one. Arguments are those of
-    :func:`fastatt.propagate`. Results are compared over the "run", after each of its steps or, of
-    more than 1024, at so many even times of it and of its beginnings; with ``at="end"`` at its end
-    alone. The check sees any error of the method that lowers its order, such as a wrong weight or
-    sign or a stale rate; it sees none that a method of the same order for other equations would
-    make.
-
-    Returns
-    -------
-    SelfCheck : ``order``, ``declared``, ``error``, ``limited_by``, ``norm``, ``passed``.
-
-    Warns
-    -----
-    OrderWarning : the order observed is below the declared one by more than 0.5: the method is
-        broken, or what acts is not smooth, such as a sampled torque between whose samples a step
-        is no whole fraction.
-
-    Raises
-    ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
-    """
-    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
-
-    def run(some: Ensemble, h: float, n: int, every: int) -> Trajectory:
-        return propagate(
-            some.scene, some.q0, some.w0, v0=some.v0, r0=some.r0, dt=h, n_steps=n,
-            save_every=every, method=method, representation=representation, dtype=dtype,
-            n_threads=n_threads, t0=t0,
-        )  # fmt: skip
-
-    return examine(
-        run,
-        ensemble,
-        checks.real("dt", dt, zero=False),
-        checks.whole("n_steps", n_steps, 1),
-        sample=checks.whole("sample", sample, 1),
-        at=at,
-    )
 
 
 def _check_alone(why: str, **asked: Any) -> None:

@@ -26,6 +26,7 @@ _QUIET = 16
 _WHITE = 0.8
 # part of a declared order below which an error is no more than guessed
 _RESOLVED = 0.7
+DEGREES = 180.0 / math.pi
 _LIMITS = ("interpolation", "truncation", "round-off", "noise")
 
 
@@ -33,13 +34,15 @@ _LIMITS = ("interpolation", "truncation", "round-off", "noise")
 class ErrorBudget:
     """Shares of the error of one method on one log, each the largest angle over the log, rad.
 
-    ``interpolation``: what happens between samples that the polynomial through them does not know.
+    ``interpolation``: what happens between samples that the polynomial through them does not know,
+    estimated from the log with every second and every third sample.
     ``truncation``: what the method makes of that polynomial, against its exact integration.
     ``round_off``: of the precision. ``noise``: white noise of ``noise_density`` (rad/s/√Hz), the
     root mean square at the end. ``order`` is that by which interpolation and truncation fall with
-    the interval, None where noise hides it. ``rivals`` are the same two shares together for other
-    methods, of those whose order the log resolves. Motion with jerks more often than every 16
-    samples cannot be told from noise.
+    the interval, None where noise hides it. ``half_rate`` is what was measured when every second
+    sample was left out, the largest change of the attitude, rad, by method: of this one and of
+    rivals whose order the log resolves. Motion with jerks more often than every 16 samples cannot
+    be told from noise.
     """
 
     method: str
@@ -52,7 +55,7 @@ class ErrorBudget:
     noise_density: float
     order: float | None
     limited_by: str
-    rivals: dict[str, float]
+    half_rate: dict[str, float]
 
     @property
     def total(self) -> float:
@@ -60,42 +63,30 @@ class ErrorBudget:
         return math.hypot(self.interpolation, self.truncation, self.round_off, self.noise)
 
     @property
-    def with_twice_the_rate(self) -> float:
-        """The same of a sensor that is twice as fast, its noise density the same, rad."""
-        fall = 2.0 ** (self.order or 1.0)
-        shares = self.interpolation / fall, self.truncation / fall, self.round_off, self.noise
-        return math.hypot(*shares)
-
-    @property
     def verdict(self) -> str:
-        """What limits, and what would help."""
+        """What limits, and what was run that does better."""
         if not self.total:
             return "no error is seen: the log does not turn"
-        gain = self.total / self.with_twice_the_rate
-        faster = f"a sensor twice as fast would cut the error {gain:.1f} times"
-        no_method = {
-            "noise": "noise limits, or motion as rough as noise: another method will not help",
-            "round-off": "round-off limits: float64 is what helps, if anything",
-        }
-        if self.limited_by in no_method:
-            return no_method[self.limited_by]
-        if not _resolves(self.method, self.order) and self.limited_by == "interpolation":
-            return f"the sample rate limits: a better integrator will not help; {faster}"
-        best = min(self.rivals, key=lambda name: self.rivals[name], default=self.method)
-        least = math.hypot(self.rivals.get(best, math.inf), self.noise, self.round_off)
-        if least < 0.5 * self.total:
-            return f"{best} would cut the error {self.total / least:.1f} times; {faster}"
+        if self.limited_by == "noise":
+            return "noise limits, or motion as rough as noise: another method will not help"
+        if self.limited_by == "round-off":
+            return "round-off limits: float64 is what helps, if anything"
+        own = self.half_rate[self.method]
+        halved = f"with every second sample the attitude changes by {own * DEGREES:.0e} deg"
+        best = min(self.half_rate, key=lambda name: self.half_rate[name])
+        least = self.half_rate[best]
+        if least < 0.5 * own:
+            return f"{halved}, by {best} {least * DEGREES:.0e} deg: it is more accurate"
         if self.limited_by == "truncation":
-            return f"the method limits, and no other here does much better; {faster}"
-        return f"the sample rate limits: a better integrator will not help; {faster}"
+            return f"the method limits, and no other here does much better; {halved}"
+        return f"the sample rate limits: a better integrator will not help; {halved}"
 
     def __str__(self) -> str:
         order = "" if self.order is None else f" (order {self.order:.1f} in the interval)"
-        degrees = 180.0 / math.pi
-        density = f" ({self.noise_density * degrees:.2g} deg/s/√Hz)"
+        density = f" ({self.noise_density * DEGREES:.2g} deg/s/√Hz)"
         shares = (self.interpolation, self.truncation, self.round_off, self.noise)
         lines = [
-            f"  {name:14} {value * degrees:9.2g}{note}"
+            f"  {name:14} {value * DEGREES:9.0e}{note}"
             for name, value, note in zip(_LIMITS, shares, (order, "", "", density), strict=True)
         ]
         head = f"error of {self.method} on {self.samples} samples at {self.rate:.6g} Hz, deg:"
@@ -127,7 +118,8 @@ def error_budget(
 
     Returns
     -------
-    ErrorBudget : the shares, rad, ``limited_by`` and ``verdict``; ``str`` gives a table in degrees.
+    ErrorBudget : the shares, rad, ``limited_by`` and ``verdict``; ``str`` gives a table in degrees,
+        of one digit, as shares are estimates.
 
     Raises
     ------
@@ -147,7 +139,12 @@ def error_budget(
         truncation = log.truncation(method)
         density = log.noise_density()
         sampling = log.extrapolated(log.exact, method, density)
-        resolved = {name: log.extrapolated(log.attitudes, name, density) for name in others}
+        resolved = {
+            name: found.changed
+            for name in others
+            if _resolves(name, (found := log.extrapolated(log.attitudes, name, density)).order)
+        }
+        own = log.extrapolated(log.attitudes, method, density).changed
         round_off = log.round_off(method, kind)
     shares = (sampling.error, truncation, round_off, log.noise(density))
     return ErrorBudget(
@@ -158,7 +155,7 @@ def error_budget(
         noise_density=density,
         order=sampling.order,
         limited_by=_LIMITS[int(np.argmax(shares))],
-        rivals={name: r.error for name, r in resolved.items() if _resolves(name, r.order)},
+        half_rate={method: own, **resolved},
     )
 
 
@@ -168,8 +165,11 @@ def _resolves(method: str, order: float | None) -> bool:
 
 
 class _Extrapolated(NamedTuple):
+    """An error and its order, from what every second sample left out changed, rad."""
+
     error: float
     order: float | None
+    changed: float
 
 
 class _Log:
@@ -224,14 +224,14 @@ class _Log:
         two, three = changed
         declared = METHODS[method].order
         if two <= 2.0 * self.noise(density) or three <= two:
-            return _Extrapolated(two / (2.0**declared - 1.0), None)
+            return _Extrapolated(two / (2.0**declared - 1.0), None, two)
         # less than 1 is no order, but two samplings that miss different things
         low, high = 1.0, 2.0 * max(1, declared)
         for _ in range(60):
             middle = 0.5 * (low + high)
             steep = (3.0**middle - 1.0) / (2.0**middle - 1.0) > three / two
             low, high = (low, middle) if steep else (middle, high)
-        return _Extrapolated(two / (2.0**low - 1.0), low)
+        return _Extrapolated(two / (2.0**low - 1.0), low, two)
 
     def truncation(self, method: str) -> float:
         """The method against the exact integration of the polynomials that it fits."""

@@ -7,7 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -92,15 +92,21 @@ class Problem:
     t0: float = 0.0
     n_threads: int | None = None
 
-    def run(self, case: Case, n_steps: int, save_every: int | None = None) -> Trajectory:
-        """Propagate it in ``n_steps`` equal steps, be they too large."""
+    def run(
+        self, case: Case, n_steps: Any, save_every: int | None = None, save_at: Any = None
+    ) -> Trajectory:
+        """Propagate it in ``n_steps`` equal steps, of each body or of all, be they too large."""
         e = self.ensemble
         with noted():
             return propagate(
                 e.scene, e.q0, e.w0, v0=e.v0, r0=e.r0, dt=self.t_end / n_steps, n_steps=n_steps,
                 method=case.method, representation=case.representation, dtype=case.dtype,
-                save_every=save_every, n_threads=self.n_threads, t0=self.t0,
+                save_every=save_every, save_at=save_at, n_threads=self.n_threads, t0=self.t0,
             )  # fmt: skip
+
+    def take(self, rows: NDArray[np.intp]) -> Problem:
+        """The same of some bodies."""
+        return replace(self, ensemble=self.ensemble.take(rows))
 
     def end(self, case: Case, n_steps: int) -> State:
         """Where it is then."""

@@ -17,13 +17,12 @@ from fastatt.arrays import angle_between
 from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.logs import GyroLog
 from fastatt.rounding import noted
-from fastatt.trade.error_budget import LEAST, error_budget
+from fastatt.trade.error_budget import DEGREES, LEAST, error_budget
 from fastatt.trade.measure import best_time
 
 if TYPE_CHECKING:
     from fastatt import plots
 
-DEGREES = 180.0 / math.pi
 # carried by the PyPI package scikit-kinematics: Xsens at 50 and 120 Hz, x-io NGIMU at 50 Hz
 RECORDINGS = (
     "data_xsens.txt",

@@ -1,15 +1,14 @@
 """What errors are measured against, and how good that is itself.
 
-A closed form where the scene has one; else a method of high order at a step that is halved until
-nothing changes any more. A second method, of another family, confirms either.
+A closed form where the scene has one; else a method of high order whose step is halved until
+errors fall as its order says they do, down to a goal or to rounding.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,58 +18,64 @@ from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
 from fastatt.methods import METHODS
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.closed_forms import Motion, form_of, rows
-from fastatt.propagation.convergence import EARLY, beginnings
-from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene import rates, torques
 from fastatt.threads import number_of
-from fastatt.trade.measure import Case, Problem, State
+from fastatt.trade.forcing import forcing
+from fastatt.trade.ladder import Ladder
+from fastatt.trade.measure import Case, Problem, State, last_state
 
-# of other families than those run tight; order 4 is extrapolated from a step and its half
-_CONFIRMING = ("dmv10", "kahan_li8", "rkmk4", "cf4", "rk4")
-# of what is not run tight
-_BESIDE_CLOSED = ("dmv10", "rk9", *_CONFIRMING)
-_HIGH = 6
+# of high order, and other formulas than those that are run tight
+_CONFIRMING = ("dmv10", "kahan_li8", "rk9", "magnus8", "gauss12", "rk4")
 _EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
 _EPS = float(np.finfo(np.float64).eps)
 _LEAST = 4  # steps
-# body-steps that a tight run may take, about 4 s of the slowest of them on one core
-_WORK = 5e7
-_SETTLED = 1e-6  # rad: nothing above is rounding
-_LARGE = 0.3  # rad: a change above is none of an order yet
+# body-steps that a tight run may take, about 2 s of the slowest of them on one core
+_WORK = 2e7
+_SETTLED = 1e-6  # rad: a change above, which no halving brings down, is no rounding
+_FITS = 0.75  # of its order: by so much the error of a method falls at least
+_DOUBTED = 4.0  # times the last changes: what an error without an order may be
+_BREAKPOINTS = (
+    "let steps end at its breakpoints (jumps and corners), with a run of its own from each to the "
+    "next"
+)
 _INSTANTS = 16  # at which a given rate is looked at
-_FINER = 4  # times as many steps as are needed: beside kinks, so that more times are steps
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Attitudes (S, N, 4) and angular velocities (S, N, 3) at some times, the last at the end.
+    """Attitudes and angular velocities that errors are measured against.
 
-    ``own_error`` (N,) is the most that it may be off by itself at those times, rad; ``source``
-    names it. ``even(k, part)`` gives the attitudes (k, N, 4) at k even times of the first part-th,
-    if ``k <= looks`` and ``fits(k, part)``.
+    ``at(times)`` gives attitudes (S, N, 4) at times (S,), s from the start. ``own_error`` (N,) is
+    what they may be off by themselves, rad; ``source`` names them. ``jump`` says what jumps where,
+    ``doubt`` how else the error does not fall as it should; "" where all is well.
     """
 
-    states: State
+    end: State
     source: str
     own_error: NDArray[np.float64]
-    looks: int
-    even: Callable[[int, int], NDArray[Any]] = field(repr=False)
-    fits: Callable[[int, int], bool] = field(repr=False, default=lambda times, part: True)
+    at: Callable[[NDArray[np.float64]], NDArray[Any]] = field(repr=False)
+    #: the same at the same steps of other bodies
+    of: Callable[[Problem], Reference] = field(repr=False)
+    jump: str = ""
+    doubt: str = ""
 
-    @property
-    def end(self) -> State:
-        """The last of the states."""
-        q, w = self.states
-        return State(q[-1], None if w is None else w[-1])
+    def refuse_jumps(self) -> None:
+        """Raise ``ValueError`` where what acts jumps: no step has an error that is known then."""
+        if self.jump:
+            raise ValueError(
+                f"scene: {self.jump}, where no method keeps its order; accepted: what is smooth; "
+                f"{_BREAKPOINTS}"
+            )
 
-    def beside(self, n: int, part: int = 1) -> tuple[int, NDArray[Any]]:
-        """Steps from one look to the next of a run in n steps, and the attitudes at the looks.
-
-        The run is that of the first part-th of the time.
-        """
-        most = min(n, self.looks)
-        times = next(k for k in range(most, 0, -1) if n % k == 0 and (k == 1 or self.fits(k, part)))
-        return n // times, self.even(times, part)
+    def refuse_beyond(self, tol: float) -> None:
+        """Raise ``ValueError`` for a tolerance, rad, that the reference is not far below."""
+        own = float(self.own_error.max())
+        if own > 0.25 * tol:
+            why = f"{self.doubt}; {_BREAKPOINTS}" if self.doubt else "that is rounding"
+            raise ValueError(
+                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.source}, the "
+                f"reference, is good to {own:.1e} rad of some body: {why}"
+            )
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ def speeds(problem: Problem) -> NDArray[np.float64]:
         return np.broadcast_to(np.linalg.norm(w, axis=-1), (e.size,))
     fitting = methods_for(e.scene)
     run = problem.run(Case("magnus4" if "magnus4" in fitting else fitting[0]), _INSTANTS, 1)
-    return np.asarray(np.linalg.norm(run.w, axis=-1).max(axis=0))
+    return np.asarray(np.linalg.norm(run.w, axis=-1).max(axis=0)).reshape(-1)
 
 
 def turns(problem: Problem) -> float:
@@ -106,34 +111,39 @@ def turns(problem: Problem) -> float:
 
 
 def reference(
-    problem: Problem, *, looks: int = 1, goal: float = 0.0, method: str | None = None
+    problem: Problem, *, most: int = 1, goal: float = 0.0, method: str | None = None
 ) -> Reference:
     """The closed form, or the tight run of a method, good to ``goal`` rad or to round-off.
 
-    It is known at up to ``looks`` even times, the last of them the end.
+    A tight run is compared with that of half as many steps at up to ``most`` even times, the last
+    of them the end.
     """
     if method is None:
-        found = _closed_form(problem, looks)
+        found = _closed_form(problem)
         if found is not None:
             return found
         fitting = [METHODS[name] for name in methods_for(problem.ensemble.scene, "quat")]
         short = [m for m in fitting if m.is_stepped and m.rate_calls <= _EVALUATIONS]
         # the first of the highest order
         method = max(short, key=lambda m: m.order).name
-    return _tight(problem, method, looks, goal)
+    return _tight(problem, method, most, goal)
 
 
-def _closed_form(problem: Problem, looks: int) -> Reference | None:
+def _closed_form(problem: Problem) -> Reference | None:
     found = _solution(problem)
     if found is None:
         return None
     name, solution, gain = found
-
-    def after(times: int, part: int = 1) -> State:
-        return solution(problem.t_end * np.arange(1, times + 1) / (times * part))
-
     own = 2.0 * _EPS * (1.0 + np.hypot(speeds(problem), gain) * abs(problem.t_end))
-    return Reference(after(looks), name, own, looks, lambda times, part: after(times, part).q)
+    q, w = solution(np.array([problem.t_end]))
+    end = State(q[-1], None if w is None else w[-1])
+
+    def same(other: Problem) -> Reference:
+        known = _closed_form(other)
+        assert known is not None
+        return known
+
+    return Reference(end, name, own, lambda times: solution(times).q, same)
 
 
 _Solution = tuple[str, Callable[[NDArray[np.float64]], State], Any]
@@ -188,41 +198,6 @@ def coning_attitudes(
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
-def _ladder(problem: Problem, method: str, looks: int) -> Iterator[tuple[int, list[Trajectory]]]:
-    """Runs with steps halved, as long as they may take; saved after each step, or ``looks`` times.
-
-    Beside the whole there are its beginnings, of which the shortest was saved after each step. Each
-    are saved at the times of those before, and between them where that is not too many.
-    """
-    n = max(_LEAST, math.ceil(turns(problem)))
-    parts = [EARLY**k for k in range(len(beginnings(n, looks)))]
-    unit = math.lcm(intervals(problem), parts[-1])
-    n = -(-n // unit) * unit
-    every = [-(-n // (part * looks)) for part in parts]
-    most = max(8 * n, _WORK / max(problem.ensemble.size, 64))
-    while n <= most:
-        yield (
-            n,
-            [
-                replace(problem, t_end=problem.t_end / part).run(Case(method), n // part, stride)
-                for part, stride in zip(parts, every, strict=True)
-            ],
-        )
-        n *= 2
-        every = [stride * (1 if n <= looks else 2) for stride in every]
-
-
-def _saved(run: Trajectory) -> State:
-    return State(run.q[1:], run.w[1:] if "w" in run.carried else None)
-
-
-def _apart(coarse: Trajectory, fine: Trajectory) -> NDArray[np.float64]:
-    """How far two runs are apart at most at the saves of the first, (N,), rad."""
-    each = (fine.t.size - 1) // (coarse.t.size - 1)
-    apart = angle_between(coarse.q[1:], fine.q[each::each])
-    return np.asarray(np.nan_to_num(apart, nan=np.pi).max(axis=0))
-
-
 def intervals(problem: Problem) -> int:
     """How many intervals of a sampled torque the run spans: its kinks are to lie between steps."""
     torque = problem.ensemble.scene.torque
@@ -234,53 +209,79 @@ def intervals(problem: Problem) -> int:
     return 1
 
 
-def _tight(problem: Problem, method: str, looks: int, goal: float) -> Reference:
-    """Halve the step until what that changes is no more than the goal, or rounding."""
-    order = METHODS[method].order
-    best: tuple[int, State, NDArray[np.float64]] | None = None
-    before: list[Trajectory] = []
-    last: NDArray[np.float64] | None = None
-    change, smooth = math.inf, True
-    for n, runs in _ladder(problem, method, looks):
-        if before:
-            pairs = zip(before, runs, strict=True)
-            apart = np.max([_apart(*pair) for pair in pairs], axis=0)
-            worst = float(apart.max())
-            rounded = worst > 0.25 * change and worst < _SETTLED
-            if last is not None and 2.0 * worst > last.max() and _SETTLED < worst < _LARGE:
-                smooth = False
-            if rounded or last is None:
-                left = apart
-            elif smooth and worst < change * 2.0 ** (-0.5 * order):
-                left = apart / (2.0**order - 1.0)
-            else:  # a change may be small by chance
-                left = np.maximum(apart, last)
-            if best is None or worst < change:
-                best = n, _saved(runs[0]), left + _EPS
-                change = worst
-            if rounded or (last is not None and float(left.max()) <= goal):
-                break
-            last = apart
-        before = runs
-    assert best is not None
-    steps, states, own = best
-    kinks = intervals(problem)
+def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
+    """Halve the step until errors fall by the method's order, to the goal or to rounding.
 
-    def fine(times: int, part: int) -> int:
-        unit = math.lcm(times, kinks // math.gcd(kinks, part))
-        return -(-steps // (part * unit)) * unit
+    The first step resolves what acts, which is sampled at many more times than there are steps.
+    """
+    case, unit = Case(method), intervals(problem)
 
-    @lru_cache(maxsize=4)
-    def even(times: int, part: int) -> NDArray[Any]:
-        n = fine(times, part)
-        return replace(problem, t_end=problem.t_end / part).run(Case(method), n, n // times).q[1:]
+    def whole(n: float) -> int:
+        return math.ceil(max(n, _LEAST) / unit) * unit
 
-    def fits(times: int, part: int) -> bool:
-        aligned = kinks == 1 or kinks % part == 0
-        return aligned and part * fine(times, part) <= _FINER * max(steps, part * looks)
+    first = whole(turns(problem))
+    acting = forcing(problem, case, first)
+    longest = _WORK / max(problem.ensemble.size, 64)
+    first = whole(min(max(first, acting.steps), max(first, longest / 16)))
+    ladder = Ladder(problem, case, first, most)
+    longest = max(8.0 * first, longest)
+    ladder.halve()
+    while True:
+        ladder.halve()
+        own, settled, doubt = _own_error(ladder, METHODS[method].order, goal)
+        # advice, which has a goal, refuses what jumps
+        if settled or 2.0 * ladder.n_steps > longest or (acting.jump and goal > 0.0):
+            break
+    return _known(ladder, own + _EPS, acting.jump, doubt)
 
-    name = f"{method} at {problem.t_end / steps:.4g} s"
-    return Reference(states, name, own, looks, even, fits)
+
+def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.float64], bool, str]:
+    """What the finest run may be off by, (N,) rad, whether that is small enough, and a doubt of it.
+
+    It is the last change where two fell as the order says, or one did down to rounding, or two are
+    rounding; else what the last three changed is taken several times: by chance one is small.
+    """
+    changes, worst = ladder.changes, ladder.worst()
+    slopes = [ladder.slope(back) for back in (1, 2)[: len(changes) - 1]]
+    fell = len(slopes) == 2 and slopes[1] >= _FITS * order
+    if worst <= ladder.floor and (fell or ladder.worst(2) <= ladder.floor):
+        return changes[-1], True, ""
+    if len(slopes) == 2 and min(slopes) >= _FITS * order:
+        return changes[-1], worst <= goal, ""
+    own = _DOUBTED * np.max(changes[-3:], axis=0)
+    # rounding that the motion magnifies
+    rounded = len(changes) > 3 and 0.5 * ladder.worst(4) <= worst < _SETTLED
+    enough = len(changes) > 2 and (rounded or float(own.max()) <= goal)
+    doubt = (
+        f"its error falls with order {slopes[0]:.1f} in place of {order}, for corners in what acts "
+        "or rounding that the motion magnifies"
+    )
+    return own, enough, doubt
+
+
+def _known(ladder: Ladder, own: NDArray[np.float64], *findings: str) -> Reference:
+    """The reference that the finest run of a ladder is, at its own steps."""
+    n, case = ladder.n_steps, ladder.case
+
+    def of(problem: Problem, error: NDArray[np.float64]) -> Reference:
+        seen: dict[bytes, NDArray[Any]] = {}
+
+        def at(times: NDArray[np.float64]) -> NDArray[Any]:
+            key = times.tobytes()
+            if key not in seen:
+                seen.clear()
+                each, back = np.unique(times, return_inverse=True)
+                seen[key] = problem.run(case, n, save_at=problem.t0 + each).q[back]
+            return seen[key]
+
+        def same(other: Problem) -> Reference:
+            return of(other, np.full(other.ensemble.size, error.max()))
+
+        end = last_state(ladder.sight.run)
+        name = f"{case.name} at {problem.t_end / n:.4g} s"
+        return Reference(end, name, error, at, same, *findings)
+
+    return of(ladder.problem, own)
 
 
 def confirm(problem: Problem, known: Reference, method: str | None = None) -> Confirmation:
@@ -288,37 +289,17 @@ def confirm(problem: Problem, known: Reference, method: str | None = None) -> Co
     fitting = methods_for(problem.ensemble.scene, "quat")
     used = known.source.split()[0]
     if method is None:
-        others = _CONFIRMING if used in METHODS else _BESIDE_CLOSED
-        method = next((m for m in others if m in fitting and m != used), fitting[0])
-    order = METHODS[method].order
+        method = next((m for m in _CONFIRMING if m in fitting and m != used), fitting[0])
     best: Confirmation | None = None
-    before: State | None = None
-    for n, (run,) in _ladder(problem, method, 1):
-        q, w = state = _saved(run)
-        name = f"{method} at {problem.t_end / n:.4g} s"
-        if order < _HIGH:
-            if before is None:
-                before = state
-                continue
-            name = f"{method} extrapolated from {2.0 * problem.t_end / n:.4g} and half"
-            q, w = _extrapolated(before, state, order)
-            before = state
-        end = State(q[-1], None if w is None else w[-1])
+    n = max(_LEAST, math.ceil(turns(problem)))
+    longest = max(8 * n, _WORK / max(problem.ensemble.size, 64))
+    while n <= longest:
+        end = problem.end(Case(method), n)
         apart = np.nan_to_num(angle_between(end.q, known.end.q), nan=np.pi)
         if best is not None and apart.max() > 0.5 * best.apart.max() and apart.max() < _SETTLED:
             break
         if best is None or apart.max() < best.apart.max():
-            best = Confirmation(end, name, apart)
+            best = Confirmation(end, f"{method} at {problem.t_end / n:.4g} s", apart)
+        n *= 2
     assert best is not None
     return best
-
-
-def _extrapolated(coarse: State, fine: State, order: int) -> State:
-    """Richardson's extrapolation from a step and its half."""
-    k = 2.0**order
-    same = np.sign(np.einsum("...i,...i->...", coarse.q, fine.q))[..., None]
-    q = (k * fine.q - same * coarse.q) / (k - 1.0)
-    w = None
-    if fine.w is not None and coarse.w is not None:
-        w = (k * fine.w - coarse.w) / (k - 1.0)
-    return State(q / np.linalg.norm(q, axis=-1, keepdims=True), w)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from fastatt import checks
 from fastatt.gyro.integrate import methods_for_samples
@@ -59,13 +60,13 @@ def run_trade(
         from fastatt import plots
     except ImportError:
         raise ImportError("trade: needs matplotlib; pip install 'fastatt[plot]'") from None
+    open_folder(out)
     read = []
     if RECORDED in plan:
         paths = recordings.find_recordings() if logs is None else logs
         # the recordings' maker writes rad/s, and does not say so
         unit = "rad/s" if logs is None else None
         read = [read_gyro_log(path, unit=unit) for path in paths]
-    out.mkdir(parents=True, exist_ok=True)
     repeats = 1 if quick else 3
     print(machine_line())
     files = []
@@ -85,6 +86,16 @@ def run_trade(
         plots.axis_traces(nutations(), out / "tops.png")
         files.append("tops.png")
     print(f"\n{out}: {', '.join(files)}")
+
+
+def open_folder(out: Path) -> None:
+    """Make a folder for results, before anything is measured.
+
+    Raises ``OSError`` where it is a file, or cannot be written to.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    with TemporaryFile(dir=out):
+        pass
 
 
 def _plan(

@@ -1,4 +1,4 @@
-"""The self-check: silent on every method that is right, loud on those broken on purpose."""
+"""The check of convergence: silent on methods that are right, it warns of those that are broken."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import fastatt as fa
 from fastatt.kernels.vec3 import cross
 from fastatt.methods.method import Steps
 from fastatt.methods.runge_kutta import stepped
-from fastatt.propagation.convergence import OrderWarning
+from fastatt.trade.convergence import ConvergenceWarning
 
 CONING = fa.Scene(rate=fa.rates.Coning(np.linspace(0.2, 1.2, 40), np.linspace(0.5, 2.0, 40)))
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
@@ -64,8 +64,8 @@ BROKEN = {
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_method_is_caught(case):
     method, scene, w0 = BROKEN[case]
-    with pytest.warns(OrderWarning, match=r"new: order [0-3]\.\d\d, declared 4") as caught:
-        check = fa.self_check(scene, Q40, w0, dt=0.05, n_steps=100, method=method)
+    with pytest.warns(ConvergenceWarning, match=r"new: order [0-3]\.\d\d, declared 4") as caught:
+        check = fa.check_convergence(scene, Q40, w0, dt=0.05, n_steps=100, method=method)
     assert not check.passed
     assert check.order < 2.5
     assert check.limited_by == "truncation"
@@ -76,9 +76,9 @@ def test_a_right_method_of_ones_own_passes():
     mine = fa.lie_group("mine", order=4, exponents=right)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check = fa.self_check(CONING, Q40, dt=0.05, n_steps=100, method=mine)
+        check = fa.check_convergence(CONING, Q40, dt=0.05, n_steps=100, method=mine)
     assert check == replace(
-        fa.self_check(CONING, Q40, dt=0.05, n_steps=100, method="magnus4"),
+        fa.check_convergence(CONING, Q40, dt=0.05, n_steps=100, method="magnus4"),
         method="mine", order=check.order, error=check.error, norm=check.norm,
     )  # fmt: skip
     assert check.order > 3.5
@@ -98,15 +98,15 @@ def test_a_right_method_passes(scene, method):
     acting, w0 = (CONING, None) if scene == "coning" else (FREE, W40)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check = fa.self_check(acting, Q40, w0, dt=0.05, n_steps=100, method=method)
+        check = fa.check_convergence(acting, Q40, w0, dt=0.05, n_steps=100, method=method)
     assert check.passed
     assert check.order > fa.METHODS[method].order - 0.5
-    assert (check.n_bodies, check.method, check.limited_by) == (40, method, "truncation")
+    assert (check.measured, check.method, check.limited_by) == (40, method, "truncation")
 
 
 def test_the_error_is_the_true_one():
     dt, n = 0.05, 100
-    check = fa.self_check(CONING, Q40, dt=dt, n_steps=n, method="rk4")
+    check = fa.check_convergence(CONING, Q40, dt=dt, n_steps=n, method="rk4")
     end = fa.propagate(CONING, Q40, dt=dt, n_steps=n, method="rk4").q[-1]
     angle, speed = CONING.rate
     c, s = np.cos(angle / 2), np.sin(angle / 2)
@@ -126,43 +126,43 @@ def test_what_settles_is_looked_at_on_the_way(n_steps):
     q0 = fa.rotation_vector_to_quat(np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3)))
     call = {"dt": 0.5, "n_steps": n_steps, "method": "rk4"}
     found = fa.propagate(scene, q0, 0.05 * W40, save_every=1, **call)
-    check = fa.self_check(scene, q0, 0.05 * W40, **call)
+    check = fa.check_convergence(scene, q0, 0.05 * W40, **call)
     fine = fa.propagate(scene, q0, 0.05 * W40, dt=0.05, n_steps=6000, save_every=10, method="rk4")
     apart = fa.angle_between(found.q[:601], fine.q).max(axis=1)
     assert check.error == pytest.approx(apart.max(), rel=0.1)
     assert check.order > 3.5
-    end = fa.self_check(scene, q0, 0.05 * W40, at="end", **call)
+    end = fa.check_convergence(scene, q0, 0.05 * W40, at="end", **call)
     assert max(end.error, apart[-1]) < 1e-9
     assert apart.max() > 1e-6
     with pytest.raises(ValueError, match="at: found 'start'; accepted: run, end"):
-        fa.self_check(scene, q0, 0.05 * W40, at="start", **call)
+        fa.check_convergence(scene, q0, 0.05 * W40, at="start", **call)
 
 
 def test_a_long_run_is_looked_at_now_and_then():
     """1500 steps at 750 of them: the error is that of all, which grows."""
     call = {"dt": 0.05, "n_steps": 1500, "method": "rk4"}
-    run, end = (fa.self_check(CONING, Q40, at=at, **call) for at in ("run", "end"))
+    run, end = (fa.check_convergence(CONING, Q40, at=at, **call) for at in ("run", "end"))
     assert run.error == pytest.approx(end.error, rel=0.1)
     assert run.error >= end.error
 
 
 def test_a_large_step_is_halved_until_its_order_shows():
     """At |w|h = 2 the first halvings of order 4 show less than 4: no fault of the method."""
-    check = fa.self_check(CONING, Q40, dt=1.0, n_steps=10, method="rk4")
+    check = fa.check_convergence(CONING, Q40, dt=1.0, n_steps=10, method="rk4")
     assert check.passed
     assert check.order > 3.5
 
 
 def test_rounding_alone_does_not_warn():
     scene = fa.Scene(rate=fa.rates.Constant((0.3, 0.2, -0.1)))
-    check = fa.self_check(scene, Q40, dt=0.01, n_steps=100, method="lie_midpoint")
+    check = fa.check_convergence(scene, Q40, dt=0.01, n_steps=100, method="lie_midpoint")
     assert check.passed
     assert (check.order, check.limited_by) == (None, "round-off")
     assert check.error < 1e-13
 
 
 def test_a_closed_form_has_no_order():
-    check = fa.self_check(FREE, Q40, W40, dt=0.1, n_steps=100, method="exact")
+    check = fa.check_convergence(FREE, Q40, W40, dt=0.1, n_steps=100, method="exact")
     assert (check.declared, check.order, check.passed) == (0, None, True)
     assert check.error < 1e-13
 
@@ -170,30 +170,30 @@ def test_a_closed_form_has_no_order():
 def test_a_history_with_kinks_warns_where_a_step_crosses_them():
     torques = np.random.default_rng(1).normal(scale=0.1, size=(40, 3))
     scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0), torque=fa.torques.Sampled(torques, dt=0.13))
-    with pytest.warns(OrderWarning, match="not smooth"):
-        fa.self_check(scene, Q40, W40, dt=0.05, n_steps=100, method="rk4")
+    with pytest.warns(ConvergenceWarning, match="not smooth"):
+        fa.check_convergence(scene, Q40, W40, dt=0.05, n_steps=100, method="rk4")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check = fa.self_check(scene, Q40, W40, dt=0.065, n_steps=80, method="rk4")
+        check = fa.check_convergence(scene, Q40, W40, dt=0.065, n_steps=80, method="rk4")
     assert check.order > 3.5
 
 
 def test_sample_takes_the_fastest():
     w0 = np.tile([0.1, 0.0, 0.1], (1000, 1))
     w0[777] = [0.0, 2.0, 1.0]
-    few = fa.self_check(FREE, [1, 0, 0, 0], w0, dt=0.1, n_steps=50, method="rk4", sample=16)
-    alone = fa.self_check(FREE, [1, 0, 0, 0], w0[777], dt=0.1, n_steps=50, method="rk4")
-    assert few.n_bodies <= 16
+    few = fa.check_convergence(FREE, [1, 0, 0, 0], w0, dt=0.1, n_steps=50, method="rk4", sample=16)
+    alone = fa.check_convergence(FREE, [1, 0, 0, 0], w0[777], dt=0.1, n_steps=50, method="rk4")
+    assert few.measured <= 16
     assert few.error == pytest.approx(alone.error, rel=1e-9)
 
 
 def test_text_and_bad_input():
-    text = str(fa.self_check(CONING, Q40, dt=0.05, n_steps=100, method="magnus4"))
+    text = str(fa.check_convergence(CONING, Q40, dt=0.05, n_steps=100, method="magnus4"))
     assert "magnus4: order 4.0" in text
     assert "declared 4" in text
     with pytest.raises(ValueError, match="n_steps: found 0"):
-        fa.self_check(CONING, Q40, dt=0.05, n_steps=0)
+        fa.check_convergence(CONING, Q40, dt=0.05, n_steps=0)
     with pytest.raises(ValueError, match="sample: found 0"):
-        fa.self_check(CONING, Q40, dt=0.05, n_steps=10, sample=0)
-    one = fa.self_check(FREE, Q40[0], W40[0], dt=0.05, n_steps=10, method="rk4")
-    assert one.n_bodies == 1
+        fa.check_convergence(CONING, Q40, dt=0.05, n_steps=10, sample=0)
+    one = fa.check_convergence(FREE, Q40[0], W40[0], dt=0.05, n_steps=10, method="rk4")
+    assert one.measured == one.n_bodies == 1

@@ -1,6 +1,6 @@
 """Steps of each body's own beside one step for all: time at equal largest error.
 
-``python bench/own_steps.py`` takes half a minute; spin rates are log-uniform over two decades.
+``python bench/per_body_steps.py`` takes half a minute; spin rates are log-uniform over two decades.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main():
             run = fa.propagate(scene, q[few], w[few], dt=END / n, n_steps=n, method=method)
             return fa.angle_between(run.q, truth).max()
 
-        own = fa.own_steps(scene, q, w, t_end=END, tol=tol, method=method)
+        own = fa.per_body_steps(scene, q, w, t_end=END, tol=tol, method=method)
         seconds, run = shortest(
             lambda scene=scene, q=q, w=w, own=own: fa.propagate(scene, q, w, **own.arguments)
         )
