@@ -205,7 +205,8 @@ def test_a_sample_of_one_says_so():
         own = fa.per_body_steps(SCENES["free"], Q0[:1], w0, **options)
         # the fastest besides
         assert (own.measured, own.n_bodies) == ({1: 2, 100: 100}[sample], 100)
-        text = f"error {own.expected_error:.1e} rad at most, measured over {own.measured} of 100 bodies"
+        text = f"error {own.expected_error:.1e} rad at most, measured over {own.measured} of 100 "
+        text += "bodies"
         assert text in str(own)
         run = fa.propagate(SCENES["free"], Q0[:1], w0, **own.arguments)
         error = angle(run.q[-1], exact.q[-1]).max()
