@@ -77,7 +77,7 @@ def peak(dtype):
     ("scene", "method"),
     [("coning", "magnus4"), ("free", "rk4"), ("free", "rk8"), ("gravity gradient", "rk4")],
 )
-def test_steps(benchmark, scene, method, n, device, dtype):
+def test_single_steps(benchmark, scene, method, n, device, dtype):
     described, w0 = scenes(n)[scene]
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     # the machine's cores take a tenth of the steps

@@ -122,7 +122,7 @@ MODELS = {
     "Sampled": (ft.Sampled(RAMP, SPAN), lambda i: ramp),
 }
 MATRIX_GAIN = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.05], [0.0, -0.05, 0.2]])
-# a history is one for all bodies; an orbit takes long to compile (its motion: test_tables)
+# a history is one for all bodies; an orbit takes long to compile (its motion: test_time_series)
 SUMMED = [name for name in MODELS if name not in ("Sampled", "KeplerGravityGradient")]
 
 

@@ -52,14 +52,14 @@ def results():
     return [np.asarray(x).tolist() for x in found]
 
 
-PROGRAM = "import json, test_estimation_plain as t; print(json.dumps(t.results()))"
+PROGRAM = "import json, test_without_compiler as t; print(json.dumps(t.results()))"
 
 
 def test_without_a_compiler():
-    here = str(Path(__file__).parent)
+    here = Path(__file__).parent
     plain = subprocess.run(
         [sys.executable, "-c", PROGRAM],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": here},
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(map(str, (here, here.parent)))},
         capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     for a, b in zip(json.loads(plain), results(), strict=True):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import config, njit
 from oracle import EPS
-from test_flat_scalar import MACHINE, SINGLE, TABLE, looked_up
+from test_scalar import MACHINE, SINGLE, TABLE, looked_up
 
 from fastatt.codegen.rows import Fold, Rows
 from fastatt.codegen.scalar import scalar_function

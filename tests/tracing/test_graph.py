@@ -13,7 +13,7 @@ import pytest
 from each import each
 from numba import types as numba_types
 from numba.core.dispatcher import Dispatcher
-from test_kernels_grammar import ARGUMENTS, KERNELS, cast, leaves
+from test_grammar import ARGUMENTS, KERNELS, cast, leaves
 
 from fastatt.codegen.emitter import Emitter
 from fastatt.codegen.modules import generated

@@ -269,7 +269,7 @@ for name in ("states", "saves"):
 
 def test_killed_and_called_again(tmp_path):
     """By SIGKILL, while a checkpoint is written or between two pieces of a history."""
-    root = str(Path(__file__).resolve().parents[1])
+    root = str(Path(__file__).resolve().parents[2])
     environment = {**os.environ, "PYTHONPATH": root, "PYTHONWARNINGS": "ignore"}
     script = KILLED.format(body=BODY)
     subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True, env=environment)

@@ -20,7 +20,7 @@ from fastatt import _jit
 from fastatt.cli import main
 from fastatt.codegen import modules as store
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 TEXT = "def run(x): x[0] = {}.0\n"
 # one run, its result and what became of functions
 RUN = """
