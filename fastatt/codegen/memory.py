@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any, cast
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,15 @@ def aligned(n: int, dtype: np.dtype[Any]) -> NDArray[Any]:
 def address_of(x: NDArray[Any]) -> int:
     """Where an array's first number lies."""
     try:  # a quarter of the time of the other
-        return ctypes.addressof(_BYTE.from_buffer(cast(Any, x)))
+        return ctypes.addressof(_BYTE.from_buffer(x))  # type: ignore[arg-type]
     except (TypeError, ValueError, BufferError):  # read-only, empty, or with gaps
         return int(x.__array_interface__["data"][0])
+
+
+class ThreadMemory(threading.local):
+    """Arrays of each thread, made by ``make`` when it first needs them, as a loop takes them."""
+
+    def __init__(self, make: Callable[[], Sequence[NDArray[Any]]], *, plain: bool) -> None:
+        self._arrays = make()
+        #: the arrays, or with machine code their addresses
+        self.places = list(self._arrays) if plain else [address_of(x) for x in self._arrays]

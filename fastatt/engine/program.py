@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import Clock, LaneFormula, LaneProgram, Place, Shape
-from fastatt.codegen.memory import DTYPES, address_of, aligned
+from fastatt.codegen.memory import DTYPES, ThreadMemory, aligned
 from fastatt.codegen.processor import processor
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.loop import ADVANCE, BEGIN, PROJECT, REGRID, SAVE
@@ -86,7 +86,8 @@ class Program:
     def __init__(self, job: Job, *, plain: bool = False) -> None:
         self.job, self.formulas, self.plain = job, job.formulas, plain
         self.layout = Layout(self.formulas)
-        self._lock, self._threads = threading.Lock(), threading.local()
+        self._lock = threading.Lock()
+        self._memory = ThreadMemory(self._new_memory, plain=plain)
         self._any_angle: Any = None
         self._made = self._compiled(small_angle=True)
         self.entry = self._made if plain else self._made.address
@@ -106,13 +107,7 @@ class Program:
 
     def memory(self) -> list[Any]:
         """Memory of a tile for the calling thread, as the loop takes it."""
-        found: list[Any] | None = getattr(self._threads, "memory", None)
-        if found is None:
-            self._threads.arrays = found = self._new_memory()
-            if not self.plain:
-                found = [address_of(x) for x in found]
-            self._threads.memory = found
-        return found
+        return self._memory.places
 
     def _new_memory(self) -> list[Array]:
         """Arrays whose rows lie at multiples of a cache line."""

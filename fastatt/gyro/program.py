@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 from numba import config
+from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
-from fastatt.codegen.memory import DTYPES, aligned
+from fastatt.codegen.memory import DTYPES, ThreadMemory, aligned
 from fastatt.codegen.processor import processor
 from fastatt.gyro.loops import ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
 from fastatt.kernels import quat
@@ -51,6 +52,7 @@ class Program:
         self._state = ITERATION
         self._lock = threading.Lock()
         self._made = self._compiled(small_angle=True)
+        self._memory = ThreadMemory(self._new_memory, plain=config.DISABLE_JIT)
         # an iteration has one form for all angles
         self._any_angle = self._made if window.iteration else None
 
@@ -71,6 +73,10 @@ class Program:
                 self._any_angle = self._compiled(small_angle=False)
 
     def memory(self) -> list[Any]:
+        """Memory of a chunk for the calling thread, as the loops take it."""
+        return self._memory.places
+
+    def _new_memory(self) -> list[NDArray[Any]]:
         """Samples, intervals, attitudes and state of a chunk's lanes."""
         rows = (3 * (CHUNK + MOST_HISTORY + 1), CHUNK + MOST_HISTORY, 4 * CHUNK + 4, self._state)
         return [aligned(n * LANES, self.precision) for n in rows]

@@ -56,10 +56,10 @@ PROGRAM = "import json, test_without_compiler as t; print(json.dumps(t.results()
 
 
 def test_without_a_compiler():
-    here = Path(__file__).parent
+    folders = [str(Path(__file__).parents[k]) for k in (0, 1)]
     plain = subprocess.run(
         [sys.executable, "-c", PROGRAM],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(map(str, (here, here.parent)))},
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(folders)},
         capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     for a, b in zip(json.loads(plain), results(), strict=True):
