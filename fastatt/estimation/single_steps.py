@@ -147,8 +147,8 @@ def single_step(
     method : a name of ``fastatt.METHODS`` that fits, or a method of one's own; None takes the first
         of magnus4, rk8 and rk4. The closed form takes no steps: see ``fastatt.closed_form`` and
         ``fastatt.kernels.free_body`` and ``heavy_top``.
-    representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
-        ``Attitude`` of one's own.
+    representation : a name of ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or a custom
+        ``Attitude``.
     position : carry the position too, of a scene with mass.
     dtype : float64 or float32, of ``params`` and of what ``Stepper.state`` gives.
 

@@ -39,9 +39,6 @@ def methods_for(
 
 def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
     """Whether a method takes a scene, in a representation, by name or one's own."""
-    if isinstance(representation, Attitude):
-        name = representation.name
-        representation = name if ATTITUDES.get(name) is representation else representation
     return (
         scene.kind in method.scenes
         and (representation is None or method.stores(representation))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between, quat_rotate
+from fastatt.attitudes.attitude import same
 from fastatt.propagation.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene import torques
@@ -56,7 +57,7 @@ def drift(trajectory: Trajectory, scene: Scene) -> Drift:
     length = np.abs(np.linalg.norm(trajectory.q, axis=-1) - 1.0)
     attitude = trajectory.attitude
     of_matrix = attitude.to_dcm_array is not None
-    of_quaternion = not of_matrix and attitude.to_quat_array is None
+    of_quaternion = not of_matrix and attitude.to_quat_array in (None, same)
     return Drift(
         norm=norm_error if of_quaternion else length,
         orthogonality=norm_error if of_matrix else matrix,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding
+from fastatt.attitudes import Attitude
 from fastatt.methods.method import Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.scene import torques
@@ -22,7 +23,7 @@ _STAGES = 4
 
 
 def turn_limit(
-    scene: Scene, method: Method, representation: str, dtype: DTypeLike = np.float64
+    scene: Scene, method: Method, representation: Attitude, dtype: DTypeLike = np.float64
 ) -> float:
     """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
     if scene.is_constant and method.exact_for_constant:

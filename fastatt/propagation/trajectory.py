@@ -107,8 +107,8 @@ class Trajectory:
     @cached_property
     def euler313(self) -> NDArray[Any]:
         """3-1-3 Euler angles (φ, θ, ψ), rad."""
-        if self.representation == "euler313":
-            return self._shaped(self.state)
+        if self.attitude.to_euler313_array is not None:
+            return self._shaped(self.attitude.to_euler313_array(self.state))
         return arrays.quat_to_euler313(self.q)
 
     @cached_property
