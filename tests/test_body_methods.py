@@ -23,7 +23,8 @@ from fastatt.attitudes import QUATERNION
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods import gbs16
 from fastatt.scene.equations import RigidBody, motion_of
-from fastatt.scene.torques import Dependence, pack
+from fastatt.scene.torque_record import Dependence
+from fastatt.scene.torques import pack
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 INERTIA = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])

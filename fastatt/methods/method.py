@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fastatt.attitudes import ATTITUDES, QUATERNION, Attitude
-from fastatt.scene.torques import Dependence
+from fastatt.scene.torque_record import Dependence
 
 #: key of the limits of a rigid body
 BODY = "body"

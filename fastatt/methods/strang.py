@@ -17,7 +17,7 @@ from typing import Any
 
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import BODIES, Method, Steps
-from fastatt.scene.torques import Dependence
+from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.formulas import Vector, dot, scale, trig, vec3
 
 

@@ -10,7 +10,7 @@ from fastatt.propagation.closed_forms import form_of
 from fastatt.propagation.options import Choice
 from fastatt.propagation.reducer import Reducer
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.scene.torques import Dependence
+from fastatt.scene.torque_record import Dependence
 
 # in this order, the first that fits the scene and the representation
 DEFAULTS = ("magnus4", "exact", "rk8", "rk4")

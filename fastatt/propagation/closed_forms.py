@@ -24,6 +24,7 @@ from fastatt.codegen.rows import kind_of, without_compiler
 from fastatt.scene import torques
 from fastatt.scene.inertia import Principal, about_arm
 from fastatt.scene.scene import Scene
+from fastatt.scene.torque_models import RECORDS
 from fastatt.threads import each_in_threads
 from fastatt.tracing import formulas
 from fastatt.tracing.finished import Flat
@@ -82,7 +83,7 @@ class Form(NamedTuple):
 
 
 #: torques that have a closed form, by name
-LEVERS = tuple(m.__name__ for m, record in torques.RECORDS.items() if record.lever is not None)
+LEVERS = tuple(m.__name__ for m, record in RECORDS.items() if record.lever is not None)
 _Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 

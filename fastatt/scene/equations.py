@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
-from fastatt.scene.torques import Pose, damping_rates, is_free, torque_of
+from fastatt.scene.torque_record import Pose
+from fastatt.scene.torques import damping_rates, is_free, torque_of
 from fastatt.tracing.formulas import (
     Vector,
     as_like,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt._jit import plain
 from fastatt.kernels import rigid
-from fastatt.scene import forces, models, rates, torques
+from fastatt.scene import forces, models, rates, torque_models, torques
 from fastatt.scene.equations import GivenRate, RigidBody, Structure
 from fastatt.scene.inertia import (
     Principal,
@@ -24,6 +24,7 @@ from fastatt.scene.inertia import (
 )
 from fastatt.scene.models import Law, Packed, join, numbers
 from fastatt.scene.time_series import TimeSeries
+from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.sources import keep, sources
 from fastatt.tracing.user import UserFunction
 
@@ -167,7 +168,7 @@ class Scene:
         found: Law = self._body(None).structure.turning.law
         return found
 
-    def dependence(self, *, sorted_axes: bool = False) -> torques.Dependence:
+    def dependence(self, *, sorted_axes: bool = False) -> Dependence:
         """How the torque depends on w."""
         found = self.principal
         turned = found.axes is not None or (sorted_axes and not is_sorted(found.moments))
@@ -320,12 +321,12 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
         return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
     if isinstance(value, TimeSeries):
         return value[rows] if value.form.own else value
-    if isinstance(value, torques.Sampled) or np.ndim(value) <= dims:  # shared
+    if hasattr(value, "_fields") or np.ndim(value) <= dims:  # shared
         return value
     return np.asarray(value)[rows]
 
 
-_RECORDS: dict[type, models.Record] = {**rates.RECORDS, **torques.RECORDS, **forces.RECORDS}
+_RECORDS: dict[type, models.Record] = {**rates.RECORDS, **torque_models.RECORDS, **forces.RECORDS}
 
 
 def as_scene(scene: object) -> Scene:
