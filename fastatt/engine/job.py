@@ -13,8 +13,8 @@ from fastatt.engine.status import SAVED
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
     Body,
-    GivenRate,
-    Motion,
+    EquationsOfMotion,
+    PrescribedRate,
     RigidBody,
     Structure,
     carried,
@@ -68,7 +68,7 @@ class Job:
     @property
     def bounds(self) -> bool:
         """Whether a body's turns are known from its own initial state."""
-        return self.known and not isinstance(self.structure.turning, GivenRate)
+        return self.known and not isinstance(self.structure.turning, PrescribedRate)
 
     @property
     def look(self) -> str:
@@ -257,7 +257,7 @@ class Scope:
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
-        self.motion: Motion
+        self.motion: EquationsOfMotion
         if structure.force is None:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:

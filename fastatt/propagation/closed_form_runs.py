@@ -36,7 +36,7 @@ class ClosedForm:
         attitude, self._handed, self._saves = plan.choice.attitude, plan.handed, saves
         self._plan, self._slots = plan, slots
         self._stored = attitude.stored
-        self._motion = closed_forms.Motion(
+        self._motion = closed_forms.Evaluation(
             self._form,
             plan.kind,
             (saves, plan.n_bodies),

@@ -13,7 +13,7 @@ from fastatt.attitudes import Attitude
 from fastatt.methods.method import Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.scene import torques
-from fastatt.scene.equations import GivenRate
+from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.models import Packed
 from fastatt.scene.rates import bound, lengths
 from fastatt.scene.scene import Scene
@@ -74,7 +74,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
     if method.rate_calls > _STAGES and not method.stages:
         return None
     turning = packed.structure.turning
-    if isinstance(turning, GivenRate):
+    if isinstance(turning, PrescribedRate):
         with np.errstate(over="ignore", invalid="ignore"):
             return bound(turning.law, packed.params[..., : turning.n_params])
     return None if scene.kind == "torqued" else 0.0

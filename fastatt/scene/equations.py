@@ -29,7 +29,7 @@ from fastatt.tracing.formulas import (
 from fastatt.tracing.user import UserFunction
 
 
-class GivenRate(NamedTuple):
+class PrescribedRate(NamedTuple):
     """Structure of a scene whose rate is given, along body axes or inertial ones.
 
     Its parameters are the law's.
@@ -81,7 +81,7 @@ class Structure(NamedTuple):
     Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's.
     """
 
-    turning: GivenRate | RigidBody
+    turning: PrescribedRate | RigidBody
     force: Law | None = None
     #: whether the position is carried too
     position: bool = False
@@ -112,7 +112,7 @@ class Structure(NamedTuple):
         return self.turning.tail + self.moved + self.watched
 
 
-class Motion:
+class EquationsOfMotion:
     """What a method's step needs of a scene in a representation."""
 
     attitude: Attitude
@@ -166,10 +166,10 @@ class Motion:
         raise NotImplementedError
 
 
-class Turning(Motion):
+class Turning(EquationsOfMotion):
     """An attitude whose rate is given."""
 
-    def __init__(self, attitude: Attitude, structure: GivenRate, p: Vector, like: Any) -> None:
+    def __init__(self, attitude: Attitude, structure: PrescribedRate, p: Vector, like: Any) -> None:
         super().__init__(attitude)
         self.structure, self.p, self._like = structure, p, like
 
@@ -208,7 +208,7 @@ class Turning(Motion):
         return q, quat.rotate_inverse(q, opposite(self.rate(t)))
 
 
-class Body(Motion):
+class Body(EquationsOfMotion):
     """A rigid body: its state is the attitude and the momentum m, principal axes, N·m·s."""
 
     def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector, like: Any) -> None:
@@ -318,10 +318,10 @@ class Body(Motion):
 
 
 def motion_of(
-    structure: GivenRate | RigidBody, attitude: Attitude, p: Vector, like: Any
+    structure: PrescribedRate | RigidBody, attitude: Attitude, p: Vector, like: Any
 ) -> Turning | Body:
     """The motion of a structure with parameters p; ``like`` has the state's precision."""
-    if isinstance(structure, GivenRate):
+    if isinstance(structure, PrescribedRate):
         return Turning(attitude, structure, p, like)
     return Body(attitude, structure, p, like)
 

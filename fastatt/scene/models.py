@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.scene.time_series import Form, TimeSeries, recorded
+from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
 from fastatt.tracing.user import FORMS, UserFunction, user_function
 
 Model = Any  # an instance of a model's class
@@ -73,7 +73,7 @@ class LookUp(NamedTuple):
     """A field that is a table: the number of its array, how it is read, whether slopes too."""
 
     number: int
-    form: Form
+    form: TableLayout
     slopes: bool
 
     def numbers(self, t: Any, p: Any) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from fastatt import checks
 from fastatt._jit import plain
 from fastatt.kernels import rigid
 from fastatt.scene import forces, models, rates, torque_models, torques
-from fastatt.scene.equations import GivenRate, RigidBody, Structure
+from fastatt.scene.equations import PrescribedRate, RigidBody, Structure
 from fastatt.scene.inertia import (
     Principal,
     is_sorted,
@@ -246,7 +246,7 @@ class Scene:
             packed = models.pack_user(self.rate, "rate", rates.USER, self.params, n_bodies)
         else:
             packed = models.pack(self.rate, n_bodies, "rate", rates.RECORDS)
-        structure = Structure(GivenRate(packed.structure, self.frame == "inertial"))
+        structure = Structure(PrescribedRate(packed.structure, self.frame == "inertial"))
         return packed._replace(structure=structure)
 
     def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:

@@ -32,7 +32,7 @@ _BUCKETS = 2**22
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
 
 
-class Form(NamedTuple):
+class TableLayout(NamedTuple):
     """What the formula of a look-up depends on: numbers a sample, and how they are read."""
 
     size: int
@@ -126,7 +126,7 @@ class TimeSeries:
         buckets = n - 1 if uniform else len(index) - n
         self.scalar = len(shape) == 1
         size = samples.shape[-1] // (2 if cubic else 1)
-        self.form = Form(size, cubic, uniform, holds, own=len(shape) == 3)
+        self.form = TableLayout(size, cubic, uniform, holds, own=len(shape) == 3)
         head = (
             times[0], times[-1], width if uniform else gaps.min(), buckets - 1.0, times[0] - slack,
             times[-1] + slack, len(samples), samples[0].size, n - 2.0, _HEAD + len(index) - n,
@@ -226,7 +226,7 @@ class _Ways(NamedTuple):
     choose: Callable[[Any, Any, Any], Any]
 
 
-def recorded(name: Any, form: Form, t: Any, row: Any = None) -> Any:
+def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> Any:
     """(values, slopes) of recorded numbers, of the table that memory has under a name."""
     # the floor of a dual number is one of its graph too
     of = graph.apply("floor", t if isinstance(t, Recorded) else row).graph
@@ -241,7 +241,7 @@ def recorded(name: Any, form: Form, t: Any, row: Any = None) -> Any:
     return _look_up(form, double(t), double(0.0 if row is None else row), ways)
 
 
-def _look_up(form: Form, t: Any, row: Any, ways: _Ways) -> Any:
+def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
     """(values, slopes) at t of a row. No place lies outside the table, whatever the numbers."""
     take, floor, choose = ways
     inside = (t >= take(_LOW)) & (t <= take(_HIGH))
@@ -275,7 +275,7 @@ def _look_up(form: Form, t: Any, row: Any, ways: _Ways) -> Any:
     return values, tuple(choose(inside, x, 0.0) for x in slopes) if form.holds else slopes
 
 
-def _between(form: Form, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
+def _between(form: TableLayout, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
     """(value, slope) at a fraction f of the interval of a width between two samples."""
     size = float(form.size)
     a, b = take(at), take(at + (1.0 + form.cubic) * size)

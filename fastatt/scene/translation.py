@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from fastatt.attitudes import Attitude
-from fastatt.scene.equations import Motion, Structure, motion_of
+from fastatt.scene.equations import EquationsOfMotion, Structure, motion_of
 from fastatt.scene.forces import squares_of_rates
 from fastatt.tracing.formulas import Vector, as_like, minus, plus, quat, scale, vec3
 from fastatt.tracing.functions import larger
 
 
-class Coupled(Motion):
+class Coupled(EquationsOfMotion):
     """The motion of a scene with mass: its state is that of the rotation, velocity and position.
 
     v̇ = F/μ − w×v along body axes and, where the position is carried, ṙ = C v along inertial axes,
