@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from exact import EPS, START, angle, coning, exp, generic, mul, observed_order
 from numba import njit
 
 import fastatt as fa
+from fastatt.attitudes import ATTITUDES
 from fastatt.methods import rk4, rk8, rk9
 from fastatt.methods.runge_kutta import Tableau
 
@@ -468,6 +470,24 @@ def test_poles_of_ones_own_are_flagged():
         )
         assert bool(traj.status[0] == 0) is fine
     assert traj.status[0] & (fa.Status.SINGULAR | fa.Status.NON_FINITE)
+
+
+@pytest.mark.parametrize("name", [name for name in ATTITUDES if name != "quat"])
+def test_a_representation_fits_by_its_formulas_wherever_it_is_from(name):
+    mine = replace(ATTITUDES[name], name="mine")
+    for scene in (BODIES.scene, body_scene(), body_scene(fa.torques.Damping(0.1))):
+        fitting = fa.methods_for(scene, mine)
+        assert fitting == fa.methods_for(scene, name)
+        for method in map(fa.METHODS.get, fitting):
+            assert method.limit(mine) == method.limit(name)
+
+
+def test_closed_form_in_any_representation():
+    """Formulas of ``start`` and ``raw`` alone make what a trajectory holds."""
+    usual = run(body_scene(), "exact", 3, START4, SPIN4)
+    for name in ATTITUDES:
+        found = run(body_scene(), "exact", 3, START4, SPIN4, name)
+        assert angle(found.q[-1], usual.q[-1]).max() < 16 * EPS
 
 
 def test_defaults_fit_ones_own():
