@@ -57,7 +57,7 @@ def _is_own(formula: Any) -> bool:
 
 
 def composed(compose: Formula) -> dict[str, Formula]:
-    """x∘q of one's own, and turns made of it."""
+    """``compose`` x∘q, and the rotations made of it."""
     return {
         "compose": compose,
         "turn": lambda x, u: compose(x, quat.exp(u)),
@@ -72,20 +72,20 @@ class Attitude:
     Formulas take and give tuples of recorded numbers; x is the state, ``size`` numbers, q a unit
     quaternion from body to inertial axes, u a rotation vector (rad, body axes), w a rate (rad/s,
     body axes). ``start(q)`` makes x of a quaternion of any length but zero; ``turn(x, u)`` is
-    x∘exp(u), ``turn_short`` the same for turns of at most π; ``derivative(x, w)`` is ẋ;
+    x∘exp(u), ``turn_short`` the same for rotation angles of at most π; ``derivative(x, w)`` is ẋ;
     ``compose(x, q)`` is x∘q; ``quaternion(x)`` the attitude, ``to_body(x, v)`` Cᵀ v of an inertial
     vector, ``flip(x)`` the inverse attitude. ``finish(x)`` gives (the ``stored`` numbers that a
-    trajectory holds, the departure from the group), ``restore(x)`` (the state nearer to its group,
-    that departure), ``raw(x)`` what is handed out unmended.
+    trajectory holds, the norm error), ``restore(x)`` (the state nearer to its group,
+    that error), ``raw(x)`` what is saved without projection.
 
-    One's own is used wherever the name of one is taken. It needs ``start``, ``quaternion`` and
+    A custom representation is used wherever a name is taken. It needs ``start``, ``quaternion`` and
     either ``derivative``, for Runge-Kutta methods, or ``turn``, for those by exponentials; what
     else it does not say is made from these. Its formulas may be ordinary functions, with ``math``,
     conditions and the kernels of ``fastatt.kernels``: they are called once, with numbers that
     record them. The steps' limits are the least that a method has in any representation, unless
     ``family`` says which.
 
-    Raises ``TypeError`` or ``ValueError`` for formulas of one's own that cannot be recorded or do
+    Raises ``TypeError`` or ``ValueError`` for custom formulas that cannot be recorded or do
     not give what they should at one attitude and rate, by name.
 
     Examples
@@ -206,7 +206,7 @@ class Attitude:
             )
 
     def _check(self, own: Sequence[str]) -> None:
-        """Whether one's own formulas give numbers as many as they should."""
+        """Whether custom formulas give numbers as many as they should."""
         if self.quaternion is None or (self.derivative is None and self.turn is None):
             raise ValueError(
                 "quaternion, derivative, turn: missing; accepted: quaternion, and derivative or "
@@ -235,7 +235,7 @@ class Attitude:
                 raise ValueError(f"{name}: gives {len(found)} numbers; accepted: {wanted}")
 
     def _compare(self, own: Sequence[str]) -> None:
-        """Whether one's own formulas mean the same, at an attitude and a rate of no symmetry."""
+        """Whether custom formulas mean the same, at an attitude and a rate of no symmetry."""
         q, w = quat.exp((0.25, -0.15, 0.4)), (0.3, -0.5, 0.7)
         x: Any = self.start(q)
         turned, after = quat.mul(q, quat.exp(w)), quat.mul(q, quat.exp(scale(_SMALL, w)))

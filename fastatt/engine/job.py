@@ -183,7 +183,7 @@ class Formulas:
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
         x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        y, norm_error = scope.hand_out(x)
+        y, norm_error = scope.output(x)
         before = scope.inputs("invariants", self.invariants)
         measures = {"norm": norm_error, "invariant": departure(before, scope.invariants(x))}
         return scope.finished((*y, *(measures[name] for name in SAVED)))
@@ -289,7 +289,7 @@ class Scope:
 
     def parts(self, x: Vector) -> tuple[Vector, Vector]:
         """What a method steps, and what a user's function made of its states."""
-        n = len(x) - self.job.structure.watched
+        n = len(x) - self.job.structure.reduced
         return x[:n], x[n:]
 
     def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> tuple[Vector, Any]:
@@ -312,15 +312,15 @@ class Scope:
     def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
         """What the user's function makes of a state and of what it made before."""
         structure = self.job.structure
-        if structure.watcher is None:
+        if structure.reducer is None:
             return ()
         q, w = self.motion.pose(t, x)
-        made = structure.watcher.call(t, quat.renormalise(q), w, before)
+        made = structure.reducer.call(t, quat.renormalise(q), w, before)
         return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
 
     def begin(self, q: Vector, beside: Vector) -> Vector:
         """The state from an attitude as given and what is carried beside it."""
-        n = self.job.structure.tail - self.job.structure.watched
+        n = self.job.structure.tail - self.job.structure.reduced
         return (*self.motion.begin(q, beside[:n]), *beside[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:
@@ -358,7 +358,7 @@ class Scope:
             return x
         return tuple(steps.leave(self.motion, t, since, edge, x, e))
 
-    def hand_out(self, x: Vector) -> tuple[Vector, Any]:
+    def output(self, x: Vector) -> tuple[Vector, Any]:
         """(what the trajectory holds, departure from the group)."""
         own, beside = self.parts(x)
         attitude = self.attitude
@@ -367,7 +367,7 @@ class Scope:
             y, d = attitude.finish(a)
             return (attitude.raw(a) if self.job.raw else y), d
 
-        y, d = self.motion.hand_out(own, finish)
+        y, d = self.motion.output(own, finish)
         return (*y, *beside), d
 
     def invariants(self, x: Vector) -> Vector:

@@ -378,7 +378,7 @@ _kept = lru_cache(maxsize=128)(_step_function)
 
 
 def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any:
-    """The same of a method for gyro samples, ``f(v, h)``, a function for ``@njit`` code.
+    """The derivative of a sampled method's step, ``f(v, h)``, a function for ``@njit`` code.
 
     v are the window's samples less the bias, flat, and h its intervals (s), as the functions of
     ``fastatt.gyro_steps`` take them in this order. Gives (turn, Φ11, Φ12) of each interval that the

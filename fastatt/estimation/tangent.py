@@ -79,7 +79,7 @@ def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:
 
 
 def coupled(x: Vector) -> tuple[Any, Any, Any]:
-    """The same of a dual quaternion that the bias moves."""
+    """Turn, Φ11 and Φ12 of a dual quaternion that the bias moves."""
     q = quat.normalise(value(x))
     return q, dcm.transpose(dcm.from_quat(q)), rows(error(x)[:3], 3)
 

@@ -2,7 +2,7 @@
 
 The state is a tuple: the attitude's numbers, then what the scene makes the body carry, its angular
 momentum along principal axes. What acts is a structure of laws (``scene.models``), whose numbers
-are given beside it, flat.
+are given apart from it, flat.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PrescribedRate(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers carried beside the attitude."""
+        """Numbers of auxiliary state."""
         return 0
 
 
@@ -71,7 +71,7 @@ class RigidBody(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers carried beside the attitude."""
+        """Numbers of auxiliary state."""
         return 3
 
 
@@ -86,8 +86,8 @@ class Structure(NamedTuple):
     #: whether the position is carried too
     position: bool = False
     #: a user's function that reduces states to so many numbers a body
-    watcher: UserFunction | None = None
-    watched: int = 0
+    reducer: UserFunction | None = None
+    reduced: int = 0
 
     @property
     def n_params(self) -> int:
@@ -108,8 +108,8 @@ class Structure(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers carried beside the attitude."""
-        return self.turning.tail + self.moved + self.watched
+        """Numbers of auxiliary state."""
+        return self.turning.tail + self.moved + self.reduced
 
 
 class EquationsOfMotion:
@@ -149,11 +149,11 @@ class EquationsOfMotion:
         """Square of the rate (rad/s) that limits an explicit step."""
         raise NotImplementedError
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
-        """The state at an attitude, as given, and what is carried beside it."""
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        """The state at an attitude, as given, and its auxiliary state."""
         raise NotImplementedError
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
         """(what the trajectory holds, departure from the group); ``finish`` is the attitude's."""
         raise NotImplementedError
 
@@ -194,11 +194,11 @@ class Turning(EquationsOfMotion):
     def turning(self, g: Vector, xdot: Vector, x: Vector) -> Any:
         return self.attitude.speed_squared(xdot, g)
 
-    def begin(self, q: Vector, beside: Vector) -> Any:
+    def begin(self, q: Vector, auxiliary: Vector) -> Any:
         a = self.attitude.start(q)
         return self.attitude.flip(a) if self.structure.inertial else a
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
         return finish(self.attitude.flip(x) if self.structure.inertial else x)
 
     def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
@@ -284,9 +284,9 @@ class Body(EquationsOfMotion):
         decays = [rigid.exp_decay(k * h) for k in rates]
         return tuple(e * u + h * f * b for (e, f), u, b in zip(decays, m, torque, strict=True))
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         a = self.attitude.start(q)
-        w = beside
+        w = auxiliary
         if self.axes is not None:
             # by the matrix, whose zeros are exact for a permutation of axes: a needle's spin that
             # leaks into the other axes would be multiplied by their moments
@@ -294,7 +294,7 @@ class Body(EquationsOfMotion):
             a = self.attitude.compose(a, self.axes)
         return (*a, *self.attitude.carry(rigid.momentum(w, self.moments)))
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
         a, w = self.attitude_of(x), self.angular_velocity(self.momentum_of(x)[:3])
         if self.axes is not None:
             w = dcm.rotate(dcm.from_quat(self.axes), w)

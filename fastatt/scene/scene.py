@@ -108,7 +108,7 @@ class Scene:
         return tuple(map(_key, self._given))
 
     def __reduce__(self) -> Any:
-        """What was given, and what one's own functions are traced from; the rest is found again."""
+        """What was given, and the source of user-defined functions; the rest is found again."""
         return _received, (type(self), self._given, sources(_own_functions(self._given)))
 
     def __eq__(self, other: object) -> bool:
@@ -186,7 +186,7 @@ class Scene:
 
     @cached_property
     def functions(self) -> tuple[UserFunction, ...]:
-        """One's own functions in it: each says whether it is traced (``straight``) or why not.
+        """User-defined functions in it: each says whether it is traced (``straight``) or why not.
 
         A function that is traced becomes part of the loop: it vectorises, and is kept on disk. One
         that is not is called for each body (``reason`` says why); a rate whose parameters all

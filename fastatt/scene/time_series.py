@@ -28,7 +28,7 @@ Numbers = NDArray[np.float64]
 _FIRST, _END, _WIDTH, _LAST, _LOW, _HIGH, _ROWS, _ROW, _INTERVAL, _TIMES, _SAMPLES = range(11)
 _HEAD = 11
 _BUCKETS = 2**22
-# the time that a run adds up ends a few roundings beside what a table says
+# the time that a run adds up ends a few roundings from what a table says
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
 
 
@@ -43,7 +43,7 @@ class TableLayout(NamedTuple):
 
 
 class TimeSeries:
-    """Numbers sampled in time, for one's own rate, torque or force, and for fields of models.
+    """Numbers sampled in time, for a user-defined rate, torque or force, and for fields of models.
 
     Called as ``table(t)``, or ``table(t, row)`` of (N, T, k), a table gives a tuple of k floats, of
     (T,) a float; ``table.slope`` gives the time derivatives so. Both may be called in a function
@@ -141,7 +141,7 @@ class TimeSeries:
 
     @cached_property
     def digest(self) -> str:
-        """The same of equal tables."""
+        """Equal for equal tables."""
         form = repr((self.form, self.scalar)).encode()
         return hashlib.sha256(form + self.data.tobytes()).hexdigest()
 

@@ -157,9 +157,8 @@ class Custom(NamedTuple):
     """A user's ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes.
 
     t in s, q and w as tuples, p the tuple of ``params``, (P,) or (N, P). ``uses_rate=False``
-    promises that w is not used, which opens the splitting methods (and is looked into at a few
-    points); ``potential(t, q, p)``, J, an
-    ``@njit`` function too, is what ``drift`` takes the energy from.
+    promises that w is not used, which is checked at a few points and opens the splitting methods;
+    ``potential(t, q, p)``, J, an ``@njit`` function too, is what ``drift`` takes the energy from.
 
     With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, of a scene with mass: v the velocity,
     m/s, body axes, r the position, m, inertial axes. All is then stepped as one system, by methods

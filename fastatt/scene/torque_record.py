@@ -22,7 +22,7 @@ class Dependence(IntEnum):
 
 
 class Pose:
-    """Where a torque is asked for: an attitude, the angular velocity and the principal moments.
+    """Where a torque is evaluated: an attitude, the angular velocity and the principal moments.
 
     ``place`` is (velocity along body axes whatever those of the pose, position), where they are
     stepped with the attitude; ``axes`` the quaternion of the principal axes, along which the pose

@@ -72,13 +72,13 @@ class Coupled(EquationsOfMotion):
         self._squares.clear()
         return square
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
-        y, moved = self._split(beside)
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        y, moved = self._split(auxiliary)
         return (*self.inner.begin(q, y), *moved)
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
         a, moved = self._split(x)
-        y, d = self.inner.hand_out(a, finish)
+        y, d = self.inner.output(a, finish)
         return (*y, *moved), d
 
     def invariants(self, x: Vector) -> Vector:
