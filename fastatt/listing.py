@@ -9,7 +9,7 @@ from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import fits
 from fastatt.propagation.closed_forms import LEVERS
 from fastatt.propagation.inspect_step import job_of
-from fastatt.scene.torques import Dependence
+from fastatt.scene.torque_record import Dependence
 
 # how a method's list of scenes is read: name on the command line, in words, as records have it
 SCENES = {

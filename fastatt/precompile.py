@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fastatt import arrays
+from fastatt.attitudes import ATTITUDES
 from fastatt.codegen import modules
 from fastatt.engine.loop import WIDTH
 from fastatt.gyro.integrate import integrate_rates
@@ -36,7 +37,7 @@ _BODIES = WIDTH
 _STEPS = 3
 # away from the poles of Euler's angles
 _TILTED = (0.8, 0.5, 0.3, 0.1)
-_USUAL = ("quat", "dcm")
+_USUAL = tuple(name for name, attitude in ATTITUDES.items() if attitude.is_usual)
 _OWN = np.linspace(0.9, 1.1, _BODIES)
 _MOMENTS = np.array([2.0, 1.0, 0.7])
 

@@ -3,7 +3,7 @@
 import math
 
 from fastatt import arrays
-from fastatt.attitudes.attitude import Attitude, coordinate_speed
+from fastatt.attitudes.attitude import Attitude, coordinate_speed, same
 from fastatt.tracing.formulas import euler313, quat
 
 ANGLES = Attitude(
@@ -15,7 +15,9 @@ ANGLES = Attitude(
     quaternion=euler313.to_quat,
     derivative=euler313.derivative,
     speed_squared=coordinate_speed,
+    family="coordinates",
     flip=lambda x: (math.pi - x[2], x[1], math.pi - x[0]),
     to_quat_array=arrays.euler313_to_quat,
+    to_euler313_array=same,
     summary="3-1-3 Euler angles, 3 numbers",
 )

@@ -23,6 +23,8 @@ _FORMULAS = (
 )  # fmt: skip
 
 
+#: what limits of steps are given for
+FAMILIES = ("quaternion", "matrix", "coordinates")
 # a step, s, of a derivative that is compared; numbers of the same meaning are so near
 _SMALL, _ALIKE = 1e-4, 1e-9
 
@@ -31,7 +33,8 @@ def _told(x: Any) -> str:
     return f"({', '.join(f'{y:.6g}' for y in x)})"
 
 
-def _same(x: Any) -> Any:
+def same(x: Any) -> Any:
+    """What it is given."""
     return x
 
 
@@ -54,7 +57,7 @@ def _is_own(formula: Any) -> bool:
 
 
 def composed(compose: Formula) -> dict[str, Formula]:
-    """x∘q of one's own, and turns made of it."""
+    """``compose`` x∘q, and the rotations made of it."""
     return {
         "compose": compose,
         "turn": lambda x, u: compose(x, quat.exp(u)),
@@ -69,19 +72,20 @@ class Attitude:
     Formulas take and give tuples of recorded numbers; x is the state, ``size`` numbers, q a unit
     quaternion from body to inertial axes, u a rotation vector (rad, body axes), w a rate (rad/s,
     body axes). ``start(q)`` makes x of a quaternion of any length but zero; ``turn(x, u)`` is
-    x∘exp(u), ``turn_short`` the same for turns of at most π; ``derivative(x, w)`` is ẋ;
+    x∘exp(u), ``turn_short`` the same for rotation angles of at most π; ``derivative(x, w)`` is ẋ;
     ``compose(x, q)`` is x∘q; ``quaternion(x)`` the attitude, ``to_body(x, v)`` Cᵀ v of an inertial
     vector, ``flip(x)`` the inverse attitude. ``finish(x)`` gives (the ``stored`` numbers that a
-    trajectory holds, the departure from the group), ``restore(x)`` (the state nearer to its group,
-    that departure), ``raw(x)`` what is handed out unmended.
+    trajectory holds, the norm error), ``restore(x)`` (the state nearer to its group,
+    that error), ``raw(x)`` what is saved without projection.
 
-    One's own is used wherever the name of one is taken. It needs ``start``, ``quaternion`` and
+    A custom representation is used wherever a name is taken. It needs ``start``, ``quaternion`` and
     either ``derivative``, for Runge-Kutta methods, or ``turn``, for those by exponentials; what
     else it does not say is made from these. Its formulas may be ordinary functions, with ``math``,
     conditions and the kernels of ``fastatt.kernels``: they are called once, with numbers that
-    record them. The steps' limits are the least that a method has in any representation.
+    record them. The steps' limits are the least that a method has in any representation, unless
+    ``family`` says which.
 
-    Raises ``TypeError`` or ``ValueError`` for formulas of one's own that cannot be recorded or do
+    Raises ``TypeError`` or ``ValueError`` for custom formulas that cannot be recorded or do
     not give what they should at one attitude and rate, by name.
 
     Examples
@@ -118,7 +122,7 @@ class Attitude:
     to_body: Formula = None
     flip: Formula = None
     restore: Formula = None
-    raw: Formula = _same
+    raw: Formula = same
     #: ẋ at the rate 2v, where that takes less than ``derivative``
     half_derivative: Formula = None
     #: turned about the first and the third axis, given cosine and sine of half the angle
@@ -126,6 +130,9 @@ class Attitude:
     turn_third: Formula = None
     #: square of the rate that limits an explicit step
     speed_squared: Formula = body_speed
+    #: which steps' limits hold, of ``FAMILIES``: as of quaternions, whose numbers turn at half the
+    #: body's rate, of matrices, at its rate, or of coordinates with poles; "" the least of all
+    family: str = ""
     #: the attitude without low parts, of one that carries what rounding loses
     uncompensated: Attitude | None = None
     #: numbers of an initial attitude: 4 of a quaternion
@@ -133,10 +140,14 @@ class Attitude:
     #: x + d of a compensated state, of its attitude and of a vector beside it
     add: Formula = plus
     add_vector: Formula = plus
-    carry: Formula = _same
-    #: matrices (…, 3, 3), or quaternions (…, 4), of what a trajectory holds (…, stored)
+    carry: Formula = same
+    #: matrices (…, 3, 3), quaternions (…, 4), or 3-1-3 Euler angles (…, 3) of what a trajectory
+    #: holds (…, stored)
     to_dcm_array: Formula = None
     to_quat_array: Formula = None
+    to_euler313_array: Formula = None
+    #: whether ``fastatt precompile`` compiles it unless everything is chosen
+    is_usual: bool = False
     summary: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
@@ -150,9 +161,9 @@ class Attitude:
             self._check(own)
         if self.quaternion is not None:
             self._complete()
+            self._read()
         if own:
             self._compare(own)
-            self._read()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """The library's own by their names: they are made of functions within functions."""
@@ -176,7 +187,7 @@ class Attitude:
 
     def _read(self) -> None:
         """What a trajectory holds, and how quaternions come of it, where it is not said."""
-        if self.stored != self.size and self.raw is _same:
+        if self.stored != self.size and self.raw is same:
             object.__setattr__(self, "raw", lambda x: self.finish(x)[0])
         if self.to_quat_array is not None or self.to_dcm_array is not None:
             return
@@ -195,7 +206,7 @@ class Attitude:
             )
 
     def _check(self, own: Sequence[str]) -> None:
-        """Whether one's own formulas give numbers as many as they should."""
+        """Whether custom formulas give numbers as many as they should."""
         if self.quaternion is None or (self.derivative is None and self.turn is None):
             raise ValueError(
                 "quaternion, derivative, turn: missing; accepted: quaternion, and derivative or "
@@ -224,7 +235,7 @@ class Attitude:
                 raise ValueError(f"{name}: gives {len(found)} numbers; accepted: {wanted}")
 
     def _compare(self, own: Sequence[str]) -> None:
-        """Whether one's own formulas mean the same, at an attitude and a rate of no symmetry."""
+        """Whether custom formulas mean the same, at an attitude and a rate of no symmetry."""
         q, w = quat.exp((0.25, -0.15, 0.4)), (0.3, -0.5, 0.7)
         x: Any = self.start(q)
         turned, after = quat.mul(q, quat.exp(w)), quat.mul(q, quat.exp(scale(_SMALL, w)))

@@ -14,5 +14,6 @@ DIRECTION = Attitude(
     derivative=dcm.derivative_row,
     flip=lambda x: x,
     finish=lambda x: (x, apply("sqrt", dot(x, x))),
+    family="matrix",
     summary="a fixed direction seen from the body, 3 numbers",
 )

@@ -18,5 +18,7 @@ MATRIX = Attitude(
     turn_first=dcm.turn_first,
     turn_third=dcm.turn_third,
     to_dcm_array=lambda state: state.reshape((*state.shape[:-1], 3, 3)),
+    family="matrix",
+    is_usual=True,
     summary="direction cosine matrix, 9 numbers",
 )

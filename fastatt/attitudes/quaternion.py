@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.attitudes.attitude import Attitude, composed
+from fastatt.attitudes.attitude import Attitude, composed, same
 from fastatt.tracing.formulas import Vector, compensated, quat
 from fastatt.tracing.graph import apply, choose
 
@@ -28,6 +28,9 @@ QUATERNION = Attitude(
     restore=lambda x: (quat.renormalise(x), norm_error(x)),
     turn_first=quat.turn_first,
     turn_third=quat.turn_third,
+    family="quaternion",
+    to_quat_array=same,
+    is_usual=True,
     summary="unit quaternion, 4 numbers",
 )
 
@@ -65,5 +68,6 @@ COMPENSATED = Attitude(
     add=compensated.add_quat,
     add_vector=compensated.add_vector,
     carry=lambda v: (*v, 0.0, 0.0, 0.0),
+    family="quaternion",
     summary="quaternion and what rounding has left out of it, 8 numbers",
 )

@@ -12,6 +12,7 @@ ROTATION_VECTOR = Attitude(
     quaternion=quat.exp,
     derivative=so3.dexpinv,
     speed_squared=coordinate_speed,
+    family="coordinates",
     flip=opposite,
     to_quat_array=arrays.rotation_vector_to_quat,
     summary="rotation vector, 3 numbers",

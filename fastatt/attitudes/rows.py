@@ -45,5 +45,6 @@ ROWS = Attitude(
     restore=restore,
     raw=to_dcm,
     to_dcm_array=lambda state: state.reshape((*state.shape[:-1], 3, 3)),
+    family="matrix",
     summary="two rows of the matrix, 6 numbers; the third by their cross product",
 )

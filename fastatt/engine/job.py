@@ -13,8 +13,8 @@ from fastatt.engine.status import SAVED
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
     Body,
-    GivenRate,
-    Motion,
+    EquationsOfMotion,
+    PrescribedRate,
     RigidBody,
     Structure,
     carried,
@@ -68,7 +68,7 @@ class Job:
     @property
     def bounds(self) -> bool:
         """Whether rotation angles are known from a body's own initial state."""
-        return self.known and not isinstance(self.structure.turning, GivenRate)
+        return self.known and not isinstance(self.structure.turning, PrescribedRate)
 
     @property
     def monitored(self) -> bool:
@@ -183,7 +183,7 @@ class Formulas:
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
         x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        y, norm_error = scope.hand_out(x)
+        y, norm_error = scope.output(x)
         before = scope.inputs("invariants", self.invariants)
         measures = {"norm": norm_error, "invariant": relative_change(before, scope.invariants(x))}
         return scope.finished((*y, *(measures[name] for name in SAVED)))
@@ -257,7 +257,7 @@ class Scope:
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
-        self.motion: Motion
+        self.motion: EquationsOfMotion
         if structure.force is None:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:
@@ -289,7 +289,7 @@ class Scope:
 
     def parts(self, x: Vector) -> tuple[Vector, Vector]:
         """What a method steps, and what a user's function made of its states."""
-        n = len(x) - self.job.structure.watched
+        n = len(x) - self.job.structure.reduced
         return x[:n], x[n:]
 
     def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> tuple[Vector, Any]:
@@ -312,15 +312,15 @@ class Scope:
     def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
         """What the user's function makes of a state and of what it made before."""
         structure = self.job.structure
-        if structure.watcher is None:
+        if structure.reducer is None:
             return ()
         q, w = self.motion.pose(t, x)
-        made = structure.watcher.call(t, quat.renormalise(q), w, before)
+        made = structure.reducer.call(t, quat.renormalise(q), w, before)
         return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         """The state from an attitude as given and its auxiliary state."""
-        n = self.job.structure.tail - self.job.structure.watched
+        n = self.job.structure.tail - self.job.structure.reduced
         return (*self.motion.begin(q, auxiliary[:n]), *auxiliary[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:
@@ -358,7 +358,7 @@ class Scope:
             return x
         return tuple(steps.leave(self.motion, t, since, edge, x, e))
 
-    def hand_out(self, x: Vector) -> tuple[Vector, Any]:
+    def output(self, x: Vector) -> tuple[Vector, Any]:
         """(what the trajectory holds, norm error)."""
         own, auxiliary = self.parts(x)
         attitude = self.attitude
@@ -367,7 +367,7 @@ class Scope:
             y, d = attitude.finish(a)
             return (attitude.raw(a) if self.job.raw else y), d
 
-        y, d = self.motion.hand_out(own, finish)
+        y, d = self.motion.output(own, finish)
         return (*y, *auxiliary), d
 
     def invariants(self, x: Vector) -> Vector:

@@ -22,7 +22,7 @@ from fastatt.gyro.ends import beyond
 from fastatt.gyro.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import method_of
-from fastatt.scene.equations import GivenRate
+from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.inertia import axis_order
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene, as_scene
@@ -371,14 +371,14 @@ def _step_function(
         check_p(p)
         return made(t, h, q, m, p)
 
-    return around_formulas(of_rate if isinstance(structure, GivenRate) else of_state)
+    return around_formulas(of_rate if isinstance(structure, PrescribedRate) else of_state)
 
 
 _kept = lru_cache(maxsize=128)(_step_function)
 
 
 def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any:
-    """The same of a method for gyro samples, ``f(v, h)``, a function for ``@njit`` code.
+    """The derivative of a sampled method's step, ``f(v, h)``, a function for ``@njit`` code.
 
     v are the window's samples less the bias, flat, and h its intervals (s), as the functions of
     ``fastatt.gyro_steps`` take them in this order. Gives (turn, Φ11, Φ12) of each interval that the

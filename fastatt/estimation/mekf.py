@@ -344,8 +344,8 @@ class MEKF(Estimates):
         bias_noise: float,
         invalid: str = "raise",
     ) -> None:
-        beside = checks.array("bias", bias, "(3,) or (N, 3)")
-        super().__init__(q, "bias", beside, covariance, invalid)
+        rates = checks.array("bias", bias, "(3,) or (N, 3)")
+        super().__init__(q, "bias", rates, covariance, invalid)
         self._gyro = self._y.copy()
         self._variances = (
             at_least_zero("angle_noise", angle_noise) ** 2,

@@ -25,7 +25,7 @@ from fastatt.estimation.filters import (
 
 
 class ParticleFilter:
-    """Attitudes and K numbers beside each, with weights: any distribution, any measurement.
+    """Attitudes with K numbers each, and weights: any distribution, any measurement.
 
     Sampling and importance resampling: particles move by the motion and its noise, are weighted by
     how likely they make a measurement, and are drawn anew (systematically) when fewer than
@@ -35,7 +35,7 @@ class ParticleFilter:
     Parameters
     ----------
     q : (M, 4), attitudes, body to inertial, of any length but zero.
-    y : (M, K), what is estimated beside them.
+    y : (M, K), what is estimated besides.
     rng : a ``numpy.random.Generator``, or a seed for one.
     threshold : share of the particles below whose effective number they are drawn anew.
 
@@ -48,9 +48,9 @@ class ParticleFilter:
         self, q: ArrayLike, y: ArrayLike, *, rng: Any = None, threshold: float = 0.5
     ) -> None:
         start = checks.attitudes("q", q, "(M, 4)")
-        beside = checks.array("y", y, "(M, K)", [(len(start), -1)])
+        auxiliary = checks.array("y", y, "(M, K)", [(len(start), -1)])
         self.q = unit_rows(start, len(start))
-        self.y = rows_of(beside, beside.shape)
+        self.y = rows_of(auxiliary, auxiliary.shape)
         self.weights = np.full(len(start), 1.0 / len(start))
         self._rng = np.random.default_rng(rng)
         self._threshold = checks.real("threshold", threshold)
@@ -63,11 +63,11 @@ class ParticleFilter:
         generator = np.random.default_rng(rng)
         particles = checks.whole("n", n, 1)
         centre = checks.attitudes("q", q, "(4,)")
-        beside = checks.array("y", y, "(K,)")
-        size = 3 + len(beside)
+        auxiliary = checks.array("y", y, "(K,)")
+        size = 3 + len(auxiliary)
         made = cls(
             np.broadcast_to(centre, (particles, 4)),
-            np.broadcast_to(beside, (particles, size - 3)),
+            np.broadcast_to(auxiliary, (particles, size - 3)),
             rng=generator,
         )
         made.scatter(covariance)

@@ -144,11 +144,11 @@ def single_step(
     Parameters
     ----------
     scene : what acts.
-    method : a name of ``fastatt.METHODS`` that fits, or a method of one's own; None takes the first
+    method : a name of ``fastatt.METHODS`` that fits, or a custom method; None takes the first
         of magnus4, rk8 and rk4. The closed form takes no steps: see ``fastatt.closed_form`` and
         ``fastatt.kernels.free_body`` and ``heavy_top``.
-    representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
-        ``Attitude`` of one's own.
+    representation : a name of ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or a custom
+        ``Attitude``.
     position : carry the position too, of a scene with mass.
     dtype : float64 or float32, of ``params`` and of what ``Stepper.state`` gives.
 
@@ -221,7 +221,7 @@ class _Pieces:
         self._formulas = job.formulas
 
     def begun(self, q: Vector, y: Vector, p: Vector) -> Vector:
-        """x of an attitude and of what is carried beside it."""
+        """x of an attitude and its auxiliary state."""
         scope = _Given(self._formulas, q, p)
         tail = self._formulas.job.structure.tail
         if len(y) != tail:
@@ -261,7 +261,7 @@ class _Pieces:
     def handed_out(self, x: Vector, p: Vector) -> Vector:
         """What a trajectory holds."""
         scope = _Given(self._formulas, x, p)
-        return scope.made(scope.hand_out(x)[0])
+        return scope.made(scope.output(x)[0])
 
     def quaternion(self, y: Vector) -> Vector:
         """The attitude of what a trajectory holds."""

@@ -16,7 +16,7 @@ from typing import Any
 from fastatt.attitudes import QUATERNION
 from fastatt.methods.method import Method
 from fastatt.methods.windows import Window
-from fastatt.scene.equations import Body, GivenRate, RigidBody, Turning
+from fastatt.scene.equations import Body, PrescribedRate, RigidBody, Turning
 from fastatt.scene.models import SUM, Law
 from fastatt.tracing.dual import derivatives, seed, value
 from fastatt.tracing.formulas import Vector, dcm, minus, quat, rigid, scale
@@ -54,7 +54,7 @@ def rows(x: Vector, size: int) -> Vector:
 class _Unbiased(Turning):
     """A rate less a gyro's bias."""
 
-    def __init__(self, structure: GivenRate, p: Vector, like: Any, bias: Vector) -> None:
+    def __init__(self, structure: PrescribedRate, p: Vector, like: Any, bias: Vector) -> None:
         super().__init__(QUATERNION, structure, p, like)
         self.bias = bias
 
@@ -62,7 +62,7 @@ class _Unbiased(Turning):
         return minus(super().rate(t), self.bias)
 
 
-def rate_tangent(method: Method, structure: GivenRate) -> Formula:
+def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:
     """``f(t, h, b, p)`` -> (turn of a step of h s, Φ11, Φ12): quaternion, matrices row by row.
 
     The rate is that of the structure with parameters p less the bias b.
@@ -79,7 +79,7 @@ def rate_tangent(method: Method, structure: GivenRate) -> Formula:
 
 
 def coupled(x: Vector) -> tuple[Any, Any, Any]:
-    """The same of a dual quaternion that the bias moves."""
+    """Turn, Φ11 and Φ12 of a dual quaternion that the bias moves."""
     q = quat.normalise(value(x))
     return q, dcm.transpose(dcm.from_quat(q)), rows(error(x)[:3], 3)
 

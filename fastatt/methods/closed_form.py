@@ -6,7 +6,6 @@ METHOD = Method(
     name="exact",
     order=0,
     scenes=BODIES,
-    representations=("quat", "dcm"),
     conserves=("norm", "momentum", "energy"),
     rate_calls=0,
     exponentials=0,

@@ -12,6 +12,7 @@ import math
 from functools import partial
 from typing import Any
 
+from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import FREE, Method, Steps
 from fastatt.tracing.formulas import Vector, dot, plus, scale
 from fastatt.tracing.formulas import moser_veselov as mv
@@ -119,14 +120,13 @@ def _method(level: int) -> Method:
         name=f"dmv{order}",
         order=order,
         scenes=FREE,
-        representations=("quat", "dcm"),
         uses=("compose",),
         conserves=("norm", "momentum", "energy"),
         rate_calls=1,
         exponentials=0,
         compensates=True,
         measure="momentum",
-        limits=dict.fromkeys(("quat", "dcm"), 0.7 if order == 2 else 1.0),
+        limits=dict.fromkeys(FAMILIES, 0.7 if order == 2 else 1.0),
         steps=Steps(stage=stage, prepare=partial(prepare, level), enter=enter, leave=leave),
         reversible=FREE,
         symplectic=level == 0,

@@ -11,8 +11,9 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any
 
+from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.lie_group import gauss_polynomial
-from fastatt.methods.method import TURNED, Method, Steps
+from fastatt.methods.method import Method, Steps
 from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
 from fastatt.tracing.functions import larger
 
@@ -47,12 +48,11 @@ METHOD = Method(
     name="gauss12",
     order=2 * _NODES,
     scenes=("rate",),
-    representations=TURNED,
     uses=("compose",),
     conserves=(),
     rate_calls=_NODES,
     exponentials=0,
-    limits=dict.fromkeys((*TURNED, "direction"), 3.0),
+    limits=dict.fromkeys(FAMILIES, 3.0),
     steps=Steps(rate=rate),
     reversible=("rate",),
     summary="power series of six Gauss nodes' polynomial; errors below 1e-9, reversible",

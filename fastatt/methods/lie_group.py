@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from fastatt import checks
-from fastatt.methods.method import BODIES, BODY, TURNED, Method, Steps
+from fastatt.attitudes.attitude import FAMILIES
+from fastatt.methods.method import BODIES, BODY, Method, Steps
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector, axpy, dot, minus, plus, scale, weighted
 from fastatt.tracing.functions import larger
@@ -111,10 +112,9 @@ def lie_method(
         name=name,
         order=order,
         scenes=("rate",) if body is None else ("rate", *BODIES),
-        representations=TURNED,
         uses=("turn",),
         conserves=("norm",),
-        limits={**dict.fromkeys((*TURNED, "direction"), limit), BODY: body_limit},
+        limits={**dict.fromkeys(FAMILIES, limit), BODY: body_limit},
         steps=steps,
         exact_for_constant=exact_for_constant,
         compensates=True,

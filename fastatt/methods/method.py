@@ -7,15 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from fastatt.attitudes import Attitude
-from fastatt.scene.torques import Dependence
+from fastatt.attitudes import ATTITUDES, QUATERNION, Attitude
+from fastatt.scene.torque_record import Dependence
 
 #: key of the limits of a rigid body
 BODY = "body"
 FREE = ("spherical", "symmetric", "free")
 BODIES = (*FREE, "torqued")
-#: representations whose state can be turned by an exponential
-TURNED = ("quat", "dcm", "dcm_rows")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +44,8 @@ class Steps:
 class Method:
     """One method's record: everything that tests, benches, tables and advice are made from.
 
-    ``limits`` is the largest |w|h (rad a step) for which a step is trustworthy, by representation:
+    ``limits`` is the largest |w|h (rad a step) for which a step is trustworthy, by the ``family``
+    of a representation:
     its error is then at most 0.1 rad a rad turned, for rates that change no faster than the body
     turns; of ``dmv`` the largest |m|h/I_min, of ``strang2`` and its compositions the
     largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment. That of a rigid body
@@ -61,15 +60,14 @@ class Method:
     name: str
     order: int
     scenes: tuple[str, ...]
-    representations: tuple[str, ...]
     conserves: tuple[str, ...]
     rate_calls: int
     exponentials: int
     limits: Mapping[str, float]
     source: str
     summary: str = ""
-    #: formulas of a representation that the steps call
-    uses: tuple[str, ...] = ()
+    #: formulas of a representation that it calls: one that has them fits
+    uses: tuple[str, ...] = ("start",)
     #: None of the closed form and of methods for samples
     steps: Steps | None = field(default=None, repr=False)
     #: of a method for samples: what it makes of a window of them
@@ -120,17 +118,24 @@ class Method:
         """Order on one kind of scene, where it differs from ``order``."""
         return self.orders.get(scene, self.order)
 
-    def stores(self, representation: str | Attitude) -> bool:
-        """Whether it goes with a representation: by its name, of one's own by its formulas."""
-        if isinstance(representation, str):
-            return representation in self.representations
-        return self.is_stepped and all(
-            getattr(representation, name) is not None for name in self.uses
-        )
+    @property
+    def representations(self) -> tuple[str, ...]:
+        """Names of the library's representations that fit."""
+        return tuple(name for name, attitude in ATTITUDES.items() if self.stores(attitude))
 
-    def limit(self, representation: str, *, body: bool = False) -> float:
-        """Largest |w|h, rad; of a representation of one's own the least that there is."""
-        own = self.limits.get(representation, min(self.limits.values(), default=math.inf))
+    def stores(self, representation: str | Attitude) -> bool:
+        """Whether a representation has the formulas that it calls; samples give quaternions."""
+        if isinstance(representation, str):
+            representation = ATTITUDES[representation]
+        if self.window is not None:
+            return representation is QUATERNION
+        return all(getattr(representation, name) is not None for name in self.uses)
+
+    def limit(self, representation: str | Attitude, *, body: bool = False) -> float:
+        """Largest |w|h, rad, of a representation; the least that there is if it has no family."""
+        key = representation if isinstance(representation, str) else representation.family
+        key = ATTITUDES[key].family if key in ATTITUDES else key
+        own = self.limits.get(key, min(self.limits.values(), default=math.inf))
         return min(own, self.limits.get(BODY, math.inf)) if body else own
 
 

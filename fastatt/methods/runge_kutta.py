@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from fastatt import checks
+from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.lie_group import named
 from fastatt.methods.method import BODIES, Method, Steps
 from fastatt.tracing.formulas import Vector, axpy, largest, scale, weighted
 
-#: representations whose numbers obey a differential equation
-STEPPED = ("quat", "dcm", "dcm_rows", "euler313", "rotation_vector")
 # of trees beyond, 719 of order 10 and more, the conditions are not looked at
 _CHECKED = 9
 _CLOSE = 1e-12
@@ -177,14 +176,12 @@ def explicit_method(
 ) -> Method:
     """Record of a tableau, with its limits."""
     # the angles' rates grow without bound near their poles
-    limits = {"quat": of_quaternions, "euler313": 0.3, "rotation_vector": 0.3}
-    limits |= dict.fromkeys(("dcm", "dcm_rows", "direction"), of_matrices)
+    limits = dict(zip(FAMILIES, (of_quaternions, of_matrices, 0.3), strict=True))
     step = stepped(tableau, first_turn=first_turn)
     return Method(
         name=name,
         order=tableau.order,
         scenes=scenes,
-        representations=STEPPED,
         uses=("derivative",),
         conserves=(),
         rate_calls=len(set(tableau.c)) if "rate" in scenes else tableau.stages,

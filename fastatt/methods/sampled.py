@@ -23,7 +23,6 @@ def sampled_method(
         window=window,
         order=order,
         scenes=tuple(name for name, increments in kinds.items() if window.takes(increments)),
-        representations=("quat",),
         conserves=("norm",),
         rate_calls=1,
         exponentials=1,

@@ -15,8 +15,9 @@ import math
 from itertools import accumulate, pairwise
 from typing import Any
 
+from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import BODIES, Method, Steps
-from fastatt.scene.torques import Dependence
+from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.formulas import Vector, dot, scale, trig, vec3
 
 
@@ -114,13 +115,12 @@ def _method(
         name=name,
         order=order,
         scenes=BODIES,
-        representations=("quat", "dcm"),
         uses=("turn", "turn_first", "turn_third"),
         conserves=("norm", "momentum"),
         rate_calls=2 * len(half) - 1,
         exponentials=0,
         measure="asymmetry",
-        limits=dict.fromkeys(("quat", "dcm"), limit),
+        limits=dict.fromkeys(FAMILIES, limit),
         # strang2 turns the body with the rate of the middle, which a strong damping makes wrong; a
         # stage backwards undoes damping, and makes e^x of what the gyroscopic coupling left there
         damping_limit=damping_limit,

@@ -10,7 +10,7 @@ from fastatt.propagation.closed_forms import form_of
 from fastatt.propagation.options import Choice
 from fastatt.propagation.reducer import Reducer
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.scene.torques import Dependence
+from fastatt.scene.torque_record import Dependence
 
 # in this order, the first that fits the scene and the representation
 DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
@@ -41,9 +41,6 @@ def methods_for(
 
 def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
     """Whether a method takes a scene, in a representation, by name or one's own."""
-    if isinstance(representation, Attitude):
-        name = representation.name
-        representation = name if ATTITUDES.get(name) is representation else representation
     return (
         scene.kind in method.scenes
         and (representation is None or method.stores(representation))

@@ -11,8 +11,8 @@ from fastatt import checks, rounding
 from fastatt.propagation.closed_forms import (
     FREE_BODY,
     SYMMETRIC_TOP,
-    Form,
-    Motion,
+    BodySolution,
+    Evaluation,
     check_above_zero,
     heavy_top_form,
     rows,
@@ -71,7 +71,7 @@ def free_body(
     options = dtype, n_threads, invalid
     body = principal(inertia, allow_unphysical=allow_unphysical)
     check_above_zero(body)
-    return _at_times(Form(FREE_BODY, body), q0, w0, t, options)
+    return _at_times(BodySolution(FREE_BODY, body), q0, w0, t, options)
 
 
 def symmetric_top(
@@ -102,7 +102,7 @@ def symmetric_top(
         f"no two moments are equal to {EQUAL:g} of the largest",
         "a symmetric body, or free_body for any other",
     )
-    return _at_times(Form(SYMMETRIC_TOP, body), q0, w0, t, options)
+    return _at_times(BodySolution(SYMMETRIC_TOP, body), q0, w0, t, options)
 
 
 def heavy_top(
@@ -167,7 +167,7 @@ def _same_rows(given: dict[str, NDArray[Any]]) -> int | None:
 
 
 def _at_times(
-    form: Form, q0: ArrayLike, w0: ArrayLike, t: ArrayLike, options: tuple[Any, Any, str]
+    form: BodySolution, q0: ArrayLike, w0: ArrayLike, t: ArrayLike, options: tuple[Any, Any, str]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     dtype, n_threads, invalid = options
     precision = checks.precision(dtype, q0, w0)
@@ -183,7 +183,7 @@ def _at_times(
     flat = np.require(times.reshape(-1), precision, ["C", "A"])
     size = flat.size, n or 1
     q, w = np.empty((*size, 4), precision), np.empty((*size, 3), precision)
-    motion = Motion(form, precision, size)
+    motion = Evaluation(form, precision, size)
     motion.fill((rows(start, precision), rows(rates, precision)), flat, (q, w), threads)
     shape = times.shape if n is None else (*times.shape, n)
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))

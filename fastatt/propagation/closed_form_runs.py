@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import rounding
+from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.codegen.memory import address_of
 from fastatt.engine.status import Status
 from fastatt.propagation import closed_forms
@@ -20,6 +22,12 @@ if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
 
+@cache
+def stored_of(attitude: Attitude) -> Callable[[Any], Any]:
+    """What a trajectory holds in a representation, of a quaternion."""
+    return lambda q: attitude.raw(attitude.start(q))
+
+
 class ClosedForm:
     """What evaluates a plan's saves, or those of some numbers."""
 
@@ -28,11 +36,11 @@ class ClosedForm:
         attitude, self._handed, self._saves = plan.choice.attitude, plan.handed, saves
         self._plan, self._slots = plan, slots
         self._stored = attitude.stored
-        self._motion = closed_forms.Motion(
+        self._motion = closed_forms.Evaluation(
             self._form,
             plan.kind,
             (saves, plan.n_bodies),
-            stored=None if attitude.stored == 4 else attitude.start,
+            stored=None if attitude is QUATERNION else stored_of(attitude),
         )
 
     @cached_property

@@ -24,6 +24,7 @@ from fastatt.codegen.rows import kind_of, without_compiler
 from fastatt.scene import torques
 from fastatt.scene.inertia import Principal, about_arm
 from fastatt.scene.scene import Scene
+from fastatt.scene.torques import RECORDS
 from fastatt.threads import each_in_threads
 from fastatt.tracing import formulas
 from fastatt.tracing.finished import Flat
@@ -68,7 +69,7 @@ SYMMETRIC_TOP = Solution(formulas.free_body.symmetric_setup, _symmetric)
 _HEAVY_TOP = Solution(formulas.heavy_top.setup, _top, pulled=True)
 
 
-class Form(NamedTuple):
+class BodySolution(NamedTuple):
     """The closed form of bodies: which, of what bodies, and what pulls at their third axes, N·m.
 
     ``pull`` is (3,) or (N, 3), along inertial axes; ``gain``, rad/s, of each body or of all, is
@@ -82,11 +83,11 @@ class Form(NamedTuple):
 
 
 #: torques that have a closed form, by name
-LEVERS = tuple(m.__name__ for m, record in torques.RECORDS.items() if record.lever is not None)
+LEVERS = tuple(m.__name__ for m, record in RECORDS.items() if record.lever is not None)
 _Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def heavy_top_form(body: Principal, lever: _Lever) -> Form:
+def heavy_top_form(body: Principal, lever: _Lever) -> BodySolution:
     """The closed form of bodies with a lever, as of ``torques.lever_of``.
 
     Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, by its number.
@@ -97,10 +98,10 @@ def heavy_top_form(body: Principal, lever: _Lever) -> Form:
     pull = reach[..., None] * pull
     # A |w|² is at most what it was and 4 |pull|
     gain = 2.0 * np.sqrt(np.linalg.norm(pull, axis=-1) / found.moments[..., 0])
-    return Form(_HEAVY_TOP, found, pull, gain)
+    return BodySolution(_HEAVY_TOP, found, pull, gain)
 
 
-def form_of(scene: Scene) -> Form:
+def form_of(scene: Scene) -> BodySolution:
     """The closed form of a scene's motion.
 
     Raises ``ValueError`` where there is none, with the body or the torque that has none.
@@ -114,14 +115,14 @@ def form_of(scene: Scene) -> Form:
         scene.memo["closed form"] = known
     if isinstance(known, str):
         raise ValueError(known)  # noqa: TRY004
-    assert isinstance(known, Form)
+    assert isinstance(known, BodySolution)
     return known
 
 
-def _form_of(scene: Scene) -> Form:
+def _form_of(scene: Scene) -> BodySolution:
     if scene.torque is None:
         check_above_zero(scene.principal)
-        return Form(FREE_BODY, scene.principal)
+        return BodySolution(FREE_BODY, scene.principal)
     lever = torques.lever_of(scene.torque)
     if lever is None:
         raise ValueError(
@@ -151,7 +152,7 @@ class _Traced(NamedTuple):
 def _traced(
     solution: Solution, kind: str, turned: bool, stored: Any = None, *, native: bool = False
 ) -> _Traced:
-    """``turned``: the principal axes are not those of the body; ``stored`` as of ``Motion``."""
+    """``turned``: the principal axes are not those of the body; ``stored`` as of ``Evaluation``."""
     quat = formulas.quat
     graph = Graph(native=native)
     q, w, moments, axes, pull = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
@@ -288,15 +289,15 @@ def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -
     return _Compiled(shape, Memory(shape, n, 2), made, _loop(kind, lanes, results - 3))
 
 
-class Motion:
-    """Motion of the same bodies from any start, at as many times: laid out once.
+class Evaluation:
+    """Evaluation of the motion of the same bodies from any start, at as many times: laid out once.
 
     ``stored`` makes what is handed out of quaternions, these themselves unless it is given.
     """
 
     def __init__(
         self,
-        form: Form,
+        form: BodySolution,
         kind: np.dtype[Any],
         shape: tuple[int, int],
         stored: Callable[[Any], Any] | None = None,
@@ -400,14 +401,14 @@ def _stride(x: NDArray[Any]) -> int:
 
 
 def rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Numbers of bodies as ``Motion`` takes them."""
+    """Numbers of bodies as ``Evaluation`` takes them."""
     if x.dtype is not kind or not x.flags.carray:
         x = np.require(x, kind, ["C", "A"])
     return x if x.ndim == 2 else np.atleast_2d(x)
 
 
 def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest |w| t of each body, rad; ``gain`` as of a ``Form``."""
+    """Largest |w| t of each body, rad; ``gain`` as of a ``BodySolution``."""
     with np.errstate(over="ignore", invalid="ignore"):
         rates = np.asarray(w, dtype=np.float64)
         squares = (rates * rates) @ np.ones(3) + gain * gain

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between, quat_rotate
+from fastatt.attitudes.attitude import same
 from fastatt.propagation.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.propagation.trajectory import Trajectory
-from fastatt.scene import torques
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.time_series import TimeSeries
+from fastatt.scene.torques import RECORDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ def drift(trajectory: Trajectory, scene: Scene) -> Drift:
     length = np.abs(np.linalg.norm(trajectory.q, axis=-1) - 1.0)
     attitude = trajectory.attitude
     of_matrix = attitude.to_dcm_array is not None
-    of_quaternion = not of_matrix and attitude.to_quat_array is None
+    of_quaternion = not of_matrix and attitude.to_quat_array in (None, same)
     return Drift(
         norm=norm_error if of_quaternion else length,
         orthogonality=norm_error if of_matrix else matrix,
@@ -82,12 +83,13 @@ def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
 
 
 def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
-    rotor = isinstance(scene.torque, torques.Rotor)
-    if scene.inertia is None or not (scene.torque is None or rotor):
+    record = RECORDS.get(type(scene.torque))
+    wheels = None if record is None else record.momentum
+    if scene.inertia is None or not (scene.torque is None or wheels):
         return None
     inside = angular_momentum(trajectory.w, scene.inertia)
-    if rotor:
-        inside = inside + _of_wheels(scene.torque.momentum, trajectory)
+    if wheels is not None:
+        inside = inside + _of_wheels(wheels(scene.torque), trajectory)
     total = quat_rotate(trajectory.q, inside)
     change = np.linalg.norm(total - total[0], axis=-1)
     return _relative(change, np.linalg.norm(total, axis=-1))

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding
+from fastatt.attitudes import Attitude
 from fastatt.methods.method import Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.scene import torques
-from fastatt.scene.equations import GivenRate
+from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.models import Packed
 from fastatt.scene.rates import bound, lengths
 from fastatt.scene.scene import Scene
@@ -22,7 +23,7 @@ _STAGES = 4
 
 
 def turn_limit(
-    scene: Scene, method: Method, representation: str, dtype: DTypeLike = np.float64
+    scene: Scene, method: Method, representation: Attitude, dtype: DTypeLike = np.float64
 ) -> float:
     """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
     if scene.is_constant and method.exact_for_constant:
@@ -73,7 +74,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
     if method.rate_calls > _STAGES and not method.stages:
         return None
     turning = packed.structure.turning
-    if isinstance(turning, GivenRate):
+    if isinstance(turning, PrescribedRate):
         with np.errstate(over="ignore", invalid="ignore"):
             return bound(turning.law, packed.params[..., : turning.n_params])
     return None if scene.kind == "torqued" else 0.0

@@ -63,7 +63,7 @@ class Plan:
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed)
             beside["s"] = choice.reducer.start.shape[-1]
-        self.limit = limits.turn_limit(scene, method, attitude.name, kind)
+        self.limit = limits.turn_limit(scene, method, attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
         known = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))

@@ -72,8 +72,8 @@ def propagate(
     method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.runge_kutta``,
         ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
         scene and the representation; the trajectory names it.
-    representation : "quat", "dcm", "dcm_rows", "euler313" or "rotation_vector", or an
-        ``Attitude`` of one's own.
+    representation : a name of ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or a custom
+        ``Attitude``.
     save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
         the final ones.
     dtype : float64 or float32; None takes float32 when the arrays given are all float32, else

@@ -25,10 +25,10 @@ class Reducer:
     start: NDArray[np.float64]
 
     def watching(self, packed: Packed) -> Packed:
-        """What moves, watched."""
-        watched = {"watcher": self.function, "watched": self.start.shape[-1]}
+        """What moves, with the reducer."""
+        fields = {"reducer": self.function, "reduced": self.start.shape[-1]}
         return packed._replace(
-            structure=packed.structure._replace(**watched),
+            structure=packed.structure._replace(**fields),
             resources={**packed.resources, **resources_of(self.function)},
         )
 

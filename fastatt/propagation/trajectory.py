@@ -17,7 +17,7 @@ from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
 from fastatt.engine.status import Status
 from fastatt.methods import METHODS
-from fastatt.scene.equations import GivenRate
+from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
 
@@ -107,8 +107,8 @@ class Trajectory:
     @cached_property
     def euler313(self) -> NDArray[Any]:
         """3-1-3 Euler angles (φ, θ, ψ), rad."""
-        if self.representation == "euler313":
-            return self._shaped(self.state)
+        if self.attitude.to_euler313_array is not None:
+            return self._shaped(self.attitude.to_euler313_array(self.state))
         return arrays.quat_to_euler313(self.q)
 
     @cached_property
@@ -121,14 +121,14 @@ class Trajectory:
             packed = packed.packed(self.status.size)
         assert packed is not None
         turning = packed.structure.turning
-        assert isinstance(turning, GivenRate)
+        assert isinstance(turning, PrescribedRate)
         w = self._shaped(self._given(turning, packed))
         if turning.inertial:
             w = np.einsum("...ji,...j->...i", self.dcm, w)
         with np.errstate(over="ignore"):
             return w.astype(self.state.dtype, copy=False)
 
-    def _given(self, turning: GivenRate, packed: Packed) -> NDArray[np.float64]:
+    def _given(self, turning: PrescribedRate, packed: Packed) -> NDArray[np.float64]:
         """w (S, N, 3) of a rate that is given, along the axes in which it is."""
         law = turning.law
         rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)

@@ -2,7 +2,7 @@
 
 The state is a tuple: the attitude's numbers, then what the scene makes the body carry, its angular
 momentum along principal axes. What acts is a structure of laws (``scene.models``), whose numbers
-are given beside it, flat.
+are given apart from it, flat.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
-from fastatt.scene.torques import Pose, damping_rates, is_free, torque_of
+from fastatt.scene.torque_record import Pose
+from fastatt.scene.torques import damping_rates, is_free, torque_of
 from fastatt.tracing.formulas import (
     Vector,
     as_like,
@@ -28,7 +29,7 @@ from fastatt.tracing.formulas import (
 from fastatt.tracing.user import UserFunction
 
 
-class GivenRate(NamedTuple):
+class PrescribedRate(NamedTuple):
     """Structure of a scene whose rate is given, along body axes or inertial ones.
 
     Its parameters are the law's.
@@ -44,7 +45,7 @@ class GivenRate(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers carried beside the attitude."""
+        """Numbers of auxiliary state."""
         return 0
 
 
@@ -70,7 +71,7 @@ class RigidBody(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers carried beside the attitude."""
+        """Numbers of auxiliary state."""
         return 3
 
 
@@ -80,13 +81,13 @@ class Structure(NamedTuple):
     Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's.
     """
 
-    turning: GivenRate | RigidBody
+    turning: PrescribedRate | RigidBody
     force: Law | None = None
     #: whether the position is carried too
     position: bool = False
     #: a user's function that reduces states to so many numbers a body
-    watcher: UserFunction | None = None
-    watched: int = 0
+    reducer: UserFunction | None = None
+    reduced: int = 0
 
     @property
     def n_params(self) -> int:
@@ -107,11 +108,11 @@ class Structure(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers carried beside the attitude."""
-        return self.turning.tail + self.moved + self.watched
+        """Numbers of auxiliary state."""
+        return self.turning.tail + self.moved + self.reduced
 
 
-class Motion:
+class EquationsOfMotion:
     """What a method's step needs of a scene in a representation."""
 
     attitude: Attitude
@@ -148,11 +149,11 @@ class Motion:
         """Square of the rate (rad/s) that limits an explicit step."""
         raise NotImplementedError
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
-        """The state at an attitude, as given, and what is carried beside it."""
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        """The state at an attitude, as given, and its auxiliary state."""
         raise NotImplementedError
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
         """(what the trajectory holds, departure from the group); ``finish`` is the attitude's."""
         raise NotImplementedError
 
@@ -165,10 +166,10 @@ class Motion:
         raise NotImplementedError
 
 
-class Turning(Motion):
+class Turning(EquationsOfMotion):
     """An attitude whose rate is given."""
 
-    def __init__(self, attitude: Attitude, structure: GivenRate, p: Vector, like: Any) -> None:
+    def __init__(self, attitude: Attitude, structure: PrescribedRate, p: Vector, like: Any) -> None:
         super().__init__(attitude)
         self.structure, self.p, self._like = structure, p, like
 
@@ -193,11 +194,11 @@ class Turning(Motion):
     def turning(self, g: Vector, xdot: Vector, x: Vector) -> Any:
         return self.attitude.speed_squared(xdot, g)
 
-    def begin(self, q: Vector, beside: Vector) -> Any:
+    def begin(self, q: Vector, auxiliary: Vector) -> Any:
         a = self.attitude.start(q)
         return self.attitude.flip(a) if self.structure.inertial else a
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
         return finish(self.attitude.flip(x) if self.structure.inertial else x)
 
     def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
@@ -207,7 +208,7 @@ class Turning(Motion):
         return q, quat.rotate_inverse(q, opposite(self.rate(t)))
 
 
-class Body(Motion):
+class Body(EquationsOfMotion):
     """A rigid body: its state is the attitude and the momentum m, principal axes, N·m·s."""
 
     def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector, like: Any) -> None:
@@ -283,9 +284,9 @@ class Body(Motion):
         decays = [rigid.exp_decay(k * h) for k in rates]
         return tuple(e * u + h * f * b for (e, f), u, b in zip(decays, m, torque, strict=True))
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         a = self.attitude.start(q)
-        w = beside
+        w = auxiliary
         if self.axes is not None:
             # by the matrix, whose zeros are exact for a permutation of axes: a needle's spin that
             # leaks into the other axes would be multiplied by their moments
@@ -293,7 +294,7 @@ class Body(Motion):
             a = self.attitude.compose(a, self.axes)
         return (*a, *self.attitude.carry(rigid.momentum(w, self.moments)))
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
         a, w = self.attitude_of(x), self.angular_velocity(self.momentum_of(x)[:3])
         if self.axes is not None:
             w = dcm.rotate(dcm.from_quat(self.axes), w)
@@ -317,10 +318,10 @@ class Body(Motion):
 
 
 def motion_of(
-    structure: GivenRate | RigidBody, attitude: Attitude, p: Vector, like: Any
+    structure: PrescribedRate | RigidBody, attitude: Attitude, p: Vector, like: Any
 ) -> Turning | Body:
     """The motion of a structure with parameters p; ``like`` has the state's precision."""
-    if isinstance(structure, GivenRate):
+    if isinstance(structure, PrescribedRate):
         return Turning(attitude, structure, p, like)
     return Body(attitude, structure, p, like)
 

@@ -7,6 +7,7 @@ body axes; weights and other forces fixed in space are given along inertial axes
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,8 +62,15 @@ class Custom(NamedTuple):
     uses_position: bool = False
 
 
-def _central_gravity(t: Any, q: Vector, w: Vector, v: Vector, r: Vector, p: Vector) -> Any:
-    return quat.rotate_inverse(q, scale(-p[1] * falling(r, p[0]), r))
+class _Weight(NamedTuple):
+    """``CentralGravity`` with the scene's mass, kg."""
+
+    gravitational_parameter: Any
+    mass: Any
+
+
+def _central_gravity(t: Any, q: Vector, w: Vector, v: Vector, r: Vector, m: Any) -> Any:
+    return quat.rotate_inverse(q, scale(-m.mass * falling(r, m.gravitational_parameter), r))
 
 
 def falling(r: Vector, gravitational_parameter: Any) -> Any:
@@ -71,17 +79,35 @@ def falling(r: Vector, gravitational_parameter: Any) -> Any:
     return gravitational_parameter * inverse * (inverse * inverse)
 
 
-# formulas of (t, q, w, v, r, p): force (N) along body axes at an attitude, a rate, a velocity and a
-# position, () where none is carried or where it is not stepped with the attitude
+@dataclass(frozen=True, eq=False)
+class ForceRecord(Record):
+    """A class of forces, with the square of the rate (rad/s) at which a body falls round a centre.
+
+    ``squared_rate(model, r)`` is that at a position; None where there is no centre.
+    """
+
+    squared_rate: Callable[[Any, Vector], Any] | None = None
+
+
+# formulas of (t, q, w, v, r, model): force (N) along body axes at an attitude, a rate, a
+# velocity and a position, () where none is carried or where it is not stepped with the attitude
 _VECTOR = Field((3,), table="values")
 _ALL = (
-    Record(Constant, (_VECTOR,), lambda t, q, w, v, r, p: p),
-    Record(ConstantInertial, (_VECTOR,), lambda t, q, w, v, r, p: quat.rotate_inverse(q, p)),
-    Record(Drag, (Field(),), lambda t, q, w, v, r, p: scale(-p[0], v)),
-    Record(CentralGravity, (Field(above_zero=True),), _central_gravity, reads_position=True),
+    ForceRecord(Constant, (_VECTOR,), lambda t, q, w, v, r, m: m.force),
+    ForceRecord(
+        ConstantInertial, (_VECTOR,), lambda t, q, w, v, r, m: quat.rotate_inverse(q, m.force)
+    ),
+    ForceRecord(Drag, (Field(),), lambda t, q, w, v, r, m: scale(-m.coefficient, v)),
+    ForceRecord(CentralGravity, (Field(above_zero=True),), _central_gravity, reads_position=True),
 )
-RECORDS: dict[type, Record] = {r.model: r for r in _ALL if r.model is not None}
-USER = {at: Record(None, (), lambda *given: given[-1], reads_position=at) for at in (False, True)}
+_WEIGHT = ForceRecord(
+    _Weight, (Field(), Field()), _central_gravity, reads_position=True,
+    squared_rate=lambda m, r: falling(r, m.gravitational_parameter),
+)  # fmt: skip
+RECORDS: dict[type, ForceRecord] = {r.model: r for r in _ALL if r.model is not None}
+USER = {
+    at: ForceRecord(None, (), lambda *given: given[-1], reads_position=at) for at in (False, True)
+}
 
 
 def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
@@ -93,10 +119,9 @@ def pack(model: Model, n_bodies: int | None, mass: NDArray[np.float64]) -> Packe
     """``models.pack`` of a force; ``mass`` is () or (N,), kg."""
 
     def pack_gravity(model: CentralGravity, n_bodies: int | None, argument: str) -> Packed:
-        record = RECORDS[CentralGravity]
-        packed = models.pack_fields(model, record, n_bodies, argument)
+        packed = models.pack_fields(model, RECORDS[CentralGravity], n_bodies, argument)
         params = join([packed.params, mass[..., None]], n_bodies, argument)
-        return packed._replace(structure=Law(record, (1, 1)), params=params)
+        return packed._replace(structure=Law(_WEIGHT, (1, 1)), params=params)
 
     others: dict[type, Any] = {Custom: _pack_custom, CentralGravity: pack_gravity}
     return models.pack(model, n_bodies, "force", RECORDS, others)
@@ -106,7 +131,8 @@ def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:
     """Squares of the rates (rad/s) at which a body falls round the centres that are known."""
     if law.record is SUM:
         return [x for part, own in law.split(p) for x in squares_of_rates(part, r, own)]
-    return [falling(r, p[0])] if law.record.model is CentralGravity else []
+    rate = law.record.squared_rate
+    return [] if rate is None else [rate(law.numbers(None, p), r)]
 
 
 __all__ = ["CentralGravity", "Constant", "ConstantInertial", "Custom", "Drag", "Sum"]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.scene.time_series import Form, TimeSeries, recorded
+from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
 from fastatt.tracing.user import FORMS, UserFunction, user_function
 
 Model = Any  # an instance of a model's class
@@ -33,22 +33,38 @@ class Field(NamedTuple):
     """One field of a model: the shape for one body (−1: any length) and whether it must be > 0.
 
     ``table`` says whether it may be a table, and what a formula then finds in its place: "values",
-    or "slopes", the values and their time derivatives.
+    or "slopes", the pair of the values and their time derivatives, () of numbers that stay.
     """
 
     shape: tuple[int, ...] = ()
     above_zero: bool = False
     table: str = ""
 
+    def shaped(self, numbers: Any) -> Any:
+        """The field as a formula takes it: a number, a tuple, or a tuple of rows."""
+        if not self.shape:
+            return numbers[0]
+        if len(self.shape) == 2:
+            n = self.shape[1]
+            return tuple(numbers[k : k + n] for k in range(0, len(numbers), n))
+        return (numbers, ()) if self.table == "slopes" else numbers
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What every kind of model says of its class: its fields and its formula."""
+    """What every kind of model says of its class: its fields and its formula.
+
+    The formula's last argument is an instance of ``model`` whose fields are recorded numbers, or
+    tuples of them.
+    """
 
     model: type | None
     fields: tuple[Field, ...]
     formula: Callable[..., Any]
     _: KW_ONLY
+    #: ``check(name, model, numbers)`` refuses a user's model that cannot be, by its name;
+    #: ``numbers`` is the same with numpy's arrays as fields, the body's index last
+    check: Callable[[str, Any, Any], None] | None = None
     #: of a torque or a force: whether it takes the position that the scene carries
     reads_position: bool = False
 
@@ -57,13 +73,13 @@ class LookUp(NamedTuple):
     """A field that is a table: the number of its array, how it is read, whether slopes too."""
 
     number: int
-    form: Form
+    form: TableLayout
     slopes: bool
 
     def numbers(self, t: Any, p: Any) -> tuple[Any, ...]:
         """What a formula finds in place of the field; p is the row, if there are some."""
         values, slopes = recorded(self.number, self.form, t, *p)
-        return (*values, *slopes) if self.slopes else values
+        return (values, slopes) if self.slopes else values
 
 
 @dataclass(frozen=True)
@@ -96,16 +112,16 @@ class Law:
         return found
 
     def numbers(self, t: Any, p: Any) -> Any:
-        """What the record's formula takes at a time: parameters, and what is looked up."""
-        if not self.look_ups:
+        """The model at a time, its fields from flat parameters or looked up in tables."""
+        if self.record.model is None:
             return p
-        at = 0
-        found: list[Any] = []
-        for size, look_up in zip(self.sizes, self.look_ups, strict=True):
+        at, found = 0, []
+        look_ups = self.look_ups or (None,) * len(self.sizes)
+        for field, size, look_up in zip(self.record.fields, self.sizes, look_ups, strict=True):
             own = p[at : at + size]
-            found += own if look_up is None else look_up.numbers(t, own)
+            found.append(field.shaped(own) if look_up is None else look_up.numbers(t, own))
             at += size
-        return tuple(found)
+        return self.record.model(*found)
 
     def formula(self, *given: Any) -> Any:
         """The record's formula of what is given, parameters last; of a sum that of its terms."""
@@ -246,6 +262,9 @@ def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: st
         columns.append(array.reshape((*array.shape[: array.ndim - len(shape)], -1)))
     params = join(columns, n_bodies, f"{argument}: {cls.__name__}")
     law = Law(record, tuple(sizes), look_ups=tuple(look_ups) if tables else ())
+    if record.check is not None:
+        flat = replace(law, look_ups=()).numbers(None, np.moveaxis(params, -1, 0))
+        record.check(f"{argument}: {cls.__name__}", model, flat)
     return Packed(law, params, tables)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt.scene.models import SUM, Field, Law, Record, Sum
-from fastatt.tracing.formulas import axpy, trig
+from fastatt.tracing.formulas import axpy, scale, trig
 from fastatt.tracing.graph import choose
 
 _VECTOR = Field((3,))
@@ -82,43 +82,44 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RateRecord(Record):
-    """A class of rates: ``formula(t, p)`` and what |w| of parameters p (N, P) is not above."""
+    """A class of rates: ``formula(t, model)``, and what |w| of a model is not above.
 
-    #: ``bound(p)``, rad/s, at any time; None where there is none
-    bound: Callable[[Numbers], Any] | None = None
+    ``bound(model)`` is that, rad/s, at any time, of a model of arrays (..., N); None where there is
+    none.
+    """
 
-
-def _sinusoidal(t: Any, p: Any) -> Any:
-    s = [trig.sincos(p[6 + i] * t + p[9 + i])[0] for i in range(3)]
-    return tuple(p[i] + p[3 + i] * s[i] for i in range(3))
+    bound: Callable[[Any], Any] | None = None
 
 
-def _coning(t: Any, p: Any) -> Any:
-    s, c = trig.sincos(p[1] * t)
-    a, b = trig.sincos(0.5 * p[0])
-    k = 2.0 * p[1] * a
+def _sinusoidal(t: Any, m: Any) -> Any:
+    s = [trig.sincos(f * t + phase)[0] for f, phase in zip(m.frequency, m.phase, strict=True)]
+    return tuple(b + a * x for b, a, x in zip(m.bias, m.amplitude, s, strict=True))
+
+
+def _coning(t: Any, m: Any) -> Any:
+    s, c = trig.sincos(m.frequency * t)
+    a, b = trig.sincos(0.5 * m.angle)
+    k = 2.0 * m.frequency * a
     return -k * b * s, k * b * c, -k * a
 
 
-def _precession(t: Any, p: Any) -> Any:
-    s, c = trig.sincos(p[2] * t + p[3])
-    return p[0] * c, p[0] * s, p[1]
+def _precession(t: Any, m: Any) -> Any:
+    s, c = trig.sincos(m.frequency * t + m.phase)
+    return m.transverse * c, m.transverse * s, m.axial
 
 
-def _slew(t: Any, p: Any) -> Any:
-    x = (t - p[4]) / p[3]
+def _slew(t: Any, m: Any) -> Any:
+    x = (t - m.start) / m.duration
     x = choose(x < 0.0, 0.0, x)
     x = choose(x > 1.0, 1.0, x)
     s, _ = trig.sincos(3.141592653589793 * x)
-    k = 2.0 * s * s / p[3]
-    return k * p[0], k * p[1], k * p[2]
+    return scale(2.0 * s * s / m.duration, m.rotation)
 
 
-def _polynomial(t: Any, p: Any) -> Any:
-    """Σ p_k t^k with vector coefficients p, flat, the constant term first."""
-    w = p[-3:]
-    for k in range(len(p) - 6, -1, -3):
-        w = axpy(t, w, p[k : k + 3])
+def _polynomial(t: Any, m: Any) -> Any:
+    *before, w = m.coefficients
+    for c in reversed(before):
+        w = axpy(t, w, c)
     return w
 
 
@@ -128,26 +129,26 @@ def lengths(v: NDArray[Any]) -> Numbers:
 
 
 _ALL = (
-    RateRecord(Constant, (_VECTOR,), lambda t, p: p, bound=lengths),
+    RateRecord(Constant, (_VECTOR,), lambda t, m: m.w, bound=lambda m: lengths(m.w.T)),
     RateRecord(Polynomial, (Field((-1, 3)),), _polynomial),
     RateRecord(
         Sinusoidal, (_VECTOR,) * 4, _sinusoidal,
-        bound=lambda p: lengths(np.abs(p[:, :3]) + np.abs(p[:, 3:6])),
+        bound=lambda m: lengths((np.abs(m.bias) + np.abs(m.amplitude)).T),
     ),
     RateRecord(
         Coning, (Field(),) * 2, _coning,
-        bound=lambda p: np.abs(2.0 * p[:, 1] * np.sin(0.5 * p[:, 0])),
+        bound=lambda m: np.abs(2.0 * m.frequency * np.sin(0.5 * m.angle)),
     ),
     RateRecord(
-        Precession, (Field(),) * 4, _precession, bound=lambda p: np.hypot(p[:, 0], p[:, 1])
+        Precession, (Field(),) * 4, _precession, bound=lambda m: np.hypot(m.transverse, m.axial)
     ),
     RateRecord(
         Slew, (_VECTOR, Field(above_zero=True), Field()), _slew,
-        bound=lambda p: 2.0 * lengths(p[:, :3]) / p[:, 3],
+        bound=lambda m: 2.0 * lengths(m.rotation.T) / m.duration,
     ),
 )  # fmt: skip
 RECORDS: dict[type, RateRecord] = {r.model: r for r in _ALL if r.model is not None}
-USER = RateRecord(None, (), lambda t, p: p)
+USER = RateRecord(None, (), lambda t, m: m)
 
 
 def bound(law: Law, params: Numbers) -> Numbers | None:
@@ -161,7 +162,7 @@ def bound(law: Law, params: Numbers) -> Numbers | None:
         known = [part for part in parts if part is not None]
         return np.sum(known, axis=0) if len(known) == len(parts) else None
     found = law.record.bound
-    return None if found is None else np.asarray(found(p))
+    return None if found is None else np.asarray(found(law.numbers(None, p.T)))
 
 
 def is_constant(law: Law) -> bool:

@@ -13,7 +13,7 @@ from fastatt import checks
 from fastatt._jit import plain
 from fastatt.kernels import rigid
 from fastatt.scene import forces, models, rates, torques
-from fastatt.scene.equations import GivenRate, RigidBody, Structure
+from fastatt.scene.equations import PrescribedRate, RigidBody, Structure
 from fastatt.scene.inertia import (
     Principal,
     is_sorted,
@@ -24,6 +24,7 @@ from fastatt.scene.inertia import (
 )
 from fastatt.scene.models import Law, Packed, join, numbers
 from fastatt.scene.time_series import TimeSeries
+from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.standing import keep, sources
 from fastatt.tracing.user import UserFunction
 
@@ -109,7 +110,7 @@ class Scene:
         return tuple(map(_key, self._given))
 
     def __reduce__(self) -> Any:
-        """What was given, and what one's own functions are traced from; the rest is found again."""
+        """What was given, and the source of user-defined functions; the rest is found again."""
         return _received, (type(self), self._given, sources(_own_functions(self._given)))
 
     def __eq__(self, other: object) -> bool:
@@ -169,7 +170,7 @@ class Scene:
         found: Law = self._body(None).structure.turning.law
         return found
 
-    def dependence(self, *, sorted_axes: bool = False) -> torques.Dependence:
+    def dependence(self, *, sorted_axes: bool = False) -> Dependence:
         """How the torque depends on w."""
         found = self.principal
         turned = found.axes is not None or (sorted_axes and not is_sorted(found.moments))
@@ -187,7 +188,7 @@ class Scene:
 
     @cached_property
     def functions(self) -> tuple[UserFunction, ...]:
-        """One's own functions in it: each says whether it is traced (``straight``) or why not.
+        """User-defined functions in it: each says whether it is traced (``straight``) or why not.
 
         A function that is traced becomes part of the loop: it vectorises, and is kept on disk. One
         that is not is called for each body (``reason`` says why); a rate whose parameters all
@@ -247,7 +248,7 @@ class Scene:
             packed = models.pack_user(self.rate, "rate", rates.USER, self.params, n_bodies)
         else:
             packed = models.pack(self.rate, n_bodies, "rate", rates.RECORDS)
-        structure = Structure(GivenRate(packed.structure, self.frame == "inertial"))
+        structure = Structure(PrescribedRate(packed.structure, self.frame == "inertial"))
         return packed._replace(structure=structure)
 
     def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:
@@ -322,7 +323,7 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
         return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
     if isinstance(value, TimeSeries):
         return value[rows] if value.form.own else value
-    if isinstance(value, torques.Sampled) or np.ndim(value) <= dims:  # shared
+    if hasattr(value, "_fields") or np.ndim(value) <= dims:  # shared
         return value
     return np.asarray(value)[rows]
 

@@ -28,11 +28,11 @@ Numbers = NDArray[np.float64]
 _FIRST, _END, _WIDTH, _LAST, _LOW, _HIGH, _ROWS, _ROW, _INTERVAL, _TIMES, _SAMPLES = range(11)
 _HEAD = 11
 _BUCKETS = 2**22
-# the time that a run adds up ends a few roundings beside what a table says
+# the time that a run adds up ends a few roundings from what a table says
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
 
 
-class Form(NamedTuple):
+class TableLayout(NamedTuple):
     """What the formula of a look-up depends on: numbers a sample, and how they are read."""
 
     size: int
@@ -43,7 +43,7 @@ class Form(NamedTuple):
 
 
 class TimeSeries:
-    """Numbers sampled in time, for one's own rate, torque or force, and for fields of models.
+    """Numbers sampled in time, for a user-defined rate, torque or force, and for fields of models.
 
     Called as ``table(t)``, or ``table(t, row)`` of (N, T, k), a table gives a tuple of k floats, of
     (T,) a float; ``table.slope`` gives the time derivatives so. Both may be called in a function
@@ -126,7 +126,7 @@ class TimeSeries:
         buckets = n - 1 if uniform else len(index) - n
         self.scalar = len(shape) == 1
         size = samples.shape[-1] // (2 if cubic else 1)
-        self.form = Form(size, cubic, uniform, holds, own=len(shape) == 3)
+        self.form = TableLayout(size, cubic, uniform, holds, own=len(shape) == 3)
         head = (
             times[0], times[-1], width if uniform else gaps.min(), buckets - 1.0, times[0] - slack,
             times[-1] + slack, len(samples), samples[0].size, n - 2.0, _HEAD + len(index) - n,
@@ -141,7 +141,7 @@ class TimeSeries:
 
     @cached_property
     def digest(self) -> str:
-        """The same of equal tables."""
+        """Equal for equal tables."""
         form = repr((self.form, self.scalar)).encode()
         return hashlib.sha256(form + self.data.tobytes()).hexdigest()
 
@@ -226,7 +226,7 @@ class _Ways(NamedTuple):
     choose: Callable[[Any, Any, Any], Any]
 
 
-def recorded(name: Any, form: Form, t: Any, row: Any = None) -> Any:
+def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> Any:
     """(values, slopes) of recorded numbers, of the table that memory has under a name."""
     # the floor of a dual number is one of its graph too
     of = graph.apply("floor", t if isinstance(t, Recorded) else row).graph
@@ -241,7 +241,7 @@ def recorded(name: Any, form: Form, t: Any, row: Any = None) -> Any:
     return _look_up(form, double(t), double(0.0 if row is None else row), ways)
 
 
-def _look_up(form: Form, t: Any, row: Any, ways: _Ways) -> Any:
+def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
     """(values, slopes) at t of a row. No place lies outside the table, whatever the numbers."""
     take, floor, choose = ways
     inside = (t >= take(_LOW)) & (t <= take(_HIGH))
@@ -275,7 +275,7 @@ def _look_up(form: Form, t: Any, row: Any, ways: _Ways) -> Any:
     return values, tuple(choose(inside, x, 0.0) for x in slopes) if form.holds else slopes
 
 
-def _between(form: Form, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
+def _between(form: TableLayout, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
     """(value, slope) at a fraction f of the interval of a width between two samples."""
     size = float(form.size)
     a, b = take(at), take(at + (1.0 + form.cubic) * size)

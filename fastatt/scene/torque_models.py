@@ -1,13 +1,19 @@
-"""Torque models: the numbers that a user gives of what turns a body."""
+"""Torque models: the numbers that a user gives of what turns a body, and their formulas."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from fastatt import checks
+from fastatt.scene.models import Field
 from fastatt.scene.time_series import TimeSeries
+from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
+from fastatt.tracing.formulas import dot, minus, rigid, scale, vec3
+from fastatt.tracing.graph import apply
 
 
 class Constant(NamedTuple):
@@ -169,9 +175,8 @@ class Custom(NamedTuple):
     """A user's ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes.
 
     t in s, q and w as tuples, p the tuple of ``params``, (P,) or (N, P). ``uses_rate=False``
-    promises that w is not used, which opens the splitting methods (and is looked into at a few
-    points); ``potential(t, q, p)``, J, an
-    ``@njit`` function too, is what ``drift`` takes the energy from.
+    promises that w is not used, which is checked at a few points and opens the splitting methods;
+    ``potential(t, q, p)``, J, an ``@njit`` function too, is what ``drift`` takes the energy from.
 
     With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, of a scene with mass: v the velocity,
     m/s, body axes, r the position, m, inertial axes. All is then stepped as one system, by methods
@@ -183,3 +188,129 @@ class Custom(NamedTuple):
     uses_rate: bool = True
     potential: Callable[..., Any] | None = None
     uses_position: bool = False
+
+
+# by how much given unit vectors may be off
+_ROUNDED = 1e-3
+
+
+def check_unit(name: str, value: Any, strength: Any) -> None:
+    """Refuse another length than 1, give or take the rounding of few digits, where it matters."""
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(value, axis=0)
+    off = (strength != 0.0) & (np.abs(size - 1.0) > _ROUNDED)
+    checks.refuse(f"{name}: its length", size, off, "1")
+
+
+def _check_orbit(name: str, n: Any, first: str, out: Any, along: Any) -> None:
+    """Refuse an orbit of mean motion n that is not given by two unit vectors at right angles."""
+    check_unit(f"{name}.{first}", out, n)
+    check_unit(f"{name}.along", along, n)
+    across = (np.clip(out, -1.0, 1.0) * np.clip(along, -1.0, 1.0)).sum(axis=0)
+    off = (n != 0.0) & (np.abs(across) > _ROUNDED)
+    checks.refuse(f"{name}.{first}·along", across, off, "0, vectors at right angles")
+
+
+def _check_kepler(name: str, model: Any, m: Any) -> None:
+    e = m.eccentricity
+    checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
+    _check_orbit(name, m.mean_motion, "periapsis", m.periapsis, m.along)
+
+
+def _no_potential(t: Any, pose: Pose, m: Any) -> float:
+    return 0.0
+
+
+def _gravity_gradient(t: Any, pose: Pose, m: Any) -> Any:
+    o = pose.to_body(rigid.orbit_direction(t, m.mean_motion, m.radial, m.along))
+    return rigid.gravity_gradient(o, pose.moments, m.mean_motion)
+
+
+def _kepler_gravity_gradient(t: Any, pose: Pose, m: Any) -> Any:
+    anomaly = m.mean_motion * t + m.mean_anomaly
+    o, nearness = rigid.kepler_direction(anomaly, m.eccentricity, m.periapsis, m.along)
+    # n² a³/r³ in place of n²
+    rate = m.mean_motion * nearness * apply("sqrt", nearness)
+    return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
+
+
+def _gravity_gradient_at(t: Any, pose: Pose, m: Any) -> Any:
+    r = m.position
+    inverse = 1.0 / apply("sqrt", dot(r, r))
+    rate = apply("sqrt", m.gravitational_parameter * inverse) * inverse
+    return rigid.gravity_gradient(pose.to_body(scale(inverse, r)), pose.moments, rate)
+
+
+def _central_gravity_gradient(t: Any, pose: Pose, m: Any) -> Any:
+    here = GravityGradientAt(pose.place[1], m.gravitational_parameter)
+    return _gravity_gradient_at(t, pose, here)
+
+
+def _heavy_top(t: Any, pose: Pose, m: Any) -> Any:
+    # half of the vertical: the doubling is done to what stays
+    return vec3.cross(vec3.scale(-2.0 * m.weight, m.arm), pose.to_body((0.0, 0.0, 0.5)))
+
+
+def _rotor(t: Any, pose: Pose, m: Any) -> Any:
+    momentum, slope = m.momentum
+    gyroscopic = vec3.cross(momentum, pose.w)
+    return minus(gyroscopic, slope) if slope else gyroscopic
+
+
+_VECTOR, _NUMBER, _ABOVE_ZERO = Field((3,)), Field(), Field(above_zero=True)
+_TABLED, _WITH_SLOPES = Field((3,), table="values"), Field((3,), table="slopes")
+_POSITION, _DAMPED, _RATE = Dependence
+FREE = TorqueRecord(
+    None, (), lambda t, pose, m: (0.0, 0.0, 0.0), _POSITION, True, potential=_no_potential
+)
+_ALL = (
+    TorqueRecord(Constant, (_TABLED,), lambda t, pose, m: m.torque, _POSITION, False),
+    TorqueRecord(
+        ConstantInertial, (_TABLED,), lambda t, pose, m: pose.to_body(m.torque), _POSITION, True
+    ),
+    TorqueRecord(
+        Damping, (_NUMBER,), lambda t, pose, m: rigid.damping(pose.w, (m.coefficient,) * 3),
+        _DAMPED, True,
+        damping=lambda m: (m.coefficient,) * 3,
+        decay=lambda m: np.abs(m.coefficient),
+    ),
+    TorqueRecord(
+        AxisDamping, (_VECTOR,), lambda t, pose, m: rigid.damping(pose.w, m.coefficients),
+        _DAMPED, False,
+        damping=lambda m: m.coefficients,
+        decay=lambda m: np.abs(np.asarray(m.coefficients)).max(axis=-1),
+    ),
+    TorqueRecord(
+        QuadraticDamping, (_NUMBER,),
+        lambda t, pose, m: rigid.quadratic_damping(pose.w, m.coefficient), _RATE, True,
+    ),
+    TorqueRecord(
+        GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True,
+        check=lambda name, _, m: _check_orbit(name, m.mean_motion, "radial", m.radial, m.along),
+    ),
+    TorqueRecord(
+        KeplerGravityGradient, (_NUMBER, _NUMBER, _VECTOR, _VECTOR, _NUMBER),
+        _kepler_gravity_gradient, _POSITION, True, check=_check_kepler,
+    ),
+    TorqueRecord(GravityGradientAt, (_TABLED, _ABOVE_ZERO), _gravity_gradient_at, _POSITION, True),
+    TorqueRecord(
+        CentralGravityGradient, (_ABOVE_ZERO,), _central_gravity_gradient, _POSITION, True,
+        reads_position=True,
+    ),
+    TorqueRecord(
+        HeavyTop, (_VECTOR, _NUMBER), _heavy_top, _POSITION, False,
+        potential=lambda t, pose, m: m.weight * dot(m.arm, pose.to_body((0.0, 0.0, 1.0))),
+        lever=lambda m: (m.arm, (0.0, 0.0, m.weight)),
+    ),
+    TorqueRecord(
+        MagneticDipole, (_TABLED, _TABLED),
+        lambda t, pose, m: vec3.cross(m.dipole, pose.to_body(m.field)), _POSITION, False,
+        potential=lambda t, pose, m: -dot(m.dipole, pose.to_body(m.field)),
+        lever=lambda m: (m.dipole, -m.field),
+    ),
+    TorqueRecord(
+        Rotor, (_WITH_SLOPES,), _rotor, _RATE, False,
+        potential=_no_potential, momentum=lambda m: m.momentum,
+    ),
+)  # fmt: skip
+MODELS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}

@@ -6,22 +6,21 @@ body axes; fields and weights that are fixed in space are given along inertial a
 
 from __future__ import annotations
 
-from collections import namedtuple
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import IntEnum
-from functools import cached_property, lru_cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene import models
-from fastatt.scene.models import SUM, Field, Law, Model, Packed, Record, Sum
+from fastatt.scene.controller import RECORD as CONTROLLER
+from fastatt.scene.controller import pack_controller
+from fastatt.scene.models import SUM, Law, Model, Packed, Sum
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_models import (
+    FREE,
+    MODELS,
     AxisDamping,
     CentralGravityGradient,
     Constant,
@@ -38,232 +37,13 @@ from fastatt.scene.torque_models import (
     Rotor,
     Sampled,
 )
-from fastatt.tracing.formulas import (
-    Vector,
-    as_like,
-    dot,
-    minus,
-    plus,
-    product,
-    quat,
-    rigid,
-    scale,
-    vec3,
-)
-from fastatt.tracing.graph import apply
+from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
+from fastatt.tracing.formulas import Vector, as_like, plus, quat
 from fastatt.tracing.nodes import NotStraight
 from fastatt.tracing.user import UserFunction, nested, points, user_function
 
-
-class Dependence(IntEnum):
-    """How a torque depends on w: not, by linear damping along principal axes, or somehow."""
-
-    POSITION = 0
-    DAMPED = 1
-    RATE = 2
-
-
-class Pose:
-    """Where a torque is asked for: an attitude, the angular velocity and the principal moments.
-
-    ``place`` is (velocity along body axes whatever those of the pose, position), where they are
-    stepped with the attitude; ``axes`` the quaternion of the principal axes, along which the pose
-    is, where these are not the body's.
-    """
-
-    def __init__(
-        self,
-        attitude: Attitude,
-        x: Vector,
-        w: Vector,
-        moments: Vector,
-        place: Vector = (),
-        axes: Vector | None = None,
-    ) -> None:
-        self._attitude, self._x = attitude, x
-        self.w, self.moments, self.place, self.axes = w, moments, place, axes
-
-    @cached_property
-    def quaternion(self) -> Any:
-        """The attitude as a quaternion, unit as far as the state is."""
-        return self._attitude.quaternion(self._x)
-
-    def to_body(self, v: Vector) -> Any:
-        """Components of an inertial vector along the axes of the pose."""
-        return self._attitude.to_body(self._x, v)
-
-    @cached_property
-    def along_body(self) -> Pose:
-        """The same along the body's own axes."""
-        if self.axes is None:
-            return self
-        q = quat.mul(self.quaternion, quat.conj(self.axes))
-        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.place)
-
-
-@dataclass(frozen=True, eq=False)
-class TorqueRecord(Record):
-    """A class of torques: ``formula(t, pose, p)``, N·m along the axes of the pose.
-
-    ``depends`` says how on w, and has no default: taken for independent, a torque is evaluated at
-    a standstill by the splittings. ``damping(p)`` gives the coefficients (N·m·s, three) of what is
-    linear damping; ``decay(model)`` a bound of them in numpy; ``potential(t, pose, p)`` the
-    potential energy, J, where there is one. ``lever(p)`` gives (arm, pull), in body and in inertial
-    axes, of a potential energy arm·Cᵀpull: a symmetric body with the arm on its axis has a closed
-    form.
-    """
-
-    depends: Dependence
-    #: the same along all axes, or given along principal ones
-    axis_free: bool
-    potential: Callable[..., Any] | None = None
-    damping: Callable[[Any], Vector] | None = None
-    decay: Callable[[Any], Any] | None = None
-    lever: Callable[[Any], tuple[Vector, Vector]] | None = None
-
-
-def _no_potential(t: Any, pose: Pose, p: Vector) -> float:
-    return 0.0
-
-
-def _gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
-    o = pose.to_body(rigid.orbit_direction(t, p[0], p[1:4], p[4:7]))
-    return rigid.gravity_gradient(o, pose.moments, p[0])
-
-
-def _kepler_gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
-    o, nearness = rigid.kepler_direction(p[0] * t + p[8], p[1], p[2:5], p[5:8])
-    # n² a³/r³ in place of n²
-    rate = p[0] * nearness * apply("sqrt", nearness)
-    return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
-
-
-def _gravity_gradient_at(t: Any, pose: Pose, p: Vector) -> Any:
-    inverse = 1.0 / apply("sqrt", dot(p[:3], p[:3]))
-    rate = apply("sqrt", p[3] * inverse) * inverse
-    return rigid.gravity_gradient(pose.to_body(scale(inverse, p[:3])), pose.moments, rate)
-
-
-def _central_gravity_gradient(t: Any, pose: Pose, p: Vector) -> Any:
-    return _gravity_gradient_at(t, pose, (*pose.place[1], p[0]))
-
-
-@lru_cache(maxsize=18)
-def _controller(stiffness: int, damping: int, limited: bool) -> TorqueRecord:
-    """The record of a controller whose gains are 1, 3 (an axis each) or 9 numbers (a matrix)."""
-
-    def formula(t: Any, pose: Pose, p: Vector) -> Any:
-        k, c, rest = p[:stiffness], p[stiffness : stiffness + damping], p[stiffness + damping :]
-        limit = rest[-3:] if limited else ()
-        target, turning = rest[:4], rest[4 : len(rest) - len(limit)]
-        w = pose.w
-        if turning:
-            # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
-            rate = quat.mul(turning, quat.conj(target))
-            size = dot(target, target)
-            target = quat.normalise(target)
-            w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
-        error = rigid.target_error(target, pose.quaternion)
-        if len(k) == len(c) == 1:
-            torque = rigid.quaternion_feedback(error, w, k[0], c[0])
-        else:
-            shorter = scale(-rigid.sign_of_scalar(error), error[1:])
-            torque = minus(_gained(k, shorter), _gained(c, w))
-        return rigid.saturated(torque, limit) if limited else torque
-
-    widths = (stiffness, damping)
-    fields = [*(Field((n,)) for n in widths), Field((4,), table="slopes"), Field((3,), True)]
-    return TorqueRecord(
-        QuaternionPD, tuple(fields if limited else fields[:3]), formula, Dependence.RATE, False
-    )
-
-
-def _gained(gain: Vector, v: Vector) -> Vector:
-    """A number, a number an axis or a matrix times a vector."""
-    if len(gain) == 9:
-        return tuple(dot(gain[3 * i : 3 * i + 3], v) for i in range(3))
-    return product(gain * 3 if len(gain) == 1 else gain, v)
-
-
-def _largest_gain(gain: Any) -> Any:
-    """The largest number of a gain or, of a matrix, a bound of its eigenvalues; (N,) if own."""
-    found = np.abs(np.asarray(gain, dtype=np.float64))
-    if found.ndim >= 2:
-        return found.sum(axis=-1).max(axis=-1)
-    return found.max(axis=-1) if found.ndim else found
-
-
-def _rotor(t: Any, pose: Pose, p: Vector) -> Any:
-    gyroscopic = vec3.cross(p[:3], pose.w)
-    return minus(gyroscopic, p[3:]) if p[3:] else gyroscopic
-
-
-# by how much given unit vectors may be off
-_ROUNDED = 1e-3
-_VECTOR, _NUMBER = Field((3,)), Field()
-_TABLED = Field((3,), table="values")
-_POSITION, _DAMPED, _RATE = Dependence
-FREE = TorqueRecord(
-    None, (), lambda t, pose, p: (0.0, 0.0, 0.0), _POSITION, True, potential=_no_potential
-)
-_ALL = (
-    TorqueRecord(Constant, (_TABLED,), lambda t, pose, p: p, _POSITION, False),
-    TorqueRecord(ConstantInertial, (_TABLED,), lambda t, pose, p: pose.to_body(p), _POSITION, True),
-    TorqueRecord(
-        Damping, (_NUMBER,), lambda t, pose, p: rigid.damping(pose.w, (p[0],) * 3), _DAMPED, True,
-        damping=lambda p: (p[0],) * 3,
-        decay=lambda model: np.abs(model.coefficient),
-    ),
-    TorqueRecord(
-        AxisDamping, (_VECTOR,), lambda t, pose, p: rigid.damping(pose.w, p), _DAMPED, False,
-        damping=lambda p: p,
-        decay=lambda model: np.abs(np.asarray(model.coefficients)).max(axis=-1),
-    ),
-    TorqueRecord(
-        QuadraticDamping, (_NUMBER,), lambda t, pose, p: rigid.quadratic_damping(pose.w, p[0]),
-        _RATE, True,
-    ),
-    TorqueRecord(GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True),
-    TorqueRecord(
-        KeplerGravityGradient, (_NUMBER, _NUMBER, _VECTOR, _VECTOR, _NUMBER),
-        _kepler_gravity_gradient, _POSITION, True,
-    ),
-    TorqueRecord(
-        GravityGradientAt, (_TABLED, Field(above_zero=True)), _gravity_gradient_at, _POSITION, True
-    ),
-    TorqueRecord(
-        CentralGravityGradient, (Field(above_zero=True),), _central_gravity_gradient,
-        _POSITION, True, reads_position=True,
-    ),
-    TorqueRecord(
-        HeavyTop, (_VECTOR, _NUMBER),
-        # half of the vertical: the doubling is done to what stays
-        lambda t, pose, p: vec3.cross(
-            vec3.scale(-2.0 * p[3], p[:3]), pose.to_body((0.0, 0.0, 0.5))
-        ),
-        _POSITION, False,
-        potential=lambda t, pose, p: p[3] * dot(p[:3], pose.to_body((0.0, 0.0, 1.0))),
-        lever=lambda p: (p[:3], (0.0, 0.0, p[3])),
-    ),
-    TorqueRecord(
-        MagneticDipole, (_TABLED, _TABLED),
-        lambda t, pose, p: vec3.cross(p[:3], pose.to_body(p[3:])), _POSITION, False,
-        potential=lambda t, pose, p: -dot(p[:3], pose.to_body(p[3:])),
-        lever=lambda p: (p[:3], -p[3:]),
-    ),
-    # what a scene's row is taken from; the formula depends on the gains: _pack_controller
-    TorqueRecord(
-        QuaternionPD,
-        (Field((3, 3)), Field((3, 3)), Field((4,), table="slopes"), _VECTOR),
-        _controller(1, 1, False).formula, _RATE, False,
-        decay=lambda model: _largest_gain(model.damping),
-    ),
-    TorqueRecord(
-        Rotor, (Field((3,), table="slopes"),), _rotor, _RATE, False,
-        potential=_no_potential,
-    ),
-)  # fmt: skip
-RECORDS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}
+#: records of the models, by class
+RECORDS = {**MODELS, QuaternionPD: CONTROLLER}
 USER = {
     (dependence, at): TorqueRecord(
         None, (), lambda *given: given[-1], dependence, False, reads_position=at
@@ -293,7 +73,7 @@ def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
         pose = pose.along_body
     if law.potential is not None:
         return law.potential.given(t, pose.quaternion, *pose.place[1:], p)
-    return law.record.potential(t, pose, p)
+    return law.record.potential(t, pose, law.numbers(t, p))
 
 
 def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False) -> Vector | None:
@@ -308,8 +88,11 @@ def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False)
     if turned and not law.record.axis_free:
         # of damping along other axes than principal ones no flow is known
         return None
-    coefficients = law.record.damping
-    return coefficients and tuple(c / i for c, i in zip(coefficients(p), moments, strict=True))
+    damping = law.record.damping
+    if damping is None:
+        return None
+    coefficients = damping(law.numbers(None, p))
+    return tuple(c / i for c, i in zip(coefficients, moments, strict=True))
 
 
 def is_free(law: Law) -> bool:
@@ -334,7 +117,7 @@ def lever_of(model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]] | 
     packed = models.pack_fields(model, record, None, "torque")
     if packed.structure.look_ups:  # what a table says depends on time
         return None
-    arm, pull = record.lever(np.moveaxis(packed.params, -1, 0))
+    arm, pull = record.lever(packed.structure.numbers(None, np.moveaxis(packed.params, -1, 0)))
     return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
 
 
@@ -362,91 +145,6 @@ def pack(model: Model, n_bodies: int | None) -> Packed:
     if model is None:
         return Packed(Law(FREE), np.zeros(0), {})
     return models.pack(model, n_bodies, "torque", RECORDS, _OTHERS)
-
-
-def _check_unit(name: str, value: NDArray[np.float64], strength: NDArray[np.float64]) -> None:
-    """Refuse another length than 1, give or take the rounding of few digits, where it matters."""
-    with np.errstate(over="ignore"):
-        size = np.linalg.norm(value, axis=-1)
-    off = (strength != 0.0) & (np.abs(size - 1.0) > _ROUNDED)
-    checks.refuse(f"{name}: its length", size, off, "1")
-
-
-def _pack_orbit(
-    model: GravityGradient | KeplerGravityGradient, n_bodies: int | None, argument: str
-) -> Packed:
-    """A model whose orbit is given by two unit vectors at right angles."""
-    packed = models.pack_fields(model, RECORDS[type(model)], n_bodies, argument)
-    name, at = f"{argument}: {type(model).__name__}", 1
-    if isinstance(model, KeplerGravityGradient):
-        e, at = packed.params[..., 1], 2
-        checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
-    out, along = packed.params[..., at : at + 3], packed.params[..., at + 3 : at + 6]
-    first, motion = model._fields[at], packed.params[..., 0]
-    _check_unit(f"{name}.{first}", out, motion)
-    _check_unit(f"{name}.along", along, motion)
-    across = (np.clip(out, -1.0, 1.0) * np.clip(along, -1.0, 1.0)).sum(axis=-1)
-    off = (motion != 0.0) & (np.abs(across) > _ROUNDED)
-    checks.refuse(f"{name}.{first}·along", across, off, "0, vectors at right angles")
-    return packed
-
-
-def _pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -> Packed:
-    if isinstance(model.target, TimeSeries):
-        q = model.target.samples
-        turned = np.argwhere((q[:, 1:] * q[:, :-1]).sum(axis=-1) <= 0.0)
-        if len(turned):
-            row, k = turned[0]
-            raise ValueError(
-                f"{argument}: QuaternionPD.target of row {row} turns its sign, or by half a turn, "
-                f"behind sample {k}; accepted: quaternions whose signs go on"
-            )
-    name = f"{argument}: QuaternionPD"
-    k = _gains(f"{name}.stiffness", model.stiffness)
-    c = _gains(f"{name}.damping", model.damping)
-    given = {"stiffness": k, "damping": c, "target": model.target}
-    if model.limit is not None:
-        limit = models.numbers(f"{name}.limit", model.limit)
-        if limit.ndim > 2 or limit.shape[-1:] not in ((), (1,), (3,)):
-            raise ValueError(
-                f"{name}.limit {checks.shape(limit)}; accepted: a number, (3,) per axis, (N, 1) or "
-                "(N, 3) per body"
-            )
-        given["limit"] = np.broadcast_to(limit, (*limit.shape[:-1], 3))
-    record = _controller(k.shape[-1], c.shape[-1], "limit" in given)
-    fields = namedtuple("QuaternionPD", given)(**given)  # noqa: PYI024
-    packed = models.pack_fields(fields, record, n_bodies, argument)
-    if not isinstance(model.target, TimeSeries):
-        p, at = packed.params, k.shape[-1] + c.shape[-1]
-        strength = np.abs(p[..., : k.shape[-1]]).max(axis=-1)
-        _check_unit(f"{name}.target", p[..., at : at + 4], strength)
-    return packed
-
-
-def _gains(name: str, value: Any) -> NDArray[np.float64]:
-    """Gains as rows of 1, 3 or 9 numbers, (n,) of all bodies or (N, n).
-
-    Raises ``ValueError`` for other shapes, negative gains and matrices that are not symmetric.
-    """
-    gains = models.numbers(name, value)
-    if gains.shape == (1, 1):  # a body's number of (N, 1, 1)
-        gains = gains[0, 0]
-    if gains.shape not in ((), (3,), (3, 3)) and not (
-        gains.ndim == 3 and gains.size and gains.shape[1:] in ((1, 1), (3, 3))
-    ):
-        raise ValueError(
-            f"{name} {checks.shape(gains)}; accepted: a number, (3,) per axis, a (3, 3) matrix, "
-            "and of each body (N, 1, 1) or (N, 3, 3)"
-        )
-    if gains.shape[-2:] != (3, 3):
-        checks.refuse(name, gains, gains < 0.0, "0 or more")
-        return gains.reshape(-1) if gains.ndim < 3 else gains.reshape(-1, 1)
-    size = np.abs(gains).max(axis=(-2, -1))
-    lowest = np.linalg.eigvalsh(gains)[..., 0]
-    asymmetry = np.abs(gains - np.swapaxes(gains, -2, -1)).max(axis=(-2, -1))
-    checks.refuse(f"{name}: its asymmetry", asymmetry, asymmetry > 1e-9 * size, "0")
-    checks.refuse(f"{name}: its lowest eigenvalue", lowest, lowest < -1e-9 * size, "0 or more")
-    return gains.reshape(*gains.shape[:-2], 9)
 
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
@@ -496,9 +194,10 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
 
 
 _OTHERS: dict[type, Any] = {
-    Custom: _pack_custom, Sampled: _pack_sampled, GravityGradient: _pack_orbit,
-    KeplerGravityGradient: _pack_orbit, QuaternionPD: _pack_controller,
-}  # fmt: skip
+    QuaternionPD: pack_controller,
+    Custom: _pack_custom,
+    Sampled: _pack_sampled,
+}
 
 __all__ = [
     "AxisDamping", "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from fastatt.attitudes import Attitude
-from fastatt.scene.equations import Motion, Structure, motion_of
+from fastatt.scene.equations import EquationsOfMotion, Structure, motion_of
 from fastatt.scene.forces import squares_of_rates
 from fastatt.tracing.formulas import Vector, as_like, minus, plus, quat, scale, vec3
 from fastatt.tracing.functions import larger
 
 
-class Coupled(Motion):
+class Coupled(EquationsOfMotion):
     """The motion of a scene with mass: its state is that of the rotation, velocity and position.
 
     v̇ = F/μ − w×v along body axes and, where the position is carried, ṙ = C v along inertial axes,
@@ -72,13 +72,13 @@ class Coupled(Motion):
         self._squares.clear()
         return square
 
-    def begin(self, q: Vector, beside: Vector) -> Vector:
-        y, moved = self._split(beside)
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        y, moved = self._split(auxiliary)
         return (*self.inner.begin(q, y), *moved)
 
-    def hand_out(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
         a, moved = self._split(x)
-        y, d = self.inner.hand_out(a, finish)
+        y, d = self.inner.output(a, finish)
         return (*y, *moved), d
 
     def invariants(self, x: Vector) -> Vector:

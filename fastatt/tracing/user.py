@@ -36,7 +36,7 @@ _TOLERANCE = 1e-9
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
-class Form(NamedTuple):
+class Signature(NamedTuple):
     """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
 
     ``results`` 0 stands for as many as it has parameters.
@@ -49,14 +49,14 @@ class Form(NamedTuple):
 
 
 FORMS = {
-    "rate": Form("rate(t, p)", (0,), 3, "rad/s"),
-    "torque": Form("torque(t, q, w, p)", (0, 4, 3), 3, "N·m"),
-    "torque at position": Form("torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m"),
-    "force": Form("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
-    "force at position": Form("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
-    "potential": Form("potential(t, q, p)", (0, 4), 1, "J"),
-    "potential at position": Form("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
-    "reducer": Form("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
+    "rate": Signature("rate(t, p)", (0,), 3, "rad/s"),
+    "torque": Signature("torque(t, q, w, p)", (0, 4, 3), 3, "N·m"),
+    "torque at position": Signature("torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m"),
+    "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
+    "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
+    "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
+    "potential at position": Signature("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
+    "reducer": Signature("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
 }
 
 # what a function was made of, and for which values of its names
@@ -448,4 +448,4 @@ def _place_of(error: Exception, plain: Any) -> str:
     return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}"
 
 
-__all__ = ["FORMS", "Form", "UserFunction", "interpreted", "nested", "points", "user_function"]
+__all__ = ["FORMS", "Signature", "UserFunction", "interpreted", "nested", "points", "user_function"]

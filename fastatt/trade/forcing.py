@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
-from fastatt.scene.equations import Body, GivenRate, Structure
+from fastatt.scene.equations import Body, PrescribedRate, Structure
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
@@ -115,7 +115,7 @@ def _acting(problem: Problem, path: _Path) -> dict[str, NDArray[np.float64]]:
     """Rates, or accelerations by torques and forces, (S, N, 3) each, at states of the bodies."""
     packed = problem.ensemble.scene.packed(problem.ensemble.size)
     structure = packed.structure
-    names = ["rate" if isinstance(structure.turning, GivenRate) else "torque"]
+    names = ["rate" if isinstance(structure.turning, PrescribedRate) else "torque"]
     names += [] if structure.force is None else ["force"]
     inputs = {"t": None, "q": 4, "w": 3, "v": 3, "r": 3, "p": structure.n_params}
     formula = rows(
@@ -131,7 +131,7 @@ def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, p: An
     place = () if structure.force is None else (v, r if structure.position else ())
     own, q = p[:n], quat.normalise(q)
     found = []
-    if isinstance(turning, GivenRate):
+    if isinstance(turning, PrescribedRate):
         found.append(turning.law.formula(t, own))
     else:
         motion, attitude, rate = Body(QUATERNION, turning, own, q[0]), q, w

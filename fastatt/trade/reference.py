@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
 from fastatt.methods import METHODS
 from fastatt.propagation.choice_of_method import methods_for
-from fastatt.propagation.closed_forms import Motion, form_of, rows
+from fastatt.propagation.closed_forms import Evaluation, form_of, rows
 from fastatt.scene import rates, torques
 from fastatt.threads import number_of
 from fastatt.trade.forcing import forcing
@@ -163,7 +163,7 @@ def _solution(problem: Problem) -> _Solution | None:
 
         def formed(t: NDArray[np.float64]) -> State:
             q, w = np.empty((t.size, e.size, 4)), np.empty((t.size, e.size, 3))
-            Motion(form, t.dtype, (t.size, e.size)).fill(start, t, (q, w), threads)
+            Evaluation(form, t.dtype, (t.size, e.size)).fill(start, t, (q, w), threads)
             return State(q, w)
 
         return "the closed form", formed, form.gain

@@ -214,7 +214,7 @@ def test_known_turns_are_those_of_the_whole_run(begin):
 
 
 def test_one_step_beyond_its_limit_shows_in_the_norm_of_rk4():
-    limit = fa.METHODS["rk4"].limits["quat"]
+    limit = fa.METHODS["rk4"].limit("quat")
     for first in range(8):
         p = np.array([first, first + 1.01, 1.02 * limit, 0.0, 1e9])
         run = fa.propagate(fa.Scene(rate=burst, params=p), Q0[:1], dt=1.0, n_steps=16, method="rk4")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from exact import EPS, START, angle, coning, exp, generic, mul, observed_order
 from numba import njit
 
 import fastatt as fa
+from fastatt.attitudes import ATTITUDES
 from fastatt.methods import rk4, rk8, rk9
 from fastatt.methods.runge_kutta import Tableau
 
@@ -470,10 +472,30 @@ def test_poles_of_ones_own_are_flagged():
     assert traj.status[0] & (fa.Status.SINGULAR | fa.Status.NON_FINITE)
 
 
+@pytest.mark.parametrize("name", [name for name in ATTITUDES if name != "quat"])
+def test_a_representation_fits_by_its_formulas_wherever_it_is_from(name):
+    mine = replace(ATTITUDES[name], name="mine")
+    for scene in (BODIES.scene, body_scene(), body_scene(fa.torques.Damping(0.1))):
+        fitting = fa.methods_for(scene, mine)
+        assert fitting == fa.methods_for(scene, name)
+        for method in map(fa.METHODS.get, fitting):
+            assert method.limit(mine) == method.limit(name)
+
+
+def test_closed_form_in_any_representation():
+    """Formulas of ``start`` and ``raw`` alone make what a trajectory holds."""
+    usual = run(body_scene(), "exact", 3, START4, SPIN4)
+    for name in ATTITUDES:
+        found = run(body_scene(), "exact", 3, START4, SPIN4, name)
+        assert angle(found.q[-1], usual.q[-1]).max() < 16 * EPS
+
+
 def test_defaults_fit_ones_own():
     assert run(BODIES.scene, None, representation=MRP).method == "rk4"
     assert run(BODIES.scene, None, representation=DOUBLED).method == "magnus4"
-    assert run(body_scene(), None, 24, START4, SPIN4, MRP).method == "rk8"
+    exact = run(body_scene(), None, 24, START4, SPIN4, MRP)
+    assert exact.method == "exact"
+    assert angle(exact.q[-1], run(body_scene(), None, 24, START4, SPIN4).q[-1]).max() < 16 * EPS
     names = fa.methods_for(BODIES.scene, MRP)
     assert names == ["rk4", "gauss12"]
     message = re.escape("method for representation \"mrp\": found 'magnus4'; accepted: rk4")

@@ -12,11 +12,13 @@ import scipy
 from each import each
 
 import fastatt as fa
+from fastatt.attitudes import QUATERNION
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.rows import rows
 from fastatt.estimation.tangent import own_numbers
 from fastatt.scene import forces, torques
-from fastatt.scene.torques import Pose, torque_of
+from fastatt.scene.torque_record import Pose
+from fastatt.scene.torques import RECORDS, torque_of
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.functions import gather
 from fastatt.tracing.graph import Graph
@@ -208,7 +210,7 @@ def test_a_time_outside_ends_as_a_status_of_that_body():
 
 FIELDS = [
     (record.model, name)
-    for records in (torques.RECORDS, forces.RECORDS)
+    for records in (RECORDS, forces.RECORDS)
     for record in records.values()
     for name, field in zip(record.model._fields, record.fields, strict=True)
     if field.table
@@ -219,7 +221,7 @@ NUMBERS = {3: (0.4, -0.3, 0.2), 4: Q0, 0: 0.7}
 @pytest.mark.parametrize(("model", "name"), FIELDS, ids=lambda x: getattr(x, "__name__", x))
 @pytest.mark.parametrize("own", [False, True], ids=["shared", "own"])
 def test_a_table_that_does_not_change_is_its_number(model, name, own):
-    records = torques if model in torques.RECORDS else forces
+    records = torques if model in RECORDS else forces
     shapes = {n: f.shape for n, f in zip(model._fields, records.RECORDS[model].fields, strict=True)}
     given = {n: NUMBERS[shape[0] if shape else 0] for n, shape in shapes.items()}
     if model is torques.QuaternionPD:
@@ -237,7 +239,7 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
         def formula(t, q, w, p):
             if records is forces:
                 return law.formula(t, q, w, (0.1, 0.2, 0.3), (), p)
-            return torque_of(law, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
+            return torque_of(law, t, Pose(QUATERNION, q, w, INERTIA), p)
 
         inputs = {"t": None, "q": 4, "w": 3, "p": law.count}
         return rows(formula, inputs, (3,))
@@ -334,7 +336,7 @@ def test_a_controller_takes_the_rate_of_its_target_off():
     packed = torques.pack(model, None)
 
     def formula(t, q, w, p):
-        return torque_of(packed.structure, t, Pose(torques.QUATERNION, q, w, INERTIA), p)
+        return torque_of(packed.structure, t, Pose(QUATERNION, q, w, INERTIA), p)
 
     acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": packed.structure.count}, (3,))
     on = fa.rotation_vector_to_quat(1.23 * speed * axis)

@@ -22,11 +22,12 @@ from numba import njit
 from oracle import floats
 
 import fastatt as fa
-from fastatt.attitudes import ATTITUDES
+from fastatt.attitudes import ATTITUDES, QUATERNION
 from fastatt.codegen.rows import rows
 from fastatt.scene import torques as ft
 from fastatt.scene.models import Sum
-from fastatt.scene.torques import Dependence, Pose, torque_of
+from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
+from fastatt.scene.torques import RECORDS, torque_of
 
 INERTIA = np.array([0.6, 0.8, 1.0])
 AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
@@ -474,7 +475,7 @@ def test_gains_of_a_controller(stiffness, damping, limit):
     q /= np.linalg.norm(q, axis=1, keepdims=True)
 
     def formula(t, q, w, p):
-        return torque_of(pd.structure, t, Pose(ft.QUATERNION, q, w, INERTIA), p)
+        return torque_of(pd.structure, t, Pose(QUATERNION, q, w, INERTIA), p)
 
     acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": pd.structure.count}, (3,))
     (found,) = acting(0.0, q, w, pd.params)
@@ -684,14 +685,14 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
 def test_every_torque_of_the_package_is_among_the_models():
     moving = {"CentralGravityGradient"}  # of scenes with mass: tests/test_position.py
     every = {*MODELS, *moving}
-    assert every == {record.__name__ for record in (*ft.RECORDS, ft.Sampled)}
+    assert every == {record.__name__ for record in (*RECORDS, ft.Sampled)}
     assert every == set(ft.__all__) - {"Custom", "Sum"}
 
 
 def test_a_record_says_how_its_torque_depends_on_the_rate():
     """There is nothing that it would be taken for."""
     with pytest.raises(TypeError, match="'depends' and 'axis_free'"):
-        ft.TorqueRecord(ft.Constant, (), lambda t, pose, p: p)
+        TorqueRecord(ft.Constant, (), lambda t, pose, p: p)
 
 
 @each("name", MODELS)
