@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import pickle
 import signal
@@ -162,6 +163,17 @@ def test_what_went_wrong_is_remembered():
     assert begun.status.tolist() == whole.status.tolist()
     assert whole.status[2] & fa.Status.STEP_TOO_LARGE
     assert bits(second) == bits(whole)
+
+
+@pytest.mark.parametrize("method", ["lie_euler", "rk4", "magnus4"])
+def test_what_went_wrong_before_nan_is_remembered(method):
+    """A NaN hides no large step that came before it in the same block."""
+    scene = fa.Scene(rate=lambda t, p: (p[0], 0.0, 1e-3 * math.sqrt(6.5 - t)), params=(3.1,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fa.StepWarning)
+        whole, begun, rest = in_two(scene, [1, 0, 0, 0], dt=1.0, method=method, invalid="flag")
+    assert begun.status & fa.Status.STEP_TOO_LARGE
+    assert whole.status == rest.status == fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE
 
 
 def other_swing(t, q, w, p):

@@ -17,7 +17,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from fastatt.codegen.emitter import POINTERS, Emitter, larger
+from fastatt.codegen.emitter import POINTERS, Emitter, raised
 from fastatt.codegen.instructions import REALS, Code
 from fastatt.codegen.memory import DTYPES, address_of, aligned
 from fastatt.codegen.modules import Emission, generated
@@ -331,7 +331,7 @@ class _Emitted:
         for target, value in zip(formula.targets, emit.wide(formula.flat, find), strict=True):
             pointer, at = self._place(*target)
             if target == ("angle", 0):
-                value = larger(code, code.vector(pointer, at, self.lanes), value)  # noqa: PLW2901
+                value = raised(code, code.vector(pointer, at, self.lanes), value)  # noqa: PLW2901
             code.store_vector(pointer, at, value)
 
     def _place(self, group: str, i: int) -> tuple[Any, Any]:
@@ -444,7 +444,7 @@ class _PlainProgram:
         results = self._function(name, tables)(*given)
         for target, result in zip(formula.targets, results, strict=True):
             place = row(*target)
-            place[:] = np.maximum(place, result) if target == ("angle", 0) else result
+            place[:] = np.fmax(place, result) if target == ("angle", 0) else result
 
     def _function(self, name: str, tables: Any) -> Any:
         # a program serves every scene of a structure, each with tables of its own

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding
-from fastatt.methods.method import Method
+from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.scene import torques
 from fastatt.scene.equations import GivenRate
@@ -27,7 +27,8 @@ def turn_limit(
     """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
     if scene.is_constant and method.exact_for_constant:
         return rounding.most_turned(dtype)
-    return method.limit(representation, body=scene.kind != "rate")
+    kind = scene.kind
+    return method.limit(representation, body=kind != "rate", torqued=kind == "torqued")
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
@@ -40,7 +41,11 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray
             return m
         least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
         between = (1.0 - least / middle) * (least / middle - least / most)
-        return np.asarray(m * np.sqrt(np.abs(between)))
+        apart = np.asarray(m * np.sqrt(np.abs(between)))
+        if scene.kind != "torqued":
+            return apart
+        share = method.limits[TORQUED] / method.limit("quat")
+        return np.asarray(np.maximum(lengths(_finite(w)) * abs(h), share * apart))
 
 
 def _finite(w: NDArray[Any]) -> NDArray[np.float64]:

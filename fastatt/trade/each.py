@@ -129,7 +129,7 @@ def own_steps(
     # each is enough for all bodies of a class that were looked at, so the lesser one is
     share = (rates / classes.tops[classes.of]) ** power
     enough = np.minimum(flat[classes.of], rising[classes.of] * share)
-    limit = rates * duration / record.limit("quat", body=True)
+    limit = rates * duration / record.limit("quat", body=True, torqued=scene.kind == "torqued")
     steps = np.ceil(np.maximum(np.maximum(enough, limit), 1.0) - 1e-9).astype(np.int64)
     # bodies of a tile wait for its slowest anyway, and of equal steps share what time alone decides
     order = np.argsort(-steps, kind="stable")
