@@ -61,9 +61,11 @@ def ahead(motion: Any, t: Any, s: Any, k: Any, x: Vector) -> Vector:
 def prepare(motion: Any, h: Any, x: Vector) -> Vector:
     # any step is stable, and exact for a free symmetric body: what a step misses grows with the
     # mean of the rotors' angles, |m| h √(|1/I1 − 1/I2| |1/I3 − 1/I2|)
-    m = motion.momentum_of(x)
     apart = abs(motion.gyroscopic[0] * motion.gyroscopic[2])
-    return (h * h * apart * dot(m, m),) if motion.is_free else (apart, h * h)
+    if not motion.is_free:
+        return apart, h * h
+    m = scale(h, motion.momentum_of(x))
+    return (apart * dot(m, m),)
 
 
 def squared_angle(motion: Any, e: Vector, m: Vector, share: float) -> Any:

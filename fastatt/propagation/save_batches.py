@@ -33,9 +33,8 @@ def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) 
             handling.done(n * (span.last - span.first))
         return
     try:
-        calls = plan.job.formulas.calls > 0
         pool.run_ensemble(
-            run.part, span, (n, width), handling.threads, handling.done, calls=calls
+            run.part, span, (n, width), handling.threads, handling.done, calls=plan.calls
         )
     except pool.InterruptedRun as stopped:
         if found is None:
