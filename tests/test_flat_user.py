@@ -520,8 +520,13 @@ GAIN, GAINS, SETTINGS = 1.0, np.ones(1), Settings()
 @pytest.mark.parametrize(
     "rate",
     [
-        gain_of_a_global, gain_of_an_array, gain_of_an_object, gain_of_another, gain_while,
-        gain_of_a_jitted_helper, gain_of_a_jitted_helper_while,
+        gain_of_a_global,
+        gain_of_an_array,
+        gain_of_an_object,
+        gain_of_another,
+        gain_while,
+        gain_of_a_jitted_helper,
+        gain_of_a_jitted_helper_while,
     ],
 )
 def test_a_new_scene_sees_new_globals(rate, monkeypatch):
@@ -556,9 +561,7 @@ def test_what_is_no_number_in_python_or_has_no_digit_is_flagged(rate, t0):
     """Zeros that are known drop out of the library's own formulas, of a user's they do not."""
     made = user_function(rate, "rate", 1)
     scene = fa.Scene(rate=rate, params=(0.5,))
-    run = fa.propagate(
-        scene, [1, 0, 0, 0], dt=0.25, n_steps=8, t0=t0, method="rk4", invalid="flag"
-    )
+    run = fa.propagate(scene, [1, 0, 0, 0], dt=0.25, n_steps=8, t0=t0, method="rk4", invalid="flag")
     assert made.straight
     assert run.status == fa.Status.NON_FINITE
 

@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from each import each
-from oracle import EPS, coefficients, inverse_coefficient, powers, uniform
+from oracle import coefficients, inverse_coefficient, powers, uniform
 
 from fastatt.kernels import trig
 

@@ -135,9 +135,7 @@ def test_a_free_body_does_not_know_when_it_is_nor_who_is_beside_it():
         late = run("free", **options, t0=t0, save_at=t0 + at[1:])
         assert (late.q[-1] == here.q[-1]).all()
     few = [3, 33]
-    alone = run(
-        "free", rows=few, dt=STEPS[few], n_steps=COUNTS[few], method="rk4", t0=1.7e9
-    )
+    alone = run("free", rows=few, dt=STEPS[few], n_steps=COUNTS[few], method="rk4", t0=1.7e9)
     assert (alone.q[-1] == ends.q[-1][few]).all()
 
 

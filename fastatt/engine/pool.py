@@ -45,7 +45,10 @@ def run_ensemble(
     """
     n_bodies, width = bodies_and_width
     n_tiles = -(-n_bodies // width)
-    pieces = min(n_tiles, max(8 * n_threads if n_threads > 1 else 1, n_tiles // (_CALLING if calls else _TILES)))
+    pieces = min(
+        n_tiles,
+        max(8 * n_threads if n_threads > 1 else 1, n_tiles // (_CALLING if calls else _TILES)),
+    )
     bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
     reached = dict.fromkeys(pairwise(bounds), span.first)
 

@@ -131,9 +131,7 @@ class Method:
             getattr(representation, name) is not None for name in self.uses
         )
 
-    def limit(
-        self, representation: str, *, body: bool = False, torqued: bool = False
-    ) -> float:
+    def limit(self, representation: str, *, body: bool = False, torqued: bool = False) -> float:
         """Largest |w|h, rad; of a representation of one's own the least that there is."""
         if torqued and TORQUED in self.limits:
             return self.limits[TORQUED]

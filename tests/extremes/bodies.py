@@ -239,7 +239,7 @@ def torqued(inertia: Array, drag: Array, weight: Array, arm: Array) -> fa.Scene:
 
 
 def takes_torques(case: Case) -> bool:
-    return "torqued" in case.record.scenes
+    return "torqued" in case.record.scenes and case.record.is_stepped
 
 
 def damping(x: float) -> Column:

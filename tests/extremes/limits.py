@@ -70,8 +70,9 @@ def limits_table() -> Iterable[str]:
     yield (
         "The limit is of |w|h, rad a step or an interval of a log; of strang2 and its compositions "
         "of |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), and under a torque of |w|h too, of dmv of "
-        "|m|h/I_min, of cg3 of 24/17 |w|h. Errors are the worst of one step of status 0 on the cones and bodies below, from "
-        "half the limit on; flags are those of steps of twice the limit."
+        "|m|h/I_min, of cg3 of 24/17 |w|h. Errors are the worst of one step of status 0 on the "
+        "cones and bodies below, from half the limit on; flags are those of steps of twice the "
+        "limit."
     )
     yield from ("", "| method | for | limit | error at it, rad a rad | beyond | c h/I up to |")
     yield "| --- | --- | --- | --- | --- | --- |"
