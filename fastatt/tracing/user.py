@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numba import cfunc, config, njit, types
+from numba import cfunc, config, types
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
@@ -330,19 +330,17 @@ def _renewed(function: Any, within: tuple[Any, ...] = ()) -> Any:
 
     Numba keeps the globals of the moment when it first compiled a function.
     """
+    from fastatt._jit import with_options_of
+
     plain = getattr(function, "py_func", function)
     within = (*within, plain)
     found = referred_to(plain)
     others = {
-        name: njit(**_options(x))(_renewed(x, within))
+        name: with_options_of(x, _renewed(x, within))
         for name, x in found.items()
         if isinstance(x, CPUDispatcher) and x.py_func not in within and not is_library(x.py_func)
     }
     return _with(plain, found | others) if others else plain
-
-
-def _options(dispatcher: Any) -> dict[str, Any]:
-    return {k: x for k, x in dispatcher.targetoptions.items() if k != "nopython"}
 
 
 def _in_python(value: Any) -> Any:
