@@ -9,9 +9,11 @@ from __future__ import annotations
 import _imp
 import os
 import sys
-from importlib import _bootstrap  # type: ignore[attr-defined]
+from importlib import import_module
 from threading import get_ident
 from typing import Any
+
+_bootstrap: Any = import_module("importlib._bootstrap")
 
 
 def _imported_elsewhere() -> list[str]:
