@@ -17,6 +17,8 @@ import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from fastatt import _fork
+
 __version__ = "0.1.0"
 
 __all__ = [
@@ -106,6 +108,9 @@ def _held_by() -> dict[str, str]:
     lines = ast.walk(ast.parse(inspect.getsource(sys.modules[__name__])))
     found = [x for x in lines if isinstance(x, ast.ImportFrom) and x.module]
     return {name.name: line.module or "" for line in found for name in line.names}
+
+
+_fork.guard()
 
 
 def __getattr__(name: str) -> Any:

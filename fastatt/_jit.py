@@ -170,6 +170,12 @@ def recompile(function: Callable[..., Any]) -> Any:
     return njit(**_INLINED)(getattr(function, "py_func", function))
 
 
+def with_options_of(dispatcher: Any, function: Callable[..., Any]) -> Any:
+    """A function jitted as another one is."""
+    options = {k: x for k, x in dispatcher.targetoptions.items() if k != "nopython"}
+    return njit(**options)(function)
+
+
 def helper(function: Any) -> Any:
     """A part of a driver, inlined: a tile's strides are constants only where it was made."""
     return register_jitable(**_INLINED)(function)

@@ -5,6 +5,8 @@ Scenes are of the types that the tests of methods use, for which all is compiled
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from exact import START, representations
@@ -119,6 +121,37 @@ def test_bodies_past_the_limit_are_wrong_but_for_their_status(method):
     found = bodies.free(inertia, w0, 1.0, 1)(Case(method))
     assert not found.wrong.any()
     assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
+
+
+@pytest.mark.parametrize("method", [m for m in of("free") if fa.METHODS[m].sorted_axes])
+def test_a_splitting_that_samples_a_torque_too_seldom_is_wrong_but_for_its_status(method):
+    """However symmetric the body: of a free one any step is right."""
+    wrong = []
+    for theta in (2.0 * np.pi, 30.0, 16.0 * np.pi):
+        found = bodies.turning_under_weight(theta).run(Case(method))
+        assert not found.wrong.any()
+        assert theta < 7.0 or found.status.all()
+        wrong.append(Outcome(found.error, found.allowed, 0 * found.status).wrong.any())
+    assert any(wrong)
+
+
+@pytest.mark.parametrize("method", [m for m in of("free") if fa.METHODS[m].sorted_axes])
+def test_a_splitting_warns_of_large_steps_under_a_torque(method):
+    sphere = {"inertia": (1.0, 1.0, 1.0)}
+    pulled = fa.Scene(**sphere, torque=fa.torques.MagneticDipole((0.01, 0, 0), (0, 0, 1.0)))
+    limit = fa.METHODS[method].limits["torqued"]
+    for scene, size, flagged in (
+        (fa.Scene(**sphere), 30.0, False),
+        (pulled, 0.9 * limit, False),
+        (pulled, 1.1 * limit, True),
+    ):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            run = fa.propagate(scene, START, (0.0, 0.0, size), dt=1.0, n_steps=4, method=method)
+        assert run.has_flags == flagged
+        assert [w.category for w in said] == [fa.StepWarning] * flagged
+        if flagged:
+            assert f"{method}'s limit is {limit:.3g}" in str(said[0].message)
 
 
 @pytest.mark.parametrize("method", [m for m in of("free") if fa.METHODS[m].sorted_axes])

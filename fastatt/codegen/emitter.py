@@ -190,10 +190,19 @@ def _whole(kind: Any) -> tuple[Any, float]:
 
 def larger(code: Code, x: Any, y: Any) -> Any:
     """The larger of two numbers that are not negative, or NaN: compared as whole numbers."""
-    bits, _ = _whole(x.type)
+    bits, unit = _whole(x.type)
     b = code.b
-    a, c = b.bitcast(x, bits), b.bitcast(y, bits)
+    # a NaN may have its sign bit set, as what processors make of inf − inf has
+    size = _alike(bits, 2 ** (63 if unit == 2.0**52 else 31) - 1)
+    a, c = (b.and_(b.bitcast(each, bits), size) for each in (x, y))
     return b.bitcast(b.select(b.icmp_signed(">", a, c), a, c), x.type)
+
+
+def raised(code: Code, most: Any, x: Any) -> Any:
+    """The larger of a number and one that may be NaN, which counts as none."""
+    vector = isinstance(x.type, ir.VectorType)
+    bits = ir.VectorType(BIT, x.type.count) if vector else BIT
+    return code.select(code.of("fcmp ogt", x, most, kind=bits), x, most)
 
 
 def _power_of_two(code: Code, n: Any) -> Any:

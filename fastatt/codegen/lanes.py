@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numba import types
 
-from fastatt.codegen.emitter import Emitter, larger
+from fastatt.codegen.emitter import Emitter, raised
 from fastatt.codegen.instructions import REALS, Code
 from fastatt.codegen.memory import DTYPES, LINE
 from fastatt.codegen.modules import Emission, generated
@@ -168,7 +168,7 @@ class _Emission:
         for i, (x, value) in enumerate(zip(formula.results, values, strict=True)):
             kept = value
             if i == formula.largest:
-                kept = larger(code, code.vector(*place(x), lanes), value)
+                kept = raised(code, code.vector(*place(x), lanes), value)
             code.store_vector(*place(x), kept)
         if formula.finite is not None:
             zero = code.splat(code.real(kind, 0.0), lanes)
@@ -215,7 +215,7 @@ def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
         results = zip(formula.results, made[1](*given), strict=True)
         for i, (x, result) in enumerate(results):
             to = lanes_of(x)
-            to[:] = np.maximum(to, result) if i == formula.largest else result
+            to[:] = np.fmax(to, result) if i == formula.largest else result
 
     return apply
 

@@ -347,12 +347,3 @@ def _count(found: Any, seconds: float) -> None:
     else:
         made += 1
         _WAIT.add(seconds)
-
-
-# a process that forks while another thread compiles would leave Numba's lock held in the child
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        before=global_compiler_lock.acquire,
-        after_in_parent=global_compiler_lock.release,
-        after_in_child=global_compiler_lock.release,
-    )

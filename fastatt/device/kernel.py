@@ -245,7 +245,7 @@ class _Writer:
         rest = self._formulas(flat, prefix, *state)
         if noted:
             (z,) = rest
-            self._add(f"turn = {ast.unparse(_larger(ast.Name('turn'), ast.Name(z)))}")
+            self._add(f"turn = selp({z} > turn, {z}, turn)")  # of NaN its state tells
 
 
 def text(job: Job) -> tuple[str, dict[str, Any]]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
+import numpy as np
+
 from fastatt.attitudes import Attitude
+from fastatt.codegen.memory import DTYPES
 from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import SAVED
 from fastatt.methods.method import Method
@@ -23,11 +27,13 @@ from fastatt.scene.equations import (
 from fastatt.scene.rates import is_constant
 from fastatt.scene.translation import Coupled
 from fastatt.tracing.finished import Constants, Flat, resources_of
-from fastatt.tracing.formulas import Vector, as_like, dot, quat
-from fastatt.tracing.graph import Graph, Number, choose
+from fastatt.tracing.formulas import Vector, as_like, dot, quat, scale
+from fastatt.tracing.graph import Graph, Number, both, choose
 
 # a relative change is taken from invariants above this
 _TINY = 1e-37
+# |m|² below which products of rates lose digits
+_LOST = {"double": 1e-305, "single": 1e-36}
 
 
 @dataclass(frozen=True)
@@ -163,7 +169,7 @@ class Formulas:
         e = scope.prepared(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
         bound = (scope.bound(h, x),) if self.job.bounds else ()
-        return scope.finished((*stepped, *e, *scope.invariants(x), *bound))
+        return scope.finished((*stepped, *e, *scope.monitored(h, x), *bound))
 
     @cached_property
     def extras(self) -> int:
@@ -334,15 +340,15 @@ class Scope:
         """Square of no less than what the method's limit holds for, rad² a step, of a free body."""
         motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
         assert isinstance(motion, Body)
-        m = motion.momentum_of(self.parts(x)[0])[:3]
+        m = scale(h, motion.momentum_of(self.parts(x)[0])[:3])
         a, b, c = (k + k for k in motion.half_inverse)
         if self.job.method.measure == "asymmetry":
             assert self.job.method.sorted_axes
-            return dot(m, m) * h * h * abs((a - b) * (c - b))
+            return dot(m, m) * abs((a - b) * (c - b))
         most = a * a
         for k in (b, c):
             most = choose(k * k > most, k * k, most)
-        return dot(m, m) * h * h * most
+        return dot(m, m) * most
 
     def entered(self, t: Any, edge: Any, x: Vector, e: Vector) -> Vector:
         """The state as the method steps it."""
@@ -374,13 +380,28 @@ class Scope:
         """What the motion keeps."""
         return self.motion.invariants(self.parts(x)[0])
 
+    def monitored(self, h: Any, x: Vector) -> Vector:
+        """The invariants to begin with; NaN where products underflow on which a turn depends."""
+        kept = self.invariants(x)
+        if not kept or self.job.method.measure != "turn":
+            return kept
+        motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
+        assert isinstance(motion, Body)
+        m = motion.momentum_of(self.parts(x)[0])[:3]
+        turn = scale(h, motion.angular_velocity(m))
+        seen = dot(turn, turn) > float(np.finfo(DTYPES[self.kind]).eps)
+        lost = both(dot(m, m) < _LOST[self.kind], seen)
+        return tuple(choose(lost, math.nan, each) for each in kept)
+
 
 def relative_change(a: Vector, b: Vector) -> Any:
     """Largest relative change from the invariants a to b, 0 where there are none."""
     changes = []
     for x, y in zip(a, b, strict=True):
         there = x > _TINY
-        changes.append(abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0)))
+        change = abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0))
+        # beyond the largest number nothing is known of it, while the state itself is finite
+        changes.append(choose(x < math.inf, change, choose(x > 0.0, 0.0, x)))
     if not changes:
         return 0.0
     x, y = changes

@@ -13,8 +13,8 @@ from fastatt.threads import in_threads
 
 _PIECE = 2_000_000  # body-steps to begin with between two checks for Ctrl-C
 _SECONDS = 0.1  # between two checks
-# tiles of a piece: a block of their steps takes 0.3 s where a function is called for each body
-_TILES = 64
+# tiles of a piece, and of one whose bodies call a function: a block takes as long as that does
+_TILES, _CALLING = 64, 1
 
 
 class InterruptedRun(KeyboardInterrupt):
@@ -35,15 +35,20 @@ def run_ensemble(
     bodies_and_width: tuple[int, int],
     n_threads: int,
     done: Callable[[int], object] | None = None,
+    *,
+    calls: bool = False,
 ) -> None:
     """All tiles and steps of a span: ``call(span, tile_first, tile_last)``.
 
-    ``done`` is called with how many body-steps were taken. Raises ``InterruptedRun`` on Ctrl-C,
-    within a second.
+    ``done`` is called with how many body-steps were taken; ``calls`` says that steps call a user's
+    function, which may take any time. Raises ``InterruptedRun`` on Ctrl-C, within a second.
     """
     n_bodies, width = bodies_and_width
     n_tiles = -(-n_bodies // width)
-    pieces = min(n_tiles, max(8 * n_threads if n_threads > 1 else 1, n_tiles // _TILES))
+    pieces = min(
+        n_tiles,
+        max(8 * n_threads if n_threads > 1 else 1, n_tiles // (_CALLING if calls else _TILES)),
+    )
     bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
     reached = dict.fromkeys(pairwise(bounds), span.first)
 
@@ -52,7 +57,7 @@ def run_ensemble(
         block = (last - first) * width * BLOCK
 
         def work(stop: Event) -> None:
-            n, blocks = span.first, max(1, _PIECE // block)
+            n, blocks = span.first, 1 if calls else max(1, _PIECE // block)
             while not stop.is_set():
                 until = min(end_of_piece(n, blocks * BLOCK), span.last)
                 begun = perf_counter()

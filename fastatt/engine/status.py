@@ -16,7 +16,7 @@ class Status(IntFlag):
     OK = 0
     NON_FINITE = 1  #: the state holds NaN or infinity
     STEP_TOO_LARGE = 2  #: a step rotated further than the method's limit
-    INVARIANT = 4  #: the energy or |m|² of a free body changed by more than 1 %
+    INVARIANT = 4  #: the energy or |m|² of a free body changed by more than 1 %, or underflows
     SINGULAR = 8  #: the representation's coordinates passed too near their singularity
     NOT_CONVERGED = 16  #: an implicit step's iteration did not converge
     NORM_LOST = 32  #: the state left its group by more than round-off explains

@@ -72,7 +72,8 @@ def squared_turn(motion: Any, h: Any, m: Vector) -> Any:
     most = choose(a > b, a, b)
     most = choose(c > most, c, most)
     f = h * (most + most)
-    return f * f * dot(m, m)
+    u = scale(f, m)
+    return dot(u, u)
 
 
 def turned(motion: Any, a: Vector, u: Vector, kappa: Vector, z: Any) -> Any:

@@ -12,6 +12,8 @@ from fastatt.scene.torque_record import Dependence
 
 #: key of the limits of a rigid body
 BODY = "body"
+#: of a body under a torque, where that is another one
+TORQUED = "torqued"
 FREE = ("spherical", "symmetric", "free")
 BODIES = (*FREE, "torqued")
 
@@ -48,9 +50,10 @@ class Method:
     of a representation:
     its error is then at most 0.1 rad a rad turned, for rates that change no faster than the body
     turns; of ``dmv`` the largest |m|h/I_min, of ``strang2`` and its compositions the
-    largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment. That of a rigid body
-    stands under "body", those of samples under "rates" and "increments". Beyond, the body's status
-    says so, but where the rate is constant and the method ``exact_for_constant``.
+    largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment, and under a torque, as
+    "torqued", the largest |w|h too. That of a rigid body stands under "body", those of samples
+    under "rates" and "increments". Beyond, the body's status says so, but where the rate is
+    constant and the method ``exact_for_constant``.
     ``damping_limit`` is the largest c h/I of linear damping, whose factor is then right to 0.1, of
     splittings the angle to 0.1 |w|h.
     ``rate_calls`` is the number of evaluations of the rate or the torque a step, ``exponentials``
@@ -131,11 +134,16 @@ class Method:
             return representation is QUATERNION
         return all(getattr(representation, name) is not None for name in self.uses)
 
-    def limit(self, representation: str | Attitude, *, body: bool = False) -> float:
+    def limit(
+        self, representation: str | Attitude, *, body: bool = False, torqued: bool = False
+    ) -> float:
         """Largest |w|h, rad, of a representation; the least that there is if it has no family."""
+        if torqued and TORQUED in self.limits:
+            return self.limits[TORQUED]
         key = representation if isinstance(representation, str) else representation.family
         key = ATTITUDES[key].family if key in ATTITUDES else key
-        own = self.limits.get(key, min(self.limits.values(), default=math.inf))
+        least = min((x for name, x in self.limits.items() if name != TORQUED), default=math.inf)
+        own = self.limits.get(key, least)
         return min(own, self.limits.get(BODY, math.inf)) if body else own
 
 

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding
 from fastatt.attitudes import Attitude
-from fastatt.methods.method import Method
+from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.scene import torques
 from fastatt.scene.equations import PrescribedRate
@@ -28,7 +28,8 @@ def turn_limit(
     """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
     if scene.is_constant and method.exact_for_constant:
         return rounding.most_turned(dtype)
-    return method.limit(representation, body=scene.kind != "rate")
+    kind = scene.kind
+    return method.limit(representation, body=kind != "rate", torqued=kind == "torqued")
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
@@ -41,7 +42,11 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray
             return m
         least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
         between = (1.0 - least / middle) * (least / middle - least / most)
-        return np.asarray(m * np.sqrt(np.abs(between)))
+        apart = np.asarray(m * np.sqrt(np.abs(between)))
+        if scene.kind != "torqued":
+            return apart
+        share = method.limits[TORQUED] / method.limit("quat")
+        return np.asarray(np.maximum(lengths(_finite(w)) * abs(h), share * apart))
 
 
 def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
@@ -117,7 +122,10 @@ def warn(
     eps = float(np.finfo(kind).eps)
     if isinstance(h, np.ndarray):
         worst_of = seen if most > limit or not (damped > method.damping_limit).any() else damped
-        h = float(np.broadcast_to(h, worst_of.shape)[worst_of.argmax()] if seen.size else 0.0)
+        if worst_of.size == 1:  # of all bodies, the one with the largest step
+            h = float(h[np.abs(h).argmax()])
+        else:
+            h = float(np.broadcast_to(h, worst_of.shape)[worst_of.argmax()] if seen.size else 0.0)
     text = ""
     if most > limit:
         text = (

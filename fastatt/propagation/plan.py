@@ -183,7 +183,8 @@ class Plan:
             made = piecewise(self, run, times, given.one_body, (handling, begin, end))
         else:
             fields = partial(self.handed.fields, times, results, given.one_body)
-            if self.is_short and handling.threads == 1 and handling.done is None:
+            at_once = self.is_short and not self.calls
+            if at_once and handling.threads == 1 and handling.done is None:
                 run.part(self.span, 0, -(-self.n_bodies // self.job.width))
             else:
                 go(self, run, self.span, handling, fields)
@@ -230,6 +231,11 @@ class Plan:
     def by_time(self) -> bool:
         """Whether the motion or the saves go by the time."""
         return self.job.own_steps or self._program.formulas.is_timed
+
+    @property
+    def calls(self) -> bool:
+        """Whether steps call a user's function that is not traced: nobody knows for how long."""
+        return bool(self._program.formulas.calls)
 
     def warn_of_times(self, t0: float) -> None:
         """Warn of times too late to tell steps apart."""

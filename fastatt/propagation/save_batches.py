@@ -33,7 +33,9 @@ def go(plan: Plan, run: Run, span: Span, handling: Handling, found: Any = None) 
             handling.done(n * (span.last - span.first))
         return
     try:
-        pool.run_ensemble(run.part, span, (n, width), handling.threads, handling.done)
+        pool.run_ensemble(
+            run.part, span, (n, width), handling.threads, handling.done, calls=plan.calls
+        )
     except pool.InterruptedRun as stopped:
         if found is None:
             raise

@@ -160,15 +160,18 @@ class Rotor(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """A history of torques along body axes, linear between samples and held outside them.
+    """A history of torques along body axes, linear between samples.
 
     ``torques``: (n, 3), N·m, at times start, start + dt, …; one history for all bodies. A step of
     a whole fraction of ``dt`` keeps the order of a method: the history has a kink at each sample.
+    ``outside`` says what other times give, as of ``fastatt.TimeSeries``: "nan", which ends as a
+    body's status, or "hold", the nearest sample.
     """
 
     torques: ArrayLike
     dt: float
     start: float = 0.0
+    outside: str = "nan"
 
 
 class Custom(NamedTuple):

@@ -188,8 +188,10 @@ def _pack_sampled(model: Sampled, n_bodies: int | None, argument: str) -> Packed
         raise ValueError(f"{argument}: Sampled.torques has 1 sample; accepted: at least 2")
     dt = checks.above_zero(f"{argument}: Sampled.dt", model.dt, "above 0")
     start = checks.real(f"{argument}: Sampled.start", model.start)
+    choices = ("nan", "hold")
+    outside = checks.choice(f"{argument}: Sampled.outside", model.outside, choices)
     times = start + dt * np.arange(len(samples))
-    table = TimeSeries(times, samples, kind="linear", outside="hold")
+    table = TimeSeries(times, samples, kind="linear", outside=outside)
     return models.pack_fields(Constant(table), RECORDS[Constant], n_bodies, argument)
 
 

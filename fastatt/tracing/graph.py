@@ -28,12 +28,13 @@ class Graph:
     Where numbers of two precisions meet, the result has the wider one; or, if the graph is
     ``narrow``, the narrower, but for sums of what is made of a time (``time``) and a ``span`` of
     it. Sines of what is made of a time are narrow too if the graph is ``many``, for many bodies.
-    A graph for machine code alone may be ``native`` (``fastatt.tracing.native``).
+    A graph for machine code alone may be ``native`` (``fastatt.tracing.native``). While a graph is
+    ``strict``, as for a user's function, 0 x, 0/x and x − x are operations: of NaN they are NaN.
     """
 
     def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
         self.lanes, self.native = lanes, native
-        self.narrow = self.many = False
+        self.narrow = self.many = self.strict = False
         self.nodes: list[Node] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._times: set[int] = set()
@@ -127,6 +128,11 @@ def _is(x: Any, value: float) -> bool:
     return not isinstance(x, Number) and isinstance(x, (int, float, np.number)) and x == value
 
 
+def _drops_out(x: Any) -> bool:
+    """Whether 0 x, 0/x and x − x are 0 whatever x is."""
+    return not (isinstance(x, Number) and x.graph.strict)
+
+
 def _negative(x: Any) -> Any:
     """y where x is −y, else None."""
     if isinstance(x, Number) and x.graph.nodes[x.at].op == "neg":
@@ -149,7 +155,8 @@ def _difference(a: Any, b: Any) -> Any:
         return a
     if _is(a, 0.0):
         return -b
-    if isinstance(a, Number) and isinstance(b, Number) and a.at == b.at:
+    same = isinstance(a, Number) and isinstance(b, Number) and a.at == b.at
+    if same and _drops_out(a):
         return 0.0  # the bracket of a constant rate disappears
     if (y := _negative(b)) is not None:
         return _sum(a, y)
@@ -159,7 +166,7 @@ def _difference(a: Any, b: Any) -> Any:
 def _product(a: Any, b: Any) -> Any:
     for x, y in ((a, b), (b, a)):
         if not isinstance(x, Recorded):
-            if _is(x, 0.0):
+            if _is(x, 0.0) and _drops_out(y):
                 return 0.0
             if _is(x, 1.0):
                 return y
@@ -172,7 +179,7 @@ def _product(a: Any, b: Any) -> Any:
 
 
 def _quotient(a: Any, b: Any) -> Any:
-    if _is(a, 0.0):
+    if _is(a, 0.0) and _drops_out(b):
         return 0.0
     return a if _is(b, 1.0) else _binary("/", a, b)
 

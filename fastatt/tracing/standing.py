@@ -30,6 +30,11 @@ def names_of(plain: FunctionType) -> set[str]:
     return names
 
 
+def is_library(plain: FunctionType) -> bool:
+    """Whether it is part of a library whose globals do not change."""
+    return (plain.__module__ or "").partition(".")[0] in _LIBRARIES
+
+
 def referred_to(plain: FunctionType) -> dict[str, Any]:
     """What a function's names stand for, apart from its own variables: globals, then closures."""
     names = names_of(plain)
@@ -64,7 +69,7 @@ def standing(function: Any, seen: set[Any] | None = None) -> Any:
     seen = set() if seen is None else seen
     if not isinstance(plain, FunctionType):
         return _Itself(function)
-    if plain in seen or (plain.__module__ or "").partition(".")[0] in _LIBRARIES:
+    if plain in seen or is_library(plain):
         return plain.__qualname__
     seen.add(plain)
     names = names_of(plain)

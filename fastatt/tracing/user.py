@@ -26,7 +26,7 @@ from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.nodes import NotStraight
 from fastatt.tracing.recorded import Recorded
-from fastatt.tracing.standing import referred_to, standing
+from fastatt.tracing.standing import is_library, referred_to, standing
 from fastatt.tracing.trace import Standing, traceable
 
 POINTS = 8
@@ -195,7 +195,7 @@ class UserFunction:
         self, function: Callable[..., Any], params: NDArray[np.float64] | None
     ) -> Callable[..., Any]:
         """The function traced; raises ``NotStraight`` where it can't be, or can't be trusted."""
-        formula = traceable(function)
+        formula = _strict(traceable(function))
         recorder = Graph()
         numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
         p = recorder.inputs("double", "p", self.n_params)
@@ -228,6 +228,23 @@ class UserFunction:
         if not _agree(np.array(asked), np.array(found)):
             raise NotStraight("other values in Python than as it was traced")
         return formula
+
+
+def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """The formula with a user's arithmetic as Python has it, where numbers may be NaN."""
+
+    def call(*args: Any) -> Any:
+        found = (x.graph for x in graph.flattened(list(args)) if isinstance(x, Number))
+        recorder = next(found, None)
+        if recorder is None or recorder.strict:
+            return formula(*args)
+        recorder.strict = True
+        try:
+            return formula(*args)
+        finally:
+            recorder.strict = False
+
+    return call
 
 
 def _constant(x: float, like: Number) -> Number:
@@ -296,7 +313,11 @@ def _agree(asked: NDArray[np.float64], found: NDArray[np.float64]) -> bool:
 def interpreted(function: Any) -> Callable[..., Any]:
     """A function as Python runs it, what it calls that is jitted included: nothing is compiled."""
     plain = getattr(function, "py_func", function)
-    found = {name: _in_python(x) for name, x in referred_to(plain).items()}
+    return _with(plain, {name: _in_python(x) for name, x in referred_to(plain).items()})
+
+
+def _with(plain: FunctionType, found: dict[str, Any]) -> FunctionType:
+    """The function with other values of the names that it refers to."""
     scope = plain.__globals__ | found
     closure = tuple(
         CellType(found[name]) if name in found else CellType()
@@ -305,6 +326,24 @@ def interpreted(function: Any) -> Callable[..., Any]:
     made = FunctionType(plain.__code__, scope, plain.__name__, plain.__defaults__, closure)
     made.__kwdefaults__ = plain.__kwdefaults__
     return made
+
+
+def _renewed(function: Any, within: tuple[Any, ...] = ()) -> Any:
+    """The function with what it calls that Numba compiled before compiled anew when it is called.
+
+    Numba keeps the globals of the moment when it first compiled a function.
+    """
+    from fastatt._jit import with_options_of
+
+    plain = getattr(function, "py_func", function)
+    within = (*within, plain)
+    found = referred_to(plain)
+    others = {
+        name: with_options_of(x, _renewed(x, within))
+        for name, x in found.items()
+        if isinstance(x, CPUDispatcher) and x.py_func not in within and not is_library(x.py_func)
+    }
+    return _with(plain, found | others) if others else plain
 
 
 def _in_python(value: Any) -> Any:
@@ -371,7 +410,7 @@ def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     *before, last = user.sizes
     signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))
     plain: Any = getattr(function, "py_func", function)
-    inner = recompile(function)
+    inner = recompile(_renewed(function))
     try:
         inner.compile(signature)
     except Exception as error:

@@ -174,10 +174,12 @@ class _Classes:
         found = np.minimum((logs - logs.min()) / width, _CLASSES - 1).astype(np.int64)
         names, self.of = np.unique(found, return_inverse=True)
         tops = np.array([self.rates[self.of == k].max() for k in range(names.size)])
-        power = 1.0 + 1.0 / method.order_of(whole.ensemble.scene.kind)
+        kind = whole.ensemble.scene.kind
+        power = 1.0 + 1.0 / method.order_of(kind)
         #: of the steps of the fastest body of the class, what a body's rate calls for
         self.share = (self.rates / tops[self.of]) ** power
-        self.least = np.maximum(1.0, self.rates * whole.t_end / method.limit("quat", body=True))
+        limit = method.limit("quat", body=True, torqued=kind == "torqued")
+        self.least = np.maximum(1.0, self.rates * whole.t_end / limit)
         self.first = np.maximum(4.0, tops[self.of] * whole.t_end / _FIRST)
 
     def sample(self, n: int, chance: np.random.Generator) -> NDArray[np.intp]:

@@ -124,6 +124,21 @@ def test_backwards_and_from_another_epoch():
     assert (later.q[0, 5] == one.q[0]).all()
 
 
+def test_a_free_body_does_not_know_when_it_is_nor_who_is_beside_it():
+    """Time counts from t0: the ends of steps are not compared as times since the epoch."""
+    at = np.array([0.4, END])
+    options = {"dt": STEPS, "n_steps": COUNTS, "method": "rk4"}
+    here = run("free", **options, save_at=at)
+    ends = run("free", **options)
+    for t0 in (3.0, 1.7e9):
+        assert (run("free", **options, t0=t0).q == ends.q).all()
+        late = run("free", **options, t0=t0, save_at=t0 + at[1:])
+        assert (late.q[-1] == here.q[-1]).all()
+    few = [3, 33]
+    alone = run("free", rows=few, dt=STEPS[few], n_steps=COUNTS[few], method="rk4", t0=1.7e9)
+    assert (alone.q[-1] == ends.q[-1][few]).all()
+
+
 def test_each_body_has_its_own_numbers_and_status():
     moments = np.array([2.0, 1.0, 1.5]) * np.linspace(1.0, 2.0, N)[:, None]
     scene = fa.Scene(inertia=moments)

@@ -15,6 +15,7 @@ import fastatt as fa
 from fastatt.kernels.trig import sincos
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
+METHODS = fa.methods_for(FREE, "quat")
 N = 300
 GENERATOR = np.random.default_rng(5)
 Q0, W0 = GENERATOR.normal(size=(N, 4)), GENERATOR.normal(size=(N, 3))
@@ -413,3 +414,24 @@ def test_samples_too_far_apart_are_warned_of(method):
         fa.integrate_rates(rates, 1.0, method=method)
     with pytest.warns(fa.StepWarning, match="interval 77 of log 0"):
         fa.integrate_rates(rates[1], 1.0, method=method)
+
+
+@pytest.mark.parametrize("method", [m for m in METHODS if fa.METHODS[m].is_stepped])
+def test_rates_of_any_size_are_right_or_flagged(method):
+    """Products of rates underflow, their squares overflow: the turn in a step is the same."""
+    scene = fa.Scene(inertia=(0.6, 0.8, 1.0))
+    w = np.array([[0.5, -0.3, 0.8], [0.3, 0.9, 0.2]])
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    usual = fa.propagate(scene, q0, w, dt=0.1, n_steps=40, method=method)
+    scales_without_products = fa.METHODS[method].measure != "turn"
+    for size in (1e-250, 1e-163, 1e-160, 1e-150, 1e150, 1e200, 1e250):
+        run = fa.propagate(
+            scene, q0, w * size, dt=0.1 / size, n_steps=40, method=method, invalid="flag"
+        )
+        right = fa.angle_between(run.q[-1], usual.q[-1]) < 1e-9
+        assert (right | (run.status != 0)).all()
+        if scales_without_products or 1e-155 < size < 1e155:
+            assert right.all()
+            assert not run.has_flags
+    still = fa.propagate(scene, q0, w * 1e-200, dt=0.1, n_steps=40, method=method)
+    assert not still.has_flags

@@ -239,7 +239,7 @@ def torqued(inertia: Array, drag: Array, weight: Array, arm: Array) -> fa.Scene:
 
 
 def takes_torques(case: Case) -> bool:
-    return "torqued" in case.record.scenes
+    return "torqued" in case.record.scenes and case.record.is_stepped
 
 
 def damping(x: float) -> Column:
@@ -315,3 +315,58 @@ def pendulum(x: float) -> Column:
         return Outcome(error, allowed, got.status)
 
     return Column(f"{x:g}", run, takes_torques)
+
+
+# a torque that reads the attitude, on bodies from a sphere to a needle
+
+WEIGHED: Mapping[str, tuple[float, float, float]] = {
+    "sphere": (1.0, 1.0, 1.0),
+    "1+1e-3": (1.0, 1.0009765625, 1.001953125),
+    "disc": (1.0, 1.0, 2.0),
+    "rod": (0.0625, 1.0, 1.0),
+    "needle": (0.0009765625, 1.0, 1.0),
+    "V": V,
+}
+# torque of the weight: h² times it over the least moment; share of its impulse that a step may miss
+PULL, MISSED = 2.0**-7, 0.2
+_FINE = 0.05  # rad a step of the reference
+
+
+@kept
+def weighed(rows: Array, q0: Array, w0: Array, weight: Array, arm: Array) -> tuple[Array, Array]:
+    """(q, w) after ``TORQUED_STEPS`` s, in steps so small that order 8 leaves rounding."""
+    fine = max(1, math.ceil(np.linalg.norm(w0, axis=1).max() / _FINE), 64)
+    scene = torqued(rows, np.zeros(len(rows)), weight, arm)
+    got = propagate(Case("rk8"), scene, q0, w0, dt=1.0 / fine, n_steps=TORQUED_STEPS * fine)
+    return np.asarray(got.q[-1]), np.asarray(got.w[-1])
+
+
+def turning_under_weight(theta: float) -> Column:
+    """A weight on bodies that turn by theta a step, which samples its torque too seldom, or not."""
+
+    def run(case: Case) -> Outcome:
+        directions = spins(np.ones(3))
+        rows = single(np.repeat(list(WEIGHED.values()), len(directions), axis=0))
+        w0 = single(theta * np.tile(directions, (len(WEIGHED), 1)))
+        q0 = np.tile(START, (len(rows), 1))
+        least = rows.min(axis=1)
+        arm = np.tile([0.375, 0.5, 0.75], (len(rows), 1))
+        weight = PULL * least
+        scene = torqued(rows, np.zeros(len(rows)), weight, arm)
+        got = propagate(case, scene, q0, w0, dt=1.0, n_steps=TORQUED_STEPS)
+        q, w = weighed(rows, q0, w0, weight, arm)
+        size = np.linalg.norm(rows * w0, axis=1)
+        with np.errstate(all="ignore"):
+            off = np.linalg.norm(rows * (np.asarray(got.w[-1], float) - w), axis=1) / size
+        error = np.maximum(angle(got.q[-1], q), off)
+        n = TORQUED_STEPS
+        turn = np.linalg.norm(w0, axis=1)
+        missed = MISSED * PULL * n * np.maximum(0.5 * n, 1.0 / theta)
+        step = truncation_of_body(case, rows, w0, 1.0) * (1.0 + n * np.maximum(turn, 1.0))
+        own = rounding(case, n, n * turn) * (1.0 + n * rows.max(axis=1) / least)
+        return Outcome(error, missed + step + own, got.status)
+
+    def fits(case: Case) -> bool:
+        return takes_torques(case) and case.representation not in ANGLES
+
+    return Column(f"{theta:.3g}", run, fits)

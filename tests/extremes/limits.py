@@ -69,9 +69,10 @@ def limits_table() -> Iterable[str]:
     yield from ("## Where each method stops", "")
     yield (
         "The limit is of |w|h, rad a step or an interval of a log; of strang2 and its compositions "
-        "of |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), of dmv of |m|h/I_min, of cg3 of 24/17 "
-        "|w|h. Errors are the worst of one step of status 0 on the cones and bodies below, from "
-        "half the limit on; flags are those of steps of twice the limit."
+        "of |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), and under a torque of |w|h too, of dmv of "
+        "|m|h/I_min, of cg3 of 24/17 |w|h. Errors are the worst of one step of status 0 on the "
+        "cones and bodies below, from half the limit on; flags are those of steps of twice the "
+        "limit."
     )
     yield from ("", "| method | for | limit | error at it, rad a rad | beyond | c h/I up to |")
     yield "| --- | --- | --- | --- | --- | --- |"
@@ -88,8 +89,8 @@ def limits_table() -> Iterable[str]:
                 cells[1:] = f"{error[status == 0].max():.0e}", told_by(status[-1])
             kind, own = ("rates", "") if scene == "rate" else ("bodies", damped)
             yield f"| {record.name} | {kind} | {' | '.join(cells)} | {own} |"
-        if record.scenes == ("torqued",):
-            limit = record.limit("quat", body=True)
+        if "torqued" in record.limits:
+            limit = record.limits["torqued"]
             yield f"| {record.name} | bodies under a torque | {number(limit)} | | | |"
         for scene, key in (("sampled rates", "rates"), ("increments", "increments")):
             if scene in record.scenes:

@@ -25,6 +25,7 @@ from extremes.bodies import (
     shape,
     spins,
     turning,
+    turning_under_weight,
 )
 from extremes.cases import ANGLES, Case, Column, Outcome, Table
 from extremes.rates import (
@@ -76,6 +77,9 @@ def poles(*, body: bool) -> list[Column]:
         *[column(f"2π by {d:g}", "past 2π", d, vector) for d in (0.5, 1e-3, 0.0)],
     ]
 
+
+# the last ones are whole turns, at which each sample of a torque is the same
+UNDER_WEIGHT = (0.1, 0.5, 1.0, 2.0, 4.0, 2.0 * np.pi, 30.0, 16.0 * np.pi)
 
 TABLES = (
     Table(
@@ -153,6 +157,13 @@ TABLES = (
         "Columns: frequency times step; 32 steps, 90° to each side. Error, rad, or of w, relative.",
         "torqued",
         [pendulum(x) for x in (1e-6, 1e-3, 0.1, 0.3, 1.0, 3.0, 10.0)],
+    ),
+    Table(
+        "A weight on bodies that turn",
+        "Columns: |w|h; bodies from a sphere to a needle, in 11 directions, with a weight of "
+        "h²/I_min = 1/128; 32 steps. Error: angle, rad, or |Δm|/|m|.",
+        "torqued",
+        [turning_under_weight(x) for x in UNDER_WEIGHT],
     ),
     *(
         Table(

@@ -426,7 +426,7 @@ def test_record_is_complete(record):
     assert record.summary
     assert record.source
     assert set(record.scenes) <= {"rate", "spherical", "symmetric", "free", "torqued"}
-    assert set(record.limits) <= {*FAMILIES, "body"}
+    assert set(record.limits) <= {*FAMILIES, "body", "torqued"}
     if record.stages:
         free, other, at = np.array(record.stages).T
         assert free.sum() == pytest.approx(1.0, abs=1e-15)

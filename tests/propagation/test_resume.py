@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import pickle
 import signal
@@ -19,6 +20,7 @@ from test_plan import BODY, OWN, PAIRS, Q0, RNG, SCENES, W0, bits, rates_of, swi
 
 import fastatt as fa
 from fastatt.engine import run as engine_run
+from fastatt.engine.loop import BLOCK
 from fastatt.engine.pool import InterruptedRun
 from fastatt.propagation import execute, histories, resume
 
@@ -162,6 +164,17 @@ def test_what_went_wrong_is_remembered():
     assert begun.status.tolist() == whole.status.tolist()
     assert whole.status[2] & fa.Status.STEP_TOO_LARGE
     assert bits(second) == bits(whole)
+
+
+@pytest.mark.parametrize("method", ["lie_euler", "rk4", "magnus4"])
+def test_what_went_wrong_before_nan_is_remembered(method):
+    """A NaN hides no large step that came before it in the same block."""
+    scene = fa.Scene(rate=lambda t, p: (p[0], 0.0, 1e-3 * math.sqrt(6.5 - t)), params=(3.1,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fa.StepWarning)
+        whole, begun, rest = in_two(scene, [1, 0, 0, 0], dt=1.0, method=method, invalid="flag")
+    assert begun.status & fa.Status.STEP_TOO_LARGE
+    assert whole.status == rest.status == fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE
 
 
 def other_swing(t, q, w, p):
@@ -502,6 +515,32 @@ def test_ctrl_c_keeps_what_is_done(monkeypatch):
     assert np.isnan(run.q[:, left]).all()
     assert np.isnan(run.norm_error[:, left]).all()
     assert run.status_counts() == {"UNFINISHED": left.sum()}
+
+
+def stepwise(t, p):  # no straight line
+    x = 0.0
+    while x < p[0]:
+        x += 0.25
+    return x, 0.0, 0.0
+
+
+@pytest.mark.parametrize(
+    ("rate", "is_called"), [(stepwise, True), (lambda t, p: (p[0],) * 3, False)]
+)
+def test_ctrl_c_is_looked_for_before_a_called_function_took_long(rate, is_called, monkeypatch):
+    """A block of one tile comes first: nobody knows how long a function takes."""
+    part, pieces = engine_run.Run.part, []
+
+    def noted(run, span, first, last):
+        pieces.append((span.last - span.first, last - first))
+        part(run, span, first, last)
+
+    monkeypatch.setattr(engine_run.Run, "part", noted)
+    scene = fa.Scene(rate=rate, params=(0.3,))
+    fa.propagate(scene, Q, n_steps=1000, n_threads=1, **RK4)
+    assert pieces[0] == ((BLOCK, 1) if is_called else (1000, 4))
+    assert len(pieces) > 4 if is_called else len(pieces) == 1
+    assert {n for _, n in pieces} == {1 if is_called else 4}
 
 
 def test_ctrl_c_is_looked_for_on_the_way(monkeypatch):

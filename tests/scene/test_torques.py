@@ -203,15 +203,17 @@ def test_sum_of_one_and_of_sums():
     assert close(found(Sum((constant, Sum((damping, rotor))))), parts) < 4 * EPS
 
 
-def test_sampled_is_linear_between_samples_and_held_outside():
+def test_sampled_is_linear_between_samples_and_held_outside_where_that_is_asked_for():
     rng = np.random.default_rng(0)
     table = rng.normal(size=(5, 3))
-    model = ft.Sampled(table, 0.25, 1.0)
+    model, strict = ft.Sampled(table, 0.25, 1.0, "hold"), ft.Sampled(table, 0.25, 1.0)
     instants = 1.0 + 0.25 * np.arange(5)
     for t in [-1e9, 0.0, 0.999, *instants, 1.1, 1.6, 1.999, 2.0, 2.001, 1e9]:
         found = found_torque(model, "quat", t, START, SPIN, None)
         exact = [np.interp(t, instants, c) for c in table.T]
         assert close(found, exact) < 4 * EPS
+        other = found_torque(strict, "quat", t, START, SPIN, None)
+        assert np.isnan(other).all() if not 1.0 <= t <= 2.0 else (other == found).all()
     two = ft.Sampled(np.float32(table[:2]), 1.0)
     assert close(found_torque(two, "quat", 0.5, START, SPIN, None), table[:2].mean(0)) < 1e-7
 
@@ -308,6 +310,14 @@ def test_motion_with_a_tensor():
     assert not traj.status.any()
     for found in gaps(traj, *ends(tensor, actings)):
         assert found.max() < 1e-12
+
+
+def test_a_run_beyond_a_history_says_so():
+    """As of a ``TimeSeries``."""
+    for outside, flags in (("nan", fa.Status.NON_FINITE), ("hold", 0)):
+        scene = fa.Scene(inertia=INERTIA, torque=ft.Sampled(RAMP, SPAN, 0.0, outside))
+        past = fa.propagate(scene, START, SPIN, dt=0.1, n_steps=21, method="rk4", invalid="flag")
+        assert past.status == flags
 
 
 def test_motion_under_a_history():
@@ -816,6 +826,11 @@ WRONG = [
         T.Sampled(np.ones((4, 2)), 0.1),
         ValueError,
         "Sampled.torques: has shape (4, 2); accepted: (n",
+    ),
+    (
+        T.Sampled(np.ones((4, 3)), 1.0, 0.0, "zero"),
+        ValueError,
+        "Sampled.outside: found 'zero'; accepted: ",
     ),
     (T.Sampled(np.ones((4, 3)), 0.0), ValueError, "Sampled.dt: found 0.0; accepted: above 0"),
     (T.Sampled(np.ones((4, 3)), -1.0), ValueError, "Sampled.dt: found -1.0; accepted: above 0"),

@@ -298,7 +298,8 @@ def test_powers_that_are_refused(power):
 def test_larger_keeps_nan():
     graph, x, y = numbers()
     assert value(graph, larger(x, y), 2.0, 3.0) == 3.0
-    assert math.isnan(value(graph, larger(x, y), 2.0, math.nan))
+    for given in ((2.0, math.nan), (math.nan, 2.0), (2.0, -math.nan), (-math.nan, 2.0)):
+        assert math.isnan(value(graph, larger(x, y), *given))
 
 
 @pytest.mark.parametrize("use", [float, int, bool, lambda x: [1.0, 2.0][x], lambda x: 0 < x < 2])

@@ -505,12 +505,43 @@ def gain_while(t, p):  # no straight line
     return x, 0.0, 0.0
 
 
+@njit
+def gained(x):
+    return GAIN * x
+
+
+@njit
+def gained_twice(x):
+    return 2.0 * gained(0.5 * x)
+
+
+@njit
+def gain_of_a_jitted_helper(t, p):
+    return gained_twice(p[0]), 0.0, 0.0
+
+
+@njit
+def gain_of_a_jitted_helper_while(t, p):  # no straight line
+    x = 0.0
+    while x < gained_twice(p[0]):
+        x += 0.5
+    return x, 0.0, 0.0
+
+
 GAIN, GAINS, SETTINGS = 1.0, np.ones(1), Settings()
 
 
 @pytest.mark.parametrize(
     "rate",
-    [gain_of_a_global, gain_of_an_array, gain_of_an_object, gain_of_another, gain_while],
+    [
+        gain_of_a_global,
+        gain_of_an_array,
+        gain_of_an_object,
+        gain_of_another,
+        gain_while,
+        gain_of_a_jitted_helper,
+        gain_of_a_jitted_helper_while,
+    ],
 )
 def test_a_new_scene_sees_new_globals(rate, monkeypatch):
     """That of before keeps those with which it was made."""
@@ -528,6 +559,25 @@ def test_a_new_scene_sees_new_globals(rate, monkeypatch):
     assert turned(fa.Scene(rate=rate, params=(0.5,))) == pytest.approx(1.0, abs=1e-14)
     assert turned(before) == pytest.approx(0.5, abs=1e-14)
     assert user_function(rate, "rate", 1) is user_function(rate, "rate", 1)
+
+
+@pytest.mark.parametrize(
+    ("rate", "t0"),
+    [
+        (lambda t, p: (p[0], 0.0 * math.sqrt(1.0 - t), 0.0), 0.0),
+        (lambda t, p: (p[0], math.sqrt(1.0 - t) - math.sqrt(1.0 - t), 0.0), 0.0),
+        (lambda t, p: (p[0], 0.0 / (t - 0.75), 0.0), 0.0),
+        (lambda t, p: (p[0], 0.5 * math.sin(1e12 * t), 0.0), 1e5),
+        (lambda t, p: (p[0], 0.0, 0.1 * math.tan(1e12 * t)), 1e5),
+    ],
+)
+def test_what_is_no_number_in_python_or_has_no_digit_is_flagged(rate, t0):
+    """Zeros that are known drop out of the library's own formulas, of a user's they do not."""
+    made = user_function(rate, "rate", 1)
+    scene = fa.Scene(rate=rate, params=(0.5,))
+    run = fa.propagate(scene, [1, 0, 0, 0], dt=0.25, n_steps=8, t0=t0, method="rk4", invalid="flag")
+    assert made.straight
+    assert run.status == fa.Status.NON_FINITE
 
 
 def test_complex_numbers_are_refused():

@@ -174,7 +174,7 @@ def test_a_history_with_kinks_warns_where_a_step_crosses_them():
         fa.check_convergence(scene, Q40, W40, dt=0.05, n_steps=100, method="rk4")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check = fa.check_convergence(scene, Q40, W40, dt=0.065, n_steps=80, method="rk4")
+        check = fa.check_convergence(scene, Q40, W40, dt=0.065, n_steps=78, method="rk4")
     assert check.order > 3.5
 
 

@@ -1,0 +1,61 @@
+"""``os.fork`` beside threads: a child inherits locks, not the threads that would release them.
+
+Modules are imported when they are first needed, and Numba compiles behind a lock of its own: a
+fork waits until no other thread imports or compiles.
+"""
+
+from __future__ import annotations
+
+import _imp
+import os
+import sys
+from importlib import import_module
+from threading import get_ident
+from typing import Any
+
+_bootstrap: Any = import_module("importlib._bootstrap")
+
+
+def _imported_elsewhere() -> list[str]:
+    """Names of the modules that other threads import at the moment."""
+    locks = [(name, found()) for name, found in list(_bootstrap._module_locks.items())]  # noqa: SLF001
+    return [x for x, lock in locks if lock is not None and lock.owner not in (None, get_ident())]
+
+
+def _compiler_lock() -> Any:
+    module = sys.modules.get("numba.core.compiler_lock")
+    return getattr(module, "global_compiler_lock", None)
+
+
+_held: list[Any] = []
+
+
+def _before() -> None:
+    while True:
+        # nothing is held while something is waited for: who imports may compile, and the reverse
+        compiler = _compiler_lock()
+        if compiler is not None:
+            compiler.acquire()
+        _imp.acquire_lock()
+        elsewhere = _imported_elsewhere()
+        if not elsewhere:
+            _held.append(compiler)
+            return
+        _imp.release_lock()
+        if compiler is not None:
+            compiler.release()
+        for name in elsewhere:
+            _bootstrap._lock_unlock_module(name)  # noqa: SLF001
+
+
+def _after() -> None:
+    _imp.release_lock()
+    compiler = _held.pop()
+    if compiler is not None:
+        compiler.release()
+
+
+def guard() -> None:
+    """Let forks of this process wait for other threads, where there are forks."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(before=_before, after_in_parent=_after, after_in_child=_after)
