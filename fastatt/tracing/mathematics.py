@@ -165,10 +165,18 @@ def _to(kind: type[graph.Number]) -> Callable[[Any], Any]:
     return lambda x: kind(x) if isinstance(x, Recorded) else float(x)
 
 
+def _sines(x: Any) -> tuple[Any, Any]:
+    """(sin x, cos x); NaN where neighbouring numbers are so far apart that no digit is left."""
+    most = {"double": 2.0**50, "single": 2.0**21}.get(getattr(x, "kind", ""), math.inf)
+    known = graph.both(x < most, x > -most)
+    s, c = _kernel("sincos")(x)
+    return graph.choose(known, s, math.nan), graph.choose(known, c, math.nan)
+
+
 _FORMULAS: dict[str, Callable[..., Any]] = {
-    "sin": lambda x: _kernel("sincos")(x)[0],
-    "cos": lambda x: _kernel("sincos")(x)[1],
-    "tan": lambda x: operator.truediv(*_kernel("sincos")(x)),
+    "sin": lambda x: _sines(x)[0],
+    "cos": lambda x: _sines(x)[1],
+    "tan": lambda x: operator.truediv(*_sines(x)),
     "atan": lambda x: _kernel("atan2")(x, 1.0),
     "asin": lambda x: _kernel("atan2")(x, _other_side(x)),
     "acos": lambda x: _kernel("atan2")(_other_side(x), x),

@@ -266,7 +266,7 @@ def test_record_is_complete(record):
     assert record.source
     given = {"rate", "sampled rates", "increments"}
     assert set(record.scenes) <= {*given, "spherical", "symmetric", "free", "torqued"}
-    kinds = {*FAMILIES, "body", "rates", "increments"}
+    kinds = {*FAMILIES, "body", "torqued", "rates", "increments"}
     assert set(record.limits) <= kinds
     assert record.exact_for_constant <= (record.exponentials > 0)
 
