@@ -1,7 +1,8 @@
 """``os.fork`` beside threads: a child inherits locks, not the threads that would release them.
 
 Modules are imported when they are first needed, and Numba compiles behind a lock of its own: a
-fork waits until no other thread imports or compiles.
+fork waits until no other thread imports fastatt's or the compiler's modules, or compiles. It never
+waits for other modules: one whose import runs a whole program may be imported all the time.
 """
 
 from __future__ import annotations
@@ -14,12 +15,17 @@ from threading import get_ident
 from typing import Any
 
 _bootstrap: Any = import_module("importlib._bootstrap")
+_AWAITED = ("fastatt", "numba", "llvmlite")
 
 
 def _imported_elsewhere() -> list[str]:
-    """Names of the modules that other threads import at the moment."""
-    locks = [(name, found()) for name, found in list(_bootstrap._module_locks.items())]  # noqa: SLF001
-    return [x for x, lock in locks if lock is not None and lock.owner not in (None, get_ident())]
+    """Names of those modules that other threads import at the moment."""
+    found = []
+    for name, lock_of in list(_bootstrap._module_locks.items()):  # noqa: SLF001
+        lock = lock_of() if name.partition(".")[0] in _AWAITED else None
+        if lock is not None and lock.owner not in (None, get_ident()):
+            found.append(name)
+    return found
 
 
 def _compiler_lock() -> Any:

@@ -26,8 +26,9 @@ thread.join()
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 IMPORTS = """
+fastatt.__path__.append(sys.argv[1])
 def first_call():
-    import slow
+    import fastatt.slow
 """
 COMPILES = """
 from numba.core.compiler_lock import global_compiler_lock
@@ -45,7 +46,35 @@ def test_a_child_does_not_wait_for_a_thread_that_it_does_not_have(before, tmp_pa
     code = textwrap.dedent(FORKED).format(before=before)
     path = os.pathsep.join([str(tmp_path), *sys.path])
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code], check=False,
+        [sys.executable, "-W", "ignore", "-c", code, str(tmp_path)], check=False,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0
+
+
+ENDLESS = """
+import os, sys, threading
+import fastatt
+sys.begun, sys.may_end = threading.Event(), threading.Event()
+thread = threading.Thread(target=lambda: __import__("slow"))
+thread.start()
+sys.begun.wait()
+child = os.fork()
+if child == 0:
+    os._exit(0)
+sys.may_end.set()
+thread.join()
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_fork_waits_for_no_other_module(tmp_path):
+    """The import of one may last as long as its program."""
+    (tmp_path / "slow.py").write_text("import sys\nsys.begun.set()\nsys.may_end.wait()\n")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", ENDLESS], check=False, timeout=60,
         env={**os.environ, "PYTHONPATH": path},
     )  # fmt: skip
     assert done.returncode == 0
