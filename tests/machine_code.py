@@ -50,13 +50,11 @@ def compiled(job):
     modules.folder = lambda: None
     try:
         program = Program(job)
-        found = [program._made]
         if job.formulas.any_angle is not None:
             program.compile_any_angle()
-            found.append(program._any_angle)
     finally:
         modules.folder = kept
-    return found
+    return program.functions
 
 
 def texts(job):

@@ -7,7 +7,6 @@ another step size. ``Layout`` says where in ``rows`` and ``wide`` each number of
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from itertools import accumulate
 from typing import Any
@@ -16,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import Clock, LaneFormula, LaneProgram, Place, Shape
-from fastatt.codegen.memory import DTYPES, ThreadMemory, aligned
+from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
+from fastatt.codegen.two_forms import TwoForms
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.loop import ADVANCE, BEGIN, PROJECT, REGRID, SAVE
 from fastatt.engine.status import SAVED
@@ -77,37 +77,13 @@ class Layout:
         return False, self.rows.first[group] + i
 
 
-class Program:
-    """The function of a job; the form for any rotation angle is compiled when it is first needed.
-
-    ``entry`` is an address, or a Python function where Numba is switched off.
-    """
+class Program(TwoForms):
+    """The function of a job in its two forms."""
 
     def __init__(self, job: Job, *, plain: bool = False) -> None:
-        self.job, self.formulas, self.plain = job, job.formulas, plain
+        self.job, self.formulas = job, job.formulas
         self.layout = Layout(self.formulas)
-        self._lock = threading.Lock()
-        self._memory = ThreadMemory(self._new_memory, plain=plain)
-        self._any_angle: Any = None
-        self._made = self._compiled(small_angle=True)
-        self.entry = self._made if plain else self._made.address
-
-    @property
-    def any_angle(self) -> Any:
-        """The same of the form for any angle; 0 where it was not asked for yet."""
-        if self._any_angle is None:
-            return 0
-        return self._any_angle if self.plain else self._any_angle.address
-
-    def compile_any_angle(self) -> None:
-        """Compile the form for any angle, if it is not there."""
-        with self._lock:
-            if self._any_angle is None:
-                self._any_angle = self._compiled(small_angle=False)
-
-    def memory(self) -> list[Any]:
-        """Memory of a tile for the calling thread, as the loop takes it."""
-        return self._memory.places
+        super().__init__(plain=plain)
 
     def _new_memory(self) -> list[Array]:
         """Arrays whose rows lie at multiples of a cache line."""

@@ -12,7 +12,6 @@ of each lane. ``part`` chooses what is done:
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -21,8 +20,9 @@ from numba import config
 from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
-from fastatt.codegen.memory import DTYPES, ThreadMemory, aligned
+from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
+from fastatt.codegen.two_forms import TwoForms
 from fastatt.gyro.loops import ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
 from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products
@@ -36,11 +36,10 @@ _CALL = "{name}(samples, spans, attitudes, state, {offsets})"
 _Formulas = dict[str, LaneFormula]
 
 
-class Program:
-    """The function of a method's window; the form for any rotation angle is compiled when needed.
+class Program(TwoForms):
+    """The function of a method's window in its two forms.
 
-    ``uneven`` intervals stand in rows, equal ones are one number. ``entry`` is an address, or a
-    Python function where Numba is switched off.
+    ``uneven`` intervals are rows, equal ones are one number.
     """
 
     def __init__(
@@ -50,31 +49,8 @@ class Program:
         self.precision, self.kind = precision, _KINDS[precision]
         self._vector = LANES if config.DISABLE_JIT else processor().lanes(self.kind)
         self._state = ITERATION
-        self._lock = threading.Lock()
-        self._made = self._compiled(small_angle=True)
-        self._memory = ThreadMemory(self._new_memory, plain=config.DISABLE_JIT)
         # an iteration has one form for all angles
-        self._any_angle = self._made if window.iteration else None
-
-    @property
-    def entry(self) -> Any:
-        """The function for rotations of at most π in an interval."""
-        return _entry(self._made)
-
-    @property
-    def any_angle(self) -> Any:
-        """The function for rotations of any angle; 0 where it is not compiled yet."""
-        return 0 if self._any_angle is None else _entry(self._any_angle)
-
-    def compile_any_angle(self) -> None:
-        """Compile the form for any angle, if it is not there."""
-        with self._lock:
-            if self._any_angle is None:
-                self._any_angle = self._compiled(small_angle=False)
-
-    def memory(self) -> list[Any]:
-        """Memory of a chunk for the calling thread, as the loops take it."""
-        return self._memory.places
+        super().__init__(plain=config.DISABLE_JIT, one_form=window.iteration is not None)
 
     def _new_memory(self) -> list[NDArray[Any]]:
         """Samples, intervals, attitudes and state of a chunk's lanes."""
@@ -193,10 +169,6 @@ def _passes(iteration: Iteration, at: str, row: int, lanes: int) -> Iterator[str
     yield f"{depth}    for k in range({row * LANES} + j, {row * LANES + lanes} + j):"
     yield f"{depth}        moves = moves or state[k] > 0.0"
     yield f"{depth}{read}"
-
-
-def _entry(made: Any) -> Any:
-    return made if config.DISABLE_JIT else made.address
 
 
 #: the program of a window, made once a process

@@ -38,9 +38,10 @@ from fastatt.scene.torque_models import (
     Sampled,
 )
 from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
+from fastatt.tracing.called import nested, points
 from fastatt.tracing.formulas import Vector, as_like, plus, quat
 from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.user import UserFunction, nested, points, user_function
+from fastatt.tracing.user import UserFunction, user_function
 
 #: records of the models, by class
 RECORDS = {**MODELS, QuaternionPD: CONTROLLER}

@@ -8,32 +8,36 @@ why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python.
 from __future__ import annotations
 
 import ctypes
-import math
-import re
-from collections.abc import Callable, Sequence
-from types import CellType, FunctionType, ModuleType
+from collections.abc import Callable
+from types import FunctionType
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numba import cfunc, config, types
-from numba.core.registry import CPUDispatcher
+from numba import config
 from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.tracing import functions, graph, source
+from fastatt.tracing.called import (
+    ENTRY,
+    are_numbers,
+    called_back,
+    compiled,
+    floats,
+    interpreted,
+    nested,
+    points,
+)
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.nodes import NotStraight
 from fastatt.tracing.recorded import Recorded
-from fastatt.tracing.standing import is_library, referred_to, standing
-from fastatt.tracing.trace import Standing, traceable
+from fastatt.tracing.standing import standing
+from fastatt.tracing.trace import traceable
 
-POINTS = 8
 # of a component beside its largest over the points; a wrong formula is off by far more
 _TOLERANCE = 1e-9
-# what terminals read as a colour
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class Signature(NamedTuple):
@@ -129,7 +133,7 @@ class UserFunction:
             self._formula = self._checked(function, params)
         except NotStraight as error:
             self.reason = str(error)
-            opaque = _interpreted if config.DISABLE_JIT else _compiled
+            opaque = called_back if config.DISABLE_JIT else compiled
             self._compiled = opaque(function, self)
 
     def __repr__(self) -> str:
@@ -188,7 +192,7 @@ class UserFunction:
         """What a function that is not traced gives of floats, all its arguments' in a row."""
         given = (ctypes.c_double * max(1, len(numbers)))(*numbers)
         made = (ctypes.c_double * self.form.results)()
-        _ENTRY(self.address)(given, made)
+        ENTRY(self.address)(given, made)
         return tuple(made)
 
     def _checked(
@@ -201,7 +205,7 @@ class UserFunction:
         p = recorder.inputs("double", "p", self.n_params)
         result = formula(*nested((*numbers, *p), self.sizes))
         values = result if isinstance(result, tuple) else (result,)
-        if isinstance(result, tuple) != (self.form.results > 1) or not _are_numbers(
+        if isinstance(result, tuple) != (self.form.results > 1) or not are_numbers(
             values, self.form.results
         ):
             raise NotStraight(f"what it gives is not {self.form.results} numbers")
@@ -219,7 +223,7 @@ class UserFunction:
         for point in points(self.sizes, params, self.span):
             try:
                 with np.errstate(all="ignore"):
-                    asked.append(_floats(in_python(*nested(point, self.sizes))))
+                    asked.append(floats(in_python(*nested(point, self.sizes))))
             except Exception:  # noqa: BLE001  # whatever the user's function raises there
                 continue
             found.append(traced(*(point[k] for k in places)))
@@ -251,49 +255,6 @@ def _constant(x: float, like: Number) -> Number:
     return graph.number(like.graph, x, like.kind)
 
 
-def nested(numbers: Sequence[Any], sizes: Sequence[int]) -> tuple[Any, ...]:
-    """Numbers in a row as arguments: of size 0 a number, else a tuple; the last is a tuple."""
-    found: list[Any] = []
-    at = 0
-    for k, n in enumerate(sizes):
-        is_tuple = n > 0 or k == len(sizes) - 1
-        found.append(tuple(numbers[at : at + n]) if is_tuple else numbers[at])
-        at += n if is_tuple else 1
-    return tuple(found)
-
-
-def _are_numbers(values: tuple[Any, ...], n: int) -> bool:
-    return len(values) == n and all(
-        isinstance(x, (Recorded, float, int, np.number)) and not isinstance(x, bool) for x in values
-    )
-
-
-def _floats(result: Any) -> list[float]:
-    return [float(x) for x in (result if isinstance(result, tuple) else (result,))]
-
-
-def points(
-    sizes: tuple[int, ...],
-    params: NDArray[np.float64] | None,
-    span: tuple[float, float] = (0.0, 10.0),
-) -> list[list[float]]:
-    """Arguments to try a function with, in a row: the first at the begin of a span of time."""
-    rng = np.random.default_rng(8)
-    found = []
-    for k in range(POINTS):
-        point = [span[0] if k == 0 else float(rng.uniform(*span))]
-        for n in sizes[1:-1]:
-            v = rng.normal(size=n)
-            point += (v / np.linalg.norm(v) if n == 4 else v).tolist()
-        if params is not None and params.size:
-            rows = np.atleast_2d(params)
-            point += rows[k * len(rows) // POINTS].tolist()
-        else:
-            point += rng.uniform(0.5, 1.5, sizes[-1]).tolist()
-        found.append(point)
-    return found
-
-
 def _agree(asked: NDArray[np.float64], found: NDArray[np.float64]) -> bool:
     """Whether values are the same but for rounding, (points, results)."""
     if ((np.isnan(asked) != np.isnan(found)) | (np.isinf(asked) != np.isinf(found))).any():
@@ -307,184 +268,4 @@ def _agree(asked: NDArray[np.float64], found: NDArray[np.float64]) -> bool:
     return bool(((gap <= bound) & same_side).all())
 
 
-# in Python
-
-
-def interpreted(function: Any) -> Callable[..., Any]:
-    """A function as Python runs it, what it calls that is jitted included: nothing is compiled."""
-    plain = getattr(function, "py_func", function)
-    return _with(plain, {name: _in_python(x) for name, x in referred_to(plain).items()})
-
-
-def _with(plain: FunctionType, found: dict[str, Any]) -> FunctionType:
-    """The function with other values of the names that it refers to."""
-    scope = plain.__globals__ | found
-    closure = tuple(
-        CellType(found[name]) if name in found else CellType()
-        for name in plain.__code__.co_freevars
-    )
-    made = FunctionType(plain.__code__, scope, plain.__name__, plain.__defaults__, closure)
-    made.__kwdefaults__ = plain.__kwdefaults__
-    return made
-
-
-def _renewed(function: Any, within: tuple[Any, ...] = ()) -> Any:
-    """The function with what it calls that Numba compiled before compiled anew when it is called.
-
-    Numba keeps the globals of the moment when it first compiled a function.
-    """
-    from fastatt._jit import with_options_of
-
-    plain = getattr(function, "py_func", function)
-    within = (*within, plain)
-    found = referred_to(plain)
-    others = {
-        name: with_options_of(x, _renewed(x, within))
-        for name, x in found.items()
-        if isinstance(x, CPUDispatcher) and x.py_func not in within and not is_library(x.py_func)
-    }
-    return _with(plain, found | others) if others else plain
-
-
-def _in_python(value: Any) -> Any:
-    if isinstance(value, CPUDispatcher):
-        return lambda *args, **named: interpreted(value)(*args, **named)
-    if isinstance(value, ModuleType) and value not in (math, np):
-        return Standing(value, _in_python)
-    return value
-
-
-# what is no straight line
-
-_REAL = types.Float, types.Integer
-_DOUBLES = ctypes.POINTER(ctypes.c_double)
-_ENTRY = ctypes.CFUNCTYPE(None, _DOUBLES, _DOUBLES)
-
-
-class _Callback:
-    """A Python function at an address."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._entry = _ENTRY(function)  # it lives as long as its address is used
-        self.address = ctypes.cast(self._entry, ctypes.c_void_p).value
-
-
-def _interpreted(function: Callable[..., Any], user: UserFunction) -> _Callback:
-    """The function called back in Python, where it is tried first; where it raises it gives NaN."""
-    sizes, n = user.sizes, user.form.results
-    n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
-    failed: Exception | None = None
-    for point in points(sizes, None):
-        try:
-            result = function(*nested(point, sizes))
-        except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
-            failed = error
-            continue
-        if isinstance(result, tuple) != (n > 1) or not _are_numbers(
-            result if isinstance(result, tuple) else (result,), n
-        ):
-            raise _wrong(user, checks.brief(result))
-        break
-    else:
-        raise TypeError(
-            f"{user.argument}: {user.described} raises {type(failed).__name__}: {failed}; accepted "
-            f"is a function of floats, with p a tuple of {user.n_params} floats"
-        )
-
-    def entry(given: Any, made: Any) -> None:
-        try:
-            values = _floats(function(*nested(given[:n_numbers], sizes)))
-        except Exception:  # noqa: BLE001  # as of a compiled one
-            values = [math.nan] * n
-        for k, x in enumerate(values):
-            made[k] = x
-
-    return _Callback(entry)
-
-
-def _compiled(function: Callable[..., Any], user: UserFunction) -> Any:
-    """The function compiled by Numba behind pointers."""
-    from fastatt._jit import recompile
-
-    f8 = types.float64
-    *before, last = user.sizes
-    signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))
-    plain: Any = getattr(function, "py_func", function)
-    inner = recompile(_renewed(function))
-    try:
-        inner.compile(signature)
-    except Exception as error:
-        raise TypeError(
-            f"{user.argument}: {user.described} does not compile for floats, with p a tuple of "
-            f"{user.n_params} floats ({_place_of(error, plain)}); accepted is a function that "
-            f"numba.njit compiles, or that is traced: this is not, for {user.reason}. Numba says: "
-            f"{_words_of(error)}"
-        ) from error
-    returned = inner.overloads[signature].signature.return_type
-    n = user.form.results
-    if n == 1:
-        fits = isinstance(returned, _REAL)
-    else:
-        fits = isinstance(returned, types.BaseTuple) and len(returned) == n
-        fits = fits and all(isinstance(t, _REAL) for t in returned)
-    if not fits:
-        raise _wrong(user, str(returned))
-    pointer = types.CPointer(f8)
-    scope = {"inner": inner, "nan": math.nan}
-    exec(_wrapper(user), scope)
-    return cfunc(types.void(pointer, pointer))(scope["entry"])
-
-
-def _wrapper(user: UserFunction) -> str:
-    """Text of what calls ``inner`` with numbers from memory."""
-    n = user.form.results
-    count = sum(max(k, 1) for k in user.form.before) + user.n_params
-    numbers = [f"given[{k}]" for k in range(count)]
-    args = [
-        f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
-        for part in nested(numbers, user.sizes)
-    ]
-    items = ["result"] if n == 1 else [f"result[{k}]" for k in range(n)]
-    lines = [
-        "def entry(given, made):",
-        "    try:",
-        f"        result = inner({', '.join(args)})",
-        *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
-        # no error may leave what the loop calls: the body's status says it
-        "    except Exception:",
-        *(f"        made[{k}] = nan" for k in range(n)),
-    ]
-    return "\n".join(lines)
-
-
-def _wrong(user: UserFunction, found: str) -> TypeError:
-    n = user.form.results
-    accepted = "a float" if n == 1 else f"a tuple of {'three' if n == 3 else n} floats"
-    return TypeError(
-        f"{user.argument}: {user.described} returns {found}; accepted is {accepted}, "
-        f"{user.form.unit}"
-    )
-
-
-def _words_of(error: Exception) -> str:
-    """Numba's reason in a line, without colours: what it says first that is not about its steps."""
-    skipped = ("Failed in ", "During: ")
-    text = _COLOUR.sub("", str(error))
-    lines = [x.strip() for x in text.splitlines() if not x.startswith(skipped)]
-    said: list[str] = []
-    for line in lines:
-        if not line and said:
-            break
-        if line:
-            said.append(line)
-    return " ".join(said[:3]) or type(error).__name__
-
-
-def _place_of(error: Exception, plain: Any) -> str:
-    place = getattr(error, "loc", None)
-    if place is not None:
-        return f"{place.filename}:{place.line}"
-    return f"{plain.__code__.co_filename}:{plain.__code__.co_firstlineno}"
-
-
-__all__ = ["FORMS", "Signature", "UserFunction", "interpreted", "nested", "points", "user_function"]
+__all__ = ["FORMS", "Signature", "UserFunction", "user_function"]

@@ -15,7 +15,7 @@ from numba import njit, types
 import fastatt as fa
 from fastatt.codegen.emitter import POINTERS, Emitter
 from fastatt.codegen.modules import generated
-from fastatt.tracing import source, user
+from fastatt.tracing import called, source, user
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Double, Graph
 from fastatt.tracing.nodes import NotStraight
@@ -367,7 +367,7 @@ def three_energies(t, q, p):
 def test_words_of_numba_have_no_colours():
     """Which it writes where ``colorama`` is installed."""
     error = TypeError("Failed in x\n\x1b[1m\x1b[31mUnknown name\x1b[0m 'a'\n\nDuring: typing")
-    assert user._words_of(error) == "Unknown name 'a'"
+    assert called._words_of(error) == "Unknown name 'a'"
 
 
 @pytest.mark.parametrize(

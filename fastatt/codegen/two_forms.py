@@ -1,0 +1,49 @@
+"""A generated function in two forms: for small rotation angles, and for any."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from fastatt.codegen.memory import ThreadMemory
+
+
+class TwoForms(ABC):
+    """The function that a loop calls; its form for any angle is compiled when first needed.
+
+    ``entry`` and ``any_angle`` are addresses, or Python functions where ``plain``; ``any_angle`` is
+    0 until ``compile_any_angle``. With ``one_form`` both are the same.
+    """
+
+    def __init__(self, *, plain: bool, one_form: bool = False) -> None:
+        self.plain, self._lock = plain, threading.Lock()
+        made = self._compiled(small_angle=True)
+        #: what is compiled so far
+        self.functions = [made]
+        self.entry = made if plain else made.address
+        self.any_angle: Any = self.entry if one_form else 0
+        self._memory = ThreadMemory(self._new_memory, plain=plain)
+
+    @abstractmethod
+    def _compiled(self, *, small_angle: bool) -> Any:
+        """One of the forms: a function of Numba's, or of Python where ``plain``."""
+
+    @abstractmethod
+    def _new_memory(self) -> Sequence[NDArray[Any]]:
+        """Arrays that one thread's calls of the loop work on."""
+
+    def compile_any_angle(self) -> None:
+        """Compile the form for any angle, if it is not there."""
+        with self._lock:
+            if self.any_angle == 0:
+                made = self._compiled(small_angle=False)
+                self.functions.append(made)
+                self.any_angle = made if self.plain else made.address
+
+    def memory(self) -> list[Any]:
+        """The calling thread's memory, as the loop takes it."""
+        return self._memory.places
