@@ -83,10 +83,10 @@ def end_of_piece(first: int, steps: int) -> int:
 @loop_part
 def _load(source, length, size, body_of, rows, first, width):
     """Columns of an array into rows; its last row serves all bodies after it."""
-    for j in range(width):
-        row = min(body_of[j], length - 1)
-        for i in range(size):
-            rows[(first + i) * width + j] = source[row * size + i]
+    # lanes inside: a loop over a few columns would cost more than what it copies
+    for i in range(size):
+        for j in range(width):
+            rows[(first + i) * width + j] = source[min(body_of[j], length - 1) * size + i]
 
 
 @loop_part
@@ -181,12 +181,14 @@ def _save(settings, tile, body_of, saved, slot, steps):
     width, size, n = settings[TILE_WIDTH], settings[SAVED], settings[BODIES]
     io_row = settings[IO_ROW]
     call_generated(settings[SMALL], SAVE, tile, (steps, 0))
-    for j in range(min(n - base, width)):
-        place = slot * settings[ENSEMBLE] + body_of[j]
-        for i in range(size):
-            out[place * size + i] = rows[(io_row + i) * width + j]
-        errors[place] = rows[(io_row + size) * width + j]
-        for k in range(NORM, settings[DIAGNOSTICS]):
+    count, first = min(n - base, width), slot * settings[ENSEMBLE]
+    for i in range(size):
+        for j in range(count):
+            out[(first + body_of[j]) * size + i] = rows[(io_row + i) * width + j]
+    for j in range(count):
+        errors[first + body_of[j]] = rows[(io_row + size) * width + j]
+    for k in range(NORM, settings[DIAGNOSTICS]):
+        for j in range(count):
             value = abs(rows[(io_row + size + k - NORM) * width + j])
             _raise(diagnostics, k * n + base + j, value)
 
@@ -369,8 +371,8 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                     since = at - settings[ORIGIN]
                     if since % settings[EVERY] == 0 or at == settings[N_STEPS]:
                         slot = (since - 1) // settings[EVERY] + settings[SLOT]
-            for j in range(count):
-                for i in range(size):
+            for i in range(size):
+                for j in range(count):
                     states[(base + j) * size + i] = rows[i * width + j]
             _set_status(states, diagnostics, arrays, settings, limits, base, count)
         return last_tile
