@@ -18,7 +18,6 @@ import numpy as np
 from numba import config
 
 from fastatt.engine.job import Forms, Job
-from fastatt.engine.loop import BLOCK
 from fastatt.engine.status import DIAGNOSTICS
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
@@ -28,7 +27,7 @@ from fastatt.tracing.nodes import LIBRARY, Node
 ARGUMENTS = (
     "q_rows", "y_rows", "p_rows", "x_rows", "out", "norm_error", "watch", "known", "stages", "t0",
     "step", "last_edge", "most_quiet", "first", "last", "n_steps", "save_every", "slot", "restore",
-    "origin", "begins",
+    "origin", "block", "begins",
 )  # fmt: skip
 _FUSED = ("fma", "fms", "fnma")
 
@@ -130,7 +129,7 @@ class _Writer:
                 with self._under("if due:"):
                     self._save()
                 self._add("if n >= last:", "    break", "gone = (n - origin) % save_every")
-                self._add(f"stop = min((n // {BLOCK} + 1) * {BLOCK}, last, n + save_every - gone)")
+                self._add("stop = min((n // block + 1) * block, last, n + save_every - gone)")
                 if formulas.project is not None:
                     self._add(
                         "if restore > 0:", "    stop = min(stop, (n // restore + 1) * restore)"

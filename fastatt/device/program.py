@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.device import Device
 from fastatt.device.kernel import kernel_of
-from fastatt.engine.loop import end_of_piece
 from fastatt.engine.program import Layout
 
 if TYPE_CHECKING:
@@ -62,14 +61,14 @@ class DeviceProgram:
             *map(float, (*run.times, setup.bounds[0])),
         ]  # fmt: skip
         slot = span.slot - saved.start
-        constant = (span.n_steps, span.save_every, slot, span.projection, span.origin)
+        constant = (span.n_steps, span.save_every, slot, span.projection, span.origin, span.block)
         last = [cuda.to_device(table) for table in named]
         bodies = len(run.states)
         threads = min(_THREADS, bodies)
         launch = self._kernel[-(-bodies // threads), threads]
         n = span.first
         while True:
-            until = min(end_of_piece(n, min(_STEPS, _BODY_STEPS // bodies)), span.last)
+            until = min(span.end_of_piece(n, min(_STEPS, _BODY_STEPS // bodies)), span.last)
             launch(*arguments, n, until, *constant, int(begins and n == span.first), *last)
             cuda.synchronize()
             n = until

@@ -31,9 +31,6 @@ from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
 
 #: bodies side by side in a tile at most; few bodies take one vector
 WIDTH = 64
-#: steps between two checks of how far a tile's bodies rotated: what is done once a block costs the
-#: cheapest step next to nothing
-BLOCK = 256
 
 #: parts of a program's function
 BEGIN, ADVANCE, SAVE, PROJECT, REGRID = range(5)
@@ -51,14 +48,15 @@ BEGIN, ADVANCE, SAVE, PROJECT, REGRID = range(5)
 
 #: ``settings``: the functions for small angles and for any, or 0; steps (of per-body steps: stops)
 #: [first, last) of a run of ``n_steps``; saves every so many steps from ``origin`` on, the first in
-#: slot ``slot``; steps between two projections, 0 of none; bodies of the part, the first of them,
-#: and of the ensemble; the lengths of what a run starts from; the layout of a tile
+#: slot ``slot``; steps between two projections, 0 of none; steps of a block; bodies of the part,
+#: the first of them, and of the ensemble; the lengths of what a run starts from; the layout of a
+#: tile
 (
-    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BODIES, BODY, ENSEMBLE,
-    Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH, TILE_WIDTH, N_ROWS, N_WIDE,
-    SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW, IO_ROW, CLOCK_ROW, MONITOR,
-    DIAGNOSTICS, FLAG_CODES,
-) = range(32)  # fmt: skip
+    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BLOCK, BODIES, BODY,
+    ENSEMBLE, Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH, TILE_WIDTH, N_ROWS,
+    N_WIDE, SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW, IO_ROW, CLOCK_ROW,
+    MONITOR, DIAGNOSTICS, FLAG_CODES,
+) = range(33)  # fmt: skip
 
 #: how rotation angles are monitored: no other form for large ones, every step, known beforehand
 #: from an array, or from a row of the tile
@@ -73,11 +71,6 @@ DT, BEFORE, BEGUN, OTHER = range(4)
 
 PI_SQUARED = math.pi * math.pi
 EPS = 2.0**-52
-
-
-def end_of_piece(first: int, steps: int) -> int:
-    """Where a piece of about so many steps ends that begins at ``first``: with a block."""
-    return (first // BLOCK + max(1, steps // BLOCK)) * BLOCK
 
 
 @loop_part
@@ -336,7 +329,7 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                         end = min(end, (at // settings[PROJECTION] + 1) * settings[PROJECTION])
                 while begin < end:
                     # at multiples of a block, wherever a call begins: bits do not depend on it
-                    stop = min((begin // BLOCK + 1) * BLOCK, end)
+                    stop = min((begin // settings[BLOCK] + 1) * settings[BLOCK], end)
                     if per_body:
                         for j in range(width):
                             stop = min(stop, left[j]) if left[j] > begin else stop

@@ -8,7 +8,6 @@ from threading import Event
 from time import perf_counter
 from typing import Any
 
-from fastatt.engine.loop import BLOCK, end_of_piece
 from fastatt.threads import in_threads
 
 _PIECE = 2_000_000  # body-steps to begin with between two checks for Ctrl-C
@@ -54,12 +53,12 @@ def run_ensemble(
 
     def task(first: int, last: int) -> Callable[[Event], None]:
         bodies = min(last * width, n_bodies) - first * width
-        block = (last - first) * width * BLOCK
+        block = (last - first) * width * span.block
 
         def work(stop: Event) -> None:
             n, blocks = span.first, 1 if calls else max(1, _PIECE // block)
             while not stop.is_set():
-                until = min(end_of_piece(n, blocks * BLOCK), span.last)
+                until = min(span.end_of_piece(n, blocks * span.block), span.last)
                 begun = perf_counter()
                 call(span.part(n, until), first, last)
                 if done is not None:

@@ -21,6 +21,9 @@ from fastatt.engine.status import DIAGNOSTICS
 
 Array = NDArray[Any]
 
+#: steps of a block: what is done once in so many costs the cheapest step next to nothing
+BLOCK_LENGTH = 256
+
 
 @dataclass(frozen=True)
 class Span:
@@ -29,6 +32,7 @@ class Span:
     Saves are every ``save_every`` steps from ``origin`` on, with which the run began, and at the
     end, the first in slot ``slot`` of the output: 1 where slot 0 holds the initial state, else 0.
     The state is projected onto its group every ``projection`` steps, or never if that is 0.
+    Rotation angles are checked once a ``block`` of so many steps.
     """
 
     first: int
@@ -38,6 +42,11 @@ class Span:
     slot: int
     projection: int = 0
     origin: int = 0
+    block: int = BLOCK_LENGTH
+
+    def end_of_piece(self, first: int, steps: int) -> int:
+        """Where a piece of about so many steps ends that begins at ``first``: with a block."""
+        return (first // self.block + max(1, steps // self.block)) * self.block
 
     def part(self, first: int, last: int) -> Span:
         """Some of its steps."""

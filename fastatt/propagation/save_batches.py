@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine import pool
-from fastatt.engine.loop import end_of_piece
 from fastatt.engine.run import Run, Span
 from fastatt.engine.status import Status
 from fastatt.propagation.options import Handling, few
@@ -93,6 +92,6 @@ def _pieces(plan: Plan, saves: bool) -> list[tuple[int, list[int]]]:
     saved, span = plan.clock.saved, plan.span
     if saves:
         return [(saved[slots[-1]], slots) for slots in few(len(saved))]
-    each = end_of_piece(0, _CHECKED // plan.n_bodies)
-    ends = [*range(end_of_piece(span.origin, each), span.n_steps, each), span.n_steps]
+    each = span.end_of_piece(0, _CHECKED // plan.n_bodies)
+    ends = [*range(span.end_of_piece(span.origin, each), span.n_steps, each), span.n_steps]
     return [(last, [0]) for last in ends]

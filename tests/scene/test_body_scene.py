@@ -13,13 +13,13 @@ from machine_code import assemblies, is_packed, job_of, large_loops, needs_avx
 from numba import njit
 
 import fastatt as fa
-from fastatt.engine.loop import BLOCK
+from fastatt.engine.run import BLOCK_LENGTH
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 ORDERS = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])
 SPIN = np.array([0.9, -0.4, 1.2])
 N, STEPS, H = 130, 70, 0.02  # more than two tiles of 64 bodies
-LONG = BLOCK + 44  # more than a block of steps
+LONG = BLOCK_LENGTH + 44  # more than a block of steps
 rng = np.random.default_rng(5)
 Q0 = rng.normal(size=(N, 4))
 W0 = rng.normal(size=(N, 3))
