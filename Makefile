@@ -56,7 +56,7 @@ readme: $(VENV)/.test  ## the README's examples only
 	$(BIN)/pytest tests/test_readme.py
 
 trade: $(VENV)/.trade  ## every method on the default scene: table, picture and CSV in results/
-	$(BIN)/fastatt trade --out $(RESULTS)
+	$(BIN)/fastatt trade --out $(RESULTS) $(if $(FASTATT_SMOKE),--quick)
 
 bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 	$(BIN)/pytest bench
@@ -65,13 +65,13 @@ leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 8 minut
 	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench
 
 extremes: $(VENV)/.test  ## every method at the extremes, a minute: bench/EXTREMES.md
-	PYTHONPATH=tests $(BIN)/python -m extremes --long
+	PYTHONPATH=tests $(BIN)/python -m extremes $(if $(FASTATT_SMOKE),--quick,--long)
 
 cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.md
 	$(BIN)/python bench/cases.py
 
 scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench/SCALE.md
-	$(BIN)/python bench/scale.py
+	$(BIN)/python bench/scale.py $(if $(FASTATT_SMOKE),--small)
 
 hostile: $(VENV)/.test  ## advice where what acts jumps, five minutes: the table of docs/methods.md
 	$(BIN)/python bench/hostile.py

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 import multiprocessing
+import os
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -32,7 +33,8 @@ from fastatt.trade.measure import Case, Problem, machine_line, write_csv
 from fastatt.trade.reference import Reference, reference, turns
 from fastatt.trade.work_precision import cases_of
 
-N_BODIES = 4096
+SMALL = bool(os.environ.get("FASTATT_SMOKE"))
+N_BODIES = 64 if SMALL else 4096
 RATIO = 2.0 ** (1.0 / 6.0)  # between the sweep's numbers of steps
 SLOWER = 2.0  # a sweep gives a case up where it takes so many times as long as the best
 
@@ -288,7 +290,7 @@ def large(n: int = 1_000_000) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--scenes", type=int, default=8 if SMALL else 200)
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--bodies", type=int, default=N_BODIES)

@@ -9,6 +9,7 @@ errors are larger than the covariance tells.
 from __future__ import annotations
 
 import argparse
+import os
 import warnings
 from collections.abc import Callable
 
@@ -17,6 +18,7 @@ import numpy as np
 import fastatt as fa
 from fastatt import estimation as es
 
+SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 DEVIATIONS = (0.1, 0.2, 0.5, 0.7, 1.0)
 TRUTH = np.array([0.5, -0.5, 0.5, 0.5])
 BIAS = 1e-3
@@ -87,7 +89,7 @@ def largest_nees(kind: type, update: Update, deviation: float, n: int) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--filters", type=int, default=5000)
+    parser.add_argument("--filters", type=int, default=50 if SMALL else 5000)
     n = parser.parse_args().filters
     print("| start known to |", " | ".join(f"{x:g} rad" for x in DEVIATIONS), "|")
     print("| --- |" + " --- |" * len(DEVIATIONS))

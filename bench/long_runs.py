@@ -12,6 +12,7 @@ is random (Brouwer's law). The step is a power of two, so that its products are 
 from __future__ import annotations
 
 import argparse
+import os
 import time
 
 import mpmath
@@ -19,6 +20,9 @@ import numpy as np
 
 import fastatt as fa
 
+SMALL = bool(os.environ.get("FASTATT_SMOKE"))
+# steps and bodies of the runs with many bodies, and at most of the long ones
+MANY, BODIES, MOST = (2000, 50, 20_000) if SMALL else (100_000, 10_000, 10**12)
 STEP = 1.0 / 128.0
 TURN = 6e-3
 BODY = (2.0, 1.0, 0.7)
@@ -100,7 +104,7 @@ def report(method, mode, n_steps, n_bodies, dtype):
 def speeds():
     """Speed of each mode, that of the plain one being 1: coning and free bodies, 300 steps."""
     generator = np.random.default_rng(0)
-    n = 16384
+    n = 256 if SMALL else 16384
     q0, w0 = generator.normal(size=(n, 4)), generator.normal(size=(n, 3))
     angle, frequency = generator.uniform(0.2, 1.5, n), generator.uniform(0.5, 2.0, n)
     coning = fa.Scene(rate=fa.rates.Coning(angle, frequency))
@@ -123,15 +127,15 @@ def main():
     parser.add_argument("--steps", type=float, default=1e7, help="of 64 bodies, compensated")
     parser.add_argument("--method", default="magnus4", help="a method for given rates")
     arguments = parser.parse_args()
-    steps = int(arguments.steps)
+    steps = min(int(arguments.steps), MOST)
     print(
         "| method | | mode | steps x bodies | angle, rad | exponent | norm | exponent | M steps/s |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for mode in MODES:
-        report(arguments.method, mode, 100_000, 10_000, "float64")
+        report(arguments.method, mode, MANY, BODIES, "float64")
     for mode in ("plain", "compensated"):
-        report(arguments.method, mode, 100_000, 10_000, "float32")
+        report(arguments.method, mode, MANY, BODIES, "float32")
     report(arguments.method, "plain", min(steps, 10**8), 64, "float64")
     report(arguments.method, "compensated", steps, 64, "float64")
     print()

@@ -8,12 +8,15 @@ function adds to a step.
 from __future__ import annotations
 
 import argparse
+import os
 import time
 
 import numpy as np
 
 import fastatt as fa
 from fastatt.propagation.inspect_step import job_of
+
+SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 
 
 def largest(t, q, w, s):
@@ -46,8 +49,8 @@ def cases(n):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--bodies", type=int, default=10_000)
-    parser.add_argument("--repeats", type=int, default=40)
+    parser.add_argument("--bodies", type=int, default=100 if SMALL else 10_000)
+    parser.add_argument("--repeats", type=int, default=1 if SMALL else 40)
     parser.add_argument("--threads", type=int, default=1)
     args = parser.parse_args()
     watches = [None, fa.reducer(largest, start=0.0), fa.reducer(three, start=(0.0, -1.0, 0.0))]

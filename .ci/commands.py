@@ -1,0 +1,108 @@
+"""Run every command that a page names, small: ``python .ci/commands.py``.
+
+Commands run in a copy of the checkout, with ``FASTATT_SMOKE=1``: scripts of ``bench/`` and targets
+of the Makefile then take few bodies and few repeats. Targets that ``.ci/run`` calls itself, tests
+and benches (``make test``, ``make bench-smoke``) and installations are not run again.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "tests"))
+
+from test_readme import PAGES, in_blocks, in_text  # noqa: E402
+
+#: what ``.ci/run`` or a test does by itself; the leaderboard, which needs the other libraries; and
+#: what takes minutes
+ELSEWHERE = (
+    ".ci/run", "make test", "make docs", "make layers", "make leaderboard", "pip ", "pytest ",
+    "python bench/leaderboard.py", "python bench/method_table.py", "fastatt precompile --all",
+)  # fmt: skip
+LIMIT = 120  # s for a command
+
+
+def commands() -> list[str]:
+    """The commands of all pages, each once, without those that CI runs elsewhere."""
+    pages = [*PAGES, *sorted((ROOT / "bench").glob("*.md"))]
+    texts = [page.read_text(encoding="utf-8") for page in pages]
+    found = dict.fromkeys(c for text in texts for c in (*in_blocks(text), *in_text(text)))
+    return [c for c in found if not c.startswith(ELSEWHERE)]
+
+
+def write_inputs(folder: Path) -> None:
+    """A gyro log that begins at rest, its reference attitudes, and a scene."""
+    t = np.arange(0.0, 20.0, 0.01)
+    rates = np.where(t[:, None] < 6.0, 0.0, 0.3) * np.sin(np.outer(t, (0.5, 0.9, 1.3)))
+    import fastatt as fa
+
+    q = fa.integrate_rates(rates, 0.01)
+    for name, head, values in (
+        ("LOG.csv", "time_s,wx,wy,wz", rates),
+        ("TRUTH.csv", "time_s,q0,q1,q2,q3", q),
+    ):
+        table = np.column_stack([t, values])
+        np.savetxt(folder / name, table, delimiter=",", header=head, comments="")
+    (folder / "LOG.csv.gz").write_bytes(gzip.compress((folder / "LOG.csv").read_bytes()))
+    (folder / "scene.toml").write_text("inertia = [2.0, 1.0, 0.7]\n", encoding="utf-8")
+
+
+def run(command: str, folder: Path) -> str | None:
+    """What a command that failed printed, else None."""
+    program = command.replace("python ", f"{sys.executable} ", 1).removesuffix(" BROAD")
+    program = program.replace("/scratch", str(folder / "scratch"))
+    # the environment is the checkout's: not to be made again from the copy
+    program = program.replace("make ", "make -o .venv/.test -o .venv/.trade ", 1)
+    if program.startswith("fastatt trade"):
+        program += " --quick"
+    variables = {
+        "FASTATT_SMOKE": "1",
+        # which one of the commands removes
+        "FASTATT_CACHE": str((folder if "cache" in command else ROOT) / ".fastatt_cache"),
+        "NUMBA_CACHE_DIR": str(ROOT / ".numba_cache"),
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": os.pathsep.join(map(str, (folder, folder / "tests"))),
+    }
+    begun = perf_counter()
+    try:
+        done = subprocess.run(
+            ["bash", "-c", program], cwd=folder, env={**os.environ, **variables}, timeout=LIMIT,
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"{command}: not done after {LIMIT} s"
+    print(f"{perf_counter() - begun:6.1f} s  {command}", flush=True)
+    if done.returncode == 0:
+        return None
+    return f"{command}: exit status {done.returncode}\n{done.stdout[-1000:]}{done.stderr[-2000:]}"
+
+
+def main() -> int:
+    """Run them all; 1 where one failed."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "fastatt"
+        ignored = shutil.ignore_patterns(".git", ".venv*", ".*_cache", "results", "__pycache__")
+        shutil.copytree(ROOT, folder, ignore=ignored)
+        (folder / ".venv").symlink_to(ROOT / ".venv")
+        write_inputs(folder)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            found = commands()
+            failures = [x for x in pool.map(lambda c: run(c, folder), found) if x]
+    print(f"{len(found)} commands, {len(failures)} failed")
+    print("\n".join(failures), file=sys.stderr)
+    return int(bool(failures))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
