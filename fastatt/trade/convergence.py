@@ -128,25 +128,21 @@ def check_convergence(
     kind = checks.precision(dtype, q0, w0, v0, r0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
-    size = checks.whole("sample", sample, 1)
     whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)
-    rows = spread(whole, size, np.random.default_rng(0))
-    problem = whole.take(rows)
+    rows = spread(whole, checks.whole("sample", sample, 1), np.random.default_rng(0))
     most = times_compared(checks.choice("at", at, ("run", "end")), rows.size)
-    ladder = Ladder(problem, Case(record, representation, kind), count, most)
+    ladder = Ladder(whole.take(rows), Case(record, representation, kind), count, most)
     order = _order_of(ladder, declared := record.order_of(scene.kind))
     passed = declared == 0 or order is None or order >= declared - _SLACK
     worst = float(largest_angle(ladder.start.q, ladder.sight.q).max())
-    limited = "truncation"
-    if order is None:
-        limited = "step" if worst > LARGE else "round-off"
+    hidden = "step" if worst > LARGE else "round-off"
     check = ConvergenceCheck(
         method=record.name,
         declared=declared,
         order=order,
         error=worst,
         divided=2 ** len(ladder.changes),
-        limited_by=limited,
+        limited_by=hidden if order is None else "truncation",
         norm=float(np.abs(ladder.start.run.norm_error).max()),
         measured=rows.size,
         n_bodies=ensemble.size,
@@ -163,10 +159,7 @@ def check_convergence(
 
 
 def _order_of(ladder: Ladder, declared: int) -> float | None:
-    """Halve until the order shows: the largest, None where rounding hides it.
-
-    Large steps have no order: where the first halvings show too little there are more.
-    """
+    """Halve until the declared order shows: the largest observed, None where rounding hides it."""
     orders: list[float] = []
     hidden = False
     for k in range(1, _HALVINGS + 1):

@@ -65,7 +65,7 @@ class ErrorBudget:
     def verdict(self) -> str:
         """What limits, and what was run that does better."""
         if not self.total:
-            return "no error is seen: the log does not turn"
+            return "no error is seen: the log does not rotate"
         if self.limited_by == "noise":
             return "noise limits, or motion as rough as noise: another method will not help"
         if self.limited_by == "round-off":

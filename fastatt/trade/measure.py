@@ -208,10 +208,7 @@ def row_of(
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Shortest of a few runs, the first of which may compile, and the result.
-
-    There are more of short runs, and two of long ones.
-    """
+    """Shortest of a few runs, two of long ones, and the result; the first may compile."""
     times: list[float] = []
     while len(times) < 2 or (sum(times[1:]) < _ENOUGH and len(times) <= 10 * repeats):
         begin = perf_counter()
@@ -260,10 +257,7 @@ def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int
 
 
 def with_orders(rows: Sequence[Row], case: Case, order: int) -> list[Row]:
-    """Rows of falling steps with the order from each to the next, and where rounding limits.
-
-    ``order`` is the one declared.
-    """
+    """Rows of falling steps with their observed orders; ``order`` is the one declared."""
     points = [(r.n_steps, r.error_median) for r in rows]
     flat = [False] * len(points)
     for i in range(1, len(points)):
@@ -322,7 +316,7 @@ def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> st
 
 
 def frontier(rows: Iterable[Row]) -> list[Row]:
-    """The rows that no other beats in both error and time, fastest first."""
+    """The rows of which none is beaten in both error and time, fastest first."""
     best: list[Row] = []
     finite = [r for r in rows if math.isfinite(r.error_median)]
     for row in sorted(finite, key=lambda r: (r.seconds_per_body, r.error_median)):
@@ -380,7 +374,7 @@ def machine() -> dict[str, str | int]:
 
 
 def machine_line() -> str:
-    """The same in a line, with the peak of a core."""
+    """What the figures are measured on, in a line, with the peak of a core."""
     m = machine()
     threads = f"{m['threads']} of {m['threads of the machine']} threads"
     most = f"a core's peak {peak('double') / 1e9:.3g} GFLOP/s"

@@ -197,10 +197,7 @@ class _Classes:
 
 
 def _by_tiles(enough: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Whole steps, equal for bodies that are stepped together.
-
-    Those of a tile wait for its slowest anyway, and of equal steps share what time alone decides.
-    """
+    """Whole steps, equal for the bodies of a tile, which wait for the slowest of them anyway."""
     steps: NDArray[np.int64] = np.ceil(enough - 1e-9).astype(np.int64)
     order = np.argsort(-steps, kind="stable")
     steps[order] = np.repeat(steps[order[::WIDTH]], WIDTH)[: steps.size]

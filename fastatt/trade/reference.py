@@ -25,7 +25,7 @@ from fastatt.trade.ladder import Ladder
 from fastatt.trade.measure import Case, Problem, State
 
 # of high order, and other formulas than those that are run tight
-_CONFIRMING = ("dmv10", "kahan_li8", "rk9", "magnus8", "gauss12", "rk4")
+_CONFIRMING = ("dmv10", "rk9", "kahan_li8", "magnus8", "gauss12", "rk4")
 _EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
 _EPS = float(np.finfo(np.float64).eps)
 _LEAST = 4  # steps
@@ -167,8 +167,8 @@ def _closed_form(problem: Problem) -> Reference | None:
 
 
 def _coning(problem: Problem, t: NDArray[np.float64]) -> NDArray[Any]:
-    rate = problem.ensemble.scene.rate
-    path = coning_attitudes(*map(np.atleast_1d, rate), np.concatenate([[0.0], t]) + problem.t0)
+    angle, frequency = map(np.atleast_1d, problem.ensemble.scene.rate)
+    path = coning_attitudes(angle, frequency, np.concatenate([[0.0], t]) + problem.t0)
     back = path[:1] * (1.0, -1.0, -1.0, -1.0)
     return quat_multiply(problem.ensemble.q0, quat_multiply(back, path[1:]))
 
@@ -195,11 +195,7 @@ def intervals(problem: Problem) -> int:
 
 
 def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
-    """Halve the step until errors fall by the method's order, to the goal or to rounding.
-
-    The first step resolves rates, torques and forces, sampled at many more times than there are
-    steps.
-    """
+    """Halve the step until errors fall by the method's order, to the goal or to rounding."""
     case, unit = Case(method), intervals(problem)
 
     def whole(n: float) -> int:
@@ -208,6 +204,7 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
     first = whole(largest_rotation(problem))
     acting = forcing(problem, case, first)
     longest = _WORK / max(problem.ensemble.size, 64)
+    # the first step resolves rates, torques and forces
     first = whole(min(max(first, acting.steps), max(first, longest / 16)))
     ladder = Ladder(problem, case, first, most)
     longest = max(8.0 * first, longest)

@@ -24,7 +24,7 @@ _LEAST_WORK = 0.3  # of a step of the baseline: no step of any method is much ch
 
 @dataclass
 class Candidate:
-    """What is known of one case: errors by number of steps, seconds a step and a call.
+    """One case: errors by number of steps, seconds a step and a call.
 
     It takes ``first`` steps at least, and is tried with ``start``.
     """

@@ -117,11 +117,7 @@ class Search(Sample):
         return self._advise(near, budget=budget)
 
     def _least(self, one: Candidate, tol: float, best: float) -> int | None:
-        """The least number of steps that meets the tolerance, near enough; None where none can.
-
-        The step is halved or doubled until one number of steps meets the tolerance and one does
-        not; then what lies between is narrowed down by the declared order.
-        """
+        """The least number of steps that meets the tolerance, near enough; None where none can."""
         bad, n = 0, one.start
         good: int | None = None
         while True:
@@ -135,12 +131,13 @@ class Search(Sample):
                 if not one.order or flat or self._too_long(n) or one.seconds(n) > _WORTH * best:
                     return None
                 continue
+            # narrow down what lies between, by the declared order
             error = max(one.errors[good], 1e-300)
             near = good - bad <= max(self.unit(good), _CLOSE * good)
             if good == one.first or near or error >= tol * (1.0 - _CLOSE) ** one.order:
                 return good
             aim = 1.02 * good * (error / tol) ** (1.0 / one.order)
-            low, high = max(one.first, good // 8), good - self.unit(good)
+            low, high = float(max(one.first, good // 8)), float(good - self.unit(good))
             if bad:  # away from either
                 low, high = bad + 0.25 * (good - bad), good - 0.25 * (good - bad)
             n = min(self.rounded(min(max(aim, low), high)), good - self.unit(good))

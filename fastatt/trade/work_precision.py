@@ -62,7 +62,7 @@ class WorkPrecision:
 
     @property
     def frontier(self) -> list[Row]:
-        """The rows that no other beats in both time and median error, fastest first."""
+        """The rows of which none is beaten in both time and median error, fastest first."""
         return frontier(self.rows)
 
     def table(self) -> str:
