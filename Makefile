@@ -73,7 +73,7 @@ cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.m
 scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench/SCALE.md
 	$(BIN)/python bench/scale.py $(if $(FASTATT_SMOKE),--small)
 
-hostile: $(VENV)/.test  ## advice where what acts jumps, five minutes: the table of docs/methods.md
+hostile: $(VENV)/.test  ## advice where a rate or torque jumps, five minutes: the table of docs/methods.md
 	$(BIN)/python bench/hostile.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed

@@ -30,7 +30,7 @@ from fastatt.propagation.ensemble import Ensemble
 from fastatt.threads import progress_bar
 from fastatt.trade.ladder import largest_angle, see
 from fastatt.trade.measure import Case, Problem, machine_line, write_csv
-from fastatt.trade.reference import Reference, reference, turns
+from fastatt.trade.reference import Reference, largest_rotation, reference
 from fastatt.trade.work_precision import cases_of
 
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
@@ -182,7 +182,7 @@ def least(
     method = case.record
     if not method.order:
         return (1, once(problem, case, 1)) if error(problem, case, 1, known) <= tol else None
-    turn = turns(problem)
+    turn = largest_rotation(problem)
     constant = problem.ensemble.scene.is_constant and method.exact_for_constant
     first = 1.0 if constant else max(1.0, turn / 3.0)
     low, k = -1, 0

@@ -1,4 +1,4 @@
-"""Random scenes where what acts jumps: is a promise of advice or of per-body steps broken.
+"""Random scenes whose rate or torque jumps: is a promise of advice or of per-body steps broken.
 
 Scenes are drawn at random: thruster pulses, jumps, ramps, smooth pulses and drag, of a rigid body
 or as a rate, and the tolerance and the duration with them. What is recommended is run on all bodies
@@ -123,8 +123,8 @@ def draw(seed: int, number: int, bodies: int, *, rates: bool = True) -> Case:
 def truth(case: Case, steps: int) -> Any:
     """The attitudes at the end, by rk8 or magnus8 with steps that end at the breakpoints.
 
-    Between two of them what acts is continued, so that the first and the last evaluation of a step
-    see neither side's neighbour.
+    Between two of them the rate or torque is continued, so that the first and the last evaluation
+    of a step see neither side's neighbour.
     """
     ends = [case.t0, *case.breaks, case.t0 + case.t_end]
     q, w = case.q0, case.w0
@@ -149,11 +149,11 @@ def truth(case: Case, steps: int) -> Any:
 
 
 def outcome(case: Case, chosen: Any) -> tuple[str, float]:
-    """Whether the promise was kept, and the true error beside it."""
-    with warnings.catch_warnings(record=True) as told:
+    """Whether the promise was kept, and how large the true error is."""
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         run = fa.propagate(case.scene, case.q0, case.w0, **chosen.arguments)
-    if told or run.status.any():
+    if caught or run.status.any():
         return "warned", 0.0
     fine, finer = truth(case, _STEPS // 2), truth(case, _STEPS)
     own = fa.angle_between(fine, finer).max()
@@ -197,7 +197,7 @@ def stepped(seed: int, number: int) -> tuple[str, str, float]:
 
 
 def table(name: str, found: list[tuple[str, str, float]]) -> list[str]:
-    """A line a kind: cases, kept, refused, warned of, beyond what is known, broken."""
+    """A line a kind: cases, kept, refused, warned of, beyond the comparison, broken."""
     lines = []
     for kind in dict.fromkeys(kind for kind, *_ in found):
         own = [(result, share) for k, result, share in found if k == kind]
@@ -211,7 +211,7 @@ def table(name: str, found: list[tuple[str, str, float]]) -> list[str]:
 def report(scenes: int, runs: int, seed: int, seconds: float = float("inf")) -> list[str]:
     """Both tables, within a time."""
     lines = [
-        "| advice | what acts | kept | refused | warned | unknown | broken | largest share |",
+        "| advice | rate or torque | kept | refused | warned | unknown | broken | largest share |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     begin = perf_counter()

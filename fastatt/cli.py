@@ -148,7 +148,6 @@ def _parser() -> argparse.ArgumentParser:
     goal.add_argument("--budget", type=float, help="longest time that the run may take, s")
     where = "where errors are looked at: over the run (default), or at its end alone"
     add("--at", choices=("run", "end"), default="run", help=where)
-    add("--save-interval", type=float, help="s between saves (default: the end)")
     add("--methods", type=_names, help="only these methods: rk4,magnus4")
 
     compile_usual = command(
@@ -359,7 +358,7 @@ def _recommend(arguments: argparse.Namespace) -> int:
     if scene is None:
         raise ValueError("no scene: accepted: --inertia, --rate or --scene-file")
     q0, w0 = _ensemble(arguments, scene)
-    names = ("t_end", "tol", "budget", "save_interval", "at", "methods")
+    names = ("t_end", "tol", "budget", "at", "methods")
     asked = {name: getattr(arguments, name) for name in names}
     print(recommend(scene, q0, w0, progress=_bar_wanted(arguments.quiet), **asked))
     return 0

@@ -9,7 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fastatt.trade.ensembles import study
+import fastatt as fa
+from fastatt import plots
+from fastatt.trade.ensembles import BODY_SCENES, study
 from fastatt.trade.measure import Case, write_csv
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
@@ -21,6 +23,7 @@ import hostile
 import long_runs
 import method_table
 import per_body_steps
+import polhodes
 import recordings
 import scale
 
@@ -29,7 +32,7 @@ def test_the_method_table(tmp_path, capsys):
     """A line a method and input: errors, speed, operations, part of the peak."""
     steps = (50, 400)
     cases = [Case("rk4"), Case("exact"), Case("rk4", "dcm")]
-    rows = study("free", 8).rows({"free": cases}, steps, 1)["free"]
+    rows = study("free", 8).rows(cases, steps, 1)
     write_csv(tmp_path / "bodies.csv", rows)
     method_table.main(tmp_path / "bodies.csv")
     head, _, rk4, exact = capsys.readouterr().out.splitlines()
@@ -45,16 +48,45 @@ def test_the_method_table(tmp_path, capsys):
 
 def test_the_method_table_of_given_rates(tmp_path, capsys):
     cones = study("coning", 8)
-    cases = {"rate function": [Case("magnus4")], "samples": [Case("previous")]}
-    found = cones.rows(cases, (100, 800), 1)
-    write_csv(tmp_path / "trade.csv", [row for rows in found.values() for row in rows])
+    cases = [Case("magnus4"), Case("previous")]
+    write_csv(tmp_path / "trade.csv", cones.rows(cases, (100, 800), 1))
     method_table.main(tmp_path / "trade.csv")
     lines = capsys.readouterr().out.splitlines()[2:]
     assert [line.split("|")[1].strip() for line in lines] == ["`magnus4`", "`previous`"]
-    cases = {"samples": [Case("previous")]}
-    write_csv(tmp_path / "quick.csv", cones.rows(cases, (10, 20), 1)["samples"])
+    write_csv(tmp_path / "quick.csv", cones.rows([Case("previous")], (10, 20), 1))
     with pytest.raises(SystemExit, match=r"previous has no step of 0\.2 or 0\.025 s"):
         method_table.main(tmp_path / "quick.csv")
+
+
+def test_polhodes_keep_energy_and_length():
+    inertia = BODY_SCENES["free"].inertia
+    found = polhodes.polhodes()
+    energies = [p.energy for p in found]
+    assert energies == sorted(energies)
+    for polhode in found:
+        curves = np.concatenate(polhode.curves)
+        assert np.abs(np.linalg.norm(curves, axis=1) - 1.0).max() < 1e-13
+        energy = fa.kinetic_energy(curves / inertia, inertia)
+        assert np.abs(energy - polhode.energy).max() < 1e-13
+    # the separatrix has the energy of turning about the intermediate axis, and comes near it
+    (separatrix,) = [p for p in found if p.separatrix]
+    assert separatrix.energy == pytest.approx(0.5 / inertia[1])
+    assert abs(separatrix.curves[0][-1, 1]) > 0.999
+
+
+def test_polhodes_are_drawn(tmp_path):
+    plots.polhodes(polhodes.polhodes(), polhodes.herpolhodes(), tmp_path / "polhodes.png")
+    assert (tmp_path / "polhodes.png").stat().st_size > 10_000
+
+
+def test_herpolhodes_keep_the_part_along_the_momentum():
+    """|w|² less the part along the momentum, 2E/|m|, is the distance in the plane."""
+    inertia = np.array(BODY_SCENES["free"].inertia)
+    for energy, curve in polhodes.herpolhodes().items():
+        distance = np.linalg.norm(curve[0])
+        m = next(p.curves[0] for p in polhodes.polhodes() if p.energy == energy)[1000]
+        across = np.sqrt(np.sum((m / inertia) ** 2) - (2.0 * energy) ** 2)
+        assert distance == pytest.approx(across, rel=1e-12)
 
 
 def test_long_runs_tell_how_errors_grow():

@@ -21,7 +21,7 @@ from fastatt.propagation.drift_statistics import Measure
 from fastatt.propagation.drift_statistics import drift_statistics as chunk_statistics
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.trade.measure import Case, Problem, Rung, ladder_rows, last_state
+from fastatt.trade.measure import Case, Problem, Row, counted, last_state, row_of, with_orders
 from fastatt.trade.reference import reference as found_reference
 from fastatt.trade.work_precision import WorkPrecision, duration
 
@@ -196,26 +196,22 @@ def _table(
     chunks: list[Any], kind: str, cases: list[tuple[Case, int]], t_end: float
 ) -> WorkPrecision:
     """All chunks' errors in one table."""
-    ladders: dict[Case, list[Rung]] = {}
+    ladders: dict[Case, list[Row]] = {}
     for (case, n), parts in zip(
         cases, zip(*(found for found, *_ in chunks), strict=True), strict=True
     ):
         seconds, errors, norm_errors, rates, flags = zip(*parts, strict=True)
         counts: Counter[str] = sum(flags, Counter())
-        rung = Rung(
-            n_steps=n,
-            seconds=sum(seconds),
-            error=np.concatenate(errors),
-            norm_error=max(norm_errors),
-            rate_error=None if rates[0] is None else np.concatenate(rates),
-            status=", ".join(f"{name} {count}" for name, count in counts.items()),
-        )
-        ladders.setdefault(case, []).append(rung)
+        error = np.concatenate(errors)
+        rate_error = None if rates[0] is None else np.concatenate(rates)
+        measured = {"defect_max": max(norm_errors), "status": counted(counts)}
+        row = row_of(kind, case, t_end, n, sum(seconds), error, rate_error, **measured)
+        ladders.setdefault(case, []).append(row)
     rows = []
-    for case, rungs in ladders.items():
-        rungs.sort(key=lambda rung: rung.n_steps)
-        rows += ladder_rows(kind, case, t_end, rungs, case.record.order_of(kind))
-    n_bodies = rungs[0].error.size
+    for case, ladder in ladders.items():
+        ladder.sort(key=lambda row: row.n_steps)
+        rows += with_orders(ladder, case, case.record.order_of(kind))
+    n_bodies = error.size
     _, source, _ = chunks[0]
     own = max(own for *_, own in chunks)
     return WorkPrecision(

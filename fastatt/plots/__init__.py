@@ -7,7 +7,6 @@ from fastatt.plots.study import (
     Ladder,
     Panel,
     Polhode,
-    axis_traces,
     polhodes,
     recordings,
     work_precision,
@@ -15,5 +14,5 @@ from fastatt.plots.study import (
 
 __all__ = [
     "Departures", "Ladder", "Panel", "Polhode", "animation",
-    "axis_traces", "history", "polhode", "polhodes", "recordings", "work_precision",
+    "history", "polhode", "polhodes", "recordings", "work_precision",
 ]  # fmt: skip

@@ -14,12 +14,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from fastatt.plots.drawing import (
-    COLOURS,
     axes_on,
     curve_on,
     save,
     sphere_and_plane,
-    sphere_on,
     styles_of,
     tints_of,
 )
@@ -125,20 +123,6 @@ def polhodes(
     place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(names)}
     figure.legend(entries, names.values(), title="kinetic energy", **place)
     figure.suptitle("A free body with a momentum of 1 N·m·s and moments $I_1 > I_2 > I_3$")
-    save(figure, path)
-
-
-def axis_traces(traces: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """A body axis, (T, 3), on the sphere of directions in space, a panel for each motion."""
-    figure = Figure(figsize=(4.6 * len(traces), 5.2), layout="constrained")
-    for i, (title, axis) in enumerate(traces.items()):
-        axes = figure.add_subplot(1, len(traces), i + 1, projection="3d")
-        view = sphere_on(axes, elevation=38.0, azimuth=-60.0, zoom=1.3)
-        curve_on(axes, axis, view, {"color": COLOURS[i], "lw": 1.8})
-        axes.plot([0.0, 0.0], [0.0, 0.0], [1.0, 1.25], color="k", lw=1.2)
-        axes.text(0.0, 0.0, 1.3, "up", ha="center")
-        axes.set_title(title)
-    figure.suptitle("Axis of a heavy top in space, released with different rates of precession")
     save(figure, path)
 
 

@@ -1,1 +1,1 @@
-"""The trade: every method's speed beside its error, on recordings and on known answers."""
+"""Speed and error of every method, on recordings and on known answers; advice on both."""

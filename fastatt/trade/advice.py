@@ -16,7 +16,7 @@ from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem
 from fastatt.trade.recommendation import Recommendation
-from fastatt.trade.search import SINGLE, Search
+from fastatt.trade.search import SINGLE, Search, work
 from fastatt.trade.work_precision import DTYPES, cases_of, duration
 
 # what was on the frontier of some measured scene; those that were not are left out unless named
@@ -42,7 +42,6 @@ def recommend(
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
     t0: float = 0.0,
-    save_interval: float | None = None,
     at: str = "run",
     methods: Sequence[str | Method] | None = None,
     representations: Sequence[str | Attitude] = ("quat",),
@@ -74,14 +73,13 @@ def recommend(
         below it by a factor of 1.5.
     budget : float
         Instead of ``tol``, the longest time that the run may take, s.
-    save_interval : float
-        Time between saves, s, of which ``t_end`` is a multiple; None for the end alone.
     at : {"run", "end"}
         Where errors are measured: over the run, after each of its steps or, of more than 1024, of
         the first ones and at so many even times; or at its end alone.
     methods : sequence of str or Method
         None takes those that are the cheapest somewhere; ``fastatt.methods_for`` lists all.
-    representations, dtypes : what to choose from.
+    representations, dtypes : sequence
+        What to choose from.
     sample : int
         Number of bodies to measure errors on.
     seed : int
@@ -92,8 +90,8 @@ def recommend(
     Returns
     -------
     Recommendation
-        ``fastatt.propagate(scene, q0, w0, **advice.arguments)`` runs it; without
-        ``save_interval``, with any ``save_every`` besides.
+        ``fastatt.propagate(scene, q0, w0, **advice.arguments)`` runs it, with any ``save_every``
+        or ``save_at`` in addition.
 
     Raises
     ------
@@ -128,42 +126,20 @@ def recommend(
         cases = _hopeful(cases, tol)
     search = Search(
         whole,
-        _saves(whole.t_end, save_interval),
         checks.choice("at", at, ("run", "end")),
         checks.whole("sample", sample, 1),
         np.random.default_rng(seed),
         wanted / _FINER if tol is not None else 0.0,
     )
     search.known.refuse_jumps()
-    with progress_bar(progress, 2 * len(cases), "case") as done:
+    with progress_bar(progress, len(cases), "case") as done:
         if tol is not None:
             return search.cheapest(cases, wanted, done)
         return search.most_accurate(cases, wanted, done)
 
 
 def _hopeful(cases: Sequence[Case], tol: float) -> list[Case]:
-    """Cases without those whose order or precision is far too low for a tolerance.
-
-    The guess at the work of a method is tol^(−1/order) evaluations and exponentials.
-    """
-
-    def work(case: Case) -> float:
-        m = case.record
-        return max(1, m.rate_calls + m.exponentials) * tol ** (-1.0 / m.order) if m.order else 1.0
-
-    stepped = [c for c in cases if c.record.order]
-    least = min(map(work, stepped), default=1.0)
-    kept = [c for c in cases if work(c) <= _HOPELESS * least]
+    """Cases without those whose order or precision is far too low for a tolerance."""
+    least = min((work(c, tol) for c in cases if c.record.order), default=0.0)
+    kept = [c for c in cases if work(c, tol) <= _HOPELESS * least]
     return [c for c in kept if c.dtype == "float64" or tol >= SINGLE] or kept
-
-
-def _saves(t_end: float, interval: float | None) -> int | None:
-    if interval is None:
-        return None
-    every = checks.above_zero("save_interval", interval)
-    n = round(t_end / every)
-    if n < 1 or abs(n * every - t_end) > 1e-9 * t_end:
-        raise ValueError(
-            f"save_interval: found {every}; accepted: t_end, {t_end}, over a whole number"
-        )
-    return n

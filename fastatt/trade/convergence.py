@@ -17,6 +17,7 @@ from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.ladder import LARGE, Ladder, largest_angle, times_compared
 from fastatt.trade.measure import Case, Problem
+from fastatt.trade.work_precision import spread
 
 _HALVINGS = 7
 _SURE = 3  # halvings at least: what the error is measured against
@@ -37,8 +38,7 @@ class ConvergenceCheck:
     that was made, of ``divided`` times as many steps; ``order`` the one observed, None where
     rounding hides it (``limited_by`` "round-off") or the steps were too large for any ("step");
     ``declared`` that of the method. ``passed`` is false where an order was observed and is below
-    the declared one. ``norm`` is the largest departure of the state from its group, | |q| − 1 | or
-    ‖C Cᵀ − 1‖.
+    the declared one. ``norm`` is the largest norm error, | |q| − 1 | or ‖C Cᵀ − 1‖.
     """
 
     method: str
@@ -81,10 +81,10 @@ def check_convergence(
     """Order and error that a run shows of itself, by halving its step on a sample of its bodies.
 
     The step is halved three times, and again while the order is below the declared one: takes 15 to
-    some 250 times as long as the run takes on ``sample`` bodies, the fastest and others evenly
-    spaced. The check sees any error of the method that lowers its order, such as a wrong weight or
-    sign or a stale rate; it sees none that a method of the same order for other equations would
-    make.
+    some 250 times as long as the run takes on ``sample`` bodies, the fastest, the slowest and
+    others by chance. The check sees any error of the method that lowers its order, such as a wrong
+    weight or sign or a stale rate; it sees none that a method of the same order for other equations
+    would make.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def check_convergence(
     Warns
     -----
     ConvergenceWarning
-        The order observed is below the declared one by more than 0.5: the method is broken, or what
-        acts is not smooth, such as a sampled torque between whose samples a step is no whole
-        fraction.
+        The order observed is below the declared one by more than 0.5: the method is broken, or the
+        rate, torque or force is not smooth, such as a sampled torque between whose samples a step
+        is no whole fraction.
 
     Raises
     ------
@@ -128,24 +128,21 @@ def check_convergence(
     kind = checks.precision(dtype, q0, w0, v0, r0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
-    rows = _sample(ensemble, checks.whole("sample", sample, 1))
-    begin = checks.real("t0", t0)
-    problem = Problem(ensemble.take(rows), step * count, begin, n_threads)
+    whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)
+    rows = spread(whole, checks.whole("sample", sample, 1), np.random.default_rng(0))
     most = times_compared(checks.choice("at", at, ("run", "end")), rows.size)
-    ladder = Ladder(problem, Case(record, representation, kind), count, most)
+    ladder = Ladder(whole.take(rows), Case(record, representation, kind), count, most)
     order = _order_of(ladder, declared := record.order_of(scene.kind))
     passed = declared == 0 or order is None or order >= declared - _SLACK
     worst = float(largest_angle(ladder.start.q, ladder.sight.q).max())
-    limited = "truncation"
-    if order is None:
-        limited = "step" if worst > LARGE else "round-off"
+    hidden = "step" if worst > LARGE else "round-off"
     check = ConvergenceCheck(
         method=record.name,
         declared=declared,
         order=order,
         error=worst,
         divided=2 ** len(ladder.changes),
-        limited_by=limited,
+        limited_by=hidden if order is None else "truncation",
         norm=float(np.abs(ladder.start.run.norm_error).max()),
         measured=rows.size,
         n_bodies=ensemble.size,
@@ -154,7 +151,7 @@ def check_convergence(
     if not passed:
         warnings.warn(
             f"{check}: the error falls more slowly than it should; either the method is not what "
-            "it says, or what acts on the bodies is not smooth",
+            "it says, or the rate, torque or force is not smooth",
             ConvergenceWarning,
             stacklevel=2,
         )
@@ -162,10 +159,7 @@ def check_convergence(
 
 
 def _order_of(ladder: Ladder, declared: int) -> float | None:
-    """Halve until the order shows: the largest, None where rounding hides it.
-
-    Large steps have no order: where the first halvings show too little there are more.
-    """
+    """Halve until the declared order shows: the largest observed, None where rounding hides it."""
     orders: list[float] = []
     hidden = False
     for k in range(1, _HALVINGS + 1):
@@ -180,15 +174,6 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
         if k >= _SURE and (hidden or (orders and max(orders) >= declared - _SLACK)):
             break
     return max(orders, default=None)
-
-
-def _sample(ensemble: Ensemble, size: int) -> NDArray[np.intp]:
-    n = ensemble.size
-    rows = np.linspace(0, n - 1, min(n, size)).astype(np.intp)
-    if ensemble.w0 is not None and ensemble.w0.ndim == 2 and n > size:
-        fastest = np.argsort(np.linalg.norm(ensemble.w0, axis=1))[-(size // 4) :]
-        rows = np.unique(np.concatenate([rows[:: 2 if size > 1 else 1], fastest]))
-    return rows
 
 
 def _order(coarse: NDArray[np.float64], fine: NDArray[np.float64], floor: float) -> float | None:

@@ -1,11 +1,10 @@
-"""Where the error of an integrated gyro log comes from, told from the log alone."""
+"""Where the error of an integrated gyro log comes from, estimated from the log alone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +41,7 @@ class ErrorBudget:
     the interval, None where noise hides it. ``half_rate`` is what was measured when every second
     sample was left out, the largest change of the attitude, rad, by method: of this one and of
     rivals whose order the log resolves. Motion with jerks more often than every 16 samples cannot
-    be told from noise.
+    be distinguished from noise.
     """
 
     method: str
@@ -66,7 +65,7 @@ class ErrorBudget:
     def verdict(self) -> str:
         """What limits, and what was run that does better."""
         if not self.total:
-            return "no error is seen: the log does not turn"
+            return "no error is seen: the log does not rotate"
         if self.limited_by == "noise":
             return "noise limits, or motion as rough as noise: another method will not help"
         if self.limited_by == "round-off":
@@ -106,24 +105,29 @@ def error_budget(
     """Tell interpolation, truncation, round-off and noise of a gyro log apart.
 
     Interpolation and truncation together are extrapolated from the log with every second and every
-    third sample; truncation is the method beside the exact integration of its own polynomial;
-    noise is what is left of the samples after differences of order 10, if it is white.
+    third sample; truncation is the difference of the method from the exact integration of the
+    polynomial that it fits; noise is what is left of the samples after differences of order 10, if
+    it is white.
 
     Parameters
     ----------
-    rates, dt, q0, dtype, max_gap : as of :func:`fastatt.integrate_rates`, of one log of at least 27
-        samples, (n, 3) rad/s.
-    method : the method whose error it is.
-    rivals : methods to compare with; None takes all.
+    rates, dt, q0, dtype, max_gap : as of :func:`fastatt.integrate_rates`
+        Of one log of at least 27 samples, (n, 3) rad/s.
+    method : str
+        The method whose error it is.
+    rivals : sequence of str
+        Methods to compare with; None takes all.
 
     Returns
     -------
-    ErrorBudget : the shares, rad, ``limited_by`` and ``verdict``; ``str`` gives a table in degrees,
-        of one digit, as shares are estimates.
+    ErrorBudget
+        The shares, rad, ``limited_by`` and ``verdict``; ``str`` gives a table in degrees, of one
+        digit, as shares are estimates.
 
     Raises
     ------
-    ValueError, TypeError : as ``integrate_rates``.
+    ValueError, TypeError
+        As ``integrate_rates``.
     """
     fitting = methods_for_samples()
     checks.choice("method", method, fitting)
@@ -139,12 +143,7 @@ def error_budget(
         truncation = log.truncation(method)
         density = log.noise_density()
         sampling = log.extrapolated(log.exact, method, density)
-        resolved = {
-            name: found.changed
-            for name in others
-            if _resolves(name, (found := log.extrapolated(log.attitudes, name, density)).order)
-        }
-        own = log.extrapolated(log.attitudes, method, density).changed
+        measured = {m: log.extrapolated(log.attitudes, m, density) for m in (method, *others)}
         round_off = log.round_off(method, kind)
     shares = (sampling.error, truncation, round_off, log.noise(density))
     return ErrorBudget(
@@ -155,13 +154,13 @@ def error_budget(
         noise_density=density,
         order=sampling.order,
         limited_by=_LIMITS[int(np.argmax(shares))],
-        half_rate={method: own, **resolved},
+        # of a rival whose order does not show the error is no more than guessed
+        half_rate={
+            name: found.changed
+            for name, found in measured.items()
+            if name == method or (found.order or 0.0) > _RESOLVED * METHODS[name].order
+        },
     )
-
-
-def _resolves(method: str, order: float | None) -> bool:
-    """Whether the log shows so much of a method's order that its error is more than guessed."""
-    return order is not None and order > _RESOLVED * METHODS[method].order
 
 
 class _Extrapolated(NamedTuple):
@@ -199,12 +198,12 @@ class _Log:
     def exact(self, method: str, every: int = 1) -> NDArray[Any]:
         """By the exact integration of the polynomials that the method fits.
 
-        A rate that is held turns by one exponential, so that the method itself is exact.
+        Of a rate that is held the method itself is the exact exponential.
         """
         if METHODS[method].order < 2:
             return self.attitudes(method, every)
         rates, dt, _ = self.part(every)
-        return np.concatenate(list(_integrated(method, rates, dt, self.q0)))
+        return _integrated(method, rates, dt, self.q0)
 
     def extrapolated(
         self, attitudes: Callable[[str, int], NDArray[Any]], method: str, density: float
@@ -226,12 +225,10 @@ class _Log:
         if two <= 2.0 * self.noise(density) or three <= two:
             return _Extrapolated(two / (2.0**declared - 1.0), None, two)
         # less than 1 is no order, but two samplings that miss different things
-        low, high = 1.0, 2.0 * max(1, declared)
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            steep = (3.0**middle - 1.0) / (2.0**middle - 1.0) > three / two
-            low, high = (low, middle) if steep else (middle, high)
-        return _Extrapolated(two / (2.0**low - 1.0), low, two)
+        orders = np.linspace(1.0, 2.0 * max(1, declared), 1000)
+        ratios = (3.0**orders - 1.0) / (2.0**orders - 1.0)
+        order = float(np.interp(three / two, ratios, orders))
+        return _Extrapolated(two / (2.0**order - 1.0), order, two)
 
     def truncation(self, method: str) -> float:
         """The method against the exact integration of the polynomials that it fits."""
@@ -268,38 +265,30 @@ class _Log:
         return density * math.sqrt(3.0 * float(self.spans.sum()))
 
 
-def _integrated(
-    method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[Any]
-) -> Iterator[NDArray[Any]]:
-    """Attitudes at the instants from a window's polynomials, as far as whole windows go.
+def _integrated(method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[Any]) -> NDArray[Any]:
+    """Attitudes at the samples from a window's polynomials, as far as whole windows go.
 
-    Their values are handed to a method so finely that it integrates them exactly.
+    Another method gets their values at times so close that it integrates them exactly.
     """
     # an error of order 4 is 20000 times less then; picard's may be less than that, but its own
     # polynomial it integrates exactly
     tight, fineness = ("picard", 6) if method == "picard" else ("coning3", 12)
     window = METHODS[method].window
-    degree = window.samples(False) - 1
+    powers = np.arange(window.samples(False))
     spans = np.broadcast_to(dt, len(rates) - 1)
     t = np.concatenate([[0.0], np.cumsum(spans)])
     n = len(spans) // window.span * window.span
-    size = _PIECE // window.span * window.span
-    inside = np.arange(fineness) / fineness
-    q = q0
-    for first in range(0, n, size):
-        k = np.arange(first, min(first + size, n))
+    inside = np.arange(fineness)[:, None] / fineness
+    found = [q0[None]]
+    for k in np.array_split(np.arange(n), -(-n // _PIECE)):
         start = k // window.span * window.span - window.history
-        start = np.clip(start, 0, len(rates) - 1 - degree)
-        nodes = start[:, None] + np.arange(degree + 1)
-        at = t[k][:, None] + inside * spans[k][:, None]
-        apart = at[:, :, None] - t[nodes][:, None, :]
-        weights = np.ones(apart.shape)
-        for i, j in permutations(range(degree + 1), 2):
-            gap = t[nodes[:, i]] - t[nodes[:, j]]
-            weights[:, :, i] *= apart[:, :, j] / gap[:, None]
-        fine = np.einsum("kfi,kic->kfc", weights, rates[nodes]).reshape(-1, 3)
+        nodes = np.clip(start, 0, len(rates) - powers.size)[:, None] + powers
+        # in intervals from the beginning of each
+        x = (t[nodes] - t[k][:, None]) / spans[k][:, None]
+        polynomials = np.linalg.solve(x[..., None] ** powers, rates[nodes])
+        fine = (inside**powers @ polynomials).reshape(-1, 3)
         fine = np.concatenate([fine, rates[k[-1] + 1 : k[-1] + 2]])
         steps = dt / fineness if np.ndim(dt) == 0 else np.repeat(spans[k] / fineness, fineness)
-        found = integrate_rates(fine, steps, q, method=tight, max_gap=math.inf)[::fineness]
-        q = found[-1]
-        yield found[: None if k[-1] + 1 == n else -1]
+        q = integrate_rates(fine, steps, found[-1][-1], method=tight, max_gap=math.inf)
+        found.append(q[fineness::fineness])
+    return np.concatenate(found)

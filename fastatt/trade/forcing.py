@@ -1,4 +1,4 @@
-"""What acts on bodies along their path: whether it jumps, and the shortest time it changes in."""
+"""Rates, torques and forces along the bodies' path: whether they jump, how fast they change."""
 
 from __future__ import annotations
 
@@ -26,27 +26,10 @@ _CONSTANT = 1e-8
 
 
 class Forcing(NamedTuple):
-    """Steps that resolve what acts, and where it jumps: "" or "t = 5.4 s (body 3)"."""
+    """Steps that resolve rates, torques and forces, and where one jumps ("" for none)."""
 
     steps: int
     jump: str
-
-
-class _Path(NamedTuple):
-    """Times (S,) or (S, N), and the bodies' states (S, N, k) then."""
-
-    t: NDArray[np.float64]
-    states: tuple[NDArray[np.float64], ...]
-
-    def middle(self, other: _Path) -> _Path:
-        states = tuple(0.5 * (a + b) for a, b in zip(self.states, other.states, strict=True))
-        return _Path(0.5 * (self.t + other.t), states)
-
-    def chosen(self, other: _Path, first: NDArray[np.bool_]) -> _Path:
-        """Of each body the state of one path where that is the first, else of the other."""
-        pairs = zip(self.states, other.states, strict=True)
-        states = tuple(np.where(first[..., None], a, b) for a, b in pairs)
-        return _Path(np.where(first, self.t, other.t), states)
 
 
 def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
@@ -62,15 +45,15 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     chance = np.random.default_rng(0).uniform(size=count)
     times = (np.arange(count) + chance) * (problem.t_end / count)
     run = problem.run(case, n_steps, save_at=problem.t0 + times)
-    carried = [run.carried.get(name, run.q[..., 1:] * 0.0) for name in ("w", "v", "r")]
     signs = np.where((run.q[1:] * run.q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     q = run.q.copy()
     q[1:] *= np.cumprod(signs, axis=0)
-    path = _Path(np.repeat(run.t[:, None], size, axis=1), (q, *carried))
+    t = np.broadcast_to(run.t[:, None, None], (*q.shape[:2], 1))
+    carried = [run.carried.get(name, 0.0 * q[..., 1:]) for name in ("w", "v", "r")]
+    path = np.concatenate([t, q, *carried], axis=-1)
     with np.errstate(all="ignore"):
-        found = _acting(problem, path)
         steps, jump = 1, ""
-        for name, f in found.items():
+        for name, f in _acting(problem, path).items():
             finest, where = _examined(problem, path, name, f)
             steps = max(steps, finest)
             if where is not None:
@@ -79,7 +62,7 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
 
 
 def _examined(
-    problem: Problem, path: _Path, name: str, f: NDArray[np.float64]
+    problem: Problem, path: NDArray[np.float64], name: str, f: NDArray[np.float64]
 ) -> tuple[int, tuple[float, int] | None]:
     """Steps that resolve a quantity (S, N, 3), and the time and the body of a jump."""
     ranges = np.ptp(f, axis=0).max(axis=-1)
@@ -87,32 +70,27 @@ def _examined(
     changes = np.abs(np.diff(f, axis=0)).max(axis=-1)
     if not (varies & np.isfinite(ranges)).any():
         return 1, None
-    slopes = (changes / np.diff(path.t, axis=0)).max(axis=0)
+    slopes = (changes / np.diff(path[..., 0], axis=0)).max(axis=0)
     steps = _STEPS * problem.t_end * np.max(slopes[varies] / ranges[varies])
-    suspects = np.argsort(changes, axis=0)[-_SUSPECTS:]
-
-    def taken(rows: NDArray[np.intp]) -> _Path:
-        states = tuple(np.take_along_axis(x, rows[..., None], axis=0) for x in path.states)
-        return _Path(np.take_along_axis(path.t, rows, axis=0), states)
-
-    low, high = taken(suspects), taken(suspects + 1)
+    suspects = np.argsort(changes, axis=0)[-_SUSPECTS:, :, None]
+    low, high = (np.take_along_axis(path, suspects + k, axis=0) for k in (0, 1))
     f_low, f_high = _acting(problem, low)[name], _acting(problem, high)[name]
     for _ in range(_HALVINGS):
-        middle = low.middle(high)
+        middle = 0.5 * (low + high)
         f_middle = _acting(problem, middle)[name]
         left = np.abs(f_middle - f_low).max(axis=-1) > np.abs(f_high - f_middle).max(axis=-1)
-        low, high = low.chosen(middle, left), middle.chosen(high, left)
-        f_low = np.where(left[..., None], f_low, f_middle)
-        f_high = np.where(left[..., None], f_middle, f_high)
+        left = left[..., None]
+        low, high = np.where(left, low, middle), np.where(left, middle, high)
+        f_low, f_high = np.where(left, f_low, f_middle), np.where(left, f_middle, f_high)
     gaps = np.where(varies, np.abs(f_high - f_low).max(axis=-1) / ranges, 0.0)
     k, body = np.unravel_index(np.nanargmax(gaps), gaps.shape)
     if not gaps[k, body] > _JUMP:
         return int(min(steps, 2**31)) + 1, None
-    return 1, (float(low.t[k, body]), int(body))
+    return 1, (float(low[k, body, 0]), int(body))
 
 
-def _acting(problem: Problem, path: _Path) -> dict[str, NDArray[np.float64]]:
-    """Rates, or accelerations by torques and forces, (S, N, 3) each, at states of the bodies."""
+def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Rates, or accelerations by torques and forces, (S, N, 3), at t, q, w, v, r (S, N, 14)."""
     packed = problem.ensemble.scene.packed(problem.ensemble.size)
     structure = packed.structure
     names = ["rate" if isinstance(structure.turning, PrescribedRate) else "torque"]
@@ -121,8 +99,9 @@ def _acting(problem: Problem, path: _Path) -> dict[str, NDArray[np.float64]]:
     formula = rows(
         partial(_formula, structure), inputs, (3,) * len(names), key=(_formula, structure)
     )
+    states = np.split(path[..., 1:], (4, 7, 10), axis=-1)
     p = packed.params[..., : structure.n_params]
-    found = formula(path.t, *path.states, p, tables=packed.tables)
+    found = formula(path[..., 0], *states, p, tables=packed.tables)
     return dict(zip(names, found, strict=True))
 
 

@@ -6,7 +6,7 @@ import csv
 import math
 import os
 import platform
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import metadata
@@ -37,19 +37,19 @@ from fastatt.trade.peak import peak
 if TYPE_CHECKING:
     from fastatt import plots
 
-_SAVES = 8  # at which the drift is looked at
+_SAVES = 8  # at which the drift is measured
 DRAWN = ("quat", "dcm", "quat in float32")
 PLATEAU = "round-off"
 # units of rounding that any attitude may be off by
 _ROUNDED = 20.0
-# s of runs, among which one is not disturbed; and beyond which more are not worth their time
-_ENOUGH, _AMPLE = 0.02, 0.05
+# s of runs, among which one is not disturbed
+_ENOUGH = 0.03
 
 
 class Case(NamedTuple):
     """What is measured: a method on a representation in a precision.
 
-    Names of the library's, or a user's own ``Method`` and ``Attitude``.
+    Names of the library's, or a user-defined ``Method`` and ``Attitude``.
     """
 
     method: str | Method
@@ -105,11 +105,11 @@ class Problem:
             )  # fmt: skip
 
     def take(self, rows: NDArray[np.intp]) -> Problem:
-        """The same of some bodies."""
+        """The problem of some of the bodies."""
         return replace(self, ensemble=self.ensemble.take(rows))
 
     def end(self, case: Case, n_steps: int) -> State:
-        """Where it is then."""
+        """The state at the end."""
         return last_state(self.run(case, n_steps))
 
     def operations(self, case: Case) -> int | None:
@@ -135,28 +135,12 @@ def last_state(run: Trajectory) -> State:
     return State(run.q[-1], run.w[-1] if "w" in run.carried else None)
 
 
-@dataclass(frozen=True)
-class Rung:
-    """What one case did at one step; errors are (N,)."""
-
-    n_steps: int
-    seconds: float
-    error: NDArray[np.float64]
-    norm_error: float = 0.0
-    rate_error: NDArray[np.float64] | None = None
-    energy: float | None = None
-    momentum: float | None = None
-    status: str = ""
-    operations: int | None = None
-    threads: int = 1
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Row:
     """One method at one step on an ensemble.
 
     Errors are those at the end: angles in rad, angular velocities in rad/s; ``p95`` is what 95 % of
-    the bodies stay below. ``norm_error`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ on the way; the
+    the bodies stay below. ``defect_max`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ over the run; the
     drifts of energy and momentum, relative, are empty where the scene keeps neither. ``operations``
     are those of a body's step, an fma counted as two; ``peak`` is the part that they make of the
     machine's peak, that of a core (``fastatt.trade.peak``) times the threads. ``order`` is that
@@ -169,62 +153,97 @@ class Row:
     representation: str
     dtype: str
     dt: float
+    n_steps: int
     error_median: float
     error_p95: float
     error_max: float
     rate_error_median: float | None
     rate_error_max: float | None
-    defect_max: float
-    energy_drift_max: float | None
-    momentum_drift_max: float | None
+    defect_max: float = 0.0
+    energy_drift_max: float | None = None
+    momentum_drift_max: float | None = None
     seconds_per_body: float
     steps_per_second: float
     operations: int | None
     peak: float | None
-    order: float | None
-    plateau: str
-    status: str
+    order: float | None = None
+    plateau: str = ""
+    status: str = ""
+
+
+def row_of(
+    name: str,
+    case: Case,
+    t_end: float,
+    n_steps: int,
+    seconds: float,
+    error: NDArray[np.float64],
+    rate_error: NDArray[np.float64] | None = None,
+    *,
+    operations: int | None = None,
+    threads: int = 1,
+    **measured: Any,
+) -> Row:
+    """The row of one run, its order not known yet, from errors (N,) and the time of all bodies."""
+    speed = error.size * n_steps / seconds
+    most = 0.0 if operations is None else threads * peak(kind_of(case.dtype))
+    return Row(
+        input=name,
+        method=case.name,
+        representation=case.stored_as,
+        dtype=case.dtype,
+        dt=t_end / n_steps,
+        n_steps=n_steps,
+        error_median=float(np.median(error)),
+        error_p95=float(np.quantile(error, 0.95)),
+        error_max=float(np.max(error)),
+        rate_error_median=None if rate_error is None else float(np.median(rate_error)),
+        rate_error_max=None if rate_error is None else float(np.max(rate_error)),
+        seconds_per_body=seconds / error.size,
+        steps_per_second=speed,
+        operations=operations,
+        peak=None if operations is None else operations * speed / most,
+        **measured,
+    )
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Shortest of a few runs, the first of which may compile, and the result.
-
-    There are more of short runs, and two of long ones.
-    """
+    """Shortest of a few runs, two of long ones, and the result; the first may compile."""
     times: list[float] = []
-    total = 0.0
-    while (
-        len(times) < 2
-        or (len(times) <= repeats and total < _AMPLE)
-        or (total < _ENOUGH and len(times) < 10 * repeats)
-    ):
+    while len(times) < 2 or (sum(times[1:]) < _ENOUGH and len(times) <= 10 * repeats):
         begin = perf_counter()
         result = call()
         times.append(perf_counter() - begin)
-        total += times[-1] if len(times) > 1 else 0.0
     return min(times), result
 
 
-def measure(problem: Problem, end: State, case: Case, n_steps: int, repeats: int) -> Rung:
+def measure(
+    problem: Problem, end: State, case: Case, n_steps: int, repeats: int, name: str = ""
+) -> Row:
     """Run a case for its drift, then for its time and error with the final state alone."""
-    watched = problem.run(case, n_steps, max(1, n_steps // _SAVES))
-    lost = bool((watched.status & Status.NON_FINITE).any())
-    kept = None if lost else drift(watched, problem.ensemble.scene)
+    saved = problem.run(case, n_steps, max(1, n_steps // _SAVES))
+    lost = bool((saved.status & Status.NON_FINITE).any())
+    kept = None if lost else drift(saved, problem.ensemble.scene)
     seconds, result = best_time(lambda: problem.run(case, n_steps), repeats)
     found = last_state(result)
-    counts = result.status_counts().items()
-    return Rung(
-        n_steps=n_steps,
-        seconds=seconds,
-        error=angle_between(found.q, end.q),
-        norm_error=float(np.abs(watched.norm_error).max()),
-        rate_error=None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
-        energy=None if kept is None or kept.energy is None else float(kept.energy.max()),
-        momentum=None if kept is None or kept.momentum is None else float(kept.momentum.max()),
-        status=", ".join(f"{name} {count}" for name, count in counts),
+    return row_of(
+        name, case, problem.t_end, n_steps, seconds,
+        angle_between(found.q, end.q),
+        None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
         operations=problem.operations(case),
         threads=problem.threads(n_steps),
-    )
+        defect_max=float(np.abs(saved.norm_error).max()),
+        energy_drift_max=None if kept is None or kept.energy is None else float(kept.energy.max()),
+        momentum_drift_max=(
+            None if kept is None or kept.momentum is None else float(kept.momentum.max())
+        ),
+        status=counted(result.status_counts()),
+    )  # fmt: skip
+
+
+def counted(flags: Mapping[str, int]) -> str:
+    """How many bodies carry each flag, as text."""
+    return ", ".join(f"{name} {count}" for name, count in flags.items())
 
 
 def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int, float]) -> bool:
@@ -237,9 +256,9 @@ def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int
     return (not steep and after < summed) or after < _ROUNDED * eps
 
 
-def _plateau(case: Case, order: int, ladder: Sequence[Rung]) -> list[bool]:
-    """Which rungs of falling steps lie where rounding limits."""
-    points = [(r.n_steps, float(np.median(r.error))) for r in ladder]
+def with_orders(rows: Sequence[Row], case: Case, order: int) -> list[Row]:
+    """Rows of falling steps with their observed orders; ``order`` is the one declared."""
+    points = [(r.n_steps, r.error_median) for r in rows]
     flat = [False] * len(points)
     for i in range(1, len(points)):
         flat[i] = flat[i - 1] or is_flat(case, order, points[i - 1], points[i])
@@ -247,73 +266,33 @@ def _plateau(case: Case, order: int, ladder: Sequence[Rung]) -> list[bool]:
     for i in range(len(points) - 1):
         level = max((e for _, e in points[i + 1 :]), default=0.0)
         flat[i] |= flat[i + 1] and points[i][1] <= 4.0 * level
-    return flat
+    found = []
+    for i, row in enumerate(rows):
+        observed = None
+        if i and row.error_median > 0.0 and not flat[i]:
+            fall = math.log(points[i - 1][1] / row.error_median)
+            observed = fall / math.log(row.n_steps / points[i - 1][0])
+        found.append(replace(row, order=observed, plateau=PLATEAU if flat[i] else ""))
+    return found
 
 
-def ladder_rows(
-    name: str, case: Case, t_end: float, ladder: Sequence[Rung], order: int | None = None
-) -> list[Row]:
-    """Rows of a ladder of falling steps, with the order from each rung to the next.
-
-    ``order`` is the one declared, None for that of the method's record.
-    """
-    rows = []
-    flat = _plateau(case, case.record.order if order is None else order, ladder)
-    for i, rung in enumerate(ladder):
-        median = float(np.median(rung.error))
-        found = None
-        if i and median > 0.0 and not flat[i]:
-            before = ladder[i - 1]
-            fall = math.log(float(np.median(before.error)) / median)
-            found = fall / math.log(rung.n_steps / before.n_steps)
-        rate = rung.rate_error
-        speed = rung.error.size * rung.n_steps / rung.seconds
-        part = None
-        if rung.operations is not None:
-            most = rung.threads * peak(kind_of(case.dtype))
-            part = rung.operations * speed / most
-        rows.append(
-            Row(
-                input=name,
-                method=case.name,
-                representation=case.stored_as,
-                dtype=case.dtype,
-                dt=t_end / rung.n_steps,
-                error_median=median,
-                error_p95=float(np.quantile(rung.error, 0.95)),
-                error_max=float(np.max(rung.error)),
-                rate_error_median=None if rate is None else float(np.median(rate)),
-                rate_error_max=None if rate is None else float(np.max(rate)),
-                defect_max=rung.norm_error,
-                energy_drift_max=rung.energy,
-                momentum_drift_max=rung.momentum,
-                seconds_per_body=rung.seconds / rung.error.size,
-                steps_per_second=speed,
-                operations=rung.operations,
-                peak=part,
-                order=found,
-                plateau=PLATEAU if flat[i] else "",
-                status=rung.status,
-            )
-        )
-    return rows
-
-
-_COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+#: heading, field, and the text of a value
+Column = tuple[str, str, Callable[[Any], str]]
+_COLUMNS: tuple[Column, ...] = (
     ("input", "input", str),
     ("method", "method", str),
     ("rep", "representation", str),
     ("dtype", "dtype", str),
-    ("dt, s", "dt", lambda x: f"{x:.4g}"),
-    ("median, rad", "error_median", lambda x: f"{x:.2e}"),
-    ("95 %", "error_p95", lambda x: f"{x:.1e}"),
-    ("max", "error_max", lambda x: f"{x:.1e}"),
-    ("w, rad/s", "rate_error_median", lambda x: f"{x:.1e}"),
-    ("max", "rate_error_max", lambda x: f"{x:.1e}"),
-    ("norm_error", "defect_max", lambda x: f"{x:.1e}"),
-    ("energy", "energy_drift_max", lambda x: f"{x:.1e}"),
-    ("momentum", "momentum_drift_max", lambda x: f"{x:.1e}"),
-    ("order", "order", lambda x: f"{x:.2f}"),
+    ("dt, s", "dt", "{:.4g}".format),
+    ("median, rad", "error_median", "{:.2e}".format),
+    ("95 %", "error_p95", "{:.1e}".format),
+    ("max", "error_max", "{:.1e}".format),
+    ("w, rad/s", "rate_error_median", "{:.1e}".format),
+    ("max", "rate_error_max", "{:.1e}".format),
+    ("norm_error", "defect_max", "{:.1e}".format),
+    ("energy", "energy_drift_max", "{:.1e}".format),
+    ("momentum", "momentum_drift_max", "{:.1e}".format),
+    ("order", "order", "{:.2f}".format),
     ("limit", "plateau", str),
     ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
     ("M steps/s", "steps_per_second", lambda x: f"{x / 1e6:.3g}"),
@@ -323,21 +302,21 @@ _COLUMNS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 )
 
 
-def trade_table(rows: Sequence[Row]) -> str:
+def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> str:
     """The rows as text, without the columns that none of them fills."""
-    columns = []
-    for head, name, text in _COLUMNS:
+    texts = []
+    for head, name, text in columns:
         values = [getattr(row, name) for row in rows]
         cells = ["" if value is None else text(value) for value in values]
         if any(cells):
             left = isinstance(values[0], str)
             width = max(map(len, (head, *cells)))
-            columns.append([c.ljust(width) if left else c.rjust(width) for c in (head, *cells)])
-    return "\n".join(" ".join(line).rstrip() for line in zip(*columns, strict=True))
+            texts.append([c.ljust(width) if left else c.rjust(width) for c in (head, *cells)])
+    return "\n".join(" ".join(line).rstrip() for line in zip(*texts, strict=True))
 
 
 def frontier(rows: Iterable[Row]) -> list[Row]:
-    """The rows that no other beats in both error and time, fastest first."""
+    """The rows of which none is beaten in both error and time, fastest first."""
     best: list[Row] = []
     finite = [r for r in rows if math.isfinite(r.error_median)]
     for row in sorted(finite, key=lambda r: (r.seconds_per_body, r.error_median)):
@@ -353,18 +332,18 @@ def panel(
     from fastatt import plots
 
     drawn: dict[tuple[str, str], list[Row]] = {}
-    for r in rows:
-        kind = r.representation + " in float32" * (r.dtype == "float32")
+    for row in rows:
+        kind = row.representation + " in float32" * (row.dtype == "float32")
         if kind in kinds:
-            drawn.setdefault((r.method, kind), []).append(r)
-
-    def ladder(method: str, kind: str, own: Sequence[Row]) -> plots.Ladder:
-        times, errors = [r.seconds_per_body for r in own], [r.error_median for r in own]
-        return plots.Ladder(method, kind, times, errors)
-
-    best = frontier(r for own in drawn.values() for r in own)
-    curves = [ladder(*key, own) for key, own in drawn.items()]
-    return plots.Panel(title, t_end, curves, ladder("", "", best))
+            drawn.setdefault((row.method, kind), []).append(row)
+    drawn["", ""] = frontier(row for curve in drawn.values() for row in curve)
+    *curves, best = (
+        plots.Ladder(
+            method, kind, [r.seconds_per_body for r in curve], [r.error_median for r in curve]
+        )
+        for (method, kind), curve in drawn.items()
+    )
+    return plots.Panel(title, t_end, curves, best)
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
@@ -395,7 +374,7 @@ def machine() -> dict[str, str | int]:
 
 
 def machine_line() -> str:
-    """The same in a line, with the peak of a core."""
+    """What the figures are measured on, in a line, with the peak of a core."""
     m = machine()
     threads = f"{m['threads']} of {m['threads of the machine']} threads"
     most = f"a core's peak {peak('double') / 1e9:.3g} GFLOP/s"

@@ -1,4 +1,4 @@
-"""Steps of each body's own for a tolerance: by the bodies' rates, from what runs of them showed."""
+"""Per-body step sizes for a tolerance, by the bodies' rates and what runs of some showed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.ladder import LARGE, largest_angle, times_compared
 from fastatt.trade.measure import Case, Problem
 from fastatt.trade.reference import Reference, reference
-from fastatt.trade.work_precision import duration
+from fastatt.trade.work_precision import duration, name_of
 
 _CLASSES = 12  # of like rates
 _TIMES, _EARLY = 64, 8  # at which errors are measured: even ones, and halves of the first of them
@@ -39,7 +39,7 @@ class PerBodySteps:
 
     ``expected_error`` is the largest error over the run, rad, of the ``measured`` bodies of all
     ``n_bodies`` that were run with these steps, against ``reference``, whose own error is in it.
-    ``share`` is the number of steps beside that of one step for all, the smallest.
+    ``share`` is the number of steps divided by that of one step, the smallest, for all.
     """
 
     method: str | Method
@@ -78,13 +78,13 @@ def per_body_steps(
     sample: int = 1536,
     seed: int = 0,
 ) -> PerBodySteps:
-    """Steps of each body's own with which the largest error over a run meets a tolerance.
+    """Per-body step sizes with which the largest error over a run meets a tolerance.
 
     Bodies are put into classes of like rates. Some of each are run with the steps that would be
     recommended, and their errors measured against a reference, until none is over the tolerance. A
     body takes the lesser of two numbers that are enough for all of its class that were run: one for
     the class, and one that falls with the rate to the power 1 + 1/order; those that are stepped
-    side by side take the most of their numbers. Takes as long as some tens of runs of the sample.
+    together take the most of their numbers. Takes as long as some tens of runs of the sample.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def per_body_steps(
     method : str or Method
         One that steps; None takes rk8 where it fits, else the first that does.
     sample : int
-        How many bodies are run, the fastest among them, besides those with the least and the
-        largest of each number of the scene.
+        How many bodies are run, the fastest among them, and in addition those with the least
+        and the largest of each number of the scene.
     seed : int
         Of the choice of bodies.
 
@@ -132,21 +132,17 @@ def per_body_steps(
     record = method_of(scene, method, "quat", need="is_stepped")
     n = whole.ensemble.size
     classes = _Classes(whole, record)
-    rows = np.arange(n)
-    size = checks.whole("sample", sample, 1)
-    if size < n:
-        rows = classes.sample(size, np.random.default_rng(seed))
-        if scene.rows is not None:
-            numbers = scene.packed(n).params
-            rows = np.unique([*rows, *numbers.argmin(axis=0), *numbers.argmax(axis=0)])
+    rows = classes.sample(checks.whole("sample", sample, 1), np.random.default_rng(seed))
+    if rows.size < n and scene.rows is not None:
+        numbers = scene.packed(n).params
+        rows = np.unique([*rows, *numbers.argmin(axis=0), *numbers.argmax(axis=0)])
     problem = whole.take(rows)
-    compared = times_compared("run", rows.size)
-    known = reference(problem, most=compared, goal=wanted / _FINER)
+    known = reference(problem, most=times_compared("run", rows.size), goal=wanted / _FINER)
     known.refuse_jumps()
     if float(known.own_error.max()) > 0.25 * wanted and not known.doubt:
         raise _unmet(wanted, record, known.own_error)
     known.refuse_beyond(wanted)
-    name = record.name if METHODS.get(record.name) is record else record
+    name = name_of(record, METHODS)
     limit = wanted if rows.size == n else wanted / _UNSEEN
     steps, error = _trials(problem, known, Case(name), classes, rows, limit)
     return PerBodySteps(
@@ -171,9 +167,9 @@ class _Classes:
         self.rates = np.maximum(rates, rates.max(initial=0.0) * 1e-6 + 1e-300)
         logs = np.log(self.rates)
         width = max(float(np.ptp(logs)), 1e-12) / _CLASSES
-        found = np.minimum((logs - logs.min()) / width, _CLASSES - 1).astype(np.int64)
-        names, self.of = np.unique(found, return_inverse=True)
-        tops = np.array([self.rates[self.of == k].max() for k in range(names.size)])
+        self.of = np.minimum((logs - logs.min()) / width, _CLASSES - 1).astype(np.int64)
+        tops = np.zeros(_CLASSES)
+        np.maximum.at(tops, self.of, self.rates)
         kind = whole.ensemble.scene.kind
         power = 1.0 + 1.0 / method.order_of(kind)
         #: of the steps of the fastest body of the class, what a body's rate calls for
@@ -183,18 +179,17 @@ class _Classes:
         self.first = np.maximum(4.0, tops[self.of] * whole.t_end / _FIRST)
 
     def sample(self, n: int, chance: np.random.Generator) -> NDArray[np.intp]:
-        """As many of each, n in all, the fastest of all among them."""
-        count = int(self.of.max()) + 1
-        each = max(1, n // count)
-        chosen = [int(self.rates.argmax())]
-        for k in range(count):
-            members = np.flatnonzero(self.of == k)
-            chosen += chance.choice(members, min(each, members.size), replace=False).tolist()
-        return np.unique(np.array(chosen, dtype=np.intp))
+        """As many of each, n in all, the fastest of all among them; all if there are no more."""
+        if n >= self.of.size:
+            return np.arange(self.of.size)
+        classes = [np.flatnonzero(self.of == k) for k in np.unique(self.of)]
+        each = max(1, n // len(classes))
+        chosen = [chance.choice(k, min(each, k.size), replace=False) for k in classes]
+        return np.unique(np.append(np.concatenate(chosen), self.rates.argmax()))
 
     def steps(self, rows: NDArray[np.intp], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
         """Steps that are enough for all bodies, from what those of some rows want."""
-        flat, rising = np.zeros(self.of.max() + 1), np.zeros(self.of.max() + 1)
+        flat, rising = np.zeros((2, _CLASSES))
         np.maximum.at(flat, self.of[rows], wanted)
         np.maximum.at(rising, self.of[rows], wanted / self.share[rows])
         found = np.minimum(flat[self.of], rising[self.of] * self.share)
@@ -202,10 +197,7 @@ class _Classes:
 
 
 def _by_tiles(enough: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Whole steps, the same for bodies that are stepped side by side.
-
-    Those of a tile wait for its slowest anyway, and of equal steps share what time alone decides.
-    """
+    """Whole steps, equal for the bodies of a tile, which wait for the slowest of them anyway."""
     steps: NDArray[np.int64] = np.ceil(enough - 1e-9).astype(np.int64)
     order = np.argsort(-steps, kind="stable")
     steps[order] = np.repeat(steps[order[::WIDTH]], WIDTH)[: steps.size]
@@ -233,12 +225,11 @@ def _trials(
         errors = largest_angle(run.q, exact) + known.own_error
         errors = np.where(run.status != 0, np.pi, errors)
         worst = float(errors.max())
-        if worst <= tol:
-            gained = best is None or steps.sum() < _GAIN * best[0].sum()
-            best = (steps, worst) if gained or best is None else best
-            if not gained or trial >= _LESS:
-                break
-        elif best is not None and trial >= _LESS:
+        met = worst <= tol
+        gained = met and (best is None or steps.sum() < _GAIN * best[0].sum())
+        if gained:
+            best = steps, worst
+        if best is not None and (trial >= _LESS or (met and not gained)):
             break
         # rounding: with more steps no method of any order leaves nearly as much
         if best is None and trial > 2 and 0.7 * before < worst < _ROUNDED:

@@ -26,11 +26,9 @@ class Recommendation:
     that was measured when what is recommended was run on ``measured`` of the ``n_bodies``, against
     the ``reference``, whose own error is in it. ``expected_seconds`` is the time of a whole call to
     ``propagate`` on ``n_threads``.
-    ``case`` holds a user's own method and representation, where those are what is recommended.
+    ``case`` holds the method and the representation, user-defined ones among them.
     ``margin`` is how many times as long the ``runner_up`` takes. ``limited_by`` is "truncation"
-    where a smaller step would gain accuracy, "round-off" where it would not, "sampling" where
-    ``sampling_change``, what every second sample of a sampled torque changes when it is left out,
-    rad, is larger than three times the error. ``curve`` holds all that was measured.
+    where a smaller step would gain accuracy, "round-off" where it would not.
     """
 
     method: str
@@ -39,7 +37,6 @@ class Recommendation:
     dt: float
     n_steps: int
     t0: float
-    save_every: int | None
     n_threads: int
     at: str
     expected_error: float
@@ -53,18 +50,12 @@ class Recommendation:
     measured: int
     reference: str
     reference_error: float
-    sampling_change: float | None
     case: Case = field(repr=False)
-    curve: list[Point] = field(repr=False)
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments for ``fastatt.propagate``.
-
-        Threads and, unless an interval was wanted, saves are the caller's own.
-        """
-        found = {**self.case._asdict(), "dt": self.dt, "n_steps": self.n_steps, "t0": self.t0}
-        return found if self.save_every is None else {**found, "save_every": self.save_every}
+        """Keyword arguments for ``fastatt.propagate``; threads and saves are left to the caller."""
+        return {**self.case._asdict(), "dt": self.dt, "n_steps": self.n_steps, "t0": self.t0}
 
     def __str__(self) -> str:
         wanted = f"tol {self.tol:g}" if self.tol is not None else f"budget {self.budget:g} s"
@@ -83,11 +74,6 @@ class Recommendation:
                 f"  runner-up  {up.case}, {up.n_steps} steps: {self.margin:.2f} times as long"
             )
         lines.append(f"  reference  {self.reference}, good to {self.reference_error:.1e} rad")
-        if self.sampling_change is not None:
-            lines.append(
-                f"  sampling   every second sample of the torque changes {self.sampling_change:.1e}"
-                " rad"
-            )
         return "\n".join(lines)
 
 

@@ -18,7 +18,7 @@ from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.logs import GyroLog
 from fastatt.rounding import noted
 from fastatt.trade.error_budget import DEGREES, LEAST, error_budget
-from fastatt.trade.measure import best_time
+from fastatt.trade.measure import Column, best_time, trade_table
 
 if TYPE_CHECKING:
     from fastatt import plots
@@ -37,7 +37,7 @@ _RIVALS = ("previous", "coning2")
 
 @dataclass(frozen=True)
 class LogRow:
-    """One method on one recording; angles in degrees, and what was warned of."""
+    """One method on one recording; angles in degrees, and its warning."""
 
     recording: str
     method: str
@@ -77,16 +77,17 @@ def find_recordings() -> list[Path]:
 def _start(log: GyroLog) -> NDArray[np.float64]:
     if log.attitudes is None or not np.isfinite(log.attitudes[0]).all():
         return np.array([1.0, 0.0, 0.0, 0.0])
-    first: NDArray[np.float64] = log.attitudes[0]
-    return first
+    return np.asarray(log.attitudes[0])
 
 
 def _attitudes(log: GyroLog, method: str, every: int = 1) -> NDArray[Any]:
-    """By a method from every so many samples; gaps were looked at when the log was read."""
-    dt = log.dt
-    if every > 1:
-        dt = np.diff(log.t[::every])
+    """By a method from every so many samples; gaps were treated when the log was read."""
+    dt = log.dt if every == 1 else np.diff(log.t[::every])
     return integrate_rates(log.rates[::every], dt, _start(log), method=method, max_gap=math.inf)
+
+
+def _degrees(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(angle_between(a, b) * DEGREES)
 
 
 def log_rows(log: GyroLog, repeats: int, methods: Sequence[str] | None = None) -> list[LogRow]:
@@ -95,18 +96,16 @@ def log_rows(log: GyroLog, repeats: int, methods: Sequence[str] | None = None) -
     The difference of each from the reference, from itself at half the rate, and from the maker's
     orientation where the log has it.
     """
+    n, rows = len(log.rates), []
     with noted():
         reference = _attitudes(log, REFERENCE)
-    n, rows = len(log.rates), []
     for name in methods_for_samples() if methods is None else methods:
         with noted() as said:
             seconds, q = best_time(partial(_attitudes, log, name), repeats)
         with noted():
             half = _attitudes(log, name, 2)
-        away = angle_between(q, reference) * DEGREES
-        maker = None
-        if log.attitudes is not None:
-            maker = float(np.nanmax(angle_between(q, log.attitudes)) * DEGREES)
+        away = _degrees(q, reference)
+        maker = None if log.attitudes is None else float(np.nanmax(_degrees(q, log.attitudes)))
         rows.append(
             LogRow(
                 recording=log.path.name,
@@ -116,7 +115,7 @@ def log_rows(log: GyroLog, repeats: int, methods: Sequence[str] | None = None) -
                 nanoseconds_per_sample=seconds / n * 1e9,
                 difference_max=float(away.max()),
                 difference_end=float(away[-1]),
-                half_rate_difference_max=float(angle_between(half, q[::2]).max() * DEGREES),
+                half_rate_difference_max=float(_degrees(half, q[::2]).max()),
                 maker_difference_max=maker,
                 warning=said[0] if said else "",
             )
@@ -140,34 +139,32 @@ def compare_on_log(log: GyroLog, method: str, methods: Sequence[str] | None = No
     return f"{table}\n{budget}"
 
 
+_COLUMNS: tuple[Column, ...] = (
+    ("recording", "recording", str),
+    ("method", "method", str),
+    ("ns/sample", "nanoseconds_per_sample", "{:.1f}".format),
+    ("max diff", "difference_max", "{:.2g}".format),
+    ("end diff", "difference_end", "{:.2g}".format),
+    ("half rate", "half_rate_difference_max", "{:.2g}".format),
+    ("maker", "maker_difference_max", "{:.2f}".format),
+)
+
+
 def log_table(rows: Sequence[LogRow]) -> str:
-    """The rows of one or more recordings as text, and below what was warned of."""
-    head = (
-        f"{'recording':26} {'method':16} {'ns/sample':>9} {'max diff':>9} {'end diff':>9} "
-        f"{'half rate':>9} {'maker':>7}   (deg; diff from {REFERENCE})"
-    )
-    lines = [head]
-    for r in rows:
-        maker = "" if r.maker_difference_max is None else f"{r.maker_difference_max:.2f}"
-        lines.append(
-            f"{r.recording:26} {r.method:16} {r.nanoseconds_per_sample:9.1f} "
-            f"{r.difference_max:9.2g} {r.difference_end:9.2g} "
-            f"{r.half_rate_difference_max:9.2g} {maker:>7}"
-        )
+    """The rows of one or more recordings as text, and below their warnings."""
+    head, *lines = trade_table(rows, _COLUMNS).splitlines()
     lines += [f"{r.recording}: {r.warning}" for r in rows if r.warning]
-    return "\n".join(lines)
+    return "\n".join([f"{head}   (deg; diff from {REFERENCE})", *lines])
 
 
-def departures(log: GyroLog, methods: Sequence[str] | None = None) -> plots.Departures:
+def departures(log: GyroLog, methods: Sequence[str]) -> plots.Departures:
     """Each method's angle from the reference on a recording, and the maker's orientation's."""
     from fastatt import plots
 
     with noted():
         base = _attitudes(log, REFERENCE)
         angles = {
-            name: angle_between(_attitudes(log, name), base)[1:] * DEGREES
-            for name in (methods_for_samples() if methods is None else methods)
-            if name != REFERENCE
+            name: _degrees(_attitudes(log, name), base)[1:] for name in methods if name != REFERENCE
         }
-    maker = None if log.attitudes is None else angle_between(base, log.attitudes)[1:] * DEGREES
+    maker = None if log.attitudes is None else _degrees(base, log.attitudes)[1:]
     return plots.Departures(f"{log.path.name}, {log.rate:.4g} Hz", log.t[1:], angles, maker)

@@ -8,24 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.arrays import angle_between, quat_multiply, rotation_vector_to_quat
+from fastatt.arrays import angle_between, quat_multiply
 from fastatt.methods import METHODS
 from fastatt.propagation.choice_of_method import methods_for
-from fastatt.propagation.closed_forms import Evaluation, form_of, rows
+from fastatt.propagation.closed_forms import form_of
 from fastatt.scene import rates, torques
-from fastatt.threads import number_of
 from fastatt.trade.forcing import forcing
 from fastatt.trade.ladder import Ladder
-from fastatt.trade.measure import Case, Problem, State, last_state
+from fastatt.trade.measure import Case, Problem, State
 
 # of high order, and other formulas than those that are run tight
-_CONFIRMING = ("dmv10", "kahan_li8", "rk9", "magnus8", "gauss12", "rk4")
+_CONFIRMING = ("dmv10", "rk9", "kahan_li8", "magnus8", "gauss12", "rk4")
 _EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
 _EPS = float(np.finfo(np.float64).eps)
 _LEAST = 4  # steps
@@ -34,33 +34,57 @@ _WORK = 2e7
 _SETTLED = 1e-6  # rad: a change above, which no halving brings down, is no rounding
 _FITS = 0.75  # of its order: by so much the error of a method falls at least
 _DOUBTED = 4.0  # times the last changes: what an error without an order may be
-_BREAKPOINTS = (
-    "let steps end at its breakpoints (jumps and corners), with a run of its own from each to the "
-    "next"
-)
-_INSTANTS = 16  # at which a given rate is looked at
+_BREAKPOINTS = "let steps end at its breakpoints (jumps and corners), and run from each to the next"
+_INSTANTS = 16  # at which a given rate is evaluated
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reference:
-    """Attitudes and angular velocities that errors are measured against.
+    """What errors are measured against: a run of a case, or a ``motion`` that is known exactly.
 
-    ``at(times)`` gives attitudes (S, N, 4) at times (S,), s from the start. ``own_error`` (N,) is
-    what they may be off by themselves, rad; ``source`` names them. ``jump`` says what jumps where,
-    ``doubt`` how else the error does not fall as it should; "" where all is well.
+    ``own_error`` (N,) is what it may be off by itself, rad; ``source`` names it. ``jump`` says what
+    jumps where, ``doubt`` how else the error does not fall as it should; "" where all is well.
     """
 
-    end: State
+    problem: Problem
+    case: Case
+    n_steps: int
     source: str
     own_error: NDArray[np.float64]
-    at: Callable[[NDArray[np.float64]], NDArray[Any]] = field(repr=False)
-    #: the same at the same steps of other bodies
-    of: Callable[[Problem], Reference] = field(repr=False)
     jump: str = ""
     doubt: str = ""
+    motion: Callable[[Problem, NDArray[np.float64]], NDArray[Any]] | None = None
+    #: the attitudes of the last call of ``at``, whose times one case after the other takes
+    _saved: dict[bytes, NDArray[Any]] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def end(self) -> State:
+        """The attitudes and, of bodies, the angular velocities at the end."""
+        if self.motion is not None:
+            return State(self.motion(self.problem, np.array([self.problem.t_end]))[-1])
+        return self.problem.end(self.case, self.n_steps)
+
+    def at(self, times: NDArray[np.float64]) -> NDArray[Any]:
+        """Attitudes (S, N, 4) at times (S,), s from the start."""
+        if self.motion is not None:
+            return self.motion(self.problem, times)
+        key = times.tobytes()
+        if key not in self._saved:
+            each, back = np.unique(times, return_inverse=True)
+            run = self.problem.run(self.case, self.n_steps, save_at=self.problem.t0 + each)
+            self._saved.clear()
+            self._saved[key] = run.q[back]
+        return self._saved[key]
+
+    def of(self, other: Problem) -> Reference:
+        """The reference of other bodies, at the same steps."""
+        if self.case.record.is_exact or self.motion is not None:
+            return reference(other)
+        own = np.full(other.ensemble.size, self.own_error.max())
+        return replace(self, problem=other, own_error=own)
 
     def refuse_jumps(self) -> None:
-        """Raise ``ValueError`` where what acts jumps: no step has an error that is known then."""
+        """Raise ``ValueError`` where a rate, torque or force jumps: no error is known then."""
         if self.jump:
             raise ValueError(
                 f"scene: {self.jump}, where no method keeps its order; accepted: what is smooth; "
@@ -105,7 +129,7 @@ def speeds(problem: Problem) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(run.w, axis=-1).max(axis=0)).reshape(-1)
 
 
-def turns(problem: Problem) -> float:
+def largest_rotation(problem: Problem) -> float:
     """The angle, rad, that the fastest body goes through, as far as ``speeds`` knows."""
     return float(speeds(problem).max()) * abs(problem.t_end)
 
@@ -130,62 +154,23 @@ def reference(
 
 
 def _closed_form(problem: Problem) -> Reference | None:
-    found = _solution(problem)
-    if found is None:
-        return None
-    name, solution, gain = found
-    own = 2.0 * _EPS * (1.0 + np.hypot(speeds(problem), gain) * abs(problem.t_end))
-    q, w = solution(np.array([problem.t_end]))
-    end = State(q[-1], None if w is None else w[-1])
-
-    def same(other: Problem) -> Reference:
-        known = _closed_form(other)
-        assert known is not None
-        return known
-
-    return Reference(end, name, own, lambda times: solution(times).q, same)
-
-
-_Solution = tuple[str, Callable[[NDArray[np.float64]], State], Any]
-
-
-def _solution(problem: Problem) -> _Solution | None:
-    """What exact states are called, they after times t (S,), s, and what |w| gains on the way.
-
-    The gain (rad/s, in the sum of squares) is of each body or of all; None where not known.
-    """
-    e, scene = problem.ensemble, problem.ensemble.scene
-    q0 = np.broadcast_to(e.q0, (e.size, 4)).astype(np.float64)
-    if e.w0 is not None and "exact" in methods_for(scene):
-        w0 = np.broadcast_to(np.asarray(e.w0), (e.size, 3)).astype(np.float64)
-        form, threads = form_of(scene), number_of(None)
-        start = rows(q0, q0.dtype), rows(w0, w0.dtype)
-
-        def formed(t: NDArray[np.float64]) -> State:
-            q, w = np.empty((t.size, e.size, 4)), np.empty((t.size, e.size, 3))
-            Evaluation(form, t.dtype, (t.size, e.size)).fill(start, t, (q, w), threads)
-            return State(q, w)
-
-        return "the closed form", formed, form.gain
-    if isinstance(scene.rate, rates.Constant):
-        w = np.atleast_2d(scene.rate.w)
-
-        def turned(t: NDArray[np.float64]) -> State:
-            turn = rotation_vector_to_quat(t[:, None, None] * w)
-            pair = (q0, turn) if scene.frame == "body" else (turn, q0)
-            return State(quat_multiply(*pair))
-
-        return "one exponential", turned, 0.0
+    scene, angle = problem.ensemble.scene, speeds(problem) * abs(problem.t_end)
+    if problem.ensemble.w0 is not None and "exact" in methods_for(scene):
+        gained = np.hypot(angle, form_of(scene).gain * abs(problem.t_end))
+        own = 2.0 * _EPS * (1.0 + gained)
+        return Reference(problem, Case("exact"), 1, "the closed form", own)
     if isinstance(scene.rate, rates.Coning) and scene.frame == "body":
-        angle, frequency = map(np.atleast_1d, scene.rate)
-
-        def cone(t: NDArray[np.float64]) -> State:
-            path = coning_attitudes(angle, frequency, np.concatenate([[0.0], t]) + problem.t0)
-            back = path[:1] * (1.0, -1.0, -1.0, -1.0)
-            return State(quat_multiply(q0, quat_multiply(back, path[1:])))
-
-        return "the exact coning motion", cone, 0.0
+        own = 2.0 * _EPS * (1.0 + angle)
+        name = "the exact coning motion"
+        return Reference(problem, Case("magnus4"), 1, name, own, motion=_coning)
     return None
+
+
+def _coning(problem: Problem, t: NDArray[np.float64]) -> NDArray[Any]:
+    angle, frequency = map(np.atleast_1d, problem.ensemble.scene.rate)
+    path = coning_attitudes(angle, frequency, np.concatenate([[0.0], t]) + problem.t0)
+    back = path[:1] * (1.0, -1.0, -1.0, -1.0)
+    return quat_multiply(problem.ensemble.q0, quat_multiply(back, path[1:]))
 
 
 def coning_attitudes(
@@ -210,18 +195,16 @@ def intervals(problem: Problem) -> int:
 
 
 def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
-    """Halve the step until errors fall by the method's order, to the goal or to rounding.
-
-    The first step resolves what acts, which is sampled at many more times than there are steps.
-    """
+    """Halve the step until errors fall by the method's order, to the goal or to rounding."""
     case, unit = Case(method), intervals(problem)
 
     def whole(n: float) -> int:
         return math.ceil(max(n, _LEAST) / unit) * unit
 
-    first = whole(turns(problem))
+    first = whole(largest_rotation(problem))
     acting = forcing(problem, case, first)
     longest = _WORK / max(problem.ensemble.size, 64)
+    # the first step resolves rates, torques and forces
     first = whole(min(max(first, acting.steps), max(first, longest / 16)))
     ladder = Ladder(problem, case, first, most)
     longest = max(8.0 * first, longest)
@@ -232,7 +215,8 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
         # advice, which has a goal, refuses what jumps
         if settled or 2.0 * ladder.n_steps > longest or (acting.jump and goal > 0.0):
             break
-    return _known(ladder, own + _EPS, acting.jump, doubt)
+    name = f"{method} at {problem.t_end / ladder.n_steps:.4g} s"
+    return Reference(problem, case, ladder.n_steps, name, own + _EPS, acting.jump, doubt)
 
 
 def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.float64], bool, str]:
@@ -253,53 +237,16 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
     rounded = len(changes) > 3 and 0.5 * ladder.worst(4) <= worst < _SETTLED
     enough = len(changes) > 2 and (rounded or float(own.max()) <= goal)
     doubt = (
-        f"its error falls with order {slopes[0]:.1f} in place of {order}, for corners in what acts "
-        "or rounding that the motion magnifies"
+        f"its error falls with order {slopes[0]:.1f} in place of {order}, for corners in a torque "
+        "or rate, or rounding that the motion magnifies"
     )
     return own, enough, doubt
 
 
-def _known(ladder: Ladder, own: NDArray[np.float64], *findings: str) -> Reference:
-    """The reference that the finest run of a ladder is, at its own steps."""
-    n, case = ladder.n_steps, ladder.case
-
-    def of(problem: Problem, error: NDArray[np.float64]) -> Reference:
-        seen: dict[bytes, NDArray[Any]] = {}
-
-        def at(times: NDArray[np.float64]) -> NDArray[Any]:
-            key = times.tobytes()
-            if key not in seen:
-                seen.clear()
-                each, back = np.unique(times, return_inverse=True)
-                seen[key] = problem.run(case, n, save_at=problem.t0 + each).q[back]
-            return seen[key]
-
-        def same(other: Problem) -> Reference:
-            return of(other, np.full(other.ensemble.size, error.max()))
-
-        end = last_state(ladder.sight.run)
-        name = f"{case.name} at {problem.t_end / n:.4g} s"
-        return Reference(end, name, error, at, same, *findings)
-
-    return of(ladder.problem, own)
-
-
-def confirm(problem: Problem, known: Reference, method: str | None = None) -> Confirmation:
-    """Run another method tighter and tighter, as long as that brings it nearer the reference."""
+def confirm(problem: Problem, known: Reference) -> Confirmation:
+    """Run another method, as tight as a reference, and compare the ends."""
     fitting = methods_for(problem.ensemble.scene, "quat")
-    used = known.source.split()[0]
-    if method is None:
-        method = next((m for m in _CONFIRMING if m in fitting and m != used), fitting[0])
-    best: Confirmation | None = None
-    n = max(_LEAST, math.ceil(turns(problem)))
-    longest = max(8 * n, _WORK / max(problem.ensemble.size, 64))
-    while n <= longest:
-        end = problem.end(Case(method), n)
-        apart = np.nan_to_num(angle_between(end.q, known.end.q), nan=np.pi)
-        if best is not None and apart.max() > 0.5 * best.apart.max() and apart.max() < _SETTLED:
-            break
-        if best is None or apart.max() < best.apart.max():
-            best = Confirmation(end, f"{method} at {problem.t_end / n:.4g} s", apart)
-        n *= 2
-    assert best is not None
-    return best
+    others = [m for m in _CONFIRMING if m in fitting and m != known.case.name]
+    other = reference(problem, method=next(iter(others), fitting[0]))
+    apart = np.nan_to_num(angle_between(other.end.q, known.end.q), nan=np.pi)
+    return Confirmation(other.end, other.source, apart)

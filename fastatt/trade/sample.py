@@ -1,36 +1,38 @@
-"""Some bodies of an ensemble: which, and what each case's errors and times on them are."""
+"""Some bodies of an ensemble: which, and the errors and times of each case on them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.trade.ladder import Ladder, largest_angle, see, times_compared
 from fastatt.trade.measure import Case, Problem, best_time, is_flat
-from fastatt.trade.recommendation import Point
 from fastatt.trade.reference import Reference, intervals, reference, speeds
 
 _BASELINE = Case("rk4")  # which fits every scene
 _SCREENING = 0.3  # s to find the bodies with the largest errors
-_LOOKED_AT = 65536  # bodies, for the fastest at a given rate
+_RANKED = 65536  # bodies, for the fastest at a given rate
 _VERIFYING = 0.5  # s to run what is recommended on the bodies outside of the sample
 _LONG = 4e6  # body-radians of a sample: of longer runs it is smaller, of 8 bodies at least
 _TIMED = 8192  # bodies
-_STEPS = 640
+_STEPS = 640  # so many that the call does not count
+_LEAST_WORK = 0.3  # of a step of the baseline: no step of any method is much cheaper
 
 
 @dataclass
 class Candidate:
-    """What is known of one case: errors by number of steps, seconds a step and a call."""
+    """One case: errors by number of steps, seconds a step and a call.
+
+    It takes ``first`` steps at least, and is tried with ``start``.
+    """
 
     case: Case
     order: int
     first: int
+    start: int
     errors: dict[int, float] = field(default_factory=dict)
     slope: float = 0.0
     fixed: float = 0.0
@@ -46,42 +48,46 @@ class Candidate:
 
     def steps_for(self, tol: float) -> float:
         """A guess at the steps that meet a tolerance, by the declared order."""
-        n, error = min(self.errors.items(), key=lambda one: abs(math.log(one[1] / tol)))
+        error = self.errors[self.start]
         if not self.order:
-            return n
-        return n * 4.0 if error > 1.0 else n * (error / tol) ** (1.0 / self.order)
+            return self.start
+        growth = 4.0 if error > 1.0 else (error / tol) ** (1.0 / self.order)
+        return max(self.first, self.start * growth)
 
 
 class Sample:
     """Some bodies of an ensemble, their reference, and a clock.
 
-    ``n_saves`` is the number of saves that steps fall on, None for the end alone; ``at`` says where
-    errors are looked at: over the "run" or at its "end".
+    ``at`` says where errors are measured: over the "run" or at its "end". ``others`` are bodies
+    outside of the sample, the hardest first.
     """
 
     def __init__(
         self,
         whole: Problem,
-        n_saves: int | None,
         at: str,
         sample: int,
         generator: np.random.Generator,
         goal: float,
     ) -> None:
-        self.whole, self.n_saves, self.at = whole, n_saves, at
-        self.points: list[Point] = []
+        self.whole, self.at = whole, at
+        n = whole.ensemble.size
+        few = generator.choice(n, min(n, sample), replace=False)
+        short = replace(whole.take(few), t_end=whole.t_end / 1e3)
+        seconds, _ = best_time(lambda: short.run(_BASELINE, _STEPS), 2)
+        #: s of a step of one body
+        self.pace = seconds / (_STEPS * few.size)
         rows, self.others = self._choose(sample, generator)
         self.problem = whole.take(rows)
-        pace = best_time(lambda: self._few(self.problem).run(_BASELINE, _STEPS), 2)[0] / _STEPS
         self.most = times_compared(at, rows.size)
         self.known: Reference = reference(self.problem, most=self.most, goal=goal)
-        self.turn = float(speeds(self.problem).max()) * whole.t_end
+        fastest = float(speeds(self.problem).max())
         if self.known.end.w is not None:  # a torque may have made them faster
-            fastest = float(np.linalg.norm(self.known.end.w, axis=-1).max())
-            self.turn = max(self.turn, fastest * whole.t_end)
-        n = whole.ensemble.size
-        # no step of any method is much cheaper, none is right that turns by more than π
-        self.least_seconds = 0.3 * pace * n / rows.size * self.turn / math.pi
+            fastest = max(fastest, float(np.linalg.norm(self.known.end.w, axis=-1).max()))
+        #: rad that the fastest body rotates by
+        self.angle = fastest * whole.t_end
+        # no step is right that rotates by more than π
+        self.least_seconds = _LEAST_WORK * self.pace * n * self.angle / math.pi
         timed = np.linspace(0, n - 1, min(n, _TIMED)).astype(np.intp)
         self.timed = whole.take(timed)
         self.scale = n / timed.size
@@ -91,70 +97,54 @@ class Sample:
         """Number of bodies in the sample."""
         return self.problem.ensemble.size
 
-    @staticmethod
-    def _few(problem: Problem) -> Problem:
-        """A run that is long enough for the call not to count."""
-        return replace(problem, t_end=problem.t_end / 1e3)
-
     def _choose(
         self, size: int, generator: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The hardest and fastest bodies and some by chance; others, the hardest first."""
-        n = self.whole.ensemble.size
-        some = self.whole.take(generator.choice(n, min(n, size), replace=False))
-        turn = float(speeds(some).max()) * self.whole.t_end
-        size = min(size, max(8, int(_LONG / max(turn, 1.0))))
+        """The fastest and hardest bodies and some by chance; others, the hardest first.
+
+        As many bodies are screened as a coarse run can take in a given time, half of them the
+        fastest: at a given rate, of as many as are ranked.
+        """
+        n, rates_known = self.whole.ensemble.size, self.whole.ensemble.w0 is not None
+        ranked = np.arange(n) if rates_known else generator.permutation(n)[:_RANKED]
+        found = speeds(self.whole.take(ranked))
+        angle = float(found.max()) * self.whole.t_end
+        size = min(size, max(8, int(_LONG / max(angle, 1.0))))
         if n <= size:
             return np.arange(n), np.arange(0)
-        steps = max(8, math.ceil(turn / 0.5))
-        pace = best_time(lambda: self._few(some).run(_BASELINE, _STEPS), 2)[0] / _STEPS
-        affordable = _SCREENING * some.ensemble.size / (3 * steps * pace)
-        pool = generator.permutation(n)[: max(size, int(affordable))]
-        if pool.size < n:
-            fastest = self._fastest(generator, pool.size // 2)
-            rest = pool[~np.isin(pool, fastest)]
-            pool = np.concatenate([fastest, rest[: pool.size - fastest.size]])
+        steps = max(8, math.ceil(angle / 0.5))
+        count = min(n, max(size, int(_SCREENING / (3 * steps * self.pace))))
+        fastest = ranked[np.argsort(-found, kind="stable")][: max(1, count // 2)]
+        rest = generator.permutation(n)
+        pool = np.concatenate([fastest, rest[~np.isin(rest, fastest)]])[:count]
         problem = self.whole.take(pool)
-        hardness = speeds(problem)
-        ranked = np.argsort(hardness, kind="stable")[::-1]
-        quick = ranked[: size // 8]
-        if affordable >= 4 * size or pool.size == n > size:
-            most = times_compared(self.at, pool.size)
-            hardness = Ladder(problem, _BASELINE, steps, most).halve()
-            ranked = np.argsort(hardness, kind="stable")[::-1]
-        ranked = np.concatenate([quick, ranked[~np.isin(ranked, quick)]])
-        hard, rest = np.split(ranked, [max(quick.size, size // 4)])
+        if count == n or count >= 4 * size:
+            compared = times_compared(self.at, count)
+            hardness = Ladder(problem, _BASELINE, steps, compared).halve()
+        else:
+            hardness = speeds(problem)
+        order = np.argsort(-hardness, kind="stable")
+        quick = np.arange(size // 8)  # the fastest come first
+        order = np.concatenate([quick, order[~np.isin(order, quick)]])
+        hard, rest = np.split(order, [max(1, size // 4)])
         chosen = generator.choice(rest.size, size - hard.size, replace=False)
-        rows = np.concatenate([hard, rest[chosen]])
-        return pool[rows], pool[np.delete(rest, chosen)]
+        return pool[np.append(hard, rest[chosen])], pool[np.delete(rest, chosen)]
 
-    def _fastest(self, generator: np.random.Generator, count: int) -> NDArray[np.intp]:
-        """The fastest bodies of all, or, at a given rate, of as many as are looked at."""
-        if self.whole.ensemble.w0 is not None:
-            return np.argsort(speeds(self.whole))[-count:]
-        some = generator.permutation(self.whole.ensemble.size)[:_LOOKED_AT]
-        found = speeds(self.whole.take(some))
-        return np.asarray(some[np.argsort(found)[-count:]])
-
-    def _errors(
-        self, problem: Problem, known: Reference, case: Case, n: int
-    ) -> NDArray[np.float64]:
-        """The largest error of each body, rad, and what the reference may add; inf with a flag."""
+    def _largest_error(self, problem: Problem, known: Reference, case: Case, n: int) -> float:
+        """The largest error, rad, and what the reference may add; inf with a flag."""
         seen = see(problem, case, n, self.most)
-        apart = largest_angle(seen.q, known.at(seen.times)) + known.own_error
-        return np.where(seen.flagged, np.inf, apart)
+        if seen.flagged.any():
+            return math.inf
+        return float((largest_angle(seen.q, known.at(seen.times)) + known.own_error).max())
 
     def error(self, candidate: Candidate, n: int) -> float:
         """The largest error of the sample, rad, and what the reference may add; inf with a flag."""
         if n not in candidate.errors:
-            found = self._errors(self.problem, self.known, candidate.case, n)
-            candidate.errors[n] = float(found.max())
-            seconds = candidate.seconds(n)
-            self.points.append(Point(candidate.case, n, candidate.errors[n], seconds))
+            candidate.errors[n] = self._largest_error(self.problem, self.known, candidate.case, n)
         return candidate.errors[n]
 
     def error_of_others(self, candidate: Candidate, n: int) -> tuple[float, int]:
-        """The same of bodies outside of the sample, and how many were run: the hardest first."""
+        """The error of bodies outside of the sample, the hardest first, and how many were run."""
         if not self.others.size:
             return 0.0, 0
         steps = 2.0 * n * candidate.slope + candidate.fixed
@@ -163,35 +153,31 @@ class Sample:
         worst = 0.0
         for part in np.array_split(some, -(-some.size // 1024)):
             problem = self.whole.take(part)
-            found = self._errors(problem, self.known.of(problem), candidate.case, n)
-            worst = max(worst, float(found.max()))
+            error = self._largest_error(problem, self.known.of(problem), candidate.case, n)
+            worst = max(worst, error)
         return worst, some.size
 
     def unit(self, n: float) -> int:
-        """What numbers of steps near n are multiples of.
-
-        Saves fall on steps, and so do the kinks of a history, where there are more steps than
-        kinks.
-        """
-        kinks = intervals(self.problem)
-        return math.lcm(self.n_saves or 1, kinks if kinks <= n else 1)
+        """Of what numbers of steps near n are multiples: steps end at a torque's samples."""
+        sampled = intervals(self.problem)
+        return sampled if sampled <= n else 1
 
     def rounded(self, n: float) -> int:
-        """Steps that all saves fall on, no fewer than n."""
+        """A multiple of the unit, no less than n."""
         unit = self.unit(n)
         return max(1, math.ceil(n / unit - 1e-9)) * unit
 
     def candidate(self, case: Case) -> Candidate:
-        """The first look at a case: compile it, an error, its speed."""
+        """A case, compiled and run once for its error and its speed."""
         record = case.record
         scene = self.whole.ensemble.scene
         limit = math.inf
         if not (scene.is_constant and record.exact_for_constant):
             limit = record.limit(case.stored_as)
-        first = self.rounded(self.turn / (0.98 * limit))
+        first = self.rounded(self.angle / (0.98 * limit))
         order = record.order_of(scene.kind)
-        found = Candidate(case, order, first)
-        start = first if not order else max(first, self.rounded(max(self.turn / 0.5, 4.0)))
+        start = first if not order else max(first, self.rounded(max(self.angle / 0.5, 4.0)))
+        found = Candidate(case, order, first, start)
         self.time(found, start)
         self.error(found, start)
         return found
@@ -201,22 +187,16 @@ class Sample:
         return best_time(lambda: problem.run(case, n), 2)[0]
 
     def time(self, candidate: Candidate, n: int) -> None:
-        """Seconds a step and a call, at the step of n steps."""
+        """Measure the seconds of a step and of a call, at the step of n steps."""
+        case = candidate.case
         if not candidate.order:
-            every = None if self.n_saves is None else 1
-            call = partial(self.timed.run, candidate.case, self.n_saves or 1, every)
-            candidate.fixed = self.scale * best_time(call, 2)[0]
+            candidate.fixed = self.scale * best_time(lambda: self.timed.run(case, 1), 2)[0]
             return
         dt = self.whole.t_end / n
         few = 16
-        while (short := self._run_steps(candidate.case, dt, few)) < 2e-3 and few < 4096:
+        while (short := self._run_steps(case, dt, few)) < 2e-3 and few < 4096:
             few *= 4
-        long = self._run_steps(candidate.case, dt, 4 * few)
-        slope = max(long - short, 0.5 * long) / (3 * few) if long > short else long / (4 * few)
+        long = self._run_steps(case, dt, 4 * few)
+        slope = max(long - short, 0.5 * long) / (3 * few)
         candidate.slope = self.scale * slope
         candidate.fixed = self.scale * max(0.0, short - slope * few)
-
-    def best_found(self, candidates: list[Candidate]) -> tuple[float, int, Case]:
-        """The smallest error of all, with its steps and its case."""
-        tried = [(e, n, c.case) for c in candidates for n, e in c.errors.items()]
-        return min(tried, key=itemgetter(0))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +24,23 @@ from fastatt.trade.measure import (
     Case,
     Problem,
     Row,
-    Rung,
     frontier,
-    ladder_rows,
     machine,
     machine_line,
     measure,
     panel,
     trade_table,
+    with_orders,
     write_csv,
 )
-from fastatt.trade.reference import Confirmation, Reference, confirm, reference, speeds, turns
+from fastatt.trade.reference import (
+    Confirmation,
+    Reference,
+    confirm,
+    largest_rotation,
+    reference,
+    speeds,
+)
 
 DTYPES = ("float64", "float32")
 # |w|h of the coarsest step, rad, where the method itself allows it, and how many halvings follow
@@ -56,23 +62,20 @@ class WorkPrecision:
 
     @property
     def frontier(self) -> list[Row]:
-        """The rows that no other beats in both time and median error, fastest first."""
+        """The rows of which none is beaten in both time and median error, fastest first."""
         return frontier(self.rows)
-
-    def describe(self) -> str:
-        """Bodies, time, and the reference with its own error."""
-        return (
-            f"{self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s; reference: "
-            f"{self.reference}, good to {self.reference_error:.1e} rad; {self.confirmation}"
-        )
 
     def table(self) -> str:
         """All rows as text."""
         return trade_table(self.rows)
 
     def __str__(self) -> str:
-        best = trade_table(self.frontier)
-        return f"{machine_line()}\n{self.describe()}\n{self.table()}\n\nFrontier\n{best}"
+        return (
+            f"{machine_line()}\n"
+            f"{self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s; reference: "
+            f"{self.reference}, good to {self.reference_error:.1e} rad; {self.confirmation}\n"
+            f"{self.table()}\n\nFrontier\n{trade_table(self.frontier)}"
+        )
 
     def plot(self, path: str | Path) -> None:
         """Draw error against time per body, the frontier behind it (needs matplotlib)."""
@@ -115,46 +118,53 @@ def work_precision(
 ) -> WorkPrecision:
     """Measure methods on a sample of an ensemble over a ladder of steps.
 
-    Each ladder starts where the fastest body turns by 2 rad a step, or by as much as the method
+    Each ladder starts where the fastest body rotates by 2 rad a step, or by as much as the method
     allows, and is halved until rounding limits or the time is used up. Times are those of the
-    sample, compiled and warmed up.
+    sample, compiled and warmed up. Errors are angles at the end, rad, against ``reference``, whose
+    largest own error over the sample is ``reference_error``, rad.
 
     Parameters
     ----------
     scene, q0, w0, v0, r0, t0, n_threads : as of :func:`fastatt.propagate`.
-    t_end : duration, s, above 0.
-    methods, representations, dtypes : what to measure; None takes every method that fits. A
-        ``Method`` or an ``Attitude`` of one's own may stand beside names.
-    sample : bodies to measure on: the fastest, the slowest, the others by chance from ``seed``.
-    repeats : runs of which the shortest counts.
-    max_seconds : time for all rows together, s, compilation not counted; each case has its share.
-    progress : show a bar (needs tqdm).
+    t_end : float
+        Duration, s, above 0.
+    methods, representations, dtypes : sequence
+        What to measure: names, user-defined ``Method`` and ``Attitude`` objects. None takes every
+        method that fits.
+    sample : int
+        Bodies to measure on: the fastest, the slowest, the others by chance from ``seed``.
+    repeats : int
+        Runs of which the shortest counts.
+    max_seconds : float
+        Time for all rows together, s, compilation not counted; each case has its share.
+    progress : bool
+        Show a bar (needs tqdm).
 
     Returns
     -------
-    WorkPrecision : ``rows``, ``frontier``, ``table()``, ``plot(path)``, ``to_csv(path)``,
-        ``to_json(path)``. Errors are angles at the end, rad, against ``reference``, whose own
-        error is ``reference_error``, rad, the largest over the sample.
+    WorkPrecision
+        ``rows``, ``frontier``, ``table()``, ``plot(path)``, ``to_csv(path)``, ``to_json(path)``.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    ValueError, TypeError
+        An argument that does not fit, by name, with what is accepted.
     """
     ensemble = Ensemble.of(scene, q0, w0, v0, r0)
     cases = cases_of(scene, methods, representations, dtypes)
-    whole = Problem(
-        ensemble.take(np.arange(ensemble.size)), duration(t_end), checks.real("t0", t0), n_threads
-    )
+    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     size = checks.whole("sample", sample, 1)
-    rows = spread(speeds(whole), size, np.random.default_rng(seed))
-    problem = replace(whole, ensemble=whole.ensemble.take(rows))
+    rows = spread(whole, size, np.random.default_rng(seed))
+    problem = whole.take(rows)
     known = reference(problem)
     check = confirm(problem, known)
-    share = checks.real("max_seconds", max_seconds) / len(cases)
+    checks.real("max_seconds", max_seconds)
     found: list[Row] = []
     with progress_bar(progress, len(cases), "case") as done:
         for case in cases:
-            found += case_rows(scene.kind, problem, known, check, case, repeats, share)
+            found += case_rows(
+                scene.kind, problem, known, check, case, repeats, seconds=max_seconds / len(cases)
+            )
             done(1)
     return WorkPrecision(
         rows=found, t_end=problem.t_end, n_bodies=ensemble.size, sampled=rows.size,
@@ -169,32 +179,40 @@ def cases_of(
     representations: Sequence[str | Attitude],
     dtypes: Sequence[str],
 ) -> list[Case]:
-    """The combinations that exist of what is asked for.
+    """Every combination that exists of these methods, representations and precisions.
 
     Raises ``ValueError`` for a name that is unknown or does not fit, for one that two methods or
     representations have, and where nothing is left.
     """
     fitting = methods_for(scene)
-    wanted = [_own_or_named(scene, m) for m in (fitting if methods is None else methods)]
+    for method in methods or ():
+        if not isinstance(method, Method):
+            checks.choice("methods", method, fitting)
+        elif not fits(method, scene):
+            raise ValueError(
+                f"methods: found {method.name}, for {', '.join(method.scenes)}; accepted for this "
+                f"scene ({scene.kind}): {', '.join(fitting)}"
+            )
     for rep in representations:
         if not isinstance(rep, Attitude):
             checks.choice("representations", rep, ATTITUDES)
-    stored = [attitude_of(rep) for rep in representations]
-    for argument, records in (("methods", wanted), ("representations", stored)):
-        for name, times in Counter(record.name for record in records).items():
-            if times > 1:
-                raise ValueError(f"{argument}: found {name!r} twice; accepted: different names")
     for dtype in dtypes:
         checks.choice("dtypes", dtype, DTYPES)
+    wanted = [Case(method).record for method in (fitting if methods is None else methods)]
+    stored = [attitude_of(rep) for rep in representations]
+    names = [record.name for record in wanted], [record.name for record in stored]
+    for argument, used in zip(("methods", "representations"), names, strict=True):
+        for name, times in Counter(used).items():
+            if times > 1:
+                raise ValueError(f"{argument}: found {name!r} twice; accepted: different names")
     found = [
-        Case(_name_of(method, METHODS), _name_of(attitude, ATTITUDES), dtype)
+        Case(name_of(method, METHODS), name_of(attitude, ATTITUDES), dtype)
         for method in wanted
         for attitude in stored
         for dtype in dtypes
         if fits(method, scene, attitude)
     ]
     if not found:
-        names = [[record.name for record in records] for records in (wanted, stored)]
         raise ValueError(
             f"methods, representations, dtypes: found {names[0]}, {names[1]}, {list(dtypes)}, of "
             f"which nothing fits; accepted: {', '.join(fitting)}"
@@ -202,19 +220,8 @@ def cases_of(
     return found
 
 
-def _own_or_named(scene: Scene, method: str | Method) -> Method:
-    if not isinstance(method, Method):
-        return METHODS[checks.choice("methods", method, methods_for(scene))]
-    if not fits(method, scene):
-        raise ValueError(
-            f"methods: found {method.name}, for {', '.join(method.scenes)}; accepted for this "
-            f"scene ({scene.kind}): {', '.join(methods_for(scene))}"
-        )
-    return method
-
-
-def _name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
-    """The name of one of the library's, or a user's own itself."""
+def name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
+    """The name of one of the library's, or a user-defined record itself."""
     return record.name if known.get(record.name) is record else record
 
 
@@ -223,16 +230,13 @@ def duration(t_end: float) -> float:
     return checks.above_zero("t_end", t_end, "a duration above 0, s")
 
 
-def spread(
-    order_by: NDArray[np.float64], size: int, generator: np.random.Generator
-) -> NDArray[np.intp]:
-    """Rows of the largest (an eighth) and the least (a sixteenth), the others by chance."""
-    n = order_by.size
+def spread(problem: Problem, size: int, generator: np.random.Generator) -> NDArray[np.intp]:
+    """Rows of the fastest bodies (an eighth) and the slowest (a sixteenth), others by chance."""
+    n = problem.ensemble.size
     if n <= size:
         return np.arange(n)
-    ranked = np.argsort(order_by, kind="stable")
-    most, least = ranked[n - max(1, size // 8) :], ranked[: size // 16]
-    between = ranked[least.size : n - most.size]
+    ranked = np.argsort(speeds(problem), kind="stable")
+    least, between, most = np.split(ranked, [size // 16, n - max(1, size // 8)])
     rest = generator.choice(between, size - most.size - least.size, replace=False)
     return np.sort(np.concatenate([most, least, rest]))
 
@@ -241,37 +245,30 @@ def case_rows(
     name: str,
     problem: Problem,
     known: Reference,
-    check: Confirmation | None,
+    check: Confirmation,
     case: Case,
     repeats: int,
-    seconds: float = math.inf,
+    *,
     steps: Sequence[int] | None = None,
+    seconds: float = math.inf,
 ) -> list[Row]:
-    """The ladder of one case.
+    """The ladder of one case: of these steps, or until rounding limits or the time is used up.
 
-    The closed form needs no steps: it has one row, and where it is the reference itself, its error
-    is measured against what confirms it.
+    The closed form has one row; where it is the reference itself, its error is measured against
+    what confirms it.
     """
     end = known.end
-    if check is not None and case.record.is_exact:
+    if case.record.is_exact:
         end, steps = check.end, (1,)
+    angle = min(_COARSEST, 0.9 * case.record.limit(case.stored_as))
+    first = max(1, math.ceil(largest_rotation(problem) / angle))
     order = case.record.order_of(problem.ensemble.scene.kind)
-    rungs: list[Rung] = []
     rows: list[Row] = []
     used = 0.0
-    for n in _steps(problem, case) if steps is None else steps:
-        rungs.append(measure(problem, end, case, n, repeats))
-        rows = ladder_rows(name, case, problem.t_end, rungs, order)
-        used += (repeats + 2) * rungs[-1].seconds
+    for n in steps or [first * 2**k for k in range(_RUNGS)]:
+        rows = with_orders([*rows, measure(problem, end, case, n, repeats, name)], case, order)
+        used += (repeats + 2) * rows[-1].seconds_per_body * problem.ensemble.size
         # the next takes as long as all before it
         if steps is None and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):
             break
     return rows
-
-
-def _steps(problem: Problem, case: Case) -> Iterator[int]:
-    angle = min(_COARSEST, 0.9 * case.record.limit(case.stored_as))
-    n = max(1, math.ceil(turns(problem) / angle))
-    for _ in range(_RUNGS):
-        yield n
-        n *= 2

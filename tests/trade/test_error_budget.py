@@ -209,4 +209,4 @@ def test_samples_left_out_on_purpose_are_not_warned_of():
 
 
 def test_a_log_that_does_not_turn():
-    assert "does not turn" in str(fa.error_budget(np.zeros((100, 3)), 0.01))
+    assert "does not rotate" in str(fa.error_budget(np.zeros((100, 3)), 0.01))

@@ -171,15 +171,6 @@ def test_the_closed_form_needs_no_steps():
     assert found_error(FREE, W0, chosen) < 1e-12
 
 
-def test_saves_fall_on_the_times_asked_for():
-    chosen = fa.recommend(
-        CONING, Q0, t_end=T_END, tol=1e-6, save_interval=0.6, methods=RATES, **DOUBLE
-    )
-    run = fa.propagate(CONING, Q0, **chosen.arguments)
-    assert run.t == pytest.approx(np.linspace(0.0, T_END, 11), abs=1e-12)
-    assert chosen.n_steps == 10 * chosen.save_every
-
-
 def test_a_budget_is_kept_and_used(monkeypatch):
     # by a clock of its own: 0.1 ms a call and 5 µs a step, whatever else runs here
     monkeypatch.setattr(sample.Sample, "_run_steps", lambda self, case, dt, n: 1e-4 + 5e-6 * n)
@@ -219,28 +210,13 @@ def test_long_runs_are_measured_on_fewer_bodies(monkeypatch):
     assert 1e-6 < fa.angle_between(run.q[-1], coning_at(long)[0]).max() <= 1e-5
 
 
-def pushed(n):
-    """A sine as torque, n samples over the time."""
-    t = np.linspace(0.0, T_END, n)
+def test_steps_end_at_the_samples_of_a_torque():
+    """A kink within a step costs far more."""
+    t = np.linspace(0.0, T_END, 25)
     torque = 0.3 * np.sin(2.0 * t)[:, None] * (1.0, 0.5, 0.2)
-    return fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(torque, t[1]))
-
-
-@pytest.mark.parametrize("n", [25, 26])
-def test_the_interval_of_a_history_may_limit(n):
-    """Half as many samples change three times what a hundred times as many do, and more."""
-    chosen = fa.recommend(
-        pushed(n), Q0[:64], W0[:64], t_end=T_END, tol=1e-3, methods=["rk4"], **DOUBLE
-    )
-    ends = [
-        fa.propagate(pushed(m), Q0[:64], W0[:64], dt=T_END / k, n_steps=k, method="rk4").q[-1]
-        for m, k in ((n, 50 * (n - 1)), (100 * (n - 1) + 1, 50 * (n - 1)))
-    ]
-    assert chosen.n_steps % (n - 1) == 0  # a kink within a step costs far more
-    assert chosen.limited_by == "sampling"
-    true = fa.angle_between(*ends).max()
-    assert chosen.sampling_change == pytest.approx(3.0 * true, rel=0.5)
-    assert "every second sample of the torque changes" in str(chosen)
+    scene = fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(torque, t[1]))
+    chosen = fa.recommend(scene, Q0[:64], W0[:64], t_end=T_END, tol=1e-3, methods=["rk4"], **DOUBLE)
+    assert chosen.n_steps % 24 == 0
 
 
 def test_a_method_of_ones_own_is_recommended():
@@ -273,9 +249,6 @@ def test_text_names_what_matters():
         "reference  the exact coning motion",
     ):
         assert part in text
-    assert {p.case.method for p in chosen.curve} == set(RATES)
-    for p in chosen.curve:
-        assert p.seconds > 0.0
 
 
 def test_cases_far_from_the_tolerance_are_not_looked_at():
@@ -293,7 +266,6 @@ def test_cases_far_from_the_tolerance_are_not_looked_at():
         ({"tol": 0.0}, "tol: found 0.0; accepted: a number above 0"),
         ({"budget": -1.0}, "budget: found -1.0"),
         ({"tol": 1e-3, "t_end": -1.0}, "t_end: found -1.0"),
-        ({"tol": 1e-3, "save_interval": 0.7}, "save_interval: found 0.7; accepted: t_end, 6.0,"),
         ({"tol": 1e-3, "methods": ["rk8"]}, "methods: found 'rk8'"),
         ({"tol": 1e-3, "sample": 0}, "sample: found 0"),
         ({"tol": 1e-3, "at": "start"}, "at: found 'start'; accepted: run, end"),

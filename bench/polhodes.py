@@ -1,30 +1,28 @@
-"""Motions for the pictures: polhodes, herpolhodes and the axis of a heavy top."""
+"""The picture of free bodies of the pages: polhodes and herpolhodes, in closed form.
+
+python bench/polhodes.py bench/polhodes.png
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+import sys
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.arrays import euler313_to_quat, quat_rotate, quat_rotate_inverse
+from fastatt import plots
+from fastatt.arrays import quat_rotate
 from fastatt.propagation import closed_form
 from fastatt.propagation.energy import angular_momentum, kinetic_energy
-from fastatt.propagation.propagate import propagate
-from fastatt.trade.ensembles import TOP, TRIAXIAL
-
-if TYPE_CHECKING:
-    from fastatt import plots
+from fastatt.trade.ensembles import TRIAXIAL
 
 _QUAT = (1.0, 0.0, 0.0, 0.0)
 # of the momentum from axis 1 to axis 3, deg; at 45 the energy of TRIAXIAL is that about axis 2
 _LATITUDES = (12.0, 24.0, 36.0, 45.0, 54.0, 66.0, 78.0)
 _SEPARATRIX = 45.0
 _ROLLED = (12.0, 36.0, _SEPARATRIX)
-# rate of precession at the start, rad/s
-_RELEASED = {"loops": -0.3, "cusps": 0.0, "waves": 0.15}
-_TILT, _SPIN = 0.9, 6.0
 
 
 def _momentum(latitude: float) -> NDArray[np.float64]:
@@ -38,8 +36,6 @@ def _energy(m: NDArray[np.float64]) -> float:
 
 def polhodes() -> list[plots.Polhode]:
     """Curves of constant energy on the momentum sphere of ``TRIAXIAL``, (T, 3) each."""
-    from fastatt import plots
-
     t = np.linspace(-20.0, 20.0, 2001)
     found = []
     for latitude in _LATITUDES:
@@ -68,14 +64,5 @@ def herpolhodes() -> dict[float, NDArray[np.float64]]:
     return found
 
 
-def nutations() -> dict[str, NDArray[np.float64]]:
-    """The symmetry axis of three heavy tops in space, (T, 3), over 17 s."""
-    q0 = euler313_to_quat([0.0, _TILT, 0.0])
-    found = {}
-    for name, precession in _RELEASED.items():
-        w0 = quat_rotate_inverse(q0, [0.0, 0.0, precession])
-        w0[2] = _SPIN
-        run = propagate(TOP, q0, w0, dt=0.01, n_steps=1700, method="rk8", save_every=1)
-        axis = quat_rotate(run.q, np.broadcast_to([0.0, 0.0, 1.0], (run.t.size, 3)))
-        found[f"{name}: {precession:g} rad/s at the start"] = axis
-    return found
+if __name__ == "__main__":
+    plots.polhodes(polhodes(), herpolhodes(), Path(sys.argv[1]))
