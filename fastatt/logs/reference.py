@@ -84,6 +84,7 @@ def read_attitudes(source: Any) -> Reference:
                 "like time, qw, qx, qy, qz"
             )
         q, raw = table.read(quat, clock, numbers=4, strict=True)
+    assert raw is not None
     t, start = times(table, clock, raw, None)
     samples = in_order(table, table.column(clock[0]), t, q, "refuse", math.inf)
     checks.attitudes(name, q)
