@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 ON_BAD_ROWS = ("refuse", "drop", "split", "hold")
 _GAP = 10.0  # an interval this many times the usual is a gap
-_AHEAD = 8  # rows by which an outlier is told from a reset: as many in a row can be outliers
+_AHEAD = 8  # rows that distinguish an outlier from a reset: as many in a row can be outliers
 _REGULAR = 2.5  # usual intervals, the longest step of rows that follow each other
 _SHARED = 0.05  # of the rows, and 3 at least, share a stamp where it is no single repetition
 

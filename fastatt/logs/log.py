@@ -82,9 +82,9 @@ def read_gyro_log(
     """Read a gyro log and say what was understood (``log.summary``).
 
     A text table, gzipped or not, is separated by commas, semicolons, tabs or blanks; its numbers
-    may have decimal commas (quoted ones between commas). Names stand in its first lines, in a
+    may have decimal commas (quoted ones between commas). Names are in its first lines, in a
     comment too, a line of units may follow. The gyro's columns, and those of time,
-    accelerometer, magnetometer and attitude beside it, are found by the names that loggers write.
+    accelerometer, magnetometer and attitude next to it, are found by the names that loggers write.
     Where the columns are only x, y and z, the file's name has to say that they are a gyro's.
 
     Parameters
@@ -275,8 +275,8 @@ def _check(table: Table, samples: Samples, n: int, least: int) -> None:
         found = f"{kept} of {n} rows that are samples"
         raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
     if n - kept > _MANY * n:
-        told = ", ".join(samples.said)
-        _warn(f"{table.name}: {n - kept} of {n} rows are left out ({told})")
+        counts = ", ".join(samples.said)
+        _warn(f"{table.name}: {n - kept} of {n} rows are left out ({counts})")
     if samples.spread:
         _warn(f"{table.name}: rows that share time stamps are spread evenly, unless rate says")
 

@@ -28,9 +28,9 @@ from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
-# saves of an ensemble that are drawn; more can't be told apart
+# saves of an ensemble that are drawn
 _SAVES = 500
-# bodies whose curves can be told apart, and those that are drawn of many
+# bodies whose curves are drawn at most, and by default
 _CURVES, _CHOSEN = 8, 4
 _STYLES = ("-", "--", "-.")
 # deg; angles that change by more from save to save have passed a pole or 180°
@@ -44,14 +44,14 @@ def history(
 
     Of one body its 3-1-3 angles in degrees or, with ``attitude="axis"``, its third axis in space,
     and its rates; of many the percentiles, at up to 500 saves, of the angle from the first save and
-    of |w|. The drift is the departure from the group and, with the scene given, that of energy and
-    momentum, as :func:`fastatt.drift` says; of many bodies the median and the largest.
+    of |w|. The drift is the norm error and, with the scene given, that of energy and momentum, as
+    :func:`fastatt.drift` defines it; of many bodies the median and the largest.
 
     Parameters
     ----------
     run : with two saves at least.
     path : of the picture; its ending says the format (png, pdf, svg).
-    scene : what acts, for energy and momentum.
+    scene : the run's, for energy and momentum.
     attitude : "angles" or "axis".
 
     Raises
