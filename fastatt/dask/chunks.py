@@ -23,45 +23,49 @@ from fastatt.scene.scene import Scene, as_scene
 
 # bodies of a chunk: 0.5 s of a thousand steps, 6 MB of states
 _CHUNK = 100_000
-#: stands for states that Dask computes
+#: in place of states that Dask computes
 _LATER = "later"
 
 
+@dataclass(eq=False)
 class Part:
-    """Which bodies a chunk has, their scene if it is their own, their states."""
+    """The bodies of a chunk: their scene, None for the shared one, and their states."""
 
-    def __init__(self, first: int, last: int, scene: Scene | None, states: list[Any]) -> None:
-        self.first, self.last, self.scene, self.states = first, last, scene, states
+    first: int
+    last: int
+    scene: Scene | None
+    states: list[Any]
 
 
+@dataclass(eq=False)
 class Work:
     """What is done with each chunk: sent to a worker once, with a scene that all bodies share."""
 
-    def __init__(self, function: Callable[..., Any], scene: Scene | None) -> None:
-        self.function, self.scene = function, scene
+    function: Callable[..., Any]
+    scene: Scene | None
 
     def __call__(self, part: Part, *lazy: Any) -> Any:
         """What the function gives of a chunk."""
         scene = self.scene if part.scene is None else part.scene
         computed = iter(lazy)
         states = [next(computed) if isinstance(x, str) else x for x in part.states]
-        with rounding.noted() as told:
+        with rounding.noted() as texts:
             try:
                 return self.function(scene, states)
             except Exception as error:
                 error.add_note(f"in the chunk of bodies {part.first} to {part.last - 1}")
                 raise
             finally:
-                for text in told:
+                for text in texts:
                     _warn(f"bodies {part.first} to {part.last - 1}: {text}")
 
 
 def _warn(text: str) -> None:
-    """Warn here and, of a worker, where its work was asked for."""
-    tell: Callable[..., Any] = warnings.warn
+    """Warn here and, on a worker, in the client's process."""
+    warn: Callable[..., Any] = warnings.warn
     if "distributed" in sys.modules:
-        from distributed import warn as tell
-    tell(text, rounding.StepWarning)
+        from distributed import warn
+    warn(text, rounding.StepWarning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ class Bodies:
 
     @classmethod
     def of(cls, scene: Scene, values: Sequence[Any], chunks: Any, *, flag: bool) -> Bodies:
-        """The same from whatever a user gives: what is not lazy is checked, of the rest the shape.
+        """From numpy arrays, which are checked, and Dask arrays, whose shapes are.
 
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
         """
@@ -105,7 +109,7 @@ class Bodies:
         work = delayed(Work(function, None if own else self.scene), traverse=False)
         name = f"bodies-{uuid4().hex}"
         graph: dict[Any, Any] = {}
-        # what comes with the graph is part of each task: a task of its own takes milliseconds
+        # numpy states are part of each task: a further task would take milliseconds
         for i, (a, b) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
             part = Part(
                 a, b, self.scene[a:b] if own else None, [_rows(x, a, b) for x in self.given]
@@ -121,9 +125,8 @@ class Bodies:
         """One of the arrays of the chunks' trajectories."""
         chunks = (*((s,) for s in saves), self.sizes, *((k,) for k in tail))
         new = [k for k in range(len(chunks)) if k != len(saves)]
-        return runs.map_blocks(
-            _part, name, chunks=chunks, new_axis=new, meta=_nothing(len(chunks), kind)
-        )
+        meta = _nothing(len(chunks), kind)
+        return runs.map_blocks(getattr, name, chunks=chunks, new_axis=new, meta=meta)
 
     def merged(self, merge: Callable[..., Any], function: Callable[..., Any]) -> Any:
         """``merge(results)`` of what all chunks give, to be computed."""
@@ -161,10 +164,6 @@ def _rows(x: Any, first: int, last: int) -> Any:
 def like(x: Any) -> Any:
     """An array of ones in place of one that Dask computes; all else as it is."""
     return np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
-
-
-def _part(run: Any, name: str) -> Any:
-    return run.dcm if name == "dcm" else getattr(run, name)
 
 
 def _nothing(ndim: int, kind: Any) -> NDArray[Any]:

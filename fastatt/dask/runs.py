@@ -133,7 +133,7 @@ def propagate(
 
     Parameters
     ----------
-    scene : what acts; where bodies have their own numbers, each chunk is sent its own.
+    scene : the scene; of one with numbers per body each chunk is sent its part.
     q0, w0, v0, r0 : as of :func:`fastatt.propagate`, numpy or Dask arrays, one of them with a row
         for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.

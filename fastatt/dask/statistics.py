@@ -22,7 +22,7 @@ from fastatt.propagation.drift_statistics import drift_statistics as chunk_stati
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.measure import Case, Problem, Row, counted, last_state, row_of, with_orders
-from fastatt.trade.reference import reference as found_reference
+from fastatt.trade.reference import reference
 from fastatt.trade.work_precision import WorkPrecision, duration
 
 _OPTIONS = (
@@ -62,7 +62,7 @@ def drift_statistics(
     """Drift statistics over all bodies: a ``dask.delayed`` :class:`Drifts`; no history is kept.
 
     ``every``, and ``options`` such as ``dt``, ``n_steps`` and ``method``, are those of
-    :func:`fastatt.drift_statistics`; the rest is as of :func:`propagate`. A chunk hands on 2 kB.
+    :func:`fastatt.drift_statistics`; the rest is as of :func:`propagate`. A chunk returns 2 kB.
 
     Raises ``ValueError`` or ``TypeError`` for a scene or initial states that do not fit; for the
     rest when it is computed.
@@ -82,7 +82,6 @@ def work_precision(
     *,
     t_end: float,
     runs: Sequence[tuple[str | Method, int]],
-    reference: tuple[str | Method, int] | None = None,
     v0: Any = None,
     r0: Any = None,
     t0: float = 0.0,
@@ -97,17 +96,15 @@ def work_precision(
     scene, q0, w0, v0, r0, t0, chunks : as of :func:`propagate`.
     t_end : duration, s, above 0.
     runs : (method, number of steps) of each row.
-    reference : the same of what errors are taken against; its own error is taken to be what it
-        differs by from half as many steps. None: the closed form or, where there is none, what
-        :func:`fastatt.work_precision` takes, found for each chunk anew and so only the same within
-        its own error whatever the chunks.
     representation, dtype : in which the runs are made.
 
     Returns
     -------
     ``dask.delayed`` : when computed, ``rows``, ``frontier``, ``table()`` and so on of
-        :func:`fastatt.work_precision`; seconds are those of one thread of a worker, of one run,
-        with whatever else ran there. One task holds the errors of all, 16 bytes a run and body.
+        :func:`fastatt.work_precision`. Errors are against its reference, which without a closed
+        form each chunk finds for itself, so that they depend on the chunks within its error.
+        Seconds are those of one run on one thread of a worker, next to the worker's other load.
+        One task has the errors of all, 16 bytes a run and body.
 
     Raises
     ------
@@ -116,24 +113,18 @@ def work_precision(
     as_scene(scene)
     if not runs:
         raise ValueError("runs: found none; accepted: (method, number of steps), one or more")
-    cases = [_case(scene, "runs", run, representation, dtype) for run in runs]
-    known = None if reference is None else _case(scene, "reference", reference, "quat", "float64")
-    if known is not None and known[1] < 2:
-        raise ValueError("reference: found 1 step; accepted: 2 or more, or None")
+    kind = checks.precision(dtype).name
+    cases = []
+    pairs: Sequence[Any] = runs
+    for run in pairs:
+        if not (isinstance(run, (tuple, list)) and len(run) == 2):
+            raise TypeError(f"runs: found {checks.brief(run)}; accepted: (method, number of steps)")
+        method = sent(scene, run[0], representation)[1]
+        cases.append((Case(method, representation, kind), checks.whole("runs", run[1], 1)))
     bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=False)
     seconds, begin = duration(t_end), checks.real("t0", t0)
-    work = partial(_measured, cases=cases, known=known, t_end=seconds, t0=begin)
+    work = partial(_measured, cases=cases, t_end=seconds, t0=begin)
     return bodies.merged(partial(_table, kind=scene.kind, cases=cases, t_end=seconds), work)
-
-
-def _case(
-    scene: Scene, name: str, run: Any, representation: str | Attitude, dtype: str
-) -> tuple[Case, int]:
-    if not (isinstance(run, (tuple, list)) and len(run) == 2):
-        raise TypeError(f"{name}: found {checks.brief(run)}; accepted: (method, number of steps)")
-    method = sent(scene, run[0], representation)[1]
-    kind = checks.precision(dtype).name
-    return Case(method, representation, kind), checks.whole(name, run[1], 1)
 
 
 def _statistics(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Drifts:
@@ -159,25 +150,14 @@ def _of_parts(parts: Sequence[Any], saves: int, bodies: int, flags: dict[str, in
 
 
 def _measured(
-    scene: Scene,
-    states: Sequence[Any],
-    cases: list[tuple[Case, int]],
-    known: tuple[Case, int] | None,
-    t_end: float,
-    t0: float,
-) -> Any:
-    """Errors of each case and what they are against."""
+    scene: Scene, states: Sequence[Any], cases: list[tuple[Case, int]], t_end: float, t0: float
+) -> tuple[str, float, list[Any]]:
+    """The reference of a chunk, its error, and of each case seconds, errors and flags."""
     rounding.heard.set([])  # steps are too large on purpose
     ensemble = Ensemble.of(scene, *states)
     problem = Problem(ensemble.take(np.arange(ensemble.size)), t_end, t0, n_threads=1)
-    if known is None:
-        against = found_reference(problem)
-        end, source, own = against.end, against.source, float(np.max(against.own_error))
-    else:
-        case, n = known
-        end, coarse = problem.end(case, n), problem.end(case, n // 2)
-        source = f"{case.name} at {t_end / n:.4g} s"
-        own = float(angle_between(end.q, coarse.q).max())
+    against = reference(problem)
+    end = against.end
     found = []
     for case, n in cases:
         replace(problem, t_end=t_end / n).run(case, 1)  # which compiles
@@ -185,11 +165,11 @@ def _measured(
         run = problem.run(case, n)
         seconds = perf_counter() - begin
         last = last_state(run)
-        rate = None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1)
+        rate_error = None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1)
         norm_error = float(np.abs(run.norm_error).max())
         error = angle_between(last.q, end.q)
-        found.append((seconds, error, norm_error, rate, Counter(run.status_counts())))
-    return found, source, own
+        found.append((seconds, error, norm_error, rate_error, Counter(run.status_counts())))
+    return against.source, float(np.max(against.own_error)), found
 
 
 def _table(
@@ -197,9 +177,7 @@ def _table(
 ) -> WorkPrecision:
     """All chunks' errors in one table."""
     ladders: dict[Case, list[Row]] = {}
-    for (case, n), parts in zip(
-        cases, zip(*(found for found, *_ in chunks), strict=True), strict=True
-    ):
+    for (case, n), *parts in zip(cases, *(found for *_, found in chunks), strict=True):
         seconds, errors, norm_errors, rates, flags = zip(*parts, strict=True)
         counts: Counter[str] = sum(flags, Counter())
         error = np.concatenate(errors)
@@ -212,9 +190,8 @@ def _table(
         ladder.sort(key=lambda row: row.n_steps)
         rows += with_orders(ladder, case, case.record.order_of(kind))
     n_bodies = error.size
-    _, source, _ = chunks[0]
-    own = max(own for *_, own in chunks)
     return WorkPrecision(
-        rows=rows, t_end=t_end, n_bodies=n_bodies, sampled=n_bodies, reference=source,
-        reference_error=own, confirmation="not confirmed by another method",
+        rows=rows, t_end=t_end, n_bodies=n_bodies, sampled=n_bodies, reference=chunks[0][0],
+        reference_error=max(own for _, own, _ in chunks),
+        confirmation="not confirmed by another method",
     )  # fmt: skip

@@ -1,16 +1,14 @@
-"""To and from others: conventions of attitudes, tables of a run, attitude ephemeris messages."""
+"""Exchange with other software: conventions of attitudes, tables, attitude ephemeris messages."""
 
 from fastatt.interchange.aem import Aem, AemSegment, read_aem
 from fastatt.interchange.aem_of_run import aem_of
 from fastatt.interchange.conventions import (
-    from_gibbs,
     from_jpl,
     from_mrp,
     from_scalar_last,
     from_scipy,
     rates_to_body,
     rates_to_inertial,
-    to_gibbs,
     to_jpl,
     to_mrp,
     to_passive,
@@ -20,7 +18,7 @@ from fastatt.interchange.conventions import (
 from fastatt.interchange.tables import dataframe, write_csv
 
 __all__ = [
-    "Aem", "AemSegment", "aem_of", "dataframe", "from_gibbs", "from_jpl", "from_mrp",
-    "from_scalar_last", "from_scipy", "rates_to_body", "rates_to_inertial", "read_aem", "to_gibbs",
-    "to_jpl", "to_mrp", "to_passive", "to_scalar_last", "to_scipy", "write_csv",
+    "Aem", "AemSegment", "aem_of", "dataframe", "from_jpl", "from_mrp", "from_scalar_last",
+    "from_scipy", "rates_to_body", "rates_to_inertial", "read_aem", "to_jpl", "to_mrp",
+    "to_passive", "to_scalar_last", "to_scipy", "write_csv",
 ]  # fmt: skip

@@ -1,6 +1,6 @@
-"""Order of a quaternion's numbers, direction, sense: to and from the conventions of others.
+"""Attitudes in the conventions of other packages: order of numbers, direction, sense.
 
-Here q is scalar first, Hamilton, body to inertial; every function takes and gives any leading axes.
+Here q is scalar first, Hamilton, body to inertial; every function takes any leading axes.
 """
 
 from __future__ import annotations
@@ -14,9 +14,6 @@ from fastatt.arrays import floats, normalised, quat_rotate, quat_rotate_inverse
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
-
-# SciPy's release whose rotations have any leading axes
-_STACKED = (1, 17)
 
 
 def to_scalar_last(q: ArrayLike) -> NDArray[Any]:
@@ -34,18 +31,11 @@ def to_scipy(q: ArrayLike) -> Rotation:
 
     Histories (S, N, 4) need SciPy 1.17, the first whose rotations have more than one axis.
 
-    Raises ``ImportError`` without SciPy, or where it is older than that and q has more axes.
+    Raises ``ImportError`` without SciPy.
     """
-    import scipy
     from scipy.spatial.transform import Rotation
 
-    last = to_scalar_last(q)
-    if last.ndim > 2 and tuple(map(int, scipy.__version__.split(".")[:2])) < _STACKED:
-        raise ImportError(
-            f"scipy: found {scipy.__version__}; accepted for q of shape {last.shape}: 1.17 or "
-            "newer, or q.reshape(-1, 4)"
-        )
-    return Rotation.from_quat(last)
+    return Rotation.from_quat(to_scalar_last(q))
 
 
 def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
@@ -96,19 +86,6 @@ def from_mrp(sigma: ArrayLike) -> NDArray[Any]:
     s = floats("sigma", sigma, (3,))
     z = (s * s).sum(axis=-1, keepdims=True)
     return np.asarray(np.concatenate([1.0 - z, s + s], axis=-1) / (1.0 + z))
-
-
-def to_gibbs(q: ArrayLike) -> NDArray[Any]:
-    """Gibbs's vector (Rodrigues parameters) e tan(φ/2), (..., 3); infinite at half a turn."""
-    p = floats("q", q, (4,))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(p[..., 1:] / p[..., :1])
-
-
-def from_gibbs(g: ArrayLike) -> NDArray[Any]:
-    """Unit q (..., 4) of Gibbs's vectors (..., 3)."""
-    v = floats("g", g, (3,))
-    return normalised(np.concatenate([np.ones_like(v[..., :1]), v], axis=-1))
 
 
 def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import shutil
@@ -28,18 +29,18 @@ def attitude_rows(log: GyroLog, q0: ArrayLike, method: str, *, pieces: bool = Fa
     """A log's times and attitudes, (n, 5), each piece from ``q0`` on.
 
     Times are Unix time, s, where the log's stamps are, else s from the first sample. With
-    ``pieces`` their numbers stand in a sixth column.
+    ``pieces`` a sixth column has their numbers.
     """
     rows = np.empty((len(log.t), 5 + pieces))
     rows[:, 0] = log.t + (log.start if log.start > _UNIX else 0.0)
-    with rounding.noted() as told:
+    with rounding.noted() as texts:
         for k, piece in enumerate(log.pieces):
             dt = log.dt[piece.start : piece.stop - 1]
             rates = log.rates[piece]
             rows[piece, 1:5] = integrate_rates(rates, dt, q0, method=method, max_gap=math.inf)
             rows[piece, 5:] = k
-    if told:
-        rounding.warn(told[0])
+    if texts:
+        rounding.warn(texts[0])
     return rows
 
 
@@ -55,7 +56,7 @@ def attitude_file(path: Path) -> Callable[[Rows], None]:
         raise GyroLogError(
             f"--out: found the ending {path.suffix!r}; accepted: .csv, .npy and .zarr"
         )
-    if path.is_dir() and not _replaceable(path):
+    if path.is_dir() and not _is_zarr_array(path):
         raise GyroLogError(
             f"--out: found the directory {path}; accepted: a file, or one array of Zarr, which is "
             "replaced"
@@ -76,8 +77,8 @@ def attitude_file(path: Path) -> Callable[[Rows], None]:
     return write
 
 
-def _replaceable(path: Path) -> bool:
-    """Whether a directory is an array of Zarr and nothing besides."""
+def _is_zarr_array(path: Path) -> bool:
+    """Whether a directory is an array of Zarr, not a group of them."""
     if path.suffix != ".zarr":
         return False
     with suppress(OSError, ValueError):
@@ -92,19 +93,11 @@ def _npy(path: Path, rows: Rows) -> None:
 
 
 def _csv(path: Path, rows: Rows) -> None:
-    names = _NAMES[: rows.shape[1]]
-    with path.open("wb") as file:
-        file.write((",".join(names) + "\n").encode())
-        try:
-            import pyarrow as pa
-            from pyarrow import csv
-        except ImportError:
-            for k in range(0, len(rows), _CHUNK):
-                part = rows[k : k + _CHUNK].tolist()
-                file.writelines(f"{','.join(map(repr, row))}\n".encode() for row in part)
-            return
-        table = pa.table(dict(zip(names, np.ascontiguousarray(rows.T), strict=True)))
-        csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_NAMES[: rows.shape[1]])
+        for k in range(0, len(rows), _CHUNK):
+            writer.writerows(rows[k : k + _CHUNK].tolist())
 
 
 def _zarr(path: Path, rows: Rows) -> None:

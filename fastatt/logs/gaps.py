@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 ON_BAD_ROWS = ("refuse", "drop", "split", "hold")
 _GAP = 10.0  # an interval this many times the usual is a gap
-_AHEAD = 8  # rows by which an outlier is told from a reset: as many in a row can be outliers
+_AHEAD = 8  # rows that distinguish an outlier from a reset: as many in a row can be outliers
 _REGULAR = 2.5  # usual intervals, the longest step of rows that follow each other
 _SHARED = 0.05  # of the rows, and 3 at least, share a stamp where it is no single repetition
 
@@ -26,9 +26,10 @@ _SHARED = 0.05  # of the rows, and 3 at least, share a stamp where it is no sing
 class Samples(NamedTuple):
     """Rows in order, as samples.
 
-    ``t``: s from the first; ``rows``: where each stands in the table; ``held``: whether its rates
-    are those of the sample before; ``added``: whether it is no row, but holds them up to a gap's
-    end; ``cuts``: where a piece begins.
+    ``t``: s from the first; ``rows``: their places in the table; ``held``: samples with the rates
+    of the sample before; ``added``: samples that are no row, which hold the rates up to a gap's
+    end; ``cuts``: where a piece begins; ``said``: what the summary says; ``spread``: whether rows
+    that shared stamps were spread.
     """
 
     t: Floats
@@ -38,6 +39,14 @@ class Samples(NamedTuple):
     cuts: list[int]
     said: list[str]
     spread: bool
+
+    def of(self, values: Floats) -> Floats:
+        """The samples' values, of which the first three are rates."""
+        values = values[self.rows]
+        values[self.added, 3:] = np.nan
+        last = np.maximum.accumulate(np.where(self.held, 0, np.arange(len(values))))
+        values[:, :3] = values[last, :3]
+        return values
 
 
 def in_order(
@@ -49,22 +58,10 @@ def in_order(
     max_gap: float | None,
     usual: float | None = None,
 ) -> Samples:
-    """The rows of a table that are samples.
+    """The rows of a table that are samples; ``on_bad_rows`` as of :func:`read_gyro_log`.
 
-    Parameters
-    ----------
-    table, clock : the table and its clock's name, for messages.
-    t : (n,), s, NaN of a row without a stamp.
-    rates : (n, 3), NaN in rows without numbers.
-    on_bad_rows : "refuse"; "drop" (intervals go across what was left out); "split" (a new piece
-        begins after it); "hold" (the last rates stay: in rows without numbers, and over a gap up
-        to one usual interval before its end).
-    max_gap : the longest interval that is no gap, s; None: 10 usual ones.
-    usual : the usual interval, s; None: the median.
-
-    Raises
-    ------
-    GyroLogError : with "refuse", for the first row that is no sample.
+    ``t`` (n,) is NaN without a time stamp, ``rates`` (n, 3) in rows without numbers. ``usual``:
+    the usual interval, s; None: the median.
     """
     stamped, numbers = np.isfinite(t), np.asarray(np.isfinite(rates).all(axis=1))
     usable = stamped & numbers

@@ -25,6 +25,7 @@ from fastatt.logs.text import Text, opened
 _MOST_RAD, _MOST_DEG = 35.0, 4500.0
 # rad/s of a bias, rad of a rotation about it: above, a body is not at rest
 _LARGEST_BIAS, _LARGEST_ROTATION = 0.2, 0.05
+_LEAST_RATE = 1e-290  # Hz, below which times overflow
 _MANY = 0.01  # of the rows; when more are left out, a warning says so
 
 
@@ -81,9 +82,9 @@ def read_gyro_log(
     """Read a gyro log and say what was understood (``log.summary``).
 
     A text table, gzipped or not, is separated by commas, semicolons, tabs or blanks; its numbers
-    may have decimal commas (quoted ones between commas). Names stand in its first lines, in a
+    may have decimal commas (quoted ones between commas). Names are in its first lines, in a
     comment too, a line of units may follow. The gyro's columns, and those of time,
-    accelerometer, magnetometer and attitude beside it, are found by the names that loggers write.
+    accelerometer, magnetometer and attitude next to it, are found by the names that loggers write.
     Where the columns are only x, y and z, the file's name has to say that they are a gyro's.
 
     Parameters
@@ -141,11 +142,11 @@ def read_gyro_log(
     _check_words(unit=unit, time_unit=time_unit, on_bad_rows=on_bad_rows)
     max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
     with ExitStack() as stack:
-        table: Table
-        if tabular(source):
-            table = Frame(source)
-        else:
-            table = Text(*stack.enter_context(opened(source)), progress)
+        table: Table = (
+            Frame(source)
+            if tabular(source)
+            else Text(*stack.enter_context(opened(source)), progress)
+        )
         try:
             places = _columns(table, columns, attitude_columns)
             clock = [] if rate is not None else _clock(table, time_column)
@@ -153,7 +154,7 @@ def read_gyro_log(
             unit = unit or names.rate_unit(axes)
         except GyroLogError as error:
             raise table.error(error) from None
-        hertz = None if clock else _rate(table, rate)
+        hertz = math.nan if clock else _rate(table, rate)
         wanted = [i for part in places.values() for i in part]
         values, raw = table.read(wanted, clock, numbers=3, strict=on_bad_rows == "refuse")
     if not len(values):
@@ -161,49 +162,44 @@ def read_gyro_log(
     shown = unit or _assumed_unit(table, axes[0], values[:, :3])
     with np.errstate(over="ignore"):
         values[:, :3] *= UNITS[shown]
-    if unit is None:
-        shown = f"{shown} (assumed)"
-    t, start = _sample_times(table, hertz, len(values)), 0.0
-    if raw is not None:
+    if raw is None:
+        t, start = np.arange(len(values)) / hertz, 0.0
+        timing, clock_name = f"{hertz:g} Hz", ""
+    else:
         t, start = stamps.times(table, clock, raw, time_unit)
-    clock_name = " and ".join(table.column(i) for i in clock)
-    usual = None if hertz is None else 1.0 / hertz
+        clock_name = " and ".join(table.column(i) for i in clock)
+        timing = f"time stamps in {clock_name}"
+    usual = None if clock else 1.0 / hertz
     samples = in_order(table, clock_name, t, values[:, :3], on_bad_rows, max_gap, usual)
     _check(table, samples, len(t), least=2 if clock else 1)
-    values = values[samples.rows]
-    values[samples.added, 3:] = np.nan
-    last = np.maximum.accumulate(np.where(samples.held, 0, np.arange(len(values))))
-    values[:, :3] = values[last, :3]
-    bias = _bias(table, samples.t, values[:, :3], bias_seconds)
-    values[:, :3] -= bias
-    widths = np.cumsum([len(part) for part in places.values()])
-    rates, accel, mag, quat = (
-        np.ascontiguousarray(x) if x.shape[1] else None
-        for x in np.split(values, widths[:-1], axis=1)
-    )
+    values = samples.of(values)
+    bias = np.zeros(3)
+    if bias_seconds is not None:
+        bias = _bias(table, samples.t, values[:, :3], bias_seconds)
+    widths = [len(found) for found in places.values()]
+    parts = np.split(values, np.cumsum(widths[:-1]), axis=1)
+    rates, accel, mag, attitudes = (np.ascontiguousarray(x) if x.size else None for x in parts)
     assert rates is not None
+    rates -= bias
     dt = np.diff(samples.t)
-    if hertz is not None and not samples.said:
+    if not (clock or samples.said):
         dt = np.full(len(dt), 1.0 / hertz)
-    mean_rate = 1.0 / float(np.mean(dt)) if len(dt) else hertz or math.nan
-    timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
-    accel_unit = "" if accel is None else _accel_in_si(table.column(places["accel"][0]), accel)
-    by_name = columns is None and places["gyro"] in names.triples(table.names, "unnamed")
+    mean_rate = 1.0 / float(np.mean(dt)) if len(dt) else hertz
     said = [
         f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
-        f"{', '.join(axes)} in {shown}",
-        "a gyro's, as the file's name or its comments say" if by_name else "",
-        *_beside(table, places, accel_unit),
-        ""
-        if bias_seconds is None
-        else f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off",
-        *samples.said,
+        f"{', '.join(axes)} in {shown}{'' if unit else ' (assumed)'}",
     ]
+    if columns is None and places["gyro"] in names.triples(table.names, "unnamed"):
+        said.append("a gyro's, as the file's name or its comments say")
+    said += _other_sensors(table, places, accel)
+    if bias_seconds is not None:
+        said.append(f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off")
     return GyroLog(
-        path=Path(table.name), columns=axes, unit=shown, timing=timing, rate=mean_rate, t=samples.t,
-        dt=dt, start=start + float(t[samples.rows[0]]), rates=rates, accel=accel, mag=mag,
-        attitudes=quat, summary="; ".join(filter(None, said)),
+        path=Path(table.name), columns=axes, unit=shown if unit else f"{shown} (assumed)",
+        timing=timing, rate=mean_rate, t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]),
+        rates=rates, accel=accel, mag=mag, attitudes=attitudes,
         pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
+        summary="; ".join([*said, *samples.said]),
     )  # fmt: skip
 
 
@@ -217,10 +213,7 @@ def _check_words(**given: str | None) -> None:
 def _span(name: str, seconds: float | None) -> float | None:
     if seconds is None:
         return None
-    number = checks.any_real(name, seconds, "a number above 0")
-    if not number > 0.0:
-        raise GyroLogError(f"{name}: found {number}; accepted: a number above 0, s")
-    return number
+    return checks.above_zero(name, seconds, "a number above 0, s", finite=False)
 
 
 def _columns(
@@ -258,10 +251,10 @@ def _clock(table: Table, time_column: str | None) -> list[int]:
 
 
 def _rate(table: Table, rate: float | None) -> float:
-    """The sample rate that is said, or the file's."""
+    """The sample rate that is given, or the file's."""
     if rate is not None:
         number = checks.real("rate", rate)
-        if not (number > 0.0 and math.isfinite(1.0 / number)):
+        if not number > _LEAST_RATE:
             raise GyroLogError(f"rate: found {number}; accepted: a sample rate above 0, Hz")
         return number
     if len(table.rates) > 1:
@@ -275,14 +268,6 @@ def _rate(table: Table, rate: float | None) -> float:
     return table.rates[0]
 
 
-def _sample_times(table: Table, hertz: float | None, n: int) -> NDArray[np.float64]:
-    with np.errstate(over="ignore"):
-        t = np.arange(n) / (hertz or 1.0)
-    if not math.isfinite(t[-1]):
-        raise table.error(f"found {n} samples at the rate {hertz:g} Hz; accepted: more")
-    return t
-
-
 def _check(table: Table, samples: Samples, n: int, least: int) -> None:
     """Refuse a log of too few samples; warn where many rows are left out, or moved."""
     kept = int((~samples.added).sum())
@@ -290,21 +275,16 @@ def _check(table: Table, samples: Samples, n: int, least: int) -> None:
         found = f"{kept} of {n} rows that are samples"
         raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
     if n - kept > _MANY * n:
-        told = ", ".join(samples.said)
-        _warn(f"{table.name}: {n - kept} of {n} rows are left out ({told})")
+        counts = ", ".join(samples.said)
+        _warn(f"{table.name}: {n - kept} of {n} rows are left out ({counts})")
     if samples.spread:
         _warn(f"{table.name}: rows that share time stamps are spread evenly, unless rate says")
 
 
 def _bias(
-    table: Table, t: NDArray[np.float64], rates: NDArray[np.float64], wanted: float | None
+    table: Table, t: NDArray[np.float64], rates: NDArray[np.float64], wanted: float
 ) -> NDArray[np.float64]:
-    """The mean rate of a start at rest.
-
-    Raises ``GyroLogError`` where the log is shorter, or the body moves.
-    """
-    if wanted is None:
-        return np.zeros(3)
+    """The mean rate of a start at rest; refuses a shorter log, and a body that moves."""
     rest = t < wanted
     if rest.all() or rest.sum() < 2:
         found = "one sample in the first" if rest.sum() == 1 else "all of the log in the first"
@@ -339,10 +319,11 @@ def _assumed_unit(table: Table, name: str, rates: NDArray[np.float64]) -> str:
     return unit
 
 
-def _beside(table: Table, places: dict[str, list[int]], accel_unit: str) -> Iterator[str]:
-    """What was found beside the gyro."""
+def _other_sensors(table: Table, places: dict[str, list[int]], accel: Any) -> Iterator[str]:
+    """Scale the accelerometer to m/s²; what was found in addition to the gyro."""
     if places["accel"]:
-        yield f"accelerometer in {accel_unit}: {table.column(places['accel'][0])} ..."
+        name = table.column(places["accel"][0])
+        yield f"accelerometer in {_accel_in_si(name, accel)}: {name} ..."
     if places["mag"]:
         yield f"magnetometer: {table.column(places['mag'][0])} ..."
 
@@ -353,11 +334,12 @@ def _accel_in_si(name: str, accel: NDArray[np.float64]) -> str:
     size = np.sqrt((accel * accel).sum(axis=1))
     size = size[np.isfinite(size)]
     usual = float(np.median(size)) if size.size else math.nan
-    scale = scale or (names.STANDARD_GRAVITY if 0.8 < usual < 1.25 else None)
-    accel *= scale or 1.0
-    if scale is None and not 0.8 < usual / names.STANDARD_GRAVITY < 1.25:
-        return "a unit not known"
-    return "m/s²" if scale in (1.0, None) else "g"
+    if scale is None and 0.8 < usual < 1.25:
+        scale = names.STANDARD_GRAVITY
+    if scale is None:
+        return "m/s²" if 0.8 < usual / names.STANDARD_GRAVITY < 1.25 else "a unit not known"
+    accel *= scale
+    return "m/s²" if scale == 1.0 else "g"
 
 
 def _largest(x: NDArray[np.float64]) -> float:

@@ -40,7 +40,7 @@ _QUAT = re.compile(
     r"|(?P<numbered>q|quat)[\[_]?(?P<number>[0-3])\]?",
     re.IGNORECASE,
 )
-# beside a gyro's rates stand numbers about them
+# columns about a gyro's rates that are not rates
 _NOT_RATES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
@@ -58,7 +58,7 @@ _TIME = re.compile(
     r"|ns|nsec|nano(second)?s)?"
 )
 _STAMP = re.compile(r"(.*[./])?header[./]stamp", re.IGNORECASE)
-# whole seconds of ROS, and the nanoseconds beside them
+# whole seconds of ROS, next to a column of nanoseconds
 _STAMP_SECONDS = re.compile(r"((?:.*[./])?stamp[./_])secs?", re.IGNORECASE)
 _UNIT = re.compile(
     r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms]"
@@ -72,7 +72,7 @@ _BY_CONVENTION = {"rad/s": re.compile(r"angular_velocity[./]"), "deg/s": re.comp
 
 
 def printable(name: object) -> str:
-    """A name of a column as it can stand in a message."""
+    """A name of a column as a message prints it."""
     return "".join(c if c.isprintable() else "?" for c in " ".join(str(name).split()))
 
 
@@ -139,7 +139,7 @@ def quaternion(names: Sequence[str]) -> list[int] | None:
 def clock(names: Sequence[str]) -> list[int]:
     """The column of time stamps: a sensor's own, else one with a unit, else any; none: [].
 
-    Where there is none, those of whole seconds and the nanoseconds beside them.
+    Where there is none, those of whole seconds and of nanoseconds.
 
     Raises ``GyroLogError`` for more than one.
     """

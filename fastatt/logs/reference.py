@@ -1,8 +1,9 @@
-"""Attitudes beside a reference's: clocks and frames aligned, the angle left."""
+"""Attitudes compared with a reference's: clocks and frames aligned, the angle that remains."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -22,11 +23,11 @@ from fastatt.logs.text import Text, opened
 Floats = NDArray[np.float64]
 _LEAST = 10  # attitudes of the reference within the log
 _FITTED = 2000  # of them, at most, the clocks and frames are fitted to
-_TURN = 0.25  # s over which turns are compared
-_SHIFT = 1.0  # s that clocks which say the same time may be apart
-_ALIKE = 0.5  # correlation of the angular speeds from which on they tell the time
-_EVEN = 0.01  # deviation of a speed, of its largest, that tells no time
-_LINE = 0.1  # of the turning about other axes than one, from which on body axes are told by it
+_SPAN = 0.25  # s, the rotations that body axes are found by
+_SHIFT = 1.0  # s that clocks with times in common may be apart
+_ALIKE = 0.5  # correlation of angular speeds from which on they align the clocks
+_EVEN = 0.01  # deviation of a speed relative to its largest, below which it aligns nothing
+_LINE = 0.1  # of the rotation about other axes than one, from which on it aligns body axes
 
 
 @dataclass(frozen=True)
@@ -44,24 +45,23 @@ class Comparison:
 
     Attributes
     ----------
-    t, angle : (m,), s of the log, and the angle left, rad, at the reference's instants.
+    t, angle : (m,), s of the log, and the angle that remains, rad, at the reference's instants.
     shift : s that the reference's clock is ahead of the log's.
-    world, body : (4,): q_reference ≈ world∘q∘body, the other inertial frame and body axes.
-    told : whether the motion told ``shift`` and ``body``; else the clocks, and equal axes, hold.
+    body : (4,): q_reference ≈ world∘q∘body with constant world.
+    aligned : whether the motion gave ``shift``, and ``body``; else the clocks and axes are equal.
     """
 
     t: Floats
     angle: Floats
     shift: float
-    world: Floats
     body: Floats
-    told: tuple[bool, bool]
+    aligned: tuple[bool, bool]
 
     def __str__(self) -> str:
         degrees = np.degrees(self.angle)
-        turn = math.degrees(float(angle_between(self.body, [1.0, 0.0, 0.0, 0.0])))
-        clocks = f"clocks {self.shift:.4g} s apart" if self.told[0] else "clocks as they are"
-        axes = f"body axes turned by {turn:.3g} deg" if self.told[1] else "body axes as they are"
+        between = math.degrees(float(angle_between(self.body, [1.0, 0.0, 0.0, 0.0])))
+        clocks = f"clocks {self.shift:.4g} s apart" if self.aligned[0] else "clocks as they are"
+        axes = f"body axes {between:.3g} deg apart" if self.aligned[1] else "body axes as they are"
         return (
             f"{len(degrees)} reference attitudes ({clocks}, {axes}): angle rms "
             f"{math.sqrt(float(np.mean(degrees**2))):.3g}, median {np.median(degrees):.3g}, "
@@ -70,12 +70,7 @@ class Comparison:
 
 
 def read_attitudes(source: Any) -> Reference:
-    """A table of time stamps and attitudes: of EuRoC, TUM, motion capture, or fastatt's own.
-
-    Raises
-    ------
-    GyroLogError : columns, stamps or rows that are no attitudes.
-    """
+    """A table of time stamps and attitudes: of EuRoC, TUM, motion capture, or fastatt itself."""
     with opened(source) as (name, stream):
         table = Text(name, stream, None)
         quat = names.quaternion(table.names)
@@ -101,80 +96,59 @@ def against_reference(
 ) -> Comparison:
     """The angle between attitudes and a reference's, whose clock and frames may be others.
 
-    The clocks are shifted against each other such that the angular speeds correlate best, by at
-    most 1 s where both say the same time. The body axes are those that turn the turns over 0.25 s
-    into each other (Wahba), the inertial frame is the mean one.
+    The clocks are shifted such that the angular speeds correlate best, by at most 1 s where they
+    have times in common. The body axes are those that map the rotations over 0.25 s onto each other
+    (Wahba), the inertial frame is the mean one. ``t`` (n,), s, is 0 where the log's clock says
+    ``start``.
 
-    Parameters
-    ----------
-    t, q : (n,) and (n, 4), s from the first, attitudes body to inertial, scalar first.
-    reference : attitudes of the same body, each in frames that do not change.
-    start : s that the clock says at ``t`` = 0.
-
-    Raises
-    ------
-    ValueError : clocks without a time in common, and speeds that do not tell the shift; fewer than
-        10 attitudes of the reference within the log.
+    Raises ``GyroLogError`` for clocks that have no time in common and speeds that do not align
+    them, and fewer than 10 attitudes of the reference within the log.
     """
     when, attitudes = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
-    own = reference.t + (reference.start - start)
-    common = own[0] < when[-1] and when[0] < own[-1]
-    step = max(float(np.median(np.diff(x))) for x in (when, own))
-    ahead = (own[0] - when[0]) / step
-    near = _SHIFT / step if common else math.inf
-    delay, alike = _shift(
-        _speeds(when, attitudes, step),
-        _speeds(own, reference.q, step),
-        (ahead - near, ahead + near),
-    )
-    told = alike > _ALIKE
-    if not (told or common):
+    theirs = reference.t + (reference.start - start)
+    in_common = theirs[0] < when[-1] and when[0] < theirs[-1]
+    step = max(float(np.median(np.diff(x))) for x in (when, theirs))
+    speeds = _speeds(when, attitudes, step), _speeds(theirs, reference.q, step)
+    ahead = (theirs[0] - when[0]) / step
+    delay, alike = _delay(*speeds, ahead, _SHIFT / step if in_common else math.inf)
+    aligned = alike > _ALIKE
+    if not (aligned or in_common):
         raise GyroLogError(
             "reference: its clock has no time in common with the log's, and the angular speeds do "
-            f"not tell the shift (correlation {alike:.2f}); accepted: times that overlap"
+            f"not give the shift (correlation {alike:.2f}); accepted: times that overlap"
         )
     shift = 0.0
-    if told:
+    if aligned:
 
-        def apart(s: float) -> float:
-            return _fitted(when, attitudes, own - s, reference.q)[0]
+        def apart(shift: float) -> float:
+            angle, _ = _angles(when, attitudes, theirs - shift, reference.q, _FITTED)
+            return float(np.mean(angle**2))
 
-        shift = _nearest(apart, (ahead - delay) * step, step)
-    _, world, body = _fitted(when, attitudes, own - shift, reference.q)
-    inside = _inside(when, own - shift)
-    at = (own - shift)[inside]
-    moved = quat_multiply(world, quat_multiply(_at(when, attitudes, at), body))
-    angle = np.asarray(angle_between(moved, reference.q[inside]))
-    return Comparison(at, angle, float(shift), world, body, (told, bool(body[0] != 1.0)))
-
-
-def _inside(t: Floats, own: Floats) -> NDArray[np.bool_]:
-    inside: NDArray[np.bool_] = (own >= t[0]) & (own <= t[-1])
-    if inside.sum() < _LEAST:
-        raise GyroLogError(
-            f"reference: {inside.sum()} attitudes within the log's time; accepted: at least "
-            f"{_LEAST}"
-        )
-    return inside
+        shift = _least(apart, (ahead - delay) * step, 2.0 * step)
+    theirs = theirs - shift
+    angle, body = _angles(when, attitudes, theirs, reference.q, len(theirs))
+    at = theirs[(theirs >= when[0]) & (theirs <= when[-1])]
+    return Comparison(at, angle, float(shift), body, (aligned, bool(body[0] != 1.0)))
 
 
 def _at(t: Floats, q: Floats, at: Floats) -> Floats:
     """Attitudes at times within t, by a constant rate between neighbours."""
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     part = ((at - t[k]) / (t[k + 1] - t[k]))[:, None]
-    turn = rotation_vector_to_quat(attitude_error(q[k], q[k + 1]) * part)
-    return np.asarray(quat_multiply(q[k], turn))
+    return np.asarray(
+        quat_multiply(q[k], rotation_vector_to_quat(attitude_error(q[k], q[k + 1]) * part))
+    )
 
 
 def _speeds(t: Floats, q: Floats, step: float) -> Floats:
-    """Angles turned over steps, which are the same in all frames."""
+    """Angles of rotation over steps, which are equal in all frames."""
     n = min(int((t[-1] - t[0]) / step), 1_000_000)
     even = _at(t, q, t[0] + step * np.arange(n + 1))
     return np.asarray(angle_between(even[1:], even[:-1]))
 
 
-def _shift(a: Floats, b: Floats, allowed: tuple[float, float]) -> tuple[int, float]:
-    """Steps by which b has to be delayed to fit a best, and the correlation where they overlap."""
+def _delay(a: Floats, b: Floats, ahead: float, near: float) -> tuple[int, float]:
+    """Steps by which b fits a best, at most ``near`` from ``ahead``, and the correlation."""
     if min(float(x.std() / max(x.max(), 1e-300)) for x in (a, b)) < _EVEN:
         return 0, 0.0
     a, b = a - a.mean(), b - b.mean()
@@ -182,44 +156,43 @@ def _shift(a: Floats, b: Floats, allowed: tuple[float, float]) -> tuple[int, flo
     delays = np.arange(1 - len(b), len(a))
     products = np.fft.irfft(np.fft.rfft(a, n) * np.conj(np.fft.rfft(b, n)), n)[delays]
     first, last = np.maximum(delays, 0), np.minimum(delays + len(b), len(a))
-    squares = [np.concatenate([[0.0], np.cumsum(x * x)]) for x in (a, b)]
-    size = np.sqrt(
-        (squares[0][last] - squares[0][first])
-        * (squares[1][last - delays] - squares[1][first - delays])
-    )
-    usable = (last - first >= min(len(a), len(b)) // 2) & (size > 0.0)
-    usable &= (delays >= allowed[0]) & (delays <= allowed[1])
-    alike = np.where(usable, products / np.where(size > 0.0, size, 1.0), -1.0)
+    of_a, of_b = (np.append(0.0, np.cumsum(x * x)) for x in (a, b))
+    size = np.sqrt((of_a[last] - of_a[first]) * (of_b[last - delays] - of_b[first - delays]))
+    usable = (last - first >= min(len(a), len(b)) // 2) & (np.abs(delays - ahead) <= near)
+    alike = np.divide(products, size, out=-np.ones(len(delays)), where=usable & (size > 0.0))
     k = int(np.argmax(alike))
     return int(delays[k]), float(alike[k])
 
 
-def _fitted(t: Floats, q: Floats, own: Floats, reference: Floats) -> tuple[float, Floats, Floats]:
-    """The mean square angle, the turns of the inertial frame and of the body axes."""
-    where = np.flatnonzero(_inside(t, own))
-    where = where[:: -(-len(where) // _FITTED)]
-    a, b = _at(t, q, own[where]), reference[where]
-    apart = max(1, round(_TURN / float(np.median(np.diff(own[where])))))
+def _angles(
+    t: Floats, q: Floats, theirs: Floats, reference: Floats, most: int
+) -> tuple[Floats, Floats]:
+    """Angles at up to ``most`` of the reference's instants, and its body axes."""
+    where = np.flatnonzero((theirs >= t[0]) & (theirs <= t[-1]))
+    if len(where) < _LEAST:
+        raise GyroLogError(
+            f"reference: {len(where)} attitudes within the log's time; accepted: at least {_LEAST}"
+        )
+    where = where[:: -(-len(where) // most)]
+    a, b = _at(t, q, theirs[where]), reference[where]
     body = np.array([1.0, 0.0, 0.0, 0.0])
+    apart = max(1, round(_SPAN / float(np.median(np.diff(theirs[where])))))
     if apart < len(where):
-        theirs, ours = (attitude_error(x[:-apart], x[apart:]) for x in (b, a))
-        size = np.linalg.norm(ours, axis=1) * np.linalg.norm(theirs, axis=1)
+        of_a, of_b = (attitude_error(x[:-apart], x[apart:]) for x in (a, b))
+        size = np.sqrt(np.linalg.norm(of_a, axis=1) * np.linalg.norm(of_b, axis=1))
         moving = size > 0.0
-        size = np.sqrt(size[moving])
-        if moving.sum() > 1:
-            sigma = _LINE * math.sqrt(float(size @ size)) / size
-            with suppress(ValueError):  # turns about one axis only
-                body, _ = attitude_from_vectors(theirs[moving], ours[moving], sigma)
-    moved = quat_multiply(a, body)
-    world = mean_attitude(quat_multiply(b, moved * [1, -1, -1, -1]))
-    angle = np.asarray(angle_between(quat_multiply(world, moved), b))
-    return float(np.mean(angle**2)), world, body
+        sigma = _LINE * np.linalg.norm(size) / size[moving]
+        with suppress(ValueError):  # rotations about one axis only, or none
+            body, _ = attitude_from_vectors(of_b[moving], of_a[moving], sigma)
+    a = quat_multiply(a, body)
+    world = mean_attitude(quat_multiply(b, a * [1, -1, -1, -1]))
+    return np.asarray(angle_between(quat_multiply(world, a), b)), body
 
 
-def _nearest(f: Any, x: float, width: float) -> float:
+def _least(f: Callable[[float], float], x: float, width: float) -> float:
     """Where f is least, near x: golden section."""
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
-    low, high = x - 2.0 * width, x + 2.0 * width
+    low, high = x - width, x + width
     for _ in range(24):
         a, b = high - ratio * (high - low), low + ratio * (high - low)
         low, high = (low, b) if f(a) < f(b) else (a, high)

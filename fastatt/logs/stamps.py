@@ -172,7 +172,7 @@ def unit_of(table: Table, clock: list[int], stamps: NDArray[Any], said: str | No
     middle = float(np.median(numbers))
     dated = [u for u in possible if _EPOCH[0] < middle / TIME_UNITS[u] < _EPOCH[1]]
     dated = [u for u in dated if _SLOWEST_EPOCH < hertz[u] <= FASTEST]
-    # stamps in the range of dates have the dates' unit: at a slow rate too they are no other's
+    # stamps in the range of dates have the dates' unit, at a slow rate too
     guessed = dated or [u for u in possible if _USUAL[0] <= hertz[u] < _USUAL[1]]
     doubtful = not dated and guessed == ["ms"] and hertz["s"] > _SLOW
     if len(guessed) != 1 or doubtful or (dated and hertz[dated[0]] <= SLOWEST):

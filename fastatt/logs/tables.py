@@ -1,4 +1,4 @@
-"""Tables by their columns: what is known of one, and those in memory (data frames, mappings)."""
+"""Tables by their columns, and those in memory: data frames, data sets, mappings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fastatt.logs.names import GyroLogError
 
 @dataclass
 class Table:
-    """What is known of a table before its rows are read."""
+    """A table before its rows are read: its columns, and what its first lines say."""
 
     name: str  # of the file, for messages
     names: list[str]  # of the columns; none where they are not known

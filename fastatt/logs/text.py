@@ -93,18 +93,29 @@ class Text(Table):
         self, wanted: list[int], clock: list[int], *, numbers: int, strict: bool
     ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
         """As ``Table.read`` says."""
-        needed = [*wanted[:numbers], *clock]
         kinds: list[tuple[int, stamps.Kind]] = [(i, "float") for i in wanted]
         kinds += [(i, self._kind(i, clock)) for i in clock]
+        needed = [*range(numbers), *range(len(wanted), len(kinds))] if strict else []
         parts, line = [], self._first_line
         for block in chain([self._first], self._blocks):
             content = self._clean(block)
-            found = self._fast(content, line, kinds)
-            if found is None or (strict and not _complete(found[1], kinds, needed)):
-                found = self._by_rows(content, line, kinds, needed if strict else [])
-            self._lines.append(found[0])
-            parts.append(found[1])
-            line += content.count(b"\n")
+            end = line + content.count(b"\n")
+            lines: Sequence[int] = range(line, end + (not content.endswith(b"\n")))
+            columns = self._by_pyarrow(content, kinds)
+            if columns is None:
+                texts = content.decode("utf-8", "replace").split("\n")
+                lines = [k for k, text in enumerate(texts, line) if text.strip()]
+                rows = [self._row(texts[k - line]) for k in lines]
+                columns = [stamps.from_text(kind, [row[i] for row in rows]) for i, kind in kinds]
+            bad = [~stamps.known(columns[k]) for k in needed]
+            if np.any(bad):
+                row = int(np.argmax(np.logical_or.reduce(bad)))
+                i, kind = next(kinds[k] for k, x in zip(needed, bad, strict=True) if x[row])
+                text = content.split(b"\n")[lines[row] - line].decode("utf-8", "replace")
+                raise self._refusal(text, lines[row], i, kind)
+            self._lines.append(lines)
+            parts.append(columns)
+            line = end
             self._progress(len(block))
         self._first = b""
         joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
@@ -139,98 +150,87 @@ class Text(Table):
     def _cut(self, text: str) -> list[str]:
         return [cell.strip() for cell in text.lstrip("\ufeff").split(self.delimiter)]
 
-    def _fast(
-        self, content: bytes, line: int, kinds: list[tuple[int, stamps.Kind]]
-    ) -> tuple[Sequence[int], list[NDArray[Any]]] | None:
-        """Lines and columns by pyarrow; None where it isn't installed or met anything odd."""
+    def _row(self, text: str) -> list[str]:
+        """Cells of a line; empty ones where a column is missing or added."""
+        cells = self._cut(text)
+        if not self._complete(cells):
+            cells = []
+        return cells + [""] * (self.n_columns - len(cells))
+
+    def _complete(self, cells: list[str]) -> bool:
+        # empty cells at the end of a line may be missing
+        return len(cells) == self.n_columns or _used(cells) == self._n_used
+
+    def _refusal(self, text: str, line: int, i: int, kind: stamps.Kind) -> GyroLogError:
+        """What is wrong with a line whose column i holds no number or time stamp."""
+        cells = self._cut(text)
+        if not self._complete(cells):
+            return self.error(
+                f"line {line}: found {len(cells)} columns; accepted: {self.n_columns}, as in line "
+                f"{self._first_line}"
+            )
+        return self.error(
+            f"line {line}: {self.column(i)[:60]} is {self._row(text)[i][:60]!r}; accepted: "
+            f"{_MEANT[kind]}, or on_bad_rows, to say what becomes of such rows"
+        )
+
+    def _by_pyarrow(
+        self, content: bytes, kinds: list[tuple[int, stamps.Kind]]
+    ) -> list[NDArray[Any]] | None:
+        """Columns; None where pyarrow is not installed or would skip or refuse a line."""
         try:
             import pyarrow as pa
             from pyarrow import csv
         except ImportError:
             return None
-        if len(dict(kinds)) < len(kinds):  # a column of numbers and of stamps
+        numbers = {"float": pa.float64(), "int": pa.int64()}
+        types = {str(i): numbers.get(kind, pa.string()) for i, kind in kinds}
+        if len(types) < len(kinds):  # a column of numbers and of stamps
             return None
-        types = {"float": pa.float64(), "int": pa.int64()}
+        if content.startswith(b"\n") or b"\n\n" in content:  # pyarrow skips blank lines
+            return None
         try:
             table = csv.read_csv(
                 pa.BufferReader(content),
                 csv.ReadOptions(column_names=[str(i) for i in range(self.n_columns)]),
                 csv.ParseOptions(delimiter=self.delimiter, quote_char=False),
                 csv.ConvertOptions(
-                    include_columns=[str(i) for i, _ in kinds],
-                    column_types={str(i): types.get(kind, pa.string()) for i, kind in kinds},
-                    null_values=[""],
+                    include_columns=list(types), column_types=types, null_values=[""]
                 ),
             )
         except pa.ArrowInvalid:
             return None
-        n = content.count(b"\n") + (not content.endswith(b"\n"))
-        lines: Sequence[int] = range(line, line + n)
-        if table.num_rows != n:  # blank lines
-            lines = [k for k, x in enumerate(content.split(b"\n"), line) if x]
         columns = []
-        for i, kind in kinds:
-            column = table[str(i)]
+        for column, (_, kind) in zip(table.columns, kinds, strict=True):
             if kind == "int" and column.null_count:
                 return None
-            if kind in ("float", "int"):
+            if kind in numbers:
                 columns.append(column.to_numpy())
             else:
                 columns.append(stamps.from_text(kind, [x or "" for x in column.to_pylist()]))
-        return lines, columns
-
-    def _by_rows(
-        self, content: bytes, first: int, kinds: list[tuple[int, stamps.Kind]], needed: list[int]
-    ) -> tuple[Sequence[int], list[NDArray[Any]]]:
-        """The same, row by row; a row with a column lost or added holds no number.
-
-        Raises ``GyroLogError`` for the first row where a column that is needed holds none.
-        """
-        texts = enumerate(content.decode("utf-8", "replace").split("\n"), first)
-        found = [(k, self._cut(text)) for k, text in texts if text.strip()]
-        lines, rows = [k for k, _ in found], [row for _, row in found]
-        for k, row in enumerate(rows):
-            even = len(row) == self.n_columns or _used(row) == self._n_used
-            if needed and not even:
-                raise self.error(
-                    f"line {lines[k]}: found {len(row)} columns; accepted: {self.n_columns}, as in "
-                    f"line {self._first_line}"
-                )
-            # empty cells at the end need not be there
-            rows[k] = (row if even else []) + [""] * (self.n_columns - even * len(row))
-        columns = [stamps.from_text(kind, [row[i] for row in rows]) for i, kind in kinds]
-        for (i, kind), column in zip(kinds, columns, strict=True):
-            good = stamps.known(column)
-            if i in needed and not good.all():
-                k = int(np.argmin(good))
-                raise self.error(
-                    f"line {lines[k]}: {self.column(i)[:60]} is {rows[k][i][:60]!r}; accepted: "
-                    f"{_MEANT[kind]}, or on_bad_rows, to say what becomes of such rows"
-                )
-        return lines, columns
+        return columns
 
 
 @contextmanager
 def opened(source: Any) -> Iterator[tuple[str, Any]]:
     """A name and a stream of bytes of a path, "-" (standard input) or an open file; gzip too."""
     with ExitStack() as stack:
+        name = getattr(source, "name", "the file")
+        if isinstance(source, str) and source == "-":
+            name, source = "standard input", sys.stdin
         if hasattr(source, "read"):
-            stream, name = getattr(source, "buffer", source), getattr(source, "name", "the file")
-        elif isinstance(source, str) and source == "-":
-            stream, name = sys.stdin.buffer, "standard input"
+            stream = getattr(source, "buffer", source)
         elif isinstance(source, (str, PathLike)) and "\0" not in str(source):
-            stream, name = stack.enter_context(Path(source).open("rb")), source
+            name, stream = str(source), stack.enter_context(Path(source).open("rb"))
         else:
             raise TypeError(
                 f'source: found {checks.brief(source)}; accepted: a file\'s name, "-", an open '
                 "file, a data frame or a data set"
             )
         if not hasattr(stream, "peek"):
-            if not hasattr(stream, "readinto"):
-                data = stream.read()
-                stream = io.BytesIO(data.encode() if isinstance(data, str) else data)
-            stream = io.BufferedReader(stream)
-            stack.callback(stream.detach)  # it is the caller's to close
+            data = stream.read()
+            data = data.encode() if isinstance(data, str) else data
+            stream = io.BufferedReader(io.BytesIO(data))
         zipped = stream.peek(2)[:2] == b"\x1f\x8b"
         try:
             yield str(name), gzip.GzipFile(fileobj=stream) if zipped else stream
@@ -245,13 +245,6 @@ def _whole_lines(stream: Any) -> Iterator[bytes]:
     while data := stream.read(BYTES):
         data += stream.readline()
         yield data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
-
-
-def _complete(
-    columns: list[NDArray[Any]], kinds: list[tuple[int, stamps.Kind]], needed: list[int]
-) -> bool:
-    pairs = zip(kinds, columns, strict=True)
-    return all(bool(stamps.known(column).all()) for (i, _), column in pairs if i in needed)
 
 
 def _header(

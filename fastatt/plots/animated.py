@@ -18,7 +18,7 @@ from fastatt.plots.drawing import COLOURS, check_run, space_on
 from fastatt.propagation.interpolation import interpolate
 from fastatt.propagation.trajectory import Trajectory
 
-# half lengths of the box: no two alike, so that every attitude looks different
+# half lengths of the box: no two equal, so that no two attitudes are drawn alike
 _BOX = np.array([0.75, 0.5, 0.2])
 _LONGEST = 10.0
 # elevation and azimuth, deg
@@ -34,7 +34,7 @@ def animation(
 
     Parameters
     ----------
-    run : with two saves at least, at most half a turn apart.
+    run : with two saves at least, at most 180° apart.
     path : ends with .gif, or .mp4 where ffmpeg is installed.
     body : which of an ensemble.
     seconds : how long the film takes; None is as long as the motion, at most 10 s.

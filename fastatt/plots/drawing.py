@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.propagation.trajectory import Trajectory
 
-# Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
+# Okabe and Ito's colours, which colour-blind readers distinguish; in grey the markers differ
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
 

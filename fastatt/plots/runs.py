@@ -28,9 +28,9 @@ from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
-# saves of an ensemble that are drawn; more can't be told apart
+# saves of an ensemble that are drawn
 _SAVES = 500
-# bodies whose curves can be told apart, and those that are drawn of many
+# bodies whose curves are drawn at most, and by default
 _CURVES, _CHOSEN = 8, 4
 _STYLES = ("-", "--", "-.")
 # deg; angles that change by more from save to save have passed a pole or 180°
@@ -44,14 +44,14 @@ def history(
 
     Of one body its 3-1-3 angles in degrees or, with ``attitude="axis"``, its third axis in space,
     and its rates; of many the percentiles, at up to 500 saves, of the angle from the first save and
-    of |w|. The drift is the departure from the group and, with the scene given, that of energy and
-    momentum, as :func:`fastatt.drift` says; of many bodies the median and the largest.
+    of |w|. The drift is the norm error and, with the scene given, that of energy and momentum, as
+    :func:`fastatt.drift` defines it; of many bodies the median and the largest.
 
     Parameters
     ----------
     run : with two saves at least.
     path : of the picture; its ending says the format (png, pdf, svg).
-    scene : what acts, for energy and momentum.
+    scene : the run's, for energy and momentum.
     attitude : "angles" or "axis".
 
     Raises
@@ -154,30 +154,13 @@ def _title(run: Trajectory) -> str:
     )
 
 
-def _numbers(run: Trajectory) -> NDArray[np.bool_]:
-    """Which bodies are finite at every save, (N,)."""
-    found = [np.isfinite(x).all(axis=(0, 2)) for x in (run.state, *run.carried.values())]
-    return np.asarray(np.logical_and.reduce(found))
-
-
-def _finite(run: Trajectory, scene: Scene) -> tuple[Trajectory, Scene]:
-    """The bodies with inertia that are finite at every save."""
-    kept = _numbers(run)
-    if kept.all() or not kept.any():
-        return run, scene
-    return replace(_part(run, np.s_[:, kept]), status=run.status[kept]), scene[kept]
-
-
 def _thinned(run: Trajectory) -> Trajectory:
-    """The same with fewer saves, the first and the last among them."""
+    """Some saves of a run, the first and the last among them."""
     kept = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), _SAVES)).astype(int))
-    return replace(_part(run, kept), t=run.t[kept])
-
-
-def _part(run: Trajectory, at: Any) -> Trajectory:
-    """Some saves or bodies of a run's states."""
-    carried = {name: x[at] for name, x in run.carried.items()}
-    return replace(run, state=run.state[at], norm_error=run.norm_error[at], carried=carried)
+    carried = {name: x[kept] for name, x in run.carried.items()}
+    return replace(
+        run, t=run.t[kept], state=run.state[kept], norm_error=run.norm_error[kept], carried=carried
+    )
 
 
 def _legend(axes: Any) -> None:
@@ -232,7 +215,7 @@ def _of_one(run: Trajectory, values: NDArray[Any]) -> NDArray[Any]:
 def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
     found: dict[str, Any] = {"from the group": np.abs(run.norm_error)}
     if scene is not None and as_scene(scene).inertia is not None:
-        measured = drift(*_finite(run, scene))
+        measured = drift(run, scene)
         found |= {"energy": measured.energy, "momentum": measured.momentum}
     for k, (name, values) in enumerate(found.items()):
         if values is None:

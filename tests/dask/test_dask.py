@@ -233,17 +233,16 @@ def test_drift_of_a_lost_body_is_infinite():
 def test_work_precision_of_all_bodies():
     runs = [("rk4", 100), ("rk4", 50), ("strang2", 50)]
     tables = [
-        fd.work_precision(OWN, Q0, W0, t_end=1.0, runs=runs, reference=known, chunks=chunks)
-        for chunks, known in ((33, None), (70, None), (70, ("rk8", 400)))
+        fd.work_precision(OWN, Q0, W0, t_end=1.0, runs=runs, chunks=chunks) for chunks in (33, 70)
     ]
-    found, other, against_rk8 = dask.compute(*tables)
+    found, other = dask.compute(*tables)
     exact = fa.closed_form.free_body(Q0, W0, OWN.inertia, 1.0)[0]
     assert [(r.method, r.dt) for r in found.rows] == [
         ("rk4", 0.02),
         ("rk4", 0.01),
         ("strang2", 0.02),
     ]
-    for one, same_row, near in zip(found.rows, other.rows, against_rk8.rows, strict=True):
+    for one, same_row in zip(found.rows, other.rows, strict=True):
         last = fa.propagate(
             OWN, Q0, W0, dt=one.dt, n_steps=round(1.0 / one.dt), method=one.method
         ).q[-1]
@@ -252,11 +251,7 @@ def test_work_precision_of_all_bodies():
         assert one.error_median == np.median(error) == same_row.error_median
         assert one.error_p95 == np.quantile(error, 0.95)
         assert one.order == same_row.order
-        assert abs(near.error_max - one.error_max) <= (
-            found.reference_error + against_rk8.reference_error
-        )
     assert found.reference == "the closed form"
-    assert against_rk8.reference == "rk8 at 0.0025 s"
     assert found.n_bodies == found.sampled == N
 
 
@@ -302,12 +297,6 @@ def of_unknown_size():
         ),
         (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=[]), "runs: found none"),
         (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=["rk4"]), "runs: found 'rk4'"),
-        (
-            lambda: fd.work_precision(
-                SHARED, Q0, W0, t_end=1.0, runs=[("rk4", 9)], reference=("rk8", 1)
-            ),
-            "reference: found 1 step",
-        ),
     ],
 )
 def test_wrong_arguments_are_named_before_anything_runs(call, message):

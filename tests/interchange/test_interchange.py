@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import ahrs
 import numpy as np
 import pytest
@@ -36,15 +34,13 @@ def test_scipy_there_and_back():
     assert np.abs(rotation.as_rotvec() - fa.quat_to_rotation_vector(Q)).max() <= 16 * EPS
 
 
-def test_scipy_histories_and_the_version_they_need(monkeypatch):
+def test_scipy_histories():
     history = Q.reshape(5, 10, 4)
-    monkeypatch.setattr(scipy, "__version__", "1.16.3")
-    with pytest.raises(ImportError, match=r"scipy: found 1.16.3; accepted .*\(5, 10, 4\): 1.17 or"):
-        fa.to_scipy(history)
-    assert fa.to_scipy(Q).as_quat().shape == (50, 4)
-    monkeypatch.undo()
     if tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 17):
         same(fa.from_scipy(fa.to_scipy(history)), history)
+    else:
+        with pytest.raises(ValueError, match="shape"):
+            fa.to_scipy(history)
 
 
 def test_initial_attitudes_as_rotations():
@@ -124,19 +120,9 @@ def test_modified_rodrigues_parameters():
     same(ic.from_mrp(-s / z[:, 0]), Q)  # the shadow set
 
 
-def test_gibbs():
-    u = fa.quat_to_rotation_vector(Q)
-    half = np.linalg.norm(u, axis=1, keepdims=True) / 2
-    g = ic.to_gibbs(Q)
-    assert np.abs(g / (np.tan(half) / (2 * half) * u) - 1).max() <= 1e-12
-    same(ic.from_gibbs(g), Q)
-    assert np.array_equal(ic.to_gibbs((0.0, 1.0, 0.0, 0.0))[:1], [math.inf])
-
-
 def test_parameters_of_numbers_whose_squares_overflow():
     large = 1e200 * np.array([0.5, 0.5, -0.5, 0.5])
     assert ic.to_mrp(large) == pytest.approx(ic.to_mrp(large / 1e200), abs=EPS)
-    assert ic.from_gibbs([0.0, 3e200, 4e200]) == pytest.approx([0.0, 0.0, 0.6, 0.8], abs=EPS)
 
 
 def test_rates_in_inertial_axes():

@@ -238,19 +238,19 @@ def test_a_reference_is_aligned_in_time_and_frames():
     for start, ahead in ((0.0, SHIFT), (1000.0, SHIFT), (0.0, 500.0 + SHIFT)):
         reference = Reference(when - when[0], q, start + when[0] + ahead)
         found = against_reference(t, motion(t), reference, start)
-        assert found.told == (True, True)
+        assert found.aligned == (True, True)
         assert found.shift == pytest.approx(ahead, abs=1e-5)
         # attitudes between two samples 5 ms apart: the angle of w' h²/8, w' below 2 rad/s²
         assert found.angle.max() < 2.0 * 0.005**2 / 8 + 1e-5 * 3.0
         assert len(found.t) == np.count_nonzero((when >= 0.0) & (when <= t[-1]))
 
 
-def test_what_the_motion_does_not_tell_stays():
-    """A constant turn tells neither the time nor the axes across it."""
+def test_what_the_motion_does_not_align_stays():
+    """A constant rotation aligns neither the clocks nor the axes across it."""
     t = np.arange(0.0, 5.0, 0.01)
     q = fa.rotation_vector_to_quat(np.outer(t, [0.0, 0.0, 1.0]))
     found = against_reference(t, q, Reference(t, q), 0.0)
-    assert (found.told, found.shift) == ((False, False), 0.0)
+    assert (found.aligned, found.shift) == ((False, False), 0.0)
     assert found.angle.max() < 1e-7
     with pytest.raises(GyroLogError, match="no time in common"):
         against_reference(t, q, Reference(t, q, 100.0))
