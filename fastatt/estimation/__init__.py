@@ -33,13 +33,7 @@ from fastatt.estimation.filters import (
     scene_motion,
 )
 from fastatt.estimation.inertial_logs import Preintegration, Preintegrator, preintegrate
-from fastatt.estimation.mekf import (
-    MEKF,
-    mekf_predict,
-    mekf_update,
-    mekf_update_attitude,
-    mekf_update_vector,
-)
+from fastatt.estimation.mekf import MEKF
 from fastatt.estimation.noise import (
     AllanDeviation,
     NoiseFit,
@@ -53,6 +47,12 @@ from fastatt.estimation.particle import ParticleFilter
 from fastatt.estimation.runs import RunTangent, run_tangent
 from fastatt.estimation.start import StaticStart, attitude_from_vectors, static_start
 from fastatt.estimation.ukf import UKF
+from fastatt.estimation.updates import (
+    mekf_predict,
+    mekf_update,
+    mekf_update_attitude,
+    mekf_update_vector,
+)
 
 __all__ = [
     "MEKF", "UKF", "AllanDeviation", "BodyTangent", "Motion", "NoiseFit", "ParticleFilter",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sized
 from typing import Any
 
@@ -109,3 +110,27 @@ def of_logs(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
     """Vectors in rows, one for all logs or one a log."""
     accepted, tails = f"(3,) or ({n_logs}, 3), one a log", [(3,), (1, 3), (n_logs, 3)]
     return np.atleast_2d(checks.array(name, value, accepted, tails).astype(np.float64))
+
+
+def attitude_covariance(sigma: ArrayLike) -> NDArray[np.float64]:
+    """(3, 3), rad², of a standard deviation or three about body axes, above 0, or itself."""
+    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
+    if found.ndim < 2:
+        return np.diag(np.broadcast_to([variance("sigma", float(x)) for x in found.flat], (3,)))
+    return definite("sigma", found, "(3, 3)")
+
+
+def definite(name: str, value: ArrayLike, shapes: str) -> NDArray[np.float64]:
+    """Covariances with some variance in every direction, float64."""
+    found = np.ascontiguousarray(covariances(name, value, shapes), dtype=np.float64)
+    if (np.diagonal(root(found), axis1=-2, axis2=-1) == 0.0).any():
+        raise ValueError(f"{name}: has no variance in some direction; accepted: some in all")
+    return found
+
+
+def largest_square(gate: float | None) -> float:
+    """The largest normalised innovation squared that is used; None: any that is finite."""
+    if gate is None:
+        return sys.float_info.max
+    found = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)
+    return min(found, sys.float_info.max)
