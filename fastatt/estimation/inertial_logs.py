@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate, combinations_with_replacement
@@ -14,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised
-from fastatt.codegen.rows import Fold, Rows, rows
+from fastatt.codegen.rows import Fold, rows
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
 from fastatt.gyro.integrate import intervals
@@ -25,9 +23,7 @@ _TRIPLE = (0.0, 0.0, 0.0)
 # numbers of a state's parts, those of its rotation first
 _WIDTHS = (1, 4, 9, 6, 3, 3, 9, 9, 9, 9, 9, 9, 6, 9, 6)
 _SIZE, _ROTATION = sum(_WIDTHS), sum(_WIDTHS[:4])
-_ADD: dict[str, Any] = {
-    "held": pre.add_sample, "white": pre.add_sample_white, "forster": pre.add_sample_forster
-}  # fmt: skip
+_ADD: dict[str, Any] = {"held": pre.add_sample, "white": pre.add_sample_white}
 
 
 def nested(x: Vector) -> pre.Preintegrated:
@@ -46,17 +42,6 @@ def _logs(model: str) -> Fold:
         return add(nested(x), minus(w, bg), minus(a, ba), *h, *variances)
 
     return Fold(step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
-
-
-@lru_cache
-def _sample(model: str) -> Rows:
-    add = _ADD[model]
-
-    def step(x: Vector, own: Vector, known: Vector) -> Any:
-        w, a = minus(own[:3], known[:3]), minus(own[3:6], known[3:6])
-        return add(nested(x), w, a, own[6], *known[6:])
-
-    return Rows(step, {"x": _SIZE, "own": 7, "known": 8}, (_SIZE,))
 
 
 def _corrected(x: Vector, gyro: Vector, accel: Vector) -> Any:
@@ -189,7 +174,7 @@ def preintegrate(
         deviation s at intervals h, s √h.
     gyro_bias, accel_bias : (3,) or (N, 3), taken off the samples.
     model : "held", motion within a sample exact for constant ω and a in body axes, noise held with
-        the sample; "white", noise that goes on within it; "forster", the published form.
+        the sample; "white", noise that goes on within it.
 
     Raises
     ------
@@ -206,17 +191,22 @@ def preintegrate(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
     variances = _variances(gyro_noise, accel_noise)
-    start = np.zeros((n_logs, _SIZE))
-    start[:, 1] = 1.0
     a: NDArray[np.float64] = np.zeros((1, 1, 3))
     if accel is not None:
         forces = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
         a = np.asarray(forces.reshape(w.shape), dtype=np.float64)
     h, threads = spans[None, :, None], number_of(n_threads)
-    state = _logs(model)(start, (w, a, h), (bg, ba, variances), threads)
+    state = _logs(model)(_start(n_logs), (w, a, h), (bg, ba, variances), threads)
     if accel is None:
         state[:, _ROTATION:] = np.nan
     return _unpacked(state, one)
+
+
+def _start(n_logs: int) -> NDArray[np.float64]:
+    """States before the first sample."""
+    state = np.zeros((n_logs, _SIZE))
+    state[:, 1] = 1.0
+    return state
 
 
 def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:
@@ -238,45 +228,28 @@ class Preintegrator:
     ) -> None:
         self._model = checks.choice("model", model, _ADD)
         biases = of_logs("gyro_bias", gyro_bias, 1), of_logs("accel_bias", accel_bias, 1)
-        self._known = np.concatenate([*biases, _variances(gyro_noise, accel_noise)], axis=1)
-        self._own, self._row = np.empty((1, 7)), np.empty((1, _SIZE))
-        self._run: Callable[[], object] | None = None
+        self._given = *biases, _variances(gyro_noise, accel_noise)
         self.reset()
-
-    def __getstate__(self) -> dict[str, Any]:
-        # it holds the addresses of arrays, of which a copy has its own
-        return {**self.__dict__, "_run": None}
 
     def reset(self) -> None:
         """Begin again, at the instant of the last sample's end."""
-        self._row[0] = 0.0
-        self._row[0, 1] = 1.0
+        self._row = _start(1)
 
     def add(self, gyro: ArrayLike, accel: ArrayLike, dt: float) -> None:
         """One sample: rate (3,), rad/s, and specific force (3,), m/s², held for ``dt`` s.
 
         Raises ``ValueError`` or ``TypeError`` for other shapes, and for an interval not above 0.
         """
-        h = interval(dt)
-        w, a = np.asarray(gyro), np.asarray(accel)
-        if not (w.shape == a.shape == (3,) and w.dtype == a.dtype == np.float64):
-            w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
-        numbers = *w.tolist(), *a.tolist(), h
-        # a look in Python takes a sixth of the time of numpy's
-        if not math.isfinite(sum(numbers)):
-            checks.finite("gyro", w)
-            checks.finite("accel", a)
-        self._own[0] = numbers
-        if self._run is None:
-            self._run = _sample(self._model).bound((self._row, self._own, self._known), [self._row])
-        self._run()
+        h = np.full((1, 1, 1), interval(dt))
+        w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
+        self._row = _logs(self._model)(self._row, (w[None, None], a[None, None], h), self._given, 1)
 
     @property
     def state(self) -> pre.Preintegrated:
-        """The tuple that the kernels take (``add_sample`` and its company)."""
+        """The tuple that kernels such as ``add_sample`` take."""
         return nested(tuple(self._row[0].tolist()))
 
     @property
     def result(self) -> Preintegration:
         """What the samples so far give."""
-        return _unpacked(self._row.copy(), one=True)
+        return _unpacked(self._row, one=True)

@@ -10,10 +10,9 @@ their derivatives to both biases and the covariance of their errors (δφ, δv, 
 ΔR exp [δφ], δφ in body axes at j, δv and δp along the body axes at i. Velocities are along inertial
 axes here, and g the acceleration by gravity.
 
-Each sample is held over its interval h. Within it the motion is that of a body that turns at
-constant ω under a constant a along its own axes, exactly: Δv += ΔR h Jl(ωh) a, Δp += Δv h + ΔR h²
-(½ + (θ − sin θ)/θ³ [ωh] + (θ²/2 + cos θ − 1)/θ⁴ [ωh]²) a. Forster's own form (eqs. 35 to 37) takes
-ΔR h a and ½ ΔR h² a.
+Each sample is held over its interval h. Within it the motion is exact for a constant ω and a
+constant a along body axes: Δv += ΔR h Jl(ωh) a, Δp += Δv h + ΔR h²
+(½ + (θ − sin θ)/θ³ [ωh] + (θ²/2 + cos θ − 1)/θ⁴ [ωh]²) a.
 
 Noise is given by spectral densities, σ_g² (rad²/s) and σ_a² (m²/s³). *Held* noise is one number a
 sample, of variance σ²/h, held with it (Forster, eq. 39; attitude gains σ_g² h Jr Jrᵀ). *White*
@@ -109,19 +108,6 @@ def _halves(x: Any) -> Any:
     return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
 
 
-def _euler(a: Any, h: Any) -> Any:
-    """The same by Forster's eqs. 36 and 37."""
-    F = type(h)
-    o = F(0.0)
-    k = F(0.5) * h * h
-    nine = (o, o, o, o, o, o, o, o, o)
-    return (
-        scale(h, a),
-        scale(k, a),
-        (nine, (h, o, o, o, h, o, o, o, h), nine, (k, o, o, o, k, o, o, o, k)),
-    )
-
-
 def _held_noise(c: Any, u: Any, h: Any, slopes: Any, gyro: Any, accel: Any) -> Any:
     """(rr, rv, rp, vv, vp, pp) of noise held over the sample."""
     r = dcm.scale(h, so3.right_jacobian(u))
@@ -205,28 +191,19 @@ def _added(s: Any, w: Any, h: Any, parts: Any, noise: Any) -> Any:
     )
 
 
-def _added_held(s: Any, w: Any, h: Any, parts: Any, gyro: Any, accel: Any) -> Any:
+@_formula
+def add_sample(s, w, a, h, gyro, accel):
+    """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
+    parts = _exact(w, a, h)
     noise = _held_noise(dcm.from_quat(s.rotation.q), scale(h, w), h, parts[2], gyro, accel)
     return _added(s, w, h, parts, noise)
 
 
 @_formula
-def add_sample(s, w, a, h, gyro, accel):
-    """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
-    return _added_held(s, w, h, _exact(w, a, h), gyro, accel)
-
-
-@_formula
 def add_sample_white(s, w, a, h, gyro, accel):
-    """The same with white noise."""
+    """``add_sample`` with white noise."""
     noise = _white_noise(dcm.from_quat(s.rotation.q), a, h, gyro, accel)
     return _added(s, w, h, _exact(w, a, h), noise)
-
-
-@_formula
-def add_sample_forster(s, w, a, h, gyro, accel):
-    """The same by Forster's eqs. 35 to 37: Euler's step in velocity and position, noise held."""
-    return _added_held(s, w, h, _euler(a, h), gyro, accel)
 
 
 @_formula

@@ -173,48 +173,6 @@ def test_white_noise_is_the_limit_of_short_samples(densities):
 white = user_code(kernels.add_sample_white)
 
 
-def test_forsters_form():
-    """Eqs. 35 to 37, 59, 63 and the appendix's recurrences in numpy."""
-    skew = lambda v: np.array(hat(vec(v)).tolist(), dtype=float)  # noqa: E731
-    r, v, p, cov = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 9))
-    rg, vg, va, pg, pa = (np.zeros((3, 3)) for _ in range(5))
-    one = np.eye(3)
-    for w, f in zip(GYRO, ACCEL, strict=True):
-        d = fa.quat_to_dcm(fa.rotation_vector_to_quat(w * H))
-        jr = estimation.right_jacobian(w * H)
-        a = np.block(
-            [
-                [d.T, 0 * one, 0 * one],
-                [-r @ skew(f) * H, one, 0 * one],
-                [-0.5 * r @ skew(f) * H**2, H * one, one],
-            ]
-        )
-        b = np.block([[jr * H, 0 * one], [0 * one, r * H], [0 * one, 0.5 * r * H**2]])
-        q = np.diag([SIGMA_G**2 / H] * 3 + [SIGMA_A**2 / H] * 3)
-        cov = a @ cov @ a.T + b @ q @ b.T
-        pg = pg + vg * H - 0.5 * r @ skew(f) @ rg * H**2
-        pa = pa + va * H - 0.5 * r * H**2
-        vg = vg - r @ skew(f) @ rg * H
-        va = va - r * H
-        rg = d.T @ rg - jr * H
-        p = p + v * H + 0.5 * r @ f * H**2
-        v = v + r @ f * H
-        r = r @ d
-    s = user_code(kernels.add_sample_forster)(GYRO, ACCEL, H, SIGMA_G**2, SIGMA_A**2)
-    bound = N * 8 * EPS
-    for found, true in (
-        (s.v, v), (s.p, p), (s.rotation.jacobian, rg), (s.vg, vg), (s.va, va), (s.pg, pg),
-        (s.pa, pa),
-    ):  # fmt: skip
-        assert np.abs(np.ravel(found) - true.ravel()).max() <= bound * max(1, np.abs(true).max())
-    assert np.abs(fa.quat_to_dcm(s.rotation.q) - r).max() <= bound
-    scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-    assert (np.abs(blocks(s) - cov) <= bound * scale).all()
-    # the exact form differs by |ω×a| h²/2 a sample
-    apart = np.linalg.norm(estimation.preintegrate(GYRO, ACCEL, H).velocity - v)
-    assert 1e-3 < apart < N * 0.5 * H**2 * 2.5 * 12
-
-
 def test_users_code_in_single_precision(biased):
     """The rotation, its Jacobian and covariance, which are there whatever the specific force."""
 

@@ -35,7 +35,7 @@ def filtered(n):
 def results():
     log = estimation.preintegrate(GYRO, ACCEL, 0.1, **NOISE)
     alone = estimation.preintegrate(GYRO, None, 0.1, gyro_noise=0.02, model="white")
-    steps = [estimation.Preintegrator(model=model, **NOISE) for model in ("held", "forster")]
+    steps = [estimation.Preintegrator(model=model, **NOISE) for model in ("held", "white")]
     for one in steps:
         one.add(GYRO[0, 0], ACCEL[0, 0], 0.1)
     found = [log.rows, alone.rotation, alone.covariance[:, :3, :3]]
