@@ -293,12 +293,10 @@ def numpy_preintegration(n: int) -> np.ndarray:
 
 
 @pytest.mark.benchmark(group="preintegration, one sample with Jacobians and covariance, @njit")
-@pytest.mark.parametrize("model", ["held", "white", "forster"])
+@pytest.mark.parametrize("model", ["held", "white"])
 def test_preintegration(benchmark, model):
     """Error of position at samples of 20 ms against motion that bends within them."""
-    add = {
-        "held": pre.add_sample, "white": pre.add_sample_white, "forster": pre.add_sample_forster
-    }[model]  # fmt: skip
+    add = {"held": pre.add_sample, "white": pre.add_sample_white}[model]
 
     @njit
     def run(gyro, accel, h, g, a):
