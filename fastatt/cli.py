@@ -8,6 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -222,13 +223,7 @@ def _floats(text: str) -> list[float]:
 
 
 def _bar_wanted(quiet: bool) -> bool:
-    if quiet or not sys.stderr.isatty():
-        return False
-    try:
-        import tqdm  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return not quiet and sys.stderr.isatty() and find_spec("tqdm") is not None
 
 
 def _methods(arguments: argparse.Namespace) -> None:
@@ -290,7 +285,7 @@ def _own_scene(arguments: argparse.Namespace) -> Scene | None:
     if arguments.scene_file is not None:
         if words:
             raise ValueError(
-                f"--scene-file: found beside --{next(iter(words))}; accepted: one of them"
+                f"--scene-file: found with --{next(iter(words))}; accepted: one of them"
             )
         return read_scene(arguments.scene_file)
     for kind in ("torque", "rate"):
@@ -309,7 +304,7 @@ def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
     generator = np.random.default_rng(0)
     q0 = None if arguments.q0 is None else read_rows("--q0", arguments.q0, 4)
     w0 = None if arguments.w0 is None else read_rows("--w0", arguments.w0, 3)
-    rows = {len(x) for x in (q0, w0) if x is not None and x.ndim == 2}
+    rows = [len(x) for x in (q0, w0) if x is not None and x.ndim == 2]
     n = max(rows) if rows else whole("--bodies", arguments.bodies, 1)
     if q0 is None:
         q0 = generator.normal(size=(n, 4))

@@ -20,8 +20,6 @@ from fastatt.estimation.derivatives import (
     StepTangent,
     Transition,
     body_tangent,
-    rate_transition,
-    sample_tangent,
     sample_transitions,
     step_tangent,
 )
@@ -61,7 +59,7 @@ __all__ = [
     "covariance_to_body", "covariance_to_inertial", "from_data_sheet", "gyro_motion",
     "left_jacobian", "left_jacobian_inverse", "mean_attitude", "mekf_predict", "mekf_update",
     "mekf_update_attitude", "mekf_update_vector", "predict_covariance", "preintegrate",
-    "preintegration", "process_noise", "rate_transition", "right_jacobian",
-    "right_jacobian_inverse", "run_tangent", "sample_tangent", "sample_transitions", "scene_motion",
+    "preintegration", "process_noise", "right_jacobian",
+    "right_jacobian_inverse", "run_tangent", "sample_transitions", "scene_motion",
     "simulate_gyro", "static_start", "step_tangent", "to_data_sheet", "transition_matrix",
 ]  # fmt: skip

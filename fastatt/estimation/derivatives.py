@@ -8,15 +8,16 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt._jit import around_formulas, enough
 from fastatt.arrays import normalised
 from fastatt.codegen.rows import Rows
-from fastatt.codegen.scalar import ScalarFunction, scalar_function
+from fastatt.codegen.scalar import scalar_function
 from fastatt.estimation import tangent
-from fastatt.estimation.amounts import common_number, of_logs
+from fastatt.estimation.amounts import common_number, triples
 from fastatt.gyro.ends import beyond
 from fastatt.gyro.integrate import intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
@@ -34,7 +35,7 @@ _TRIPLE = (0.0, 0.0, 0.0)
 class Transition:
     """Transition of an attitude's error and a gyro's bias over a step: δθ ← Φ11 δθ + Φ12 δb.
 
-    ``turn`` (..., 4) is the rotation of the step, q ← q∘turn; ``attitude`` (..., 3, 3) Φ11;
+    ``turn`` (..., 4) is the quaternion of the step, q_end = q∘δq; ``attitude`` (..., 3, 3) Φ11;
     ``bias`` (..., 3, 3) Φ12, s.
     """
 
@@ -50,10 +51,6 @@ class Transition:
         out[..., :3, 3:] = self.bias
         out[..., 3:, 3:] = np.eye(3)
         return out
-
-    def __getitem__(self, k: Any) -> Transition:
-        """Some of several transitions."""
-        return Transition(self.turn[k], self.attitude[k], self.bias[k])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,44 +102,6 @@ def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
     return method_of(scene, method, "quat", need="is_stepped"), scene.packed(None)
 
 
-@lru_cache(maxsize=64)
-def _rate_rows(record: Method, structure: Any) -> Rows:
-    formula = tangent.rate_tangent(record, structure)
-    inputs = {"t": None, "h": None, "b": 3, "p": structure.n_params}
-    return Rows(formula, inputs, (4, 9, 9))
-
-
-def rate_transition(
-    scene: Scene,
-    dt: float,
-    *,
-    t: float = 0.0,
-    method: str | Method = "magnus4",
-    bias: ArrayLike = _TRIPLE,
-    n_threads: int | None = None,
-) -> Transition:
-    """Transition over the step that a method takes at the rate of a scene less a gyro's bias.
-
-    ``scene`` has a rate, along body axes, for one or N bodies; ``bias`` is (3,) or (N, 3), rad/s;
-    ``t`` and ``dt`` are the start and the length of the step, s. The turn and Φ11 are those of the
-    step; Φ12 is its derivative, by the method's own formula, of a user's rate that can't be traced
-    too: the bias is taken off what that gives. Error of Φ12 at most 1e-15 dt.
-
-    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape.
-    """
-    record, packed = _of_rate(scene, method)
-    h, begin = checks.real("dt", dt), checks.real("t", t)
-    b = checks.array("bias", bias, "(3,) or (N, 3)").astype(np.float64)
-    one = packed.params.size == packed.params.shape[-1] and b.ndim == 1
-    params = np.atleast_2d(packed.params)
-    n = common_number("bodies", params=params, bias=np.atleast_2d(b))
-    turn, attitude, coupling = _rate_rows(record, packed.structure.turning)(
-        begin, h, np.atleast_2d(b), params, tables=packed.tables, n_threads=number_of(n_threads)
-    )
-    found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
-    return found[0] if one else found
-
-
 # samples
 
 
@@ -167,7 +126,9 @@ def sample_transitions(
 
     Raises ``ValueError`` or ``TypeError`` as ``integrate_rates`` does.
     """
-    record = _window_method(method, increments)
+    names = methods_for_samples(increments)
+    fitting = [name for name in names if METHODS[name].window.iteration is None]
+    record = METHODS[checks.choice("method", method, fitting)]
     data = checks.array("samples", samples, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     data = np.array(data[None] if one else data, dtype=np.float64)
@@ -176,28 +137,25 @@ def sample_transitions(
     if m == 0:
         raise ValueError("samples: found one rate; accepted: at least two, or increments")
     spans = np.broadcast_to(intervals(dt, m, None, np.dtype(np.float64)), (m,))
-    b = of_logs("bias", bias, n_logs)
+    b = triples("bias", bias, n_logs)
     data -= b[:, None] * (spans[:, None] if increments else 1.0)
     window = record.window
     before, after = beyond(data, spans, window, increments)
+    # samples beyond the ends of the log complete the first and the last window
     missing = -m % window.span
     history = before[:, before.shape[1] - window.history :]
     padded = np.concatenate([history, data, after[:, :missing]], axis=1)
     wide = np.pad(spans, (window.history, missing), mode="edge")
-    found = _by_windows(record, increments, padded, wide, n_threads)
-    return found[0, :m] if one else found[:, :m]
-
-
-def _window_method(method: str, increments: bool) -> Method:
-    """A sampled method whose step is a formula; "picard" iterates."""
-    names = methods_for_samples(increments)
-    fitting = [name for name in names if METHODS[name].window.iteration is None]
-    return METHODS[checks.choice("method", method, fitting)]
-
-
-@lru_cache(maxsize=64)
-def _window_function(record: Method, increments: bool) -> ScalarFunction:
-    return scalar_function(tangent.window_tangent(record.window, increments=increments))
+    v = sliding_window_view(padded, window.samples(increments), axis=1)[:, :: window.span]
+    v = np.swapaxes(v, 2, 3).reshape(*v.shape[:2], -1)
+    h = sliding_window_view(wide, window.intervals)[:: window.span]
+    out = _window_rows(record, increments)(v, h, n_threads=number_of(n_threads))
+    turn, attitude, coupling = (
+        np.stack(out[k::3], axis=2).reshape(n_logs, -1, *shape)[:, :m]
+        for k, shape in enumerate(((4,), (3, 3), (3, 3)))
+    )
+    log = 0 if one else slice(None)
+    return Transition(turn[log], attitude[log], coupling[log])
 
 
 @lru_cache(maxsize=64)
@@ -206,23 +164,6 @@ def _window_rows(record: Method, increments: bool) -> Rows:
     formula = tangent.window_tangent(window, increments=increments)
     inputs = {"v": 3 * window.samples(increments), "h": window.intervals}
     return Rows(formula, inputs, (4, 9, 9) * window.span)
-
-
-def _by_windows(
-    record: Method, increments: bool, data: NDArray[Any], spans: NDArray[Any], n_threads: int | None
-) -> Transition:
-    """Of whole windows: data (N, n, 3) and spans hold what lies beyond the log's ends too."""
-    window = record.window
-    samples, gaps, span = window.samples(increments), window.intervals, window.span
-    count = (len(spans) - gaps) // span + 1
-    v = np.stack([data[:, span * k : span * k + samples] for k in range(count)], axis=1)
-    h = np.stack([spans[span * k : span * k + gaps] for k in range(count)])
-    step = _window_rows(record, increments)
-    out = step(v.reshape(len(data), count, -1), h, n_threads=number_of(n_threads))
-    turn, attitude, bias = (
-        np.stack(out[k::3], axis=2).reshape(len(data), count * span, -1) for k in range(3)
-    )
-    return Transition(turn, *(x.reshape(*x.shape[:2], 3, 3) for x in (attitude, bias)))
 
 
 # bodies
@@ -353,15 +294,3 @@ def _step_function(record: Method, structure: Any, tables: Mapping[int, Any] | N
 
 
 _kept = lru_cache(maxsize=128)(_step_function)
-
-
-def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any:
-    """The derivative of a sampled method's step, ``f(v, h)``, a function for ``@njit`` code.
-
-    v are the window's samples less the bias, flat, and h its intervals (s), as the functions of
-    ``fastatt.gyro_steps`` take them in this order. Gives (turn, Φ11, Φ12) of each interval that the
-    method steps over, one after the other.
-
-    Raises ``ValueError`` for another method, or one that has no such function ("picard").
-    """
-    return _window_function(_window_method(method, increments), increments)

@@ -1,8 +1,7 @@
-"""What the filters share: motions of sigma points and particles, errors, means, measures.
+"""Parts that filters share: motions of sigma points and particles, errors, means, updates.
 
-A motion takes an ensemble, attitudes (M, 4) and what is estimated besides (M, K), a few steps on:
-``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make them of the tile engine; a
-user-defined function will do as well.
+A motion steps an ensemble, attitudes (M, 4) and auxiliary states (M, K): ``motion(q, y) -> (q,
+y)``. ``gyro_motion``, ``scene_motion`` or a user-defined function gives one.
 """
 
 from __future__ import annotations
@@ -36,18 +35,18 @@ Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 @dataclass(frozen=True)
 class TimedMotion:
-    """A motion whose attitudes rotate for so many s at rates that differ as their first numbers."""
+    """A motion of so many s, at rates that differ as the first auxiliary numbers do."""
 
     motion: Motion
     seconds: float
 
     def __call__(self, q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Attitudes and the numbers besides after the motion."""
+        """Attitudes and auxiliary states after the motion."""
         return self.motion(q, y)
 
 
 def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
-    """Attitudes rotate by a gyro's rate less their bias, the first three numbers besides.
+    """The motion at a gyro's rate less the bias, the first three auxiliary numbers.
 
     ``gyro`` (3,), rad/s, is held for dt s; (N, 3) are the rates of N filters, whose points follow
     each other in equal numbers.
@@ -78,8 +77,7 @@ def scene_motion(
 ) -> Motion:
     """The motion of a scene with inertia, or of one at a given rate, for n_steps of dt s.
 
-    Of a body the first three numbers besides the attitude are its angular velocity, rad/s, along
-    body axes.
+    The first three auxiliary numbers of a body are its angular velocity, rad/s, along body axes.
     """
     carries = scene.kind != "rate"
 
@@ -99,21 +97,15 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
 
     Raises ``ValueError`` for a zero quaternion.
     """
-    reference, true = (
-        _not_zero(name, np.asarray(x, dtype=np.float64))
-        for name, x in (("q", q), ("q_true", q_true))
-    )
-    return np.asarray(quat_to_rotation_vector(quat_multiply(_conjugate(reference), true)))
+    conjugate = _not_zero("q", q) * (1.0, -1.0, -1.0, -1.0)
+    return quat_to_rotation_vector(quat_multiply(conjugate, _not_zero("q_true", q_true)))
 
 
-def _conjugate(q: Floats) -> Floats:
-    return q * (1.0, -1.0, -1.0, -1.0)
-
-
-def _not_zero(name: str, q: Floats) -> Floats:
-    if not q.any(axis=-1).all():
+def _not_zero(name: str, q: ArrayLike) -> Floats:
+    found = np.asarray(q, dtype=np.float64)
+    if not found.any(axis=-1).all():
         raise ValueError(f"{name}: found a zero quaternion; accepted: of any other length")
-    return q
+    return found
 
 
 def normalised_square(d: Floats, P: Floats) -> Floats:
@@ -138,7 +130,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     given. Markley, Cheng, Crassidis and Oshman, J. Guidance 30 (2007) 1193, eq. 12.
 
     Raises ``ValueError`` for attitudes that are no quaternions or have no one mean, such as two
-    that are half a turn apart, and for weights that do not fit, are negative or all 0.
+    that are π rad apart, and for weights that do not fit, are negative or all 0.
 
     >>> import fastatt as fa
     >>> fa.mean_attitude([[1, 0, 0, 0], [0, 0, 0, 1]], weights=[1, 0])
@@ -167,7 +159,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
 
 
 def moved_rows(q: ArrayLike, y: ArrayLike, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """What a motion gives: unit quaternions (M, 4), and numbers of the shape (M, K)."""
+    """Checked results of a motion: unit quaternions (M, 4) and auxiliary states (M, K)."""
     attitudes = checks.attitudes("motion: q", q, f"({shape[0]}, 4)")
     return normalised(attitudes), checks.array("motion: y", y, str(shape)).astype(np.float64)
 
@@ -178,7 +170,7 @@ def unit_rows(value: NDArray[Any], n: int) -> Floats:
 
 
 def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
-    """An array of its own, of one row or as many as the shape has."""
+    """A new array of a shape, from one row or all of them."""
     return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
 
 
@@ -193,7 +185,7 @@ class _Call(NamedTuple):
 
 
 class Estimates:
-    """Attitudes, numbers besides and covariances (δθ, δy), of one filter or of N."""
+    """Attitudes, auxiliary states and covariances of (δθ, δy), of one filter or of N."""
 
     def __init__(
         self, q: ArrayLike, name: str, y: NDArray[Any], covariance: ArrayLike, invalid: str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import accumulate, combinations_with_replacement
 from typing import Any
 
@@ -14,7 +13,7 @@ from fastatt import checks
 from fastatt.arrays import normalised
 from fastatt.codegen.rows import Fold, rows
 from fastatt.estimation import preintegration as pre
-from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
+from fastatt.estimation.amounts import at_least_zero, common_number, interval, triples
 from fastatt.gyro.integrate import intervals
 from fastatt.threads import number_of
 from fastatt.tracing.formulas import Vector, minus
@@ -23,7 +22,6 @@ _TRIPLE = (0.0, 0.0, 0.0)
 # numbers of a state's parts, those of its rotation first
 _WIDTHS = (1, 4, 9, 6, 3, 3, 9, 9, 9, 9, 9, 9, 6, 9, 6)
 _SIZE, _ROTATION = sum(_WIDTHS), sum(_WIDTHS[:4])
-_ADD: dict[str, Any] = {"held": pre.add_sample, "white": pre.add_sample_white}
 
 
 def nested(x: Vector) -> pre.Preintegrated:
@@ -32,16 +30,11 @@ def nested(x: Vector) -> pre.Preintegrated:
     return pre.Preintegrated(pre.PreintegratedRotation(*t, *parts[:3]), *parts[3:])
 
 
-@lru_cache
-def _logs(model: str) -> Fold:
-    add = _ADD[model]
+def _step(x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, v: Vector) -> Any:
+    return pre.add_sample(nested(x), minus(w, bg), minus(a, ba), *h, *v)
 
-    def step(
-        x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, variances: Vector
-    ) -> Any:
-        return add(nested(x), minus(w, bg), minus(a, ba), *h, *variances)
 
-    return Fold(step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
+_LOGS = Fold(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
 
 
 def _corrected(x: Vector, gyro: Vector, accel: Vector) -> Any:
@@ -160,7 +153,6 @@ def preintegrate(
     accel_noise: float = 0.0,
     gyro_bias: ArrayLike = _TRIPLE,
     accel_bias: ArrayLike = _TRIPLE,
-    model: str = "held",
     n_threads: int | None = None,
 ) -> Preintegration:
     """Rotation, velocity and position increments of a log, their bias derivatives and covariance.
@@ -173,20 +165,17 @@ def preintegrate(
     gyro_noise, accel_noise : densities σ_g, rad/√s, and σ_a, m/s^1.5: of samples with standard
         deviation s at intervals h, s √h.
     gyro_bias, accel_bias : (3,) or (N, 3), taken off the samples.
-    model : "held", motion within a sample exact for constant ω and a in body axes, noise held with
-        the sample; "white", noise that goes on within it.
 
     Raises
     ------
     ValueError, TypeError : a shape that does not fit, a number that is not finite, an interval not
         above 0, a negative density.
     """
-    checks.choice("model", model, _ADD)
     w = checks.array("gyro", gyro, "(n, 3) or (N, n, 3)")
     one = w.ndim == 2
     w = np.ascontiguousarray(w[None] if one else w, dtype=np.float64)
     n_logs, n = w.shape[:2]
-    bg, ba = of_logs("gyro_bias", gyro_bias, n_logs), of_logs("accel_bias", accel_bias, n_logs)
+    bg, ba = triples("gyro_bias", gyro_bias, n_logs), triples("accel_bias", accel_bias, n_logs)
     spans = np.ascontiguousarray(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
@@ -196,7 +185,7 @@ def preintegrate(
         forces = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
         a = np.asarray(forces.reshape(w.shape), dtype=np.float64)
     h, threads = spans[None, :, None], number_of(n_threads)
-    state = _logs(model)(_start(n_logs), (w, a, h), (bg, ba, variances), threads)
+    state = _LOGS(_start(n_logs), (w, a, h), (bg, ba, variances), threads)
     if accel is None:
         state[:, _ROTATION:] = np.nan
     return _unpacked(state, one)
@@ -224,10 +213,8 @@ class Preintegrator:
         accel_noise: float = 0.0,
         gyro_bias: ArrayLike = _TRIPLE,
         accel_bias: ArrayLike = _TRIPLE,
-        model: str = "held",
     ) -> None:
-        self._model = checks.choice("model", model, _ADD)
-        biases = of_logs("gyro_bias", gyro_bias, 1), of_logs("accel_bias", accel_bias, 1)
+        biases = triples("gyro_bias", gyro_bias, 1), triples("accel_bias", accel_bias, 1)
         self._given = *biases, _variances(gyro_noise, accel_noise)
         self.reset()
 
@@ -242,7 +229,7 @@ class Preintegrator:
         """
         h = np.full((1, 1, 1), interval(dt))
         w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
-        self._row = _logs(self._model)(self._row, (w[None, None], a[None, None], h), self._given, 1)
+        self._row = _LOGS(self._row, (w[None, None], a[None, None], h), self._given, 1)
 
     @property
     def state(self) -> pre.Preintegrated:

@@ -26,14 +26,14 @@ class MEKF(Estimates):
     angle_noise : σ_v, rad/√s (a noise density of the rate, rad/s/√Hz, is the same number).
     bias_noise : σ_u, rad/s^1.5.
     invalid : "raise" refuses samples and measurements that are not finite; "skip" leaves out such
-        a measurement for the filters that it is for, and holds the last good sample of a gyro in
-        its place (before the first: no turn).
+        a measurement for its filters, and holds the last good sample of a gyro in its place
+        (before the first: no rotation).
 
     Attributes
     ----------
     q, bias, covariance : the estimates, with the shapes above.
 
-    Every call changes them in place. A ``predict`` of one filter takes 2 µs from Python, of many
+    Every call changes them in place. A ``predict`` of one filter takes some µs from Python, of many
     0.06 µs a filter.
 
     Updates give the normalised innovation squared (NIS), a number or (N,): χ² with three degrees of

@@ -34,7 +34,7 @@ class ParticleFilter:
     Parameters
     ----------
     q : (M, 4), attitudes, body to inertial, of any length but zero.
-    y : (M, K), what is estimated besides.
+    y : (M, K), the auxiliary state.
     rng : a ``numpy.random.Generator``, or a seed for one.
     threshold : share of the particles below whose effective number they are drawn anew.
 

@@ -27,13 +27,13 @@ from fastatt.estimation.filters import (
     normalised_square,
 )
 
-# rad that a sigma point lies from the estimate at most, and from the mean after a motion: there it
-# is half as near to the angle π at which it would be taken for its opposite
+# largest angle of a sigma point from the estimate, and from the mean after a motion, rad: errors
+# of π are ambiguous
 _FARTHEST, _FAR = 0.5 * math.pi, 0.75 * math.pi
 
 
 class UKF(Estimates):
-    """Attitude and K numbers besides, of one body or of N at once.
+    """Attitude and an auxiliary state of K numbers, of one body or of N at once.
 
     The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy; its 2D + 1 sigma points (D = 3 + K)
     lie at ±√(D + κ) L about the estimate, P = L Lᵀ, the columns of L along the principal axes of
@@ -43,16 +43,16 @@ class UKF(Estimates):
     corrected attitude. Julier and Uhlmann, Proc. IEEE 92 (2004) 401; Crassidis and Markley, J.
     Guidance 26 (2003) 536; Kraft, Int. Conf. Information Fusion (2003).
 
-    Errors beyond π would be taken for others, so that no pair of points lies farther than π/2 rad
-    from the estimate: with D = 6 and κ = 1 from a deviation of 0.59 rad on they lie nearer, and
-    what they tell is scaled (Julier, American Control Conf. (2002) 4555). A heading that nothing
-    measures may so have any deviation. Points whose rates differ by δw during a motion of T s, of
+    Errors beyond π are ambiguous, so that no point lies farther than π/2 rad from the estimate:
+    with D = 6 and κ = 1 from a deviation of 0.59 rad on they lie nearer, and their moments are
+    scaled (Julier, American Control Conf. (2002) 4555). A heading that nothing measures may thus
+    have any deviation. Points whose rates differ by δw during a motion of T s, of
     :func:`gyro_motion` and of a body's :func:`scene_motion`, lie nearer by |δw| T.
 
     Parameters
     ----------
     q : (4,) or (N, 4), attitudes, body to inertial, of any length but zero.
-    y : (K,) or (N, K), what is estimated besides: a gyro's bias, an angular velocity.
+    y : (K,) or (N, K), the auxiliary state: a gyro's bias, an angular velocity.
     covariance : (D, D) or (N, D, D), of (δθ, δy).
     kappa : κ, above −D; below 0 the covariance may lose its sign.
     invalid : "raise" refuses measurements that are not finite; "skip" leaves them out, for the
@@ -60,7 +60,7 @@ class UKF(Estimates):
 
     Attributes
     ----------
-    q, y, covariance : the estimates, with the shapes above.
+    q, y, covariance : the estimates, with the shapes above; every call changes them in place.
 
     Updates give the normalised innovation squared, do not use what is beyond ``gate``, and give NaN
     for what was left out: see :class:`MEKF`.
@@ -72,8 +72,8 @@ class UKF(Estimates):
 
     Warns
     -----
-    UserWarning : points that a motion has put farther than 3π/4 rad from their mean, of which some
-        may be taken for others; vectors that tell of an attitude with deviations beyond 0.7 rad.
+    UserWarning : points that a motion has put farther than 3π/4 rad from their mean, where errors
+        are ambiguous; vectors for an attitude with deviations beyond 0.7 rad.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class UKF(Estimates):
 
     @property
     def y(self) -> Floats:
-        """What is estimated besides, (K,) or (N, K)."""
+        """Auxiliary states, (K,) or (N, K)."""
         return self._each(self._y)
 
     def sigma_points(self) -> tuple[Floats, Floats]:
@@ -103,7 +103,7 @@ class UKF(Estimates):
     def _points(self, seconds: float) -> tuple[Floats, Floats, Floats, Floats]:
         """The sigma points, L, and how many columns of it they are away, (N, D).
 
-        Their attitudes are to move for so long by the first of the numbers besides.
+        The points are to move for so many seconds at rates in the first auxiliary numbers.
         """
         n, size = self._P.shape[:2]
         axes = np.tile(np.eye(size), (n, 1, 1))

@@ -1,8 +1,8 @@
 """Multiplicative extended Kalman filter as kernels: tuples in, tuples out, for ``@njit`` code too.
 
-The estimate is q, K numbers y besides (of an MEKF the gyro's bias b) and the covariance of the
-error (δθ, δy): q_true = q∘exp(δθ), y_true = y + δy, δθ in body axes. The public kernels have K = 3
-and take a covariance as ``fastatt.kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
+The estimate is q, an auxiliary state y (K numbers, an MEKF's is the bias b) and the covariance of
+the error (δθ, δy): q_true = q∘exp(δθ), y_true = y + δy, δθ in body axes. The public kernels have
+K = 3 and take a covariance as ``fastatt.kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
 numbers; inside, a covariance is its rows. It is updated in Joseph's form and symmetric by
 construction. Lefferts, Markley and Shuster, J. Guidance 5 (1982) 417; Markley and Crassidis,
 *Fundamentals of Spacecraft Attitude Determination and Control* (2014), §6.2.
@@ -267,7 +267,7 @@ _OPERATIONS: dict[str, Any] = {
 
 @lru_cache
 def operation(name: str, numbers: int) -> Rows:
-    """An operation on filters of so many numbers besides: q, y, P, and of updates two figures.
+    """An operation on filters with so many auxiliary numbers: q, y, P, and two figures of updates.
 
     ``own`` are the numbers that each filter has: a gyro's sample, a vector and its reference, an
     attitude; ``shared`` those that all share: the interval and variances, the gate and variances.
