@@ -92,7 +92,8 @@ def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
         kinds = {a.dtype for a in arrays if isinstance(a, np.ndarray)}
         return _SINGLE if kinds == {_SINGLE} else _DOUBLE
     with suppress(TypeError, ValueError):
-        if (found := np.dtype(dtype)) in _PRECISIONS:
+        found: np.dtype[Any] = np.dtype(dtype)
+        if found in _PRECISIONS:
             return found
     raise TypeError(f"dtype: found {brief(dtype)}; accepted: float64, float32 or None")
 

@@ -98,14 +98,10 @@ def root(P: NDArray[Any]) -> NDArray[np.float64]:
     return found
 
 
-def triples(name: str, value: ArrayLike, n: int | None = None) -> NDArray[np.float64]:
-    """Vectors in rows, (3,) or (N, 3); with n, one for all logs or one a log."""
-    if n is None:
-        found = checks.array(name, value, "(3,) or (N, 3)")
-    else:
-        accepted, tails = f"(3,) or ({n}, 3), one a log", [(3,), (1, 3), (n, 3)]
-        found = checks.array(name, value, accepted, tails)
-    return np.atleast_2d(found.astype(np.float64))
+def triples(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
+    """Vectors in rows, one for all n logs or one a log."""
+    accepted, tails = f"(3,) or ({n}, 3), one a log", [(3,), (1, 3), (n, 3)]
+    return np.atleast_2d(checks.array(name, value, accepted, tails).astype(np.float64))
 
 
 def attitude_covariance(sigma: ArrayLike) -> NDArray[np.float64]:

@@ -214,7 +214,7 @@ class Estimates:
     def _figures(self, found: Floats) -> Any:
         return float(found[0]) if self._one else found
 
-    def _vectors(self, name: str, value: ArrayLike) -> Floats:
+    def _vectors(self, name: str, value: ArrayLike) -> NDArray[Any]:
         """Vectors (3,) or (N, 3), finite or for filters that skip others."""
         return checks.array(name, value, f"(3,) or ({len(self._q)}, 3)", flag=self._skips)
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import normalised
-from fastatt.codegen.rows import Fold, rows
+from fastatt.arrays import normalised, quat_multiply, quat_rotate, rotation_vector_to_quat
+from fastatt.codegen.rows import Fold
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, triples
 from fastatt.gyro.integrate import intervals
@@ -35,14 +35,6 @@ def _step(x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, v:
 
 
 _LOGS = Fold(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
-
-
-def _corrected(x: Vector, gyro: Vector, accel: Vector) -> Any:
-    return pre.corrected(nested(x), gyro, accel)
-
-
-def _navigated(change: Vector, t: Any, q: Vector, v: Vector, p: Vector, g: Vector) -> Any:
-    return pre.navigate(q, v, p, g, t, (change[:4], change[4:7], change[7:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +62,6 @@ class Preintegration:
     #: all numbers, a row of 101 for each log
     rows: NDArray[np.float64]
 
-    @property
-    def _one(self) -> bool:
-        return self.rotation.ndim == 1
-
     def corrected(
         self, gyro_bias: ArrayLike = _TRIPLE, accel_bias: ArrayLike = _TRIPLE
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -81,14 +69,18 @@ class Preintegration:
 
         Raises ``ValueError`` or ``TypeError`` for other shapes.
         """
-        found = self._corrected(gyro_bias, accel_bias)
-        return _unless(self._one and len(found[0]) == 1, found)
+        gyro, accel = self._vectors(gyro_bias=gyro_bias, accel_bias=accel_bias)
+        q = quat_multiply(self.rotation, rotation_vector_to_quat(_times(self.rotation_gyro, gyro)))
+        v = self.velocity + _times(self.velocity_gyro, gyro) + _times(self.velocity_accel, accel)
+        p = self.position + _times(self.position_gyro, gyro) + _times(self.position_accel, accel)
+        return np.broadcast_to(q, (*v.shape[:-1], 4)), v, p
 
-    def _corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Any, Any, Any]:
-        gyro, accel = triples("gyro_bias", gyro_bias), triples("accel_bias", accel_bias)
-        common_number("logs", preintegrated=self.rows, gyro_bias=gyro, accel_bias=accel)
-        apply = rows(_corrected, {"x": _SIZE, "gyro": 3, "accel": 3}, (4, 3, 3))
-        return apply(self.rows, gyro, accel)  # type: ignore[return-value]
+    def _vectors(self, **given: ArrayLike) -> list[NDArray[Any]]:
+        """Vectors (3,) or (N, 3), of one log or of each."""
+        found = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in given.items()}
+        rows = {name: np.atleast_2d(x) for name, x in found.items()}
+        common_number("logs", preintegrated=self.rows, **rows)
+        return list(found.values())
 
     def predict(
         self,
@@ -112,15 +104,15 @@ class Preintegration:
                 "accel: found None where the samples were added; accepted: samples, without which "
                 "only the attitude at j is known: fastatt.quat_multiply(q, rotation)"
             )
-        change = self._corrected(gyro_bias, accel_bias)
-        g = checks.array("gravity", gravity, "(3,)").astype(np.float64)
-        q = normalised(np.atleast_2d(checks.attitudes("q", q)).astype(np.float64))
-        v, p = triples("v", v), triples("p", p)
-        n = common_number("logs", preintegrated=change[0], q=q, v=v, p=p)
-        widths = {"change": 10, "t": None, "q": 4, "v": 3, "p": 3, "g": 3}
-        apply = rows(_navigated, widths, (4, 3, 3))
-        found = apply(np.concatenate(change, axis=1), self.rows[:, 0], q, v, p, g)
-        return _unless(self._one and n == 1, found)
+        dq, dv, dp = self.corrected(gyro_bias, accel_bias)
+        g = checks.array("gravity", gravity, "(3,)")
+        q = normalised(checks.attitudes("q", q).astype(np.float64))
+        v, p = self._vectors(v=v, p=p)
+        common_number("logs", preintegrated=self.rows, q=np.atleast_2d(q))
+        t = self.duration[..., None]
+        p = p + t * v + 0.5 * t * t * g + quat_rotate(q, dp)
+        v = np.broadcast_to(v + t * g + quat_rotate(q, dv), p.shape)
+        return np.broadcast_to(quat_multiply(q, dq), (*p.shape[:-1], 4)), v, p
 
 
 _UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # of a symmetric block, as of ``sym3``
@@ -140,8 +132,8 @@ def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
     return Preintegration(*[*(x[0] if one else x for x in found), rows])
 
 
-def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
-    return (found[0][0], found[1][0], found[2][0]) if one else found
+def _times(A: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def preintegrate(

@@ -1,8 +1,8 @@
 """Preintegration of a gyro and an accelerometer between two instants i and j.
 
-Forster, Carlone, Dellaert and Scaramuzza, IEEE Trans. Robotics 33 (2017) 1. From rates ω (rad/s)
-and specific forces a (m/s²) along body axes, biases taken off, follow what does not depend on the
-state at i:
+Forster, Carlone, Dellaert and Scaramuzza, IEEE Trans. Robotics 33 (2017) 1. Rates ω (rad/s) and
+specific forces a (m/s²) along body axes, biases subtracted, give increments that do not depend on
+the state at i:
 
     ΔR = C_iᵀ C_j,  Δv = C_iᵀ (v_j − v_i − g Δt),  Δp = C_iᵀ (p_j − p_i − v_i Δt − ½ g Δt²),
 
@@ -100,8 +100,8 @@ def add_sample(s, w, a, h, gyro, accel):
     c = dcm.from_quat(r.q)
     f, g = error_state.transition(u, h)
     # derivatives of (φ, v, p) after the sample to its rate, and of (v, p) to its specific force
+    rw = _scaled(-1.0, g)
     vw, va, pw, pa = (dcm.mul(c, x) for x in slopes)
-    by_rate = _scaled(-1.0, g), vw, pw
     # A = [f 0 0; b 1 0; d h 1] takes (δφ, δv, δp) across the sample
     b = _scaled(-1.0, dcm.mul(c, so3.hat(dv)))
     d = _scaled(-1.0, dcm.mul(c, so3.hat(dp)))
@@ -122,8 +122,8 @@ def add_sample(s, w, a, h, gyro, accel):
         rotation=PreintegratedRotation(
             t=r.t + h,
             q=quat.renormalise(quat.mul(r.q, quat.exp(u))),
-            jacobian=_less(jacobian, by_rate[0]),
-            covariance=sym3.upper(_plus(rr, k, by_rate[0], by_rate[0])),
+            jacobian=_less(jacobian, rw),
+            covariance=sym3.upper(_plus(rr, k, rw, rw)),
         ),
         v=add(s.v, dcm.rotate(c, dv)),
         p=add(axpy(h, s.v, s.p), dcm.rotate(c, dp)),
@@ -131,8 +131,8 @@ def add_sample(s, w, a, h, gyro, accel):
         va=_less(s.va, va),
         pg=_less(pg, pw),
         pa=_less(dcm.add(s.pa, dcm.scale(h, s.va)), pa),
-        rv=_plus(dcm.transpose(vr), k, by_rate[0], vw),
-        rp=_plus(dcm.transpose(pr), k, by_rate[0], pw),
+        rv=_plus(dcm.transpose(vr), k, rw, vw),
+        rp=_plus(dcm.transpose(pr), k, rw, pw),
         vv=sym3.upper(_plus(_plus(vv, k, vw, vw), m, va, va)),
         vp=_plus(_plus(dcm.transpose(pv), k, vw, pw), m, va, pa),
         pp=sym3.upper(_plus(_plus(pp, k, pw, pw), m, pa, pa)),
