@@ -106,13 +106,14 @@ class Preintegration:
             )
         dq, dv, dp = self.corrected(gyro_bias, accel_bias)
         g = checks.array("gravity", gravity, "(3,)")
-        q = normalised(checks.attitudes("q", q).astype(np.float64))
-        v, p = self._vectors(v=v, p=p)
-        common_number("logs", preintegrated=self.rows, q=np.atleast_2d(q))
+        start = normalised(checks.attitudes("q", q).astype(np.float64))
+        v0, p0 = self._vectors(v=v, p=p)
+        common_number("logs", preintegrated=self.rows, q=np.atleast_2d(start))
         t = self.duration[..., None]
-        p = p + t * v + 0.5 * t * t * g + quat_rotate(q, dp)
-        v = np.broadcast_to(v + t * g + quat_rotate(q, dv), p.shape)
-        return np.broadcast_to(quat_multiply(q, dq), (*p.shape[:-1], 4)), v, p
+        position = p0 + t * v0 + 0.5 * t * t * g + quat_rotate(start, dp)
+        velocity = np.broadcast_to(v0 + t * g + quat_rotate(start, dv), position.shape)
+        attitude = np.broadcast_to(quat_multiply(start, dq), (*position.shape[:-1], 4))
+        return attitude, velocity, position
 
 
 _UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # of a symmetric block, as of ``sym3``
