@@ -10,7 +10,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 import fastatt as fa
-from fastatt.estimation import single_steps as steps
+from fastatt.gyro import gyro_steps as steps
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 CALLS, LOOP = (10, 1000) if SMOKE else (2000, 1_000_000)

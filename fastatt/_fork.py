@@ -1,8 +1,8 @@
-"""``os.fork`` beside threads: a child inherits locks, not the threads that would release them.
+"""``os.fork`` in a process with threads: a child inherits locks, not the threads that hold them.
 
-Modules are imported when they are first needed, and Numba compiles behind a lock of its own: a
-fork waits until no other thread imports fastatt's or the compiler's modules, or compiles. It never
-waits for other modules: one whose import runs a whole program may be imported all the time.
+Modules are imported when they are first needed, and Numba compiles behind a lock: a fork waits
+until all other threads have finished compiling and importing modules of fastatt or the compiler. It
+never waits for other modules: one whose import runs a whole program may take arbitrarily long.
 """
 
 from __future__ import annotations

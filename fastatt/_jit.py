@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +29,7 @@ _ARITHMETIC: dict[str, Any] = {
 _INLINED: dict[str, Any] = {**_ARITHMETIC, "forceinline": True}
 
 
-# no wrappers for calls from Python and C: they take a tenth of the time to compile a loop
-_LOOP: dict[str, Any] = {
-    "error_model": "numpy",
-    "nogil": True,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
-
-
-#: what loops are made of besides their own file
+#: files that every loop depends on
 _PARTS = Path(__file__), Path(__file__).parent / "codegen" / "call.py"
 
 
@@ -47,10 +38,10 @@ def address_loop(
 ) -> Callable[..., Any]:
     """A loop over arrays that it takes by their addresses, kept on disk by Numba.
 
-    All that it calls stands in its own file, in ``codegen/call.py``, or is generated code that it
-    finds by address. Numba notices an edit of its own file; a hash of the others and of the
-    ``constants`` that it takes from elsewhere is part of its name. A call releases the GIL. Without
-    a compiler it is the Python function, which takes arrays.
+    It calls functions of its file, of ``codegen/call.py``, and generated code by address. Numba
+    notices an edit of the loop's file; a hash of the others and of the imported ``constants`` is
+    part of its name. A call releases the GIL. Without a compiler it is the Python function, which
+    takes arrays.
     """
     if config.DISABLE_JIT:
         return function
@@ -73,7 +64,7 @@ def _called(found: Any) -> Callable[..., Any]:
 
 
 #: a part of a loop, in the same file
-loop_part = njit(**_LOOP)
+loop_part = njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def _has_integer(ty: types.Type) -> bool:
@@ -95,9 +86,9 @@ def _sources() -> tuple[int, int]:
 def _kept(dispatcher: Any) -> None:
     """Keep machine code on disk as long as no source of the package changes.
 
-    Numba looks at the function's own file alone: an edit of a kernel would go unseen by all that
-    call it. Without a folder to write to nothing is kept. The folder is looked for when the
-    function is first compiled: for all kernels at once it would take as long as importing them.
+    Numba checks the function's file alone: an edit of a kernel would go unseen by its callers.
+    Without a writable folder nothing is kept. The folder is found when the function is first
+    compiled: for all kernels at once it would take as long as importing them.
     """
     compile_signature = dispatcher.compile
     first = True
@@ -114,20 +105,16 @@ def _kept(dispatcher: Any) -> None:
     dispatcher.compile = compile_kept
 
 
-def _compiled(function: Callable[..., Any], options: Mapping[str, Any], *, cache: bool) -> Any:
-    dispatcher = njit(**options)(function)
-    if cache and not config.DISABLE_JIT:
-        _kept(dispatcher)
-    return dispatcher
-
-
 def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
     """Compile a scalar kernel: callable from Python, inlined into any jitted caller.
 
     A kernel takes floats and tuples of floats and keeps their precision (constants are written
     ``type(x)(0.5)``, so an integer would truncate them: it is refused).
     """
-    return _of_floats(_compiled(function, _INLINED, cache=cache), function.__name__)
+    dispatcher = njit(**_INLINED)(function)
+    if cache and not config.DISABLE_JIT:
+        _kept(dispatcher)
+    return _of_floats(dispatcher, function.__name__)
 
 
 def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> Any:
@@ -137,11 +124,11 @@ def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> A
     the functions that call it, which saves its own machine code.
     """
     options = {**_INLINED, "fastmath": False, "inline": "always" if spliced else "never"}
-    return _of_floats(_compiled(function, options, cache=False), function.__name__)
+    return _of_floats(njit(**options)(function), function.__name__)
 
 
 def _of_floats(dispatcher: Any, name: str) -> Any:
-    """The same, refusing integers."""
+    """A dispatcher that refuses integers."""
     if config.DISABLE_JIT:
         return dispatcher
     compile_signature = dispatcher.compile
@@ -177,15 +164,12 @@ def with_options_of(dispatcher: Any, function: Callable[..., Any]) -> Any:
 
 
 def helper(function: Any) -> Any:
-    """A part of a driver, inlined: a tile's strides are constants only where it was made."""
+    """A function for ``@njit`` code that is inlined into its caller."""
     return register_jitable(**_INLINED)(function)
 
 
 def enough(name: str, size: int) -> Any:
-    """A check for ``@njit`` code that an array has so many numbers: formulas look at no length.
-
-    Of tuples, whose length is a constant, nothing of it is left in machine code.
-    """
+    """A check for ``@njit`` code that an array has so many numbers; formulas check no length."""
     message = f"{name}: found fewer than {size} numbers; accepted: {size}"
 
     @helper

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,14 @@ def _on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[A
     return rows(formula, inputs, (after,), kind)(*given)[0]
 
 
-def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
-    """Float32 or float64 numbers whose last axes are ``tail``.
+@cache
+def _of_unit(formula: Any) -> Any:
+    """A formula whose first argument is a quaternion, of its unit quaternion."""
+    return lambda q, *more: formula(quat.normalise(q), *more)
 
-    Raises ``TypeError`` for something else than real numbers, ``ValueError`` for other shapes.
-    """
+
+def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
+    """Float32 or float64 numbers whose last axes are ``tail``."""
     found = checks.numbers(name, value, "real numbers")
     if found.shape[found.ndim - len(tail) :] != tail:
         accepted = ", ".join(map(str, tail))
@@ -36,12 +40,8 @@ def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
     """Direction cosine matrices (..., 3, 3) of quaternions (..., 4), of any length but zero."""
-    found = _on_rows(_matrix, floats("q", q, (4,)), after=9)
+    found = _on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
     return found.reshape((*found.shape[:-1], 3, 3))
-
-
-def _matrix(q: Any) -> Any:
-    return dcm.from_quat(quat.normalise(q))
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
@@ -55,7 +55,7 @@ def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
 
 def _rotations(name: str, C: Any) -> NDArray[Any]:
     found = floats(name, C, (3, 3))
-    with np.errstate(all="ignore"):  # of what is not finite the quaternion is not either
+    with np.errstate(all="ignore"):  # a matrix that is not finite gives such a quaternion
         size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
         gram = np.swapaxes(found, -1, -2) @ found
         error = np.abs(gram - np.eye(3)).max(axis=(-2, -1))
@@ -70,7 +70,7 @@ def _rotations(name: str, C: Any) -> NDArray[Any]:
 
 
 def quaternions_of(found: NDArray[Any]) -> NDArray[Any]:
-    """The same of what is propagated, which may have become no rotation."""
+    """Unit quaternions of matrices that propagation may have left without orthogonality."""
     return _on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
 
 
@@ -84,11 +84,7 @@ def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
 
     Quaternions are normalised first: their length does not count.
     """
-    return _on_rows(_angles, floats("q", q, (4,)), after=3)
-
-
-def _angles(q: Any) -> Any:
-    return euler313.from_quat(quat.normalise(q))
+    return _on_rows(_of_unit(euler313.from_quat), floats("q", q, (4,)), after=3)
 
 
 def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
@@ -114,20 +110,12 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """v_i = q∘v_b∘q*/|q|²: vectors (..., 3) of the body along inertial axes, q (..., 4) not 0."""
-    return _product(_rotated, "q", q, "v", v, 3)
-
-
-def _rotated(q: Any, v: Any) -> Any:
-    return quat.rotate(quat.normalise(q), v)
+    return _product(_of_unit(quat.rotate), "q", q, "v", v, 3)
 
 
 def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """v_b = q*∘v_i∘q/|q|²: inertial vectors (..., 3) along body axes, q (..., 4) not 0."""
-    return _product(_rotated_back, "q", q, "v", v, 3)
-
-
-def _rotated_back(q: Any, v: Any) -> Any:
-    return quat.rotate_inverse(quat.normalise(q), v)
+    return _product(_of_unit(quat.rotate_inverse), "q", q, "v", v, 3)
 
 
 def _product(
@@ -156,8 +144,8 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
     matrices the entries' own rounding, some 2e-16, counts on top. Gives (...), or a float for one
     pair.
 
-    Raises ``ValueError`` for other shapes and for matrices of no rotation, ``TypeError`` for
-    something that is not numbers.
+    Raises ``ValueError`` for other shapes and for matrices of no rotation, ``TypeError`` for other
+    things than numbers.
     """
     p, q = _as_quat("a", a), _as_quat("b", b)
     _check_broadcast("a", p, "b", q)

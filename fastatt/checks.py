@@ -1,4 +1,4 @@
-"""Arguments, looked at once: a refusal names the argument, what was found, what is accepted."""
+"""Checks of arguments: a refusal names the argument, the value found and the accepted ones."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import operator
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from datetime import timedelta
 from difflib import get_close_matches
 from functools import lru_cache
@@ -17,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.floating[Any]]
 _Shapes = Iterable[tuple[int, ...]]
 
-_ROWS = 1 << 14
 _PRECISIONS = _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
 
@@ -87,41 +87,26 @@ def any_real(name: str, value: Any, accepted: str) -> float:
 
 
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
-    """float64 or float32: as asked, or float32 when all the arrays are."""
+    """float64 or float32: ``dtype``, or without one float32 where all arrays have it."""
     if dtype is None:
-        found: np.dtype[Any] = _DOUBLE
-        for a in arrays:
-            if isinstance(a, np.ndarray):
-                if a.dtype != _SINGLE:
-                    return _DOUBLE
-                found = _SINGLE
-        return found
-    try:
-        kind: np.dtype[Any] | None = np.dtype(dtype)
-    except (TypeError, ValueError):
-        kind = None
-    if kind is None or kind not in (_DOUBLE, _SINGLE):
-        raise TypeError(f"dtype: found {brief(dtype)}; accepted: float64, float32 or None")
-    return kind
+        kinds = {a.dtype for a in arrays if isinstance(a, np.ndarray)}
+        return _SINGLE if kinds == {_SINGLE} else _DOUBLE
+    with suppress(TypeError, ValueError):
+        found: np.dtype[Any] = np.dtype(dtype)
+        if found in _PRECISIONS:
+            return found
+    raise TypeError(f"dtype: found {brief(dtype)}; accepted: float64, float32 or None")
 
 
 def array(
-    name: str,
-    value: ArrayLike,
-    shapes: str,
-    tails: _Shapes | None = None,
-    *,
-    flag: bool = False,
+    name: str, value: ArrayLike, shapes: str, tails: _Shapes | None = None, *, flag: bool = False
 ) -> Floats:
     """A float array of one of the shapes, such as "a number, (3,) or (N, 3)".
 
-    ``tails`` are these (−1: any length but 0) where the words do not say them. It is finite, unless
-    what is not is to be flagged.
+    ``tails`` are these shapes (−1: any length but 0) where the text does not give them. All numbers
+    are finite, unless others are to be flagged.
     """
-    if type(value) is np.ndarray and value.dtype in _PRECISIONS:
-        found = value
-    else:
-        found = numbers(name, value, f"real numbers of shape {shapes}")
+    found = numbers(name, value, f"real numbers of shape {shapes}")
     for tail in tails or _tails(shapes):
         if _fits(found.shape, tail):
             if not flag:
@@ -131,7 +116,7 @@ def array(
 
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
-    """A float32 or float64 array of what is real numbers and nothing else; masked ones are NaN."""
+    """A float32 or float64 array of real numbers; masked ones are NaN."""
     if type(value) is np.ndarray and value.dtype in _PRECISIONS:
         return value
     try:
@@ -174,37 +159,20 @@ def all_finite(*values: Floats) -> bool:
 
 
 def attitudes(
-    name: str,
-    value: ArrayLike,
-    shapes: str = "(4,) or (N, 4)",
-    *,
-    flag: bool = False,
+    name: str, value: ArrayLike, shapes: str = "(4,) or (N, 4)", *, flag: bool = False
 ) -> Floats:
-    """Quaternions, finite and not zero; others pass where the body is to be flagged for them.
+    """Quaternions, finite and not zero; others pass where bodies are to be flagged for them.
 
     A SciPy ``Rotation`` from body to inertial components is taken as its quaternions.
     """
     if hasattr(value, "as_quat"):
         value = np.roll(value.as_quat(), 1, axis=-1)
-    if flag:
-        return array(name, value, shapes, flag=True)
-    q = array(name, value, shapes)
-    zero = _zero_rows(q.reshape(-1, 4))
-    if zero.any():
-        first = np.unravel_index(int(zero.argmax()), q.shape[:-1])
-        where = [int(i) for i in first] if q.ndim > 1 else ""
+    q = array(name, value, shapes, flag=flag)
+    zero = False if flag else (q == 0.0).all(axis=-1)
+    if np.any(zero):
+        where = [int(i) for i in np.argwhere(zero)[0]] or ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
     return q
-
-
-def _zero_rows(x: Floats) -> NDArray[np.bool_]:
-    """Which rows are zero, some at a time: new memory takes longer than numbers that are there."""
-    ones, found = np.ones(x.shape[1], dtype=x.dtype), np.empty(len(x), dtype=np.bool_)
-    with np.errstate(over="ignore"):
-        for a in range(0, len(x), _ROWS):
-            rows = slice(a, a + _ROWS)
-            found[rows] = np.abs(x[rows]) @ ones == 0.0
-    return found
 
 
 @lru_cache(maxsize=256)
@@ -232,11 +200,11 @@ def _not_numbers(name: str, value: object, accepted: str) -> TypeError:
 
 
 def shape(found: NDArray[Any]) -> str:
-    """An array's shape as it is told in a message."""
+    """An array's shape in the words of a message."""
     return f"has shape {found.shape}{'' if found.size else ' and is empty'}"
 
 
 def brief(value: object) -> str:
-    """A value as it is shown in a message, on one line."""
+    """A value in a message, on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

@@ -8,12 +8,13 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fastatt import __version__, listing, precompile
+from fastatt import __version__, precompile
 from fastatt.checks import attitudes, choice, real, whole
 from fastatt.codegen import modules
 from fastatt.gyro.integrate import methods_for_samples
@@ -22,7 +23,9 @@ from fastatt.logs.gaps import ON_BAD_ROWS
 from fastatt.logs.log import read_gyro_log
 from fastatt.logs.names import TIME_UNITS, UNITS
 from fastatt.logs.reference import against_reference, read_attitudes
+from fastatt.methods import METHODS
 from fastatt.scene.scene import Scene
+from fastatt.scene.torque_record import Dependence
 from fastatt.threads import progress_bar
 from fastatt.trade.advice import recommend
 from fastatt.trade.recordings import compare_on_log
@@ -31,6 +34,13 @@ from fastatt.trade.scene_file import from_words, read_rows, read_scene
 from fastatt.trade.work_precision import work_precision
 
 _ALL = "all"
+# kinds of scenes on the command line, and in the records of methods
+_KINDS = {
+    "rate": ("rate",),
+    "free": ("spherical", "symmetric", "free"),
+    "torqued": ("torqued",),
+    "samples": ("sampled rates", "increments"),
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -39,41 +49,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("always")
-            warnings.showwarning = _teller()
-            result: int = arguments.run(arguments)
+            warnings.simplefilter("default")
+            warnings.showwarning = _print_warning
+            arguments.run(arguments)
             sys.stdout.flush()
     except BrokenPipeError:
-        # what is left to be written would fail again at the exit
-        with suppress(OSError, ValueError):  # of a stream that is no file
+        # the rest of the output would fail again at the exit
+        with suppress(OSError, ValueError):  # the stream may be no file
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print("fastatt: standard output was closed before the end", file=sys.stderr)
         return 2
     except (ValueError, TypeError, OSError, ImportError) as error:
         text = str(error)
-        if isinstance(error, OSError) and error.strerror:  # numpy's have none
-            text = (
-                error.strerror if error.filename is None else f"{error.strerror}: {error.filename}"
-            )
+        if isinstance(error, OSError) and error.strerror:
+            text = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
         print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("fastatt: stopped", file=sys.stderr)
         return 130
-    return result
+    return 0
 
 
-def _teller() -> Callable[..., None]:
-    """What prints warnings as lines, each once and without our source."""
-    told: set[str] = set()
-
-    def tell(message: Warning | str, *about: object, **more: object) -> None:
-        line = " ".join(str(message).split())
-        if line not in told:
-            told.add(line)
-            print(f"fastatt: warning: {line}", file=sys.stderr)
-
-    return tell
+def _print_warning(message: Warning | str, *about: object, **more: object) -> None:
+    """A warning as one line, without its place in the source."""
+    print(f"fastatt: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -84,97 +84,67 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"fastatt {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def command(run: Callable[..., int], brief: str, description: str) -> argparse.ArgumentParser:
+    def command(run: Callable[..., None], brief: str, more: str = "") -> argparse.ArgumentParser:
         name = run.__name__.removeprefix("_")
-        added = commands.add_parser(name, help=brief, description=description)
+        added = commands.add_parser(name, help=brief, description=f"{brief}. {more}")
         added.set_defaults(run=run)
         return added
 
-    methods = command(
-        _methods,
-        "list the methods and where each fits",
-        "List the methods: name, order, scenes, floating-point operations a step of quaternions, "
-        "representations, source.",
-    )
-    methods.add_argument(
-        "--scene", choices=listing.SCENES, help="only those for this kind of scene"
-    )
+    methods = command(_methods, "list the methods and where each fits")
+    methods.add_argument("--scene", choices=_KINDS, help="only those for this kind of scene")
 
-    integrate = command(
-        _integrate,
-        "gyro log to attitudes",
-        "Read a gyro log, integrate it, write the attitudes (body to inertial, scalar first); with "
-        "--compare, say how far the methods differ on it.",
-    )
+    integrate = command(_integrate, "integrate a gyro log to attitudes, body to inertial")
     _add_log(integrate)
 
-    trade = command(
-        _trade,
-        "every method's speed against its error",
-        "Run every method that fits on recorded gyro logs and on ensembles with a known answer, or "
-        "on a scene of your own; leave tables, CSV files and pictures.",
-    )
+    trade = command(_trade, "measure every method's speed against its error", _TRADE)
     add = trade.add_argument
-    add(
-        "--scene",
-        action="append",
-        choices=(*SCENES, _ALL),
-        help=f"what to run, may be repeated (default: {' and '.join(DEFAULT_SCENES)}): recordings "
-        "of gyros, coning bodies, free bodies, heavy tops, bodies under several torques",
-    )
+    scenes = f"a study, may be repeated (default: {' and '.join(DEFAULT_SCENES)})"
+    add("--scene", action="append", choices=(*SCENES, _ALL), help=scenes)
     add("--methods", type=_names, help="only these methods, where they fit: rk4,magnus4")
     add("-o", "--out", type=Path, default=Path("results"), help="folder for results")
-    add(
-        "--log",
-        type=Path,
-        action="append",
-        help="a gyro log instead of the recordings of scikit-kinematics (may be repeated)",
-    )
+    logs = "a gyro log instead of the recordings of scikit-kinematics (may be repeated)"
+    add("--log", type=Path, action="append", help=logs)
     _add_scene(trade)
     add("--t-end", type=float, help="duration of your own scene, s")
     add("--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only")
 
-    advice = command(
-        _recommend,
-        "the cheapest method and step for a scene of your own",
-        "Measure on a sample of an ensemble which method, step and precision meet a tolerance in "
-        "the shortest time, or come nearest within a time.",
-    )
+    advice = command(_recommend, "find the fastest method and step for a scene of your own")
     _add_scene(advice)
     add = advice.add_argument
     add("--t-end", type=float, required=True, help="duration, s")
     goal = advice.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tol", type=float, help="largest error of any body, rad")
     goal.add_argument("--budget", type=float, help="longest time that the run may take, s")
-    where = "where errors are looked at: over the run (default), or at its end alone"
+    where = "errors count over the run (default), or at its end alone"
     add("--at", choices=("run", "end"), default="run", help=where)
     add("--methods", type=_names, help="only these methods: rk4,magnus4")
 
-    compile_usual = command(
-        _precompile,
-        "compile what is usual beforehand",
-        "Compile every method on usual scenes (constant rate, coning, free body, heavy top, "
-        "gravity gradient and damping) and for logs, on quaternions and matrices in double "
-        "precision, in parallel processes. Programs are kept: FASTATT_CACHE names the folder.",
-    )
+    compile_usual = command(_precompile, "compile the usual programs beforehand", _PRECOMPILE)
     add = compile_usual.add_argument
-    add("--all", action="store_true", help="single precision and all representations besides")
+    add("--all", action="store_true", help="also single precision and all representations")
     add("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
     add("-j", "--jobs", type=int, help="processes (default: one a processor)")
 
-    cache = command(
-        _cache,
-        "where compiled functions are kept, how large they are",
-        "Say where compiled functions are kept and how large they are. FASTATT_CACHE names another "
-        "folder; FASTATT_CACHE=0 switches it off.",
-    )
+    cache = command(_cache, "show where compiled functions are kept and how large they are", _CACHE)
     cache.add_argument("--clear", action="store_true", help="remove them")
     for shows_progress in (integrate, trade, advice, compile_usual):
         shows_progress.add_argument("-q", "--quiet", action="store_true", help="no progress bar")
     return parser
 
 
-def _precompile(arguments: argparse.Namespace) -> int:
+_TRADE = (
+    "All fitting methods run on recorded gyro logs and on ensembles with a known answer, or on a "
+    "scene of your own; tables, CSV files and pictures are left in a folder."
+)
+_PRECOMPILE = (
+    "Every method on usual scenes (constant rate, coning, free body, heavy top, gravity gradient "
+    "and damping) and for logs, on quaternions and matrices in double precision, in parallel "
+    "processes. Programs are kept: FASTATT_CACHE names the folder."
+)
+_CACHE = "FASTATT_CACHE names another folder; FASTATT_CACHE=0 switches it off."
+
+
+def _precompile(arguments: argparse.Namespace) -> None:
     if arguments.jobs is not None:
         whole("--jobs", arguments.jobs, 1)
     if arguments.scene_file is None:
@@ -184,18 +154,16 @@ def _precompile(arguments: argparse.Namespace) -> int:
         tasks = precompile.of_scene(scene, everything=arguments.all)
     progress = _bar_wanted(arguments.quiet)
     print(precompile.precompile(tasks, processes=arguments.jobs, progress=progress))
-    return 0
 
 
-def _cache(arguments: argparse.Namespace) -> int:
+def _cache(arguments: argparse.Namespace) -> None:
     if arguments.clear:
         modules.clear()
     print(precompile.where())
-    return 0
 
 
 def _add_log(command: argparse.ArgumentParser) -> None:
-    """A log, how it is read and what is made of it."""
+    """Options of a log: reading, integration, comparison."""
     add = command.add_argument
     add("log", help="text table with three rate columns, gzipped or not; - is standard input")
     out = "attitudes as .csv, .npy or .zarr (default: LOG.attitudes.csv)"
@@ -209,20 +177,17 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
     timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
     add("--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3")
-    add(
-        "--on-bad-rows",
-        choices=ON_BAD_ROWS,
-        default="refuse",
-        help="what becomes of rows without a rate, stamps that do not grow, and gaps: refuse "
-        "(default), drop (intervals go across), split (each piece begins at q0), hold (the last "
-        "rates stay)",
+    bad_rows = (
+        "rows without a rate, stamps that do not grow, and gaps: refuse (default), drop (intervals "
+        "span them), split (each piece begins at q0), hold (the last rates stay)"
     )
+    add("--on-bad-rows", choices=ON_BAD_ROWS, default="refuse", help=bad_rows)
     add("--max-gap", type=float, help="longest interval that is no gap, s")
-    bias = "take off the mean rate of so many s from the start"
+    bias = "subtract the mean rate of so many s from the start"
     add("--bias-seconds", type=float, help=bias)
-    reference = "table of a reference's attitudes: clocks and frames aligned, the angle is said"
+    reference = "table of reference attitudes: clocks and frames are aligned, the angle is printed"
     add("--reference", type=Path, help=reference)
-    compare = "besides, how far the other methods differ, and where the error comes from"
+    compare = "print how far the other methods differ, and where the error comes from"
     add("--compare", action=argparse.BooleanOptionalAction, default=False, help=compare)
 
 
@@ -231,24 +196,18 @@ def _add_scene(command: argparse.ArgumentParser) -> None:
     add = command.add_argument_group("a scene of your own").add_argument
     add("--scene-file", type=Path, help="a .json or .toml file with the scene")
     add("--inertia", type=_floats, help="principal moments, kg·m²: 2,1,0.7; nine numbers: a tensor")
-    for kind, example in (
-        ("torque", "HeavyTop arm=0,0,0.1 weight=10"),
-        ("rate", "Coning angle=0.5 frequency=2"),
-    ):
-        add(
-            f"--{kind}",
-            nargs="+",
-            action="append",
-            metavar=("NAME", "KEY=NUMBERS"),
-            help=f"a model of fastatt.{kind}s, may be repeated: {example}",
-        )
+    model: dict[str, Any] = {
+        "nargs": "+", "action": "append", "metavar": ("NAME", "KEY=NUMBERS")
+    }  # fmt: skip
+    torque = "a model of fastatt.torques, may be repeated: HeavyTop arm=0,0,0.1 weight=10"
+    add("--torque", **model, help=torque)
+    add("--rate", **model, help="a model of fastatt.rates: Coning angle=0.5 frequency=2")
     add("--frame", choices=("body", "inertial"), help="axes of the rate")
     add("--q0", type=Path, help="initial attitudes, .csv or .npy (default: random)")
     add("--w0", type=Path, help="initial rates, rad/s, .csv or .npy (default: random)")
     add("--spin", type=float, help="of random rates, rad/s an axis (default: 1)")
-    command.add_argument(
-        "--bodies", type=int, default=4096, help="size of the ensemble (default: 4096)"
-    )
+    bodies = "size of the ensemble (default: 4096)"
+    command.add_argument("--bodies", type=int, default=4096, help=bodies)
 
 
 def _names(text: str) -> list[str]:
@@ -263,21 +222,23 @@ def _floats(text: str) -> list[float]:
 
 
 def _bar_wanted(quiet: bool) -> bool:
-    if quiet or not sys.stderr.isatty():
-        return False
-    try:
-        import tqdm  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return not quiet and sys.stderr.isatty() and find_spec("tqdm") is not None
 
 
-def _methods(arguments: argparse.Namespace) -> int:
-    print(listing.listed(arguments.scene))
-    return 0
+def _methods(arguments: argparse.Namespace) -> None:
+    width = max(map(len, METHODS))
+    for m in METHODS.values():
+        if arguments.scene and not set(m.scenes) & set(_KINDS[arguments.scene]):
+            continue
+        order = f"order {m.order}" if m.order else "closed form"
+        order += "".join(f", {other} for {kind}" for kind, other in m.orders.items())
+        damped = " (torques free of w but for linear damping)"
+        scenes = ", ".join(m.scenes) + (damped if m.takes is Dependence.DAMPED else "")
+        print(f"{m.name:{width}}  {order}; {scenes}: {m.summary}")
+        print(f"{'':{width}}  {', '.join(m.representations)}; {m.source}")
 
 
-def _integrate(arguments: argparse.Namespace) -> int:
+def _integrate(arguments: argparse.Namespace) -> None:
     q0 = attitudes("--q0", np.array(arguments.q0), "(4,)")
     choice("--method", arguments.method, methods_for_samples())
     if Path(arguments.log).is_dir():
@@ -303,7 +264,7 @@ def _integrate(arguments: argparse.Namespace) -> int:
     n = len(rows)
     print(f"{out}: {n} attitudes by {method}, body to inertial, scalar first")
     if not (arguments.compare or reference) or n == 1:
-        return 0
+        return
     if len(log.pieces) > 1:
         raise ValueError(
             f"--on-bad-rows: found {len(log.pieces)} pieces; accepted with --compare and "
@@ -314,7 +275,6 @@ def _integrate(arguments: argparse.Namespace) -> int:
     if arguments.compare:
         print("comparing with the other methods ...", flush=True)
         print(compare_on_log(log, method))
-    return 0
 
 
 def _own_scene(arguments: argparse.Namespace) -> Scene | None:
@@ -324,7 +284,7 @@ def _own_scene(arguments: argparse.Namespace) -> Scene | None:
     if arguments.scene_file is not None:
         if words:
             raise ValueError(
-                f"--scene-file: found beside --{next(iter(words))}; accepted: one of them"
+                f"--scene-file: found with --{next(iter(words))}; accepted: one of them"
             )
         return read_scene(arguments.scene_file)
     for kind in ("torque", "rate"):
@@ -343,7 +303,7 @@ def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
     generator = np.random.default_rng(0)
     q0 = None if arguments.q0 is None else read_rows("--q0", arguments.q0, 4)
     w0 = None if arguments.w0 is None else read_rows("--w0", arguments.w0, 3)
-    rows = {len(x) for x in (q0, w0) if x is not None and x.ndim == 2}
+    rows = [len(x) for x in (q0, w0) if x is not None and x.ndim == 2]
     n = max(rows) if rows else whole("--bodies", arguments.bodies, 1)
     if q0 is None:
         q0 = generator.normal(size=(n, 4))
@@ -353,7 +313,7 @@ def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
     return q0, w0
 
 
-def _recommend(arguments: argparse.Namespace) -> int:
+def _recommend(arguments: argparse.Namespace) -> None:
     scene = _own_scene(arguments)
     if scene is None:
         raise ValueError("no scene: accepted: --inertia, --rate or --scene-file")
@@ -361,10 +321,9 @@ def _recommend(arguments: argparse.Namespace) -> int:
     names = ("t_end", "tol", "budget", "at", "methods")
     asked = {name: getattr(arguments, name) for name in names}
     print(recommend(scene, q0, w0, progress=_bar_wanted(arguments.quiet), **asked))
-    return 0
 
 
-def _trade_own(arguments: argparse.Namespace, scene: Scene) -> int:
+def _trade_own(arguments: argparse.Namespace, scene: Scene) -> None:
     """Work and precision on a scene of the user's own."""
     for name in ("scene", "log"):
         if getattr(arguments, name) is not None:
@@ -384,13 +343,13 @@ def _trade_own(arguments: argparse.Namespace, scene: Scene) -> int:
     for ending, write in ((".csv", found.to_csv), (".json", found.to_json), (".png", found.plot)):
         write(out / f"work_precision{ending}")
     print(f"\n{out}: work_precision.csv, work_precision.json, work_precision.png")
-    return 0
 
 
-def _trade(arguments: argparse.Namespace) -> int:
+def _trade(arguments: argparse.Namespace) -> None:
     own = _own_scene(arguments)
     if own is not None:
-        return _trade_own(arguments, own)
+        _trade_own(arguments, own)
+        return
     for name in ("t_end", "q0", "w0", "spin"):
         if getattr(arguments, name) is not None:
             raise ValueError(
@@ -403,4 +362,3 @@ def _trade(arguments: argparse.Namespace) -> int:
         logs=arguments.log, n_bodies=arguments.bodies, quick=arguments.quick,
         progress=_bar_wanted(arguments.quiet),
     )  # fmt: skip
-    return 0

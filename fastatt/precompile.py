@@ -1,8 +1,7 @@
-"""Compile what is usual before it is needed, in processes side by side.
+"""Compile the usual programs beforehand, in parallel processes.
 
-What a program is made for is decided where runs are, so each case is run for a few steps: one body,
-and an ensemble with numbers that all share and with each body's own; one of them turns too far for
-the quick form.
+A run decides what it compiles, so each case is run for a few steps: one body, and ensembles with
+shared and with per-body parameters; one body rotates too far for the small-angle form.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from fastatt.scene import rates, torques
 from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads, progress_bar
 
-# those of a whole tile: of 2 to 32 bodies it is narrower, and compiled when it is needed
+# of a whole tile; that of 2 to 32 bodies is narrower, and compiled when it is needed
 _BODIES = WIDTH
 _STEPS = 3
 # away from the poles of Euler's angles
@@ -46,7 +45,7 @@ def _body(x: Any, torque: Any = None) -> Scene:
     return Scene(inertia=np.multiply.outer(x, _MOMENTS), torque=torque)
 
 
-#: scenes that need no user's function, with numbers x that all share or of each body's own
+#: scenes without a user-defined function, with shared or per-body parameters x
 SCENES: Mapping[str, Callable[[Any], Scene]] = {
     "constant rate": lambda x: Scene(rate=rates.Constant(np.multiply.outer(x, [0.1, 0.2, 0.3]))),
     "coning": lambda x: Scene(rate=rates.Coning(0.5 * x, x)),
@@ -60,10 +59,9 @@ SCENES: Mapping[str, Callable[[Any], Scene]] = {
 
 @dataclass(frozen=True)
 class Task:
-    """What one process compiles at a time: a method on a scene of its own or on one of ``SCENES``.
+    """A case to compile: a method on a scene, or on one of ``SCENES`` by its name.
 
-    A method for logs has no scene; without a method it is what takes arrays, the closed form
-    included.
+    A method for logs has no scene; without a method it is the functions of arrays.
     """
 
     scene: Scene | str | None
@@ -72,7 +70,7 @@ class Task:
     dtype: str = "float64"
 
     def run(self) -> None:
-        """Do what compiles it."""
+        """Run the case."""
         with noted(), np.errstate(all="ignore"):
             if not self.method:
                 _functions(self.dtype)
@@ -82,17 +80,16 @@ class Task:
                 for x, n in (1.0, 1), (1.0, _BODIES), (_OWN, _BODIES):
                     _steps(self, SCENES[self.scene](x), n)
             else:
-                own = self.scene.packed(None).params
-                for n in (1, _BODIES) if own.ndim == 1 else (len(own),):
+                params = self.scene.packed(None).params
+                for n in (1, _BODIES) if params.ndim == 1 else (len(params),):
                     _steps(self, self.scene, n)
 
 
 def _steps(task: Task, scene: Scene, n: int) -> None:
     q = np.tile(_TILTED, (n, 1))
     w = None if scene.kind == "rate" else np.tile([0.1, 0.2, 0.3], (n, 1))
-    still = np.zeros((n, 3))
-    carried: dict[str, Any] = {"v0": still} if scene.moves else {}
-    placed: dict[str, Any] = {"r0": still + 1.0}
+    carried: dict[str, Any] = {"v0": np.zeros((n, 3))} if scene.moves else {}
+    placed: dict[str, Any] = {"r0": np.ones((n, 3))}
     if scene.needs_position:
         carried |= placed
     run = partial(
@@ -102,10 +99,10 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     if carried and not scene.needs_position and task.representation in _USUAL:
         run(dt=0.01, **placed)
     found = run(dt=0.01)
-    # what a trajectory makes of its states
+    # conversions of the states
     _ = found.q, found.w, found.dcm
     drift(found, scene)
-    # beyond any limit: what the quick form is not for
+    # beyond any limit of the small-angle form
     if w is not None:
         w[0] *= 2000.0
     run(dt=20.0 if w is None else 0.01)
@@ -139,35 +136,37 @@ def _functions(dtype: str) -> None:
             closed_form.free_body(q, v, moments, t, dtype=dtype)
 
 
+def _dtypes(everything: bool) -> tuple[str, ...]:
+    return ("float64", "float32") if everything else ("float64",)
+
+
 def usual(*, everything: bool = False) -> list[Task]:
     """Every method on every scene, on quaternions and matrices in double precision.
 
     ``everything`` adds single precision and all other representations.
     """
-    dtypes = ("float64", "float32") if everything else ("float64",)
-    found = [Task(None, dtype=dtype) for dtype in dtypes]
+    logs = ["", *(m.name for m in METHODS.values() if m.window is not None)]
+    found = [Task(None, name, dtype=dtype) for name in logs for dtype in _dtypes(everything)]
     for name in SCENES:
         found += of_scene(SCENES[name](1.0), name, everything=everything)
-    logs = [m.name for m in METHODS.values() if m.window is not None]
-    return found + [Task(None, name, dtype=dtype) for name in logs for dtype in dtypes]
+    return found
 
 
 def of_scene(scene: Scene, name: str = "", *, everything: bool = False) -> list[Task]:
     """Every method that fits a scene, or one of ``SCENES`` by its name."""
-    dtypes = ("float64", "float32") if everything else ("float64",)
-    sent = replace(scene)  # without what the scene keeps of its own making
+    sent = replace(scene)  # without the scene's caches
     return [
         Task(name or sent, method, representation, dtype)
         for method in methods_for(scene)
         for representation in METHODS[method].representations
         if everything or representation in _USUAL
-        for dtype in dtypes
+        for dtype in _dtypes(everything)
         if fits(METHODS[method], scene, representation)
     ]
 
 
 def _run_alone(task: bytes) -> None:
-    """Run a task in a process of its own."""
+    """Run a task in a new process."""
     modules.say_nothing()
     pickle.loads(task).run()
 
@@ -175,13 +174,13 @@ def _run_alone(task: bytes) -> None:
 def precompile(
     tasks: Sequence[Task], *, processes: int | None = None, progress: bool = False
 ) -> str:
-    """Compile what tasks need, and say how many programs are kept, how large, and where.
+    """Compile the programs of tasks; gives their number, size and folder as text.
 
     Raises ``ValueError`` where nothing can be kept.
     """
     if modules.folder() is None:
         raise ValueError(where())
-    # here, where what fails is seen: in the pool's own thread it may wait for ever
+    # pickled here, where an error is raised: in the pool's thread it may wait for ever
     sent = [pickle.dumps(task) for task in tasks]
     workers = max(1, min(processes or default_threads(), len(tasks)))
     before, _ = modules.usage()
@@ -190,14 +189,14 @@ def precompile(
         ProcessPoolExecutor(workers, mp_context=spawn) as pool,
         progress_bar(progress, len(tasks), "case") as done,
     ):
-        # where one fails, those that were not begun are cancelled
+        # an error cancels the tasks that have not begun
         for _ in pool.map(_run_alone, sent):
             done(1)
     return f"{modules.usage()[0] - before} programs made; {where()}"
 
 
 def where() -> str:
-    """The folder of machine code, how many programs are in it, how large they are."""
+    """Number, size and folder of the programs that are kept."""
     folder = modules.folder()
     if folder is None:
         return f"nothing is kept: {modules.reason()}"

@@ -1,4 +1,4 @@
-"""Where rounding takes what a user may expect: angles and times that a precision does not hold."""
+"""Warnings of rounding: angles and times beyond a precision."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from contextvars import ContextVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-#: rad of rounding beyond which a motion in closed form is told to be wrong
+#: rad of rounding beyond which a motion in closed form is reported as wrong
 LOST = 0.1
-#: of a step, what the time may be rounded by
+#: largest share of a step by which the time may be rounded
 SHARE = 1e-3
-#: where warnings go instead, of a thread whose caller hands them on
+#: a list that takes warnings in place of Python's
 heard: ContextVar[list[str] | None] = ContextVar("heard", default=None)
 
 
@@ -26,8 +26,8 @@ class StepWarning(UserWarning):
 
 def warn(text: str) -> None:
     """Warn of something, in the first line outside this package."""
-    if (told := heard.get()) is not None:
-        told.append(text)
+    if (listed := heard.get()) is not None:
+        listed.append(text)
         return
     frame, level = sys._getframe(1), 2  # noqa: SLF001
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("fastatt."):
@@ -37,25 +37,22 @@ def warn(text: str) -> None:
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """What is warned of within is listed instead."""
-    told: list[str] = []
-    before = heard.set(told)
+    """List warnings that are raised within."""
+    texts: list[str] = []
+    before = heard.set(texts)
     try:
-        yield told
+        yield texts
     finally:
         heard.reset(before)
 
 
 def most_turned(dtype: DTypeLike) -> float:
-    """Angle, rad, whose rounding is ``LOST``: what is turned in one exponential."""
+    """Largest rotation angle of one exponential, rad: its rounding is ``LOST``."""
     return LOST / float(np.finfo(dtype).eps)
 
 
 def of_angles(angles: NDArray[np.float64], dtype: DTypeLike) -> str:
-    """What to say of angles that bodies turn by in one go, rad: "" while half the digits are right.
-
-    An angle is rounded as a whole, by |w| t eps.
-    """
+    """A warning of rotation angles of one step, rad; "" while half of their digits are right."""
     eps = float(np.finfo(dtype).eps)
     most = float(np.max(angles, initial=0.0, where=np.isfinite(angles)))
     if most * eps <= math.sqrt(eps):
@@ -67,10 +64,7 @@ def of_angles(angles: NDArray[np.float64], dtype: DTypeLike) -> str:
 
 
 def of_times(longest: float, h: float) -> str:
-    """What to say of a clock that counts to ``longest`` s in steps of h: "" if it tells them apart.
-
-    A rate that a step resolves is wrong by less than ``SHARE`` rad of its phase.
-    """
+    """A warning of times up to ``longest`` s in steps of h; "" while their rounding is small."""
     tick = math.ulp(longest)
     if tick <= SHARE * abs(h):
         return ""

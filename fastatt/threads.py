@@ -1,7 +1,7 @@
-"""Pieces of work on a few threads, with progress and a way out between pieces.
+"""Pieces of work on a few threads, with progress and interruption between pieces.
 
-Compiled loops let go of the GIL: a small pool that calls them nests under other schedulers, and
-needs no compiler's own threads.
+Compiled loops release the GIL: a small pool that calls them nests under other schedulers, without
+Numba's threads.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def each_in_threads(calls: Iterable[Callable[[], object]], n_threads: int) -> No
 
 
 def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:
-    """Run tasks, each of which looks at the event between its pieces and stops when it is set."""
+    """Run tasks, each of which checks the event between its pieces and stops when it is set."""
     stop = Event()
     if n_threads == 1 or len(tasks) == 1:
         for task in tasks:

@@ -14,7 +14,6 @@ import fastatt as fa
 from fastatt import cli
 from fastatt.__main__ import main as start
 from fastatt.cli import main
-from fastatt.propagation.inspect_step import inspect_step
 from fastatt.trade.recordings import compare_on_log
 from fastatt.trade.scene_file import read_scene
 
@@ -261,16 +260,6 @@ def test_methods_lists_all(capsys):
         assert method.summary in text
 
 
-def test_methods_tell_their_operations(capsys):
-    assert main(["methods"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    of = {first.split()[0]: second for first, second in zip(lines[::2], lines[1::2], strict=True)}
-    counted = inspect_step(fa.Scene(inertia=(2.0, 1.0, 0.7)), "rk4").split()
-    assert f", free {counted[counted.index('floating-point') - 1]}, heavy top " in of["rk4"]
-    for name, method in fa.METHODS.items():
-        assert ("operations " in of[name]) == method.is_stepped
-
-
 @pytest.mark.parametrize(
     ("scene", "own", "other"),
     [
@@ -290,13 +279,12 @@ def test_methods_of_a_scene(capsys, scene, own, other):
 def test_methods_say_what_they_take(capsys):
     main(["methods"])
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()[::2]}
-    everywhere = "order 4; rate functions, free bodies, torqued bodies: "
-    damped = "order 2; free bodies, torqued bodies (torque free of w but for linear damping): "
-    assert everywhere in lines["rk4"]
+    bodies = "spherical, symmetric, free, torqued"
+    assert f"order 4; rate, {bodies}: " in lines["rk4"]
+    damped = f"order 2; {bodies} (torques free of w but for linear damping): "
     assert damped in lines["strang2"]
-    of_tops = "closed form; free bodies, torqued bodies (HeavyTop or MagneticDipole along the axis "
-    assert of_tops in lines["exact"]
-    assert "order 1, 2 for increments; samples: " in lines["hold"]
+    assert f"closed form; {bodies}: " in lines["exact"]
+    assert "order 1, 2 for increments; sampled rates, increments: " in lines["hold"]
     assert "order 4; increments: " in lines["coning3_optimal"]
 
 
@@ -318,11 +306,11 @@ def test_where_results_cannot_go_nothing_is_measured(capsys, tmp_path, monkeypat
     ],
 )
 def test_errors_without_a_file_are_a_line(capsys, monkeypatch, error, line):
-    def failing(scene):
+    def failing():
         raise error
 
-    monkeypatch.setattr("fastatt.cli.listing.listed", failing)
-    assert main(["methods"]) == 2
+    monkeypatch.setattr("fastatt.cli.precompile.where", failing)
+    assert main(["cache"]) == 2
     assert capsys.readouterr().err == f"fastatt: {line}\n"
 
 

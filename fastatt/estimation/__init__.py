@@ -20,8 +20,6 @@ from fastatt.estimation.derivatives import (
     StepTangent,
     Transition,
     body_tangent,
-    rate_transition,
-    sample_tangent,
     sample_transitions,
     step_tangent,
 )
@@ -33,13 +31,7 @@ from fastatt.estimation.filters import (
     scene_motion,
 )
 from fastatt.estimation.inertial_logs import Preintegration, Preintegrator, preintegrate
-from fastatt.estimation.mekf import (
-    MEKF,
-    mekf_predict,
-    mekf_update,
-    mekf_update_attitude,
-    mekf_update_vector,
-)
+from fastatt.estimation.mekf import MEKF
 from fastatt.estimation.noise import (
     AllanDeviation,
     NoiseFit,
@@ -53,6 +45,12 @@ from fastatt.estimation.particle import ParticleFilter
 from fastatt.estimation.runs import RunTangent, run_tangent
 from fastatt.estimation.start import StaticStart, attitude_from_vectors, static_start
 from fastatt.estimation.ukf import UKF
+from fastatt.estimation.updates import (
+    mekf_predict,
+    mekf_update,
+    mekf_update_attitude,
+    mekf_update_vector,
+)
 
 __all__ = [
     "MEKF", "UKF", "AllanDeviation", "BodyTangent", "Motion", "NoiseFit", "ParticleFilter",
@@ -61,7 +59,7 @@ __all__ = [
     "covariance_to_body", "covariance_to_inertial", "from_data_sheet", "gyro_motion",
     "left_jacobian", "left_jacobian_inverse", "mean_attitude", "mekf_predict", "mekf_update",
     "mekf_update_attitude", "mekf_update_vector", "predict_covariance", "preintegrate",
-    "preintegration", "process_noise", "rate_transition", "right_jacobian",
-    "right_jacobian_inverse", "run_tangent", "sample_tangent", "sample_transitions", "scene_motion",
+    "preintegration", "process_noise", "right_jacobian",
+    "right_jacobian_inverse", "run_tangent", "sample_transitions", "scene_motion",
     "simulate_gyro", "static_start", "step_tangent", "to_data_sheet", "transition_matrix",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sized
 from typing import Any
 
@@ -58,7 +59,7 @@ _NEGATIVE = -1e-6
 def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
     """Symmetric covariances without a negative variance in any direction, but for rounding.
 
-    ``shapes`` are as of ``checks.array``. What is compared are correlations: units do not matter.
+    ``shapes`` are as of ``checks.array``. Correlations are compared, so that units do not matter.
     """
     found = checks.array(name, value, shapes)
     least = _ROUNDING * np.finfo(found.dtype).eps
@@ -74,10 +75,7 @@ def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
     if not bad.any():
         there = np.where(scale > 0.0, scale, 1.0)
         correlations = even / there + least * np.eye(found.shape[-1])
-        try:
-            np.linalg.cholesky(correlations + (scale == 0.0) * np.eye(found.shape[-1]))
-        except np.linalg.LinAlgError:
-            bad = np.linalg.eigvalsh(correlations)[..., 0] < 0.0
+        bad = np.linalg.eigvalsh(correlations)[..., 0] < 0.0
     if bad.any():
         where = f"[{int(np.argmax(bad))}]" if found.ndim == 3 else ""
         raise ValueError(f"{name}{where}: {what}; accepted: a covariance")
@@ -87,7 +85,7 @@ def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
 def root(P: NDArray[Any]) -> NDArray[np.float64]:
     """L of P = L Lᵀ, (..., D, D), lower triangular; a direction without variance is a column of 0.
 
-    Of what is no covariance it is NaN.
+    NaN where P is no covariance.
     """
     size = P.shape[-1]
     found = np.zeros(P.shape)
@@ -100,12 +98,31 @@ def root(P: NDArray[Any]) -> NDArray[np.float64]:
     return found
 
 
-def triples(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Vectors (3,) or (N, 3) in rows."""
-    return np.atleast_2d(checks.array(name, value, "(3,) or (N, 3)").astype(np.float64))
-
-
-def of_logs(name: str, value: ArrayLike, n_logs: int) -> NDArray[np.float64]:
-    """Vectors in rows, one for all logs or one a log."""
-    accepted, tails = f"(3,) or ({n_logs}, 3), one a log", [(3,), (1, 3), (n_logs, 3)]
+def triples(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
+    """Vectors in rows, one for all n logs or one a log."""
+    accepted, tails = f"(3,) or ({n}, 3), one a log", [(3,), (1, 3), (n, 3)]
     return np.atleast_2d(checks.array(name, value, accepted, tails).astype(np.float64))
+
+
+def attitude_covariance(sigma: ArrayLike) -> NDArray[np.float64]:
+    """(3, 3), rad², of a standard deviation or three about body axes, above 0, or itself."""
+    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
+    if found.ndim < 2:
+        return np.diag(np.broadcast_to([variance("sigma", float(x)) for x in found.flat], (3,)))
+    return definite("sigma", found, "(3, 3)")
+
+
+def definite(name: str, value: ArrayLike, shapes: str) -> NDArray[np.float64]:
+    """Covariances with some variance in every direction, float64."""
+    found = np.ascontiguousarray(covariances(name, value, shapes), dtype=np.float64)
+    if (np.diagonal(root(found), axis1=-2, axis2=-1) == 0.0).any():
+        raise ValueError(f"{name}: has no variance in some direction; accepted: some in all")
+    return found
+
+
+def largest_square(gate: float | None) -> float:
+    """The largest normalised innovation squared that is used; None: any that is finite."""
+    if gate is None:
+        return sys.float_info.max
+    found = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)
+    return min(found, sys.float_info.max)

@@ -117,10 +117,9 @@ def left_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
 def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
     """Φ (6, 6) or (N, 6, 6) of (δθ, δb) over ``dt`` s at constant rates w less bias, rad/s.
 
-    That of the methods "lie_euler" and "hold" too. A method with more nodes has commutators in Φ12
-    besides, in coning of 0.3 rad at |w| h = 0.37 3.6 % of it:
-    :func:`fastatt.estimation.rate_transition` gives them. Raises ``ValueError`` or ``TypeError``
-    for other shapes.
+    Also that of the methods "lie_euler" and "hold". Φ12 of a method with more nodes has commutators
+    too, 3.6 % of it for coning of 0.3 rad at |w| h = 0.37: see :func:`step_tangent`. Raises
+    ``ValueError`` or ``TypeError`` for other shapes.
     """
     return _over(_transition, w, dt)
 

@@ -8,18 +8,18 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt._jit import around_formulas, enough
-from fastatt.arrays import normalised, quat_multiply, quat_to_dcm
+from fastatt.arrays import normalised
 from fastatt.codegen.rows import Rows
-from fastatt.codegen.scalar import ScalarFunction, scalar_function
+from fastatt.codegen.scalar import scalar_function
 from fastatt.estimation import tangent
-from fastatt.estimation.amounts import common_number, of_logs
-from fastatt.estimation.filters import attitude_error
+from fastatt.estimation.amounts import common_number, triples
 from fastatt.gyro.ends import beyond
-from fastatt.gyro.integrate import integrate_rates, intervals, methods_for_samples
+from fastatt.gyro.integrate import intervals, methods_for_samples
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.scene.equations import PrescribedRate
@@ -33,9 +33,9 @@ _TRIPLE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """How an attitude's error and a gyro's bias go through a step: δθ ← Φ11 δθ + Φ12 δb.
+    """Transition of an attitude's error and a gyro's bias over a step: δθ ← Φ11 δθ + Φ12 δb.
 
-    ``turn`` (..., 4) is the rotation of the step, q ← q∘turn; ``attitude`` (..., 3, 3) Φ11;
+    ``turn`` (..., 4) is the quaternion of the step, q_end = q∘δq; ``attitude`` (..., 3, 3) Φ11;
     ``bias`` (..., 3, 3) Φ12, s.
     """
 
@@ -45,7 +45,7 @@ class Transition:
 
     @property
     def matrix(self) -> NDArray[Any]:
-        """(..., 6, 6) of (δθ, δb), the bias constant."""
+        """Φ (..., 6, 6) of (δθ, δb), the bias constant."""
         out = np.zeros((*self.attitude.shape[:-2], 6, 6), dtype=self.attitude.dtype)
         out[..., :3, :3] = self.attitude
         out[..., :3, 3:] = self.bias
@@ -102,44 +102,6 @@ def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
     return method_of(scene, method, "quat", need="is_stepped"), scene.packed(None)
 
 
-@lru_cache(maxsize=64)
-def _rate_rows(record: Method, structure: Any) -> Rows:
-    formula = tangent.rate_tangent(record, structure)
-    inputs = {"t": None, "h": None, "b": 3, "p": structure.n_params}
-    return Rows(formula, inputs, (4, 9, 9))
-
-
-def rate_transition(
-    scene: Scene,
-    dt: float,
-    *,
-    t: float = 0.0,
-    method: str | Method = "magnus4",
-    bias: ArrayLike = _TRIPLE,
-    n_threads: int | None = None,
-) -> Transition:
-    """Transition over the step that a method takes at the rate of a scene less a gyro's bias.
-
-    ``scene`` has a rate, along body axes, for one or N bodies; ``bias`` is (3,) or (N, 3), rad/s;
-    ``t`` and ``dt`` are the start and the length of the step, s. The turn and Φ11 are those of the
-    step; Φ12 is its derivative, by the method's own formula, of a user's rate that can't be traced
-    too: the bias is taken off what that gives. Error of Φ12 at most 1e-15 dt.
-
-    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape.
-    """
-    record, packed = _of_rate(scene, method)
-    h, begin = checks.real("dt", dt), checks.real("t", t)
-    b = checks.array("bias", bias, "(3,) or (N, 3)").astype(np.float64)
-    one = packed.params.size == packed.params.shape[-1] and b.ndim == 1
-    params = np.atleast_2d(packed.params)
-    n = common_number("bodies", params=params, bias=np.atleast_2d(b))
-    turn, attitude, coupling = _rate_rows(record, packed.structure.turning)(
-        begin, h, np.atleast_2d(b), params, tables=packed.tables, n_threads=number_of(n_threads)
-    )
-    found = Transition(turn, attitude.reshape(n, 3, 3), coupling.reshape(n, 3, 3))
-    return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
-
-
 # samples
 
 
@@ -160,13 +122,13 @@ def sample_transitions(
     several intervals at a time moves the attitude within by a bias that is one for all of them:
     Φ12 of each interval is such that those of a window combine to the window's own.
 
-    Φ12 is exact but for rounding, some 1e-15 dt; of "picard", whose iteration is differentiated by
-    differences of fourth order, 1e-12 dt.
+    Φ12 is exact but for rounding, some 1e-15 dt. "picard", which iterates, has no transitions here.
 
     Raises ``ValueError`` or ``TypeError`` as ``integrate_rates`` does.
     """
-    checks.choice("method", method, methods_for_samples(increments))
-    record = METHODS[method]
+    names = methods_for_samples(increments)
+    fitting = [name for name in names if METHODS[name].window.iteration is None]
+    record = METHODS[checks.choice("method", method, fitting)]
     data = checks.array("samples", samples, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     data = np.array(data[None] if one else data, dtype=np.float64)
@@ -175,25 +137,25 @@ def sample_transitions(
     if m == 0:
         raise ValueError("samples: found one rate; accepted: at least two, or increments")
     spans = np.broadcast_to(intervals(dt, m, None, np.dtype(np.float64)), (m,))
-    b = of_logs("bias", bias, n_logs)
+    b = triples("bias", bias, n_logs)
     data -= b[:, None] * (spans[:, None] if increments else 1.0)
     window = record.window
-    if window.iteration is not None:
-        found = _by_differences(data, dt, spans, method, increments)
-    else:
-        before, after = beyond(data, spans, window, increments)
-        missing = -m % window.span
-        history = before[:, before.shape[1] - window.history :]
-        padded = np.concatenate([history, data, after[:, :missing]], axis=1)
-        wide = np.pad(spans, (window.history, missing), mode="edge")
-        found = _by_windows(record, increments, padded, wide, n_threads)
-        found = Transition(found.turn[:, :m], found.attitude[:, :m], found.bias[:, :m])
-    return Transition(found.turn[0], found.attitude[0], found.bias[0]) if one else found
-
-
-@lru_cache(maxsize=64)
-def _window_function(record: Method, increments: bool) -> ScalarFunction:
-    return scalar_function(tangent.window_tangent(record.window, increments=increments))
+    before, after = beyond(data, spans, window, increments)
+    # samples beyond the ends of the log complete the first and the last window
+    missing = -m % window.span
+    history = before[:, before.shape[1] - window.history :]
+    padded = np.concatenate([history, data, after[:, :missing]], axis=1)
+    wide = np.pad(spans, (window.history, missing), mode="edge")
+    v = sliding_window_view(padded, window.samples(increments), axis=1)[:, :: window.span]
+    v = np.swapaxes(v, 2, 3).reshape(*v.shape[:2], -1)
+    h = sliding_window_view(wide, window.intervals)[:: window.span]
+    out = _window_rows(record, increments)(v, h, n_threads=number_of(n_threads))
+    turn, attitude, coupling = (
+        np.stack(out[k::3], axis=2).reshape(n_logs, -1, *shape)[:, :m]
+        for k, shape in enumerate(((4,), (3, 3), (3, 3)))
+    )
+    log = 0 if one else slice(None)
+    return Transition(turn[log], attitude[log], coupling[log])
 
 
 @lru_cache(maxsize=64)
@@ -202,42 +164,6 @@ def _window_rows(record: Method, increments: bool) -> Rows:
     formula = tangent.window_tangent(window, increments=increments)
     inputs = {"v": 3 * window.samples(increments), "h": window.intervals}
     return Rows(formula, inputs, (4, 9, 9) * window.span)
-
-
-def _by_windows(
-    record: Method, increments: bool, data: NDArray[Any], spans: NDArray[Any], n_threads: int | None
-) -> Transition:
-    """Of whole windows: data (N, n, 3) and spans hold what lies beyond the log's ends too."""
-    window = record.window
-    samples, gaps, span = window.samples(increments), window.intervals, window.span
-    count = (len(spans) - gaps) // span + 1
-    v = np.stack([data[:, span * k : span * k + samples] for k in range(count)], axis=1)
-    h = np.stack([spans[span * k : span * k + gaps] for k in range(count)])
-    step = _window_rows(record, increments)
-    out = step(v.reshape(len(data), count, -1), h, n_threads=number_of(n_threads))
-    turn, attitude, bias = (
-        np.stack(out[k::3], axis=2).reshape(len(data), count * span, -1) for k in range(3)
-    )
-    return Transition(turn, *(x.reshape(*x.shape[:2], 3, 3) for x in (attitude, bias)))
-
-
-def _by_differences(
-    data: NDArray[Any], dt: ArrayLike, spans: NDArray[Any], method: str, increments: bool
-) -> Transition:
-    """Central differences of fourth order of what the method gives."""
-    step = 2e-3 / spans.max()
-    steps = step * np.array([1.0, -1.0, 2.0, -2.0])
-    moved = [np.zeros(3), *(k * axis for axis in np.eye(3) for k in steps)]
-    weights = spans[:, None] if increments else 1.0
-    logs = np.concatenate([data - b * weights for b in moved])
-    q = integrate_rates(logs, dt, method=method, increments=increments, max_gap=np.inf)
-    turns = quat_multiply(q[:, :-1] * (1.0, -1.0, -1.0, -1.0), q[:, 1:])
-    turns = turns.reshape(13, *data.shape[:1], *turns.shape[1:])
-    turn = turns[0]
-    e = attitude_error(turn, turns[1:]).reshape(3, 4, *turn.shape[:-1], 3)
-    columns = (8.0 * (e[:, 0] - e[:, 1]) - (e[:, 2] - e[:, 3])) / (12.0 * step)
-    attitude = np.swapaxes(quat_to_dcm(turn), -1, -2)
-    return Transition(turn, attitude, np.moveaxis(columns, 0, -1))
 
 
 # bodies
@@ -342,51 +268,29 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     that is too short.
     """
     of_rate = as_scene(scene).kind == "rate"
-    formula: Any = tangent.rate_tangent if of_rate else tangent.body_tangent
     record, packed = _of_rate(scene, method or "magnus4") if of_rate else of_body(scene, method)
     structure, tables = packed.structure.turning, packed.tables
-    step = (
-        _step_function(formula, record, structure, tables)
-        if tables
-        else _kept(formula, record, structure)
-    )
+    # compiled once for all scenes that differ in numbers alone
+    made = _step_function(record, structure, tables) if tables else _kept(record, structure)
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
-    return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, step)
+    return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, made)
 
 
-def _step_function(
-    formula: Any, record: Method, structure: Any, tables: Mapping[int, Any] | None = None
-) -> Any:
-    n = structure.n_params
-    made, check_p = (
-        scalar_function(formula(record, structure), tables, arrays={"p": n}),
-        enough("p", n),
-    )
+def _step_function(record: Method, structure: Any, tables: Mapping[int, Any] | None = None) -> Any:
+    n, of_rate = structure.n_params, isinstance(structure, PrescribedRate)
+    tangent_of: Any = tangent.rate_tangent if of_rate else tangent.body_tangent
+    formula = scalar_function(tangent_of(record, structure), tables, arrays={"p": n})
+    check_p = enough("p", n)
 
-    def of_rate(t, h, b, p):
+    def step_of_rate(t, h, b, p):
         check_p(p)
-        return made(t, h, b, p)
+        return formula(t, h, b, p)
 
-    def of_state(t, h, q, m, p):
+    def step_of_body(t, h, q, m, p):
         check_p(p)
-        return made(t, h, q, m, p)
+        return formula(t, h, q, m, p)
 
-    return around_formulas(of_rate if isinstance(structure, PrescribedRate) else of_state)
+    return around_formulas(step_of_rate if of_rate else step_of_body)
 
 
 _kept = lru_cache(maxsize=128)(_step_function)
-
-
-def sample_tangent(method: str = "previous", *, increments: bool = False) -> Any:
-    """The derivative of a sampled method's step, ``f(v, h)``, a function for ``@njit`` code.
-
-    v are the window's samples less the bias, flat, and h its intervals (s), as the functions of
-    ``fastatt.gyro_steps`` take them in this order. Gives (turn, Φ11, Φ12) of each interval that the
-    method steps over, one after the other.
-
-    Raises ``ValueError`` for another method, or one that has no such function ("picard").
-    """
-    fitting = [
-        name for name in methods_for_samples(increments) if METHODS[name].window.iteration is None
-    ]
-    return _window_function(METHODS[checks.choice("method", method, fitting)], increments)

@@ -1,50 +1,52 @@
-"""What the filters share: motions of sigma points and particles, errors, means, measures.
+"""Parts that filters share: motions of sigma points and particles, errors, means, updates.
 
-A motion takes an ensemble, attitudes (M, 4) and what is estimated besides (M, K), a few steps on:
-``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make them of the tile engine; a
-user-defined function will do as well.
+A motion steps an ensemble, attitudes (M, 4) and auxiliary states (M, K): ``motion(q, y) -> (q,
+y)``. ``gyro_motion``, ``scene_motion`` or a user-defined function gives one.
 """
 
 from __future__ import annotations
 
-import math
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised, quat_multiply, quat_to_rotation_vector
-from fastatt.estimation.amounts import common_number, covariances, root, variance
+from fastatt.estimation.amounts import (
+    attitude_covariance,
+    common_number,
+    covariances,
+    largest_square,
+    root,
+    variance,
+)
+from fastatt.estimation.updates import operation
 from fastatt.propagation.propagate import propagate
 from fastatt.scene import rates
 from fastatt.scene.scene import Scene
 
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]
-#: linearisations of an update by vectors or attitudes, and the normalised square of the last
-#: correction from which on more would be needed: of three deviations
-PASSES, NEARLY_SETTLED = 4, 9.0
 
 
 @dataclass(frozen=True)
 class TimedMotion:
-    """A motion whose attitudes rotate for so many s at rates that differ as their first numbers."""
+    """A motion of so many s, at rates that differ as the first auxiliary numbers do."""
 
     motion: Motion
     seconds: float
 
     def __call__(self, q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Attitudes and the numbers besides after the motion."""
+        """Attitudes and auxiliary states after the motion."""
         return self.motion(q, y)
 
 
 def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
-    """Attitudes rotate by a gyro's rate less their bias, the first three numbers besides.
+    """The motion at a gyro's rate less the bias, the first three auxiliary numbers.
 
     ``gyro`` (3,), rad/s, is held for dt s; (N, 3) are the rates of N filters, whose points follow
     each other in equal numbers.
@@ -75,8 +77,7 @@ def scene_motion(
 ) -> Motion:
     """The motion of a scene with inertia, or of one at a given rate, for n_steps of dt s.
 
-    Of a body the first three numbers besides the attitude are its angular velocity, rad/s, along
-    body axes.
+    The first three auxiliary numbers of a body are its angular velocity, rad/s, along body axes.
     """
     carries = scene.kind != "rate"
 
@@ -96,21 +97,15 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
 
     Raises ``ValueError`` for a zero quaternion.
     """
-    reference, true = (
-        _not_zero(name, np.asarray(x, dtype=np.float64))
-        for name, x in (("q", q), ("q_true", q_true))
-    )
-    return np.asarray(quat_to_rotation_vector(quat_multiply(_conjugate(reference), true)))
+    conjugate = _not_zero("q", q) * (1.0, -1.0, -1.0, -1.0)
+    return quat_to_rotation_vector(quat_multiply(conjugate, _not_zero("q_true", q_true)))
 
 
-def _conjugate(q: Floats) -> Floats:
-    return q * (1.0, -1.0, -1.0, -1.0)
-
-
-def _not_zero(name: str, q: Floats) -> Floats:
-    if not q.any(axis=-1).all():
+def _not_zero(name: str, q: ArrayLike) -> Floats:
+    found = np.asarray(q, dtype=np.float64)
+    if not found.any(axis=-1).all():
         raise ValueError(f"{name}: found a zero quaternion; accepted: of any other length")
-    return q
+    return found
 
 
 def normalised_square(d: Floats, P: Floats) -> Floats:
@@ -127,37 +122,6 @@ def normalised_square(d: Floats, P: Floats) -> Floats:
     return found
 
 
-def attitude_covariance(sigma: ArrayLike) -> Floats:
-    """(3, 3), rad², of a standard deviation or three about body axes, above 0, or itself."""
-    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
-    if found.ndim < 2:
-        return np.diag(np.broadcast_to([variance("sigma", float(x)) for x in found.flat], (3,)))
-    return definite("sigma", found, "(3, 3)")
-
-
-def definite(name: str, value: ArrayLike, shapes: str) -> Floats:
-    """Covariances with some variance in every direction, float64."""
-    found = np.ascontiguousarray(covariances(name, value, shapes), dtype=np.float64)
-    if (np.diagonal(root(found), axis1=-2, axis2=-1) == 0.0).any():
-        raise ValueError(f"{name}: has no variance in some direction; accepted: some in all")
-    return found
-
-
-def largest_square(gate: float | None) -> float:
-    """The largest normalised innovation squared that is used; None: any that is finite."""
-    if gate is None:
-        return sys.float_info.max
-    found = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)
-    return min(found, sys.float_info.max)
-
-
-def measured_attitudes(value: ArrayLike, n: int, *, skips: bool) -> Floats:
-    """Attitudes (4,) or (n, 4); what is none is refused, or NaN where it is skipped."""
-    rows = checks.attitudes("measured", value, f"(4,) or ({n}, 4)", flag=skips)
-    none = (rows == 0.0).all(axis=-1, keepdims=True)
-    return np.where(none, np.nan, rows).astype(np.float64)
-
-
 def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     """Mean of attitudes (..., M, 4), weighted (..., M): the eigenvector of Σ w q qᵀ, (..., 4).
 
@@ -166,7 +130,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     given. Markley, Cheng, Crassidis and Oshman, J. Guidance 30 (2007) 1193, eq. 12.
 
     Raises ``ValueError`` for attitudes that are no quaternions or have no one mean, such as two
-    that are half a turn apart, and for weights that do not fit, are negative or all 0.
+    that are π rad apart, and for weights that do not fit, are negative or all 0.
 
     >>> import fastatt as fa
     >>> fa.mean_attitude([[1, 0, 0, 0], [0, 0, 0, 1]], weights=[1, 0])
@@ -195,7 +159,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
 
 
 def moved_rows(q: ArrayLike, y: ArrayLike, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """What a motion gives: unit quaternions (M, 4), and numbers of the shape (M, K)."""
+    """Checked results of a motion: unit quaternions (M, 4) and auxiliary states (M, K)."""
     attitudes = checks.attitudes("motion: q", q, f"({shape[0]}, 4)")
     return normalised(attitudes), checks.array("motion: y", y, str(shape)).astype(np.float64)
 
@@ -206,12 +170,22 @@ def unit_rows(value: NDArray[Any], n: int) -> Floats:
 
 
 def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
-    """An array of its own, of one row or as many as the shape has."""
+    """A new array of a shape, from one row or all of them."""
     return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
 
 
+class _Call(NamedTuple):
+    """An operation on a filter's arrays: each one's own numbers, those shared, two figures."""
+
+    run: Callable[[], object]
+    own: Floats
+    shared: Floats
+    nis: Floats
+    nonlinearity: Floats
+
+
 class Estimates:
-    """Attitudes, numbers besides and covariances (δθ, δy), of one filter or of N."""
+    """Attitudes, auxiliary states and covariances of (δθ, δy), of one filter or of N."""
 
     def __init__(
         self, q: ArrayLike, name: str, y: NDArray[Any], covariance: ArrayLike, invalid: str
@@ -224,31 +198,76 @@ class Estimates:
         many = {name: x for name, (x, one) in given.items() if x.ndim > one}
         n = common_number("filters", **many) if many else 1
         self._one, self._name = not many, name
+        # changed in place: calls hold their addresses
         self._q, self._y = unit_rows(start, n), rows_of(y, (n, size - 3))
         self._P = rows_of(P, (n, size, size))
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
+        self._calls: dict[str, _Call] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_calls": {}}
 
     def _each(self, rows: Floats) -> Floats:
         """The rows or, of one filter, its own."""
         return np.asarray(rows[0]) if self._one else rows
 
-    def _vectors(self, name: str, value: ArrayLike) -> tuple[Floats, bool]:
-        """Vectors (3,) or (N, 3), and whether all are finite; others are for filters that skip."""
-        rows, n = np.asarray(value, dtype=np.float64), len(self._q)
-        if rows.shape not in ((3,), (n, 3)):
-            raise ValueError(f"{name}: has shape {rows.shape}; accepted: (3,) or ({n}, 3)")
-        # of one filter the sum in Python takes a sixth of the time of numpy's check of each
-        finite = rows.ndim == 1 and math.isfinite(sum(rows.tolist()))
-        finite = finite or bool(np.isfinite(rows).all())
-        if not (finite or self._skips):
-            checks.finite(name, rows)
-        return rows, finite
-
     def _figures(self, found: Floats) -> Any:
         return float(found[0]) if self._one else found
 
-    def _judged(self, nis: Floats, gate: float | None, nonlinearity: Floats | None = None) -> Any:
-        """NIS, with a word on measurements without one, and on updates that are too nonlinear."""
+    def _vectors(self, name: str, value: ArrayLike) -> NDArray[Any]:
+        """Vectors (3,) or (N, 3), finite or for filters that skip others."""
+        return checks.array(name, value, f"(3,) or ({len(self._q)}, 3)", flag=self._skips)
+
+    def _call(self, name: str, own: Floats | None = None) -> _Call:
+        """An operation of ``updates``, on an array ``own`` of each filter's numbers."""
+        found = self._calls.get(name)
+        if found is None:
+            n, made = len(self._q), operation(name, self._y.shape[1])
+            own = np.empty((n, made.inputs["own"] or 0)) if own is None else own
+            shared = np.empty((1, made.inputs["shared"] or 0))
+            state, figures = [self._q, self._y, self._P.reshape(n, -1)], np.empty((2, n))
+            run = made.bound([*state, own, shared], [*state, *figures][: len(made.outputs)])
+            found = self._calls[name] = _Call(run, own, shared[0], *figures)
+        return found
+
+    def update_vector(
+        self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None
+    ) -> Any:
+        """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
+
+        ``sigma`` is the standard deviation of each component, in the vectors' unit, above 0. Gives
+        NIS, and does not use vectors for which it is beyond ``gate``.
+
+        Raises ``ValueError`` for another shape, and as ``invalid`` says.
+        """
+        call = self._call("vector")
+        seen, known = self._vectors("measured", measured), self._vectors("reference", reference)
+        call.shared[:] = largest_square(gate), variance("sigma", sigma)
+        call.own[:, :3], call.own[:, 3:] = seen, known
+        call.run()
+        return self._checked_nis(call.nis.copy(), gate, call.nonlinearity)
+
+    def update_attitude(
+        self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
+    ) -> Any:
+        """Use attitudes, (4,) or (N, 4), unit; such as a star tracker's.
+
+        ``sigma`` is the standard deviation about each body axis, rad, a number or (3,), or their
+        covariance (3, 3). Gives NIS, and does not use attitudes for which it is beyond ``gate``.
+
+        Raises ``ValueError`` for another shape, and as ``invalid`` says.
+        """
+        shapes = f"(4,) or ({len(self._q)}, 4)"
+        rows = checks.attitudes("measured", measured, shapes, flag=self._skips)
+        call = self._call("attitude")
+        call.shared[:] = largest_square(gate), *attitude_covariance(sigma)[np.triu_indices(3)]
+        # a zero quaternion is no attitude
+        call.own[:] = np.where((rows == 0.0).all(axis=-1, keepdims=True), np.nan, rows)
+        call.run()
+        return self._checked_nis(call.nis.copy(), gate, call.nonlinearity)
+
+    def _checked_nis(self, nis: Floats, gate: float | None, nonlinearity: Floats) -> Any:
+        """NIS; refuses measurements without one, warns of updates that are too nonlinear."""
         if not self._skips and not checks.all_finite(nis):
             lost = ~np.isfinite(nis) if gate is None else np.isnan(nis)
             if lost.any():
@@ -257,10 +276,7 @@ class Estimates:
                     f"measured{'' if self._one else [k]}: has a normalised innovation squared of "
                     f"{nis[k]}; accepted: finite ones; this estimate is as before"
                 )
-        if (
-            nonlinearity is not None
-            and ((nonlinearity > 1.0) & (nis <= largest_square(gate))).any()
-        ):
+        if ((nonlinearity > 1.0) & (nis <= largest_square(gate))).any():
             warnings.warn(
                 "measured: an attitude was known too little for vectors as precise as these: the "
                 "covariance left may be too small; begin with attitude_from_vectors, or use "

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import accumulate, combinations_with_replacement
 from typing import Any
 
@@ -13,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import normalised
-from fastatt.codegen.rows import Fold, Rows, rows
+from fastatt.arrays import normalised, quat_multiply, quat_rotate, rotation_vector_to_quat
+from fastatt.codegen.rows import Fold
 from fastatt.estimation import preintegration as pre
-from fastatt.estimation.amounts import at_least_zero, common_number, interval, of_logs, triples
+from fastatt.estimation.amounts import at_least_zero, common_number, interval, triples
 from fastatt.gyro.integrate import intervals
 from fastatt.threads import number_of
 from fastatt.tracing.formulas import Vector, minus
@@ -25,9 +22,6 @@ _TRIPLE = (0.0, 0.0, 0.0)
 # numbers of a state's parts, those of its rotation first
 _WIDTHS = (1, 4, 9, 6, 3, 3, 9, 9, 9, 9, 9, 9, 6, 9, 6)
 _SIZE, _ROTATION = sum(_WIDTHS), sum(_WIDTHS[:4])
-_ADD: dict[str, Any] = {
-    "held": pre.add_sample, "white": pre.add_sample_white, "forster": pre.add_sample_forster
-}  # fmt: skip
 
 
 def nested(x: Vector) -> pre.Preintegrated:
@@ -36,35 +30,11 @@ def nested(x: Vector) -> pre.Preintegrated:
     return pre.Preintegrated(pre.PreintegratedRotation(*t, *parts[:3]), *parts[3:])
 
 
-@lru_cache
-def _logs(model: str) -> Fold:
-    add = _ADD[model]
-
-    def step(
-        x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, variances: Vector
-    ) -> Any:
-        return add(nested(x), minus(w, bg), minus(a, ba), *h, *variances)
-
-    return Fold(step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
+def _step(x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, v: Vector) -> Any:
+    return pre.add_sample(nested(x), minus(w, bg), minus(a, ba), *h, *v)
 
 
-@lru_cache
-def _sample(model: str) -> Rows:
-    add = _ADD[model]
-
-    def step(x: Vector, own: Vector, known: Vector) -> Any:
-        w, a = minus(own[:3], known[:3]), minus(own[3:6], known[3:6])
-        return add(nested(x), w, a, own[6], *known[6:])
-
-    return Rows(step, {"x": _SIZE, "own": 7, "known": 8}, (_SIZE,))
-
-
-def _corrected(x: Vector, gyro: Vector, accel: Vector) -> Any:
-    return pre.corrected(nested(x), gyro, accel)
-
-
-def _navigated(change: Vector, t: Any, q: Vector, v: Vector, p: Vector, g: Vector) -> Any:
-    return pre.navigate(q, v, p, g, t, (change[:4], change[4:7], change[7:]))
+_LOGS = Fold(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +62,6 @@ class Preintegration:
     #: all numbers, a row of 101 for each log
     rows: NDArray[np.float64]
 
-    @property
-    def _one(self) -> bool:
-        return self.rotation.ndim == 1
-
     def corrected(
         self, gyro_bias: ArrayLike = _TRIPLE, accel_bias: ArrayLike = _TRIPLE
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -103,14 +69,18 @@ class Preintegration:
 
         Raises ``ValueError`` or ``TypeError`` for other shapes.
         """
-        found = self._corrected(gyro_bias, accel_bias)
-        return _unless(self._one and len(found[0]) == 1, found)
+        gyro, accel = self._vectors(gyro_bias=gyro_bias, accel_bias=accel_bias)
+        q = quat_multiply(self.rotation, rotation_vector_to_quat(_times(self.rotation_gyro, gyro)))
+        v = self.velocity + _times(self.velocity_gyro, gyro) + _times(self.velocity_accel, accel)
+        p = self.position + _times(self.position_gyro, gyro) + _times(self.position_accel, accel)
+        return np.broadcast_to(q, (*v.shape[:-1], 4)), v, p
 
-    def _corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Any, Any, Any]:
-        gyro, accel = triples("gyro_bias", gyro_bias), triples("accel_bias", accel_bias)
-        common_number("logs", preintegrated=self.rows, gyro_bias=gyro, accel_bias=accel)
-        apply = rows(_corrected, {"x": _SIZE, "gyro": 3, "accel": 3}, (4, 3, 3))
-        return apply(self.rows, gyro, accel)  # type: ignore[return-value]
+    def _vectors(self, **given: ArrayLike) -> list[NDArray[Any]]:
+        """Vectors (3,) or (N, 3), of one log or of each."""
+        found = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in given.items()}
+        rows = {name: np.atleast_2d(x) for name, x in found.items()}
+        common_number("logs", preintegrated=self.rows, **rows)
+        return list(found.values())
 
     def predict(
         self,
@@ -134,15 +104,16 @@ class Preintegration:
                 "accel: found None where the samples were added; accepted: samples, without which "
                 "only the attitude at j is known: fastatt.quat_multiply(q, rotation)"
             )
-        change = self._corrected(gyro_bias, accel_bias)
-        g = checks.array("gravity", gravity, "(3,)").astype(np.float64)
-        q = normalised(np.atleast_2d(checks.attitudes("q", q)).astype(np.float64))
-        v, p = triples("v", v), triples("p", p)
-        n = common_number("logs", preintegrated=change[0], q=q, v=v, p=p)
-        widths = {"change": 10, "t": None, "q": 4, "v": 3, "p": 3, "g": 3}
-        apply = rows(_navigated, widths, (4, 3, 3))
-        found = apply(np.concatenate(change, axis=1), self.rows[:, 0], q, v, p, g)
-        return _unless(self._one and n == 1, found)
+        dq, dv, dp = self.corrected(gyro_bias, accel_bias)
+        g = checks.array("gravity", gravity, "(3,)")
+        start = normalised(checks.attitudes("q", q).astype(np.float64))
+        v0, p0 = self._vectors(v=v, p=p)
+        common_number("logs", preintegrated=self.rows, q=np.atleast_2d(start))
+        t = self.duration[..., None]
+        position = p0 + t * v0 + 0.5 * t * t * g + quat_rotate(start, dp)
+        velocity = np.broadcast_to(v0 + t * g + quat_rotate(start, dv), position.shape)
+        attitude = np.broadcast_to(quat_multiply(start, dq), (*position.shape[:-1], 4))
+        return attitude, velocity, position
 
 
 _UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # of a symmetric block, as of ``sym3``
@@ -162,8 +133,8 @@ def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
     return Preintegration(*[*(x[0] if one else x for x in found), rows])
 
 
-def _unless(one: bool, found: tuple[Any, ...]) -> tuple[Any, Any, Any]:
-    return (found[0][0], found[1][0], found[2][0]) if one else found
+def _times(A: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray((A @ x[..., None])[..., 0])
 
 
 def preintegrate(
@@ -175,7 +146,6 @@ def preintegrate(
     accel_noise: float = 0.0,
     gyro_bias: ArrayLike = _TRIPLE,
     accel_bias: ArrayLike = _TRIPLE,
-    model: str = "held",
     n_threads: int | None = None,
 ) -> Preintegration:
     """Rotation, velocity and position increments of a log, their bias derivatives and covariance.
@@ -188,35 +158,37 @@ def preintegrate(
     gyro_noise, accel_noise : densities σ_g, rad/√s, and σ_a, m/s^1.5: of samples with standard
         deviation s at intervals h, s √h.
     gyro_bias, accel_bias : (3,) or (N, 3), taken off the samples.
-    model : "held", motion within a sample exact for constant ω and a in body axes, noise held with
-        the sample; "white", noise that goes on within it; "forster", the published form.
 
     Raises
     ------
     ValueError, TypeError : a shape that does not fit, a number that is not finite, an interval not
         above 0, a negative density.
     """
-    checks.choice("model", model, _ADD)
     w = checks.array("gyro", gyro, "(n, 3) or (N, n, 3)")
     one = w.ndim == 2
     w = np.ascontiguousarray(w[None] if one else w, dtype=np.float64)
     n_logs, n = w.shape[:2]
-    bg, ba = of_logs("gyro_bias", gyro_bias, n_logs), of_logs("accel_bias", accel_bias, n_logs)
+    bg, ba = triples("gyro_bias", gyro_bias, n_logs), triples("accel_bias", accel_bias, n_logs)
     spans = np.ascontiguousarray(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
     variances = _variances(gyro_noise, accel_noise)
-    start = np.zeros((n_logs, _SIZE))
-    start[:, 1] = 1.0
     a: NDArray[np.float64] = np.zeros((1, 1, 3))
     if accel is not None:
         forces = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
         a = np.asarray(forces.reshape(w.shape), dtype=np.float64)
     h, threads = spans[None, :, None], number_of(n_threads)
-    state = _logs(model)(start, (w, a, h), (bg, ba, variances), threads)
+    state = _LOGS(_start(n_logs), (w, a, h), (bg, ba, variances), threads)
     if accel is None:
         state[:, _ROTATION:] = np.nan
     return _unpacked(state, one)
+
+
+def _start(n_logs: int) -> NDArray[np.float64]:
+    """States before the first sample."""
+    state = np.zeros((n_logs, _SIZE))
+    state[:, 1] = 1.0
+    return state
 
 
 def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:
@@ -234,49 +206,30 @@ class Preintegrator:
         accel_noise: float = 0.0,
         gyro_bias: ArrayLike = _TRIPLE,
         accel_bias: ArrayLike = _TRIPLE,
-        model: str = "held",
     ) -> None:
-        self._model = checks.choice("model", model, _ADD)
-        biases = of_logs("gyro_bias", gyro_bias, 1), of_logs("accel_bias", accel_bias, 1)
-        self._known = np.concatenate([*biases, _variances(gyro_noise, accel_noise)], axis=1)
-        self._own, self._row = np.empty((1, 7)), np.empty((1, _SIZE))
-        self._run: Callable[[], object] | None = None
+        biases = triples("gyro_bias", gyro_bias, 1), triples("accel_bias", accel_bias, 1)
+        self._given = *biases, _variances(gyro_noise, accel_noise)
         self.reset()
-
-    def __getstate__(self) -> dict[str, Any]:
-        # it holds the addresses of arrays, of which a copy has its own
-        return {**self.__dict__, "_run": None}
 
     def reset(self) -> None:
         """Begin again, at the instant of the last sample's end."""
-        self._row[0] = 0.0
-        self._row[0, 1] = 1.0
+        self._row = _start(1)
 
     def add(self, gyro: ArrayLike, accel: ArrayLike, dt: float) -> None:
         """One sample: rate (3,), rad/s, and specific force (3,), m/s², held for ``dt`` s.
 
         Raises ``ValueError`` or ``TypeError`` for other shapes, and for an interval not above 0.
         """
-        h = interval(dt)
-        w, a = np.asarray(gyro), np.asarray(accel)
-        if not (w.shape == a.shape == (3,) and w.dtype == a.dtype == np.float64):
-            w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
-        numbers = *w.tolist(), *a.tolist(), h
-        # a look in Python takes a sixth of the time of numpy's
-        if not math.isfinite(sum(numbers)):
-            checks.finite("gyro", w)
-            checks.finite("accel", a)
-        self._own[0] = numbers
-        if self._run is None:
-            self._run = _sample(self._model).bound((self._row, self._own, self._known), [self._row])
-        self._run()
+        h = np.full((1, 1, 1), interval(dt))
+        w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
+        self._row = _LOGS(self._row, (w[None, None], a[None, None], h), self._given, 1)
 
     @property
     def state(self) -> pre.Preintegrated:
-        """The tuple that the kernels take (``add_sample`` and its company)."""
+        """The tuple that kernels such as ``add_sample`` take."""
         return nested(tuple(self._row[0].tolist()))
 
     @property
     def result(self) -> Preintegration:
         """What the samples so far give."""
-        return _unpacked(self._row.copy(), one=True)
+        return _unpacked(self._row, one=True)

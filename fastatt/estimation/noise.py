@@ -112,7 +112,7 @@ def simulate_gyro(
     bias_noise : σ_u, rad/s^1.5, at least 0.
     bias : (3,) or (N, 3), rad/s, at the start.
     increments : samples are increments, rad, not mean rates, rad/s.
-    runs : N runs with noise of their own on one motion (n, 3).
+    runs : N runs of one motion (n, 3), each with its noise.
     rng : a ``numpy.random.Generator``, or a seed for one.
 
     Raises
@@ -148,7 +148,7 @@ class NoiseFit:
     ``angle_noise`` N, rad/√s (angle random walk), ``bias_instability`` B, rad/s, ``bias_noise`` K,
     rad/s^1.5 (rate random walk), of an accelerometer m for rad; each of one column or (K,), and 0
     where the record shows none. ``deviations`` (3,) or (3, K) are their standard deviations, in
-    this order, towards 0: a part of no more than its own is not told from 0.
+    this order, towards 0: a part below its deviation cannot be distinguished from 0.
     """
 
     angle_noise: Any
@@ -166,8 +166,8 @@ class NoiseFit:
 class AllanDeviation:
     """Allan deviation over averaging times: ``tau`` (T,), s; ``deviation`` (T,) or (T, K).
 
-    The deviation is in the unit of the samples' rate. ``freedom`` (T,) is how many averages there
-    are one beside the other, less one: the relative deviation of a variance is √(2/freedom).
+    The deviation is in the unit of the samples' rate. ``freedom`` (T,) is the number of disjoint
+    averages less one: the relative deviation of a variance is √(2/freedom).
     """
 
     tau: Floats
@@ -175,7 +175,7 @@ class AllanDeviation:
     freedom: Floats
 
     def fit(self) -> NoiseFit:
-        """Angle random walk, bias instability and rate random walk, told apart by their slopes.
+        """Angle random walk, bias instability and rate random walk, separated by their slopes.
 
         Least squares of the variances, none of the parts negative, each weighted by the deviation
         that the fit itself gives it. IEEE Std 952 (1997), annex C, of which quantisation and a

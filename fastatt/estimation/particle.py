@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from fastatt import checks
 from fastatt.arrays import quat_multiply, quat_rotate_inverse, rotation_vector_to_quat
-from fastatt.estimation.amounts import covariances, root, variance
+from fastatt.estimation.amounts import attitude_covariance, covariances, root, variance
 from fastatt.estimation.filters import (
     Floats,
     Motion,
-    attitude_covariance,
     attitude_error,
     mean_attitude,
     moved_rows,
@@ -35,7 +34,7 @@ class ParticleFilter:
     Parameters
     ----------
     q : (M, 4), attitudes, body to inertial, of any length but zero.
-    y : (M, K), what is estimated besides.
+    y : (M, K), the auxiliary state.
     rng : a ``numpy.random.Generator``, or a seed for one.
     threshold : share of the particles below whose effective number they are drawn anew.
 

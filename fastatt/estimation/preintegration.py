@@ -1,8 +1,8 @@
 """Preintegration of a gyro and an accelerometer between two instants i and j.
 
-Forster, Carlone, Dellaert and Scaramuzza, IEEE Trans. Robotics 33 (2017) 1. From rates ω (rad/s)
-and specific forces a (m/s²) along body axes, biases taken off, follow what does not depend on the
-state at i:
+Forster, Carlone, Dellaert and Scaramuzza, IEEE Trans. Robotics 33 (2017) 1. Rates ω (rad/s) and
+specific forces a (m/s²) along body axes, biases subtracted, give increments that do not depend on
+the state at i:
 
     ΔR = C_iᵀ C_j,  Δv = C_iᵀ (v_j − v_i − g Δt),  Δp = C_iᵀ (p_j − p_i − v_i Δt − ½ g Δt²),
 
@@ -10,15 +10,12 @@ their derivatives to both biases and the covariance of their errors (δφ, δv, 
 ΔR exp [δφ], δφ in body axes at j, δv and δp along the body axes at i. Velocities are along inertial
 axes here, and g the acceleration by gravity.
 
-Each sample is held over its interval h. Within it the motion is that of a body that turns at
-constant ω under a constant a along its own axes, exactly: Δv += ΔR h Jl(ωh) a, Δp += Δv h + ΔR h²
-(½ + (θ − sin θ)/θ³ [ωh] + (θ²/2 + cos θ − 1)/θ⁴ [ωh]²) a. Forster's own form (eqs. 35 to 37) takes
-ΔR h a and ½ ΔR h² a.
+Each sample is held over its interval h. Within it the motion is exact for a constant ω and a
+constant a along body axes: Δv += ΔR h Jl(ωh) a, Δp += Δv h + ΔR h²
+(½ + (θ − sin θ)/θ³ [ωh] + (θ²/2 + cos θ − 1)/θ⁴ [ωh]²) a.
 
-Noise is given by spectral densities, σ_g² (rad²/s) and σ_a² (m²/s³). *Held* noise is one number a
-sample, of variance σ²/h, held with it (Forster, eq. 39; attitude gains σ_g² h Jr Jrᵀ). *White*
-noise goes on within the sample: attitude gains σ_g² h 1, velocity and position what that does to
-them to leading order in |ω| h.
+Noise is given by spectral densities, σ_g² (rad²/s) and σ_a² (m²/s³): each sample has an error of
+variance σ²/h, held over the interval too (Forster, eq. 39; attitude gains σ_g² h Jr Jrᵀ).
 """
 
 from __future__ import annotations
@@ -78,21 +75,6 @@ def begin(like):
     return Preintegrated(rotation, three, three, nine, nine, nine, nine, nine, nine, six, nine, six)
 
 
-def _rotated(s: Any, u: Any, h: Any, noise: Any) -> Any:
-    """The rotation's part a sample later, and Φ11; ``noise`` is what δφ gains."""
-    turn = quat.exp(u)
-    f, g = error_state.transition(u, h)
-    q = quat.renormalise(quat.mul(s.q, turn))
-    jacobian = dcm.add(dcm.mul(f, s.jacobian), g)
-    covariance = sym3.add(sym3.congruence(f, s.covariance), noise)
-    return PreintegratedRotation(s.t + h, q, jacobian, covariance), f
-
-
-def _isotropic(k: Any) -> Any:
-    o = type(k)(0.0)
-    return k, o, o, k, o, k
-
-
 @scalar_function
 def _exact(w, a, h):
     """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes of its start."""
@@ -109,124 +91,73 @@ def _halves(x: Any) -> Any:
     return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
 
 
-def _euler(a: Any, h: Any) -> Any:
-    """The same by Forster's eqs. 36 and 37."""
-    F = type(h)
-    o = F(0.0)
-    k = F(0.5) * h * h
-    nine = (o, o, o, o, o, o, o, o, o)
-    return (
-        scale(h, a),
-        scale(k, a),
-        (nine, (h, o, o, o, h, o, o, o, h), nine, (k, o, o, o, k, o, o, o, k)),
-    )
-
-
-def _held_noise(c: Any, u: Any, h: Any, slopes: Any, gyro: Any, accel: Any) -> Any:
-    """(rr, rv, rp, vv, vp, pp) of noise held over the sample."""
-    r = dcm.scale(h, so3.right_jacobian(u))
-    vg, va, pg, pa = slopes
-    vg, va = dcm.mul(c, vg), dcm.mul(c, va)
-    pg, pa = dcm.mul(c, pg), dcm.mul(c, pa)
-    k = gyro / h
-    m = accel / h
-    vp = dcm.add(
-        dcm.scale(k, dcm.mul(vg, dcm.transpose(pg))), dcm.scale(m, dcm.mul(va, dcm.transpose(pa)))
-    )
-    return (
-        sym3.scale(k, sym3.product(r, r)),
-        dcm.scale(k, dcm.mul(r, dcm.transpose(vg))),
-        dcm.scale(k, dcm.mul(r, dcm.transpose(pg))),
-        sym3.add(sym3.scale(k, sym3.product(vg, vg)), sym3.scale(m, sym3.product(va, va))),
-        vp,
-        sym3.add(sym3.scale(k, sym3.product(pg, pg)), sym3.scale(m, sym3.product(pa, pa))),
-    )
-
-
-def _white_noise(c: Any, a: Any, h: Any, gyro: Any, accel: Any) -> Any:
-    """The same of white noise: B(s) in attitude moves the velocity by −[a] ∫ B ds."""
-    F = type(h)
-    m = dcm.mul(c, so3.hat(a))
-    t = dcm.scale(-gyro * h * h, dcm.transpose(m))
-    square = sym3.scale(gyro * h * h * h, sym3.product(m, m))
-    k = accel * h
-    vp = sym3.add(sym3.scale(F(0.125) * h, square), _isotropic(F(0.5) * h * k))
-    return (
-        _isotropic(gyro * h),
-        dcm.scale(F(0.5), t),
-        dcm.scale(F(1.0 / 6.0) * h, t),
-        sym3.add(sym3.scale(F(1.0 / 3.0), square), _isotropic(k)),
-        sym3.full(vp),
-        sym3.add(sym3.scale(F(0.05) * h * h, square), _isotropic(F(1.0 / 3.0) * h * h * k)),
-    )
-
-
-def _less(a: Any, b: Any) -> Any:
-    return dcm.add(a, dcm.scale(type(a[0])(-1.0), b))
-
-
-def _added(s: Any, w: Any, h: Any, parts: Any, noise: Any) -> Any:
-    """The state a sample later, from its increments, their derivatives and its noise."""
-    F = type(h)
-    v, p, (vw, va, pw, pa) = parts
-    n_rr, n_rv, n_rp, n_vv, n_vp, n_pp = noise
-    r = s.rotation
-    c = dcm.from_quat(r.q)
-    moved, f = _rotated(r, scale(h, w), h, n_rr)
-    # A = [f 0 0; b 1 0; d h 1] takes (δφ, δv, δp) across the sample
-    b = dcm.scale(F(-1.0), dcm.mul(c, so3.hat(v)))
-    d = dcm.scale(F(-1.0), dcm.mul(c, so3.hat(p)))
-    vr = dcm.transpose(s.rv)
-    # rows v and p of A P
-    a_vr = dcm.add(sym3.mul(b, r.covariance), vr)
-    a_vv = dcm.add(dcm.mul(b, s.rv), sym3.full(s.vv))
-    a_vp = dcm.add(dcm.mul(b, s.rp), s.vp)
-    a_pr = dcm.add(sym3.mul(d, r.covariance), dcm.add(dcm.scale(h, vr), dcm.transpose(s.rp)))
-    a_pv = dcm.add(dcm.mul(d, s.rv), dcm.add(dcm.scale(h, sym3.full(s.vv)), dcm.transpose(s.vp)))
-    a_pp = dcm.add(dcm.mul(d, s.rp), dcm.add(dcm.scale(h, s.vp), sym3.full(s.pp)))
-    vv = sym3.add(sym3.product(a_vr, b), sym3.upper(a_vv))
-    vp = dcm.add(dcm.mul(a_vr, dcm.transpose(d)), dcm.add(dcm.scale(h, a_vv), a_vp))
-    pp = sym3.add(sym3.product(a_pr, d), sym3.upper(dcm.add(dcm.scale(h, a_pv), a_pp)))
-    vg = dcm.add(s.vg, dcm.mul(b, r.jacobian))
-    pg = dcm.add(dcm.add(s.pg, dcm.scale(h, s.vg)), dcm.mul(d, r.jacobian))
-    return Preintegrated(
-        rotation=moved,
-        v=add(s.v, dcm.rotate(c, v)),
-        p=add(axpy(h, s.v, s.p), dcm.rotate(c, p)),
-        vg=_less(vg, dcm.mul(c, vw)),
-        va=_less(s.va, dcm.mul(c, va)),
-        pg=_less(pg, dcm.mul(c, pw)),
-        pa=_less(dcm.add(s.pa, dcm.scale(h, s.va)), dcm.mul(c, pa)),
-        rv=dcm.add(dcm.mul(f, dcm.transpose(a_vr)), n_rv),
-        rp=dcm.add(dcm.mul(f, dcm.transpose(a_pr)), n_rp),
-        vv=sym3.add(vv, n_vv),
-        vp=dcm.add(vp, n_vp),
-        pp=sym3.add(pp, n_pp),
-    )
-
-
-def _added_held(s: Any, w: Any, h: Any, parts: Any, gyro: Any, accel: Any) -> Any:
-    noise = _held_noise(dcm.from_quat(s.rotation.q), scale(h, w), h, parts[2], gyro, accel)
-    return _added(s, w, h, parts, noise)
-
-
 @_formula
 def add_sample(s, w, a, h, gyro, accel):
     """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
-    return _added_held(s, w, h, _exact(w, a, h), gyro, accel)
+    r = s.rotation
+    u = scale(h, w)
+    dv, dp, slopes = _exact(w, a, h)
+    c = dcm.from_quat(r.q)
+    f, g = error_state.transition(u, h)
+    # derivatives of (φ, v, p) after the sample to its rate, and of (v, p) to its specific force
+    rw = _scaled(-1.0, g)
+    vw, va, pw, pa = (dcm.mul(c, x) for x in slopes)
+    # A = [f 0 0; b 1 0; d h 1] takes (δφ, δv, δp) across the sample
+    b = _scaled(-1.0, dcm.mul(c, so3.hat(dv)))
+    d = _scaled(-1.0, dcm.mul(c, so3.hat(dp)))
+    across = f, b, d, h
+    jacobian, vg, pg = _forward(across, (r.jacobian, s.vg, s.pg))
+    rr, vv, pp = sym3.full(r.covariance), sym3.full(s.vv), sym3.full(s.pp)
+    rv, rp, vp = s.rv, s.rp, s.vp
+    columns = (
+        (rr, dcm.transpose(rv), dcm.transpose(rp)), (rv, vv, dcm.transpose(vp)), (rp, vp, pp)
+    )  # fmt: skip
+    # the rows of A P, transposed, are the columns of (A P)ᵀ: A (A P)ᵀ = A P Aᵀ
+    moved = [_forward(across, column) for column in columns]
+    rows = [[dcm.transpose(column[i]) for column in moved] for i in range(3)]
+    (rr, vr, pr), (_, vv, pv), (_, _, pp) = (_forward(across, row) for row in rows)
+    k = gyro / h
+    m = accel / h
+    return Preintegrated(
+        rotation=PreintegratedRotation(
+            t=r.t + h,
+            q=quat.renormalise(quat.mul(r.q, quat.exp(u))),
+            jacobian=_less(jacobian, rw),
+            covariance=sym3.upper(_plus(rr, k, rw, rw)),
+        ),
+        v=add(s.v, dcm.rotate(c, dv)),
+        p=add(axpy(h, s.v, s.p), dcm.rotate(c, dp)),
+        vg=_less(vg, vw),
+        va=_less(s.va, va),
+        pg=_less(pg, pw),
+        pa=_less(dcm.add(s.pa, dcm.scale(h, s.va)), pa),
+        rv=_plus(dcm.transpose(vr), k, rw, vw),
+        rp=_plus(dcm.transpose(pr), k, rw, pw),
+        vv=sym3.upper(_plus(_plus(vv, k, vw, vw), m, va, va)),
+        vp=_plus(_plus(dcm.transpose(pv), k, vw, pw), m, va, pa),
+        pp=sym3.upper(_plus(_plus(pp, k, pw, pw), m, pa, pa)),
+    )
 
 
-@_formula
-def add_sample_white(s, w, a, h, gyro, accel):
-    """The same with white noise."""
-    noise = _white_noise(dcm.from_quat(s.rotation.q), a, h, gyro, accel)
-    return _added(s, w, h, _exact(w, a, h), noise)
+def _forward(across: Any, x: Any) -> Any:
+    """A x of three 3×3 blocks."""
+    f, b, d, h = across
+    r, v, p = x
+    position = dcm.add(dcm.mul(d, r), dcm.add(dcm.scale(h, v), p))
+    return dcm.mul(f, r), dcm.add(dcm.mul(b, r), v), position
 
 
-@_formula
-def add_sample_forster(s, w, a, h, gyro, accel):
-    """The same by Forster's eqs. 35 to 37: Euler's step in velocity and position, noise held."""
-    return _added_held(s, w, h, _euler(a, h), gyro, accel)
+def _plus(a: Any, k: Any, x: Any, y: Any) -> Any:
+    """A + k x yᵀ."""
+    return dcm.add(a, dcm.scale(k, dcm.mul(x, dcm.transpose(y))))
+
+
+def _scaled(k: float, a: Any) -> Any:
+    return dcm.scale(type(a[0])(k), a)
+
+
+def _less(a: Any, b: Any) -> Any:
+    return dcm.add(a, _scaled(-1.0, b))
 
 
 @_formula

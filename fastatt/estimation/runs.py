@@ -24,7 +24,7 @@ class RunTangent:
 
     ``steps`` (S, ..., K, K), the first step's first; those of ``sample_transitions(...).matrix``
     take (δθ, δb) over a gyro log. Of the K numbers the first D = ``size`` are those of a change;
-    the others, 0 before the run and left out after it, are what steps hand on besides: those of
+    the others, 0 before the run and left out after it, are internal to the steps: those of
     :func:`run_tangent` take (δθ, δm, δs), δs the relative change of a quaternion's length.
     """
 
@@ -74,7 +74,7 @@ def run_tangent(
     """A run of rigid bodies, every step of it, and its derivative.
 
     With δm = I δw it takes (δθ, δm) at the start to those at the end, exact but for rounding: the
-    product of the derivatives of the method's own steps, along the quaternions of the run before
+    product of the derivatives of the method's steps, along the quaternions of the run before
     they are normalised, whose length a Runge-Kutta method changes. 49 numbers a step and body are
     kept. Arguments are those of ``fastatt.propagate``; without ``method``, ``rk8``.
 

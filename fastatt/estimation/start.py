@@ -19,7 +19,7 @@ from fastatt.arrays import (
 from fastatt.estimation.filters import Floats
 
 _PIECES = 4
-# deviations of directions: beyond, a float holds no digit of the least precise beside the others
+# largest ratio of deviations: beyond, rounding hides the least precise direction
 _LARGEST_RATIO = 1e7
 # of directions in Davenport's matrix, whose eigenvector knows a rotation to an ulp over this
 _LEAST_WEIGHT = 1e-12
@@ -137,8 +137,8 @@ def _deviations(sigma: ArrayLike, n: int) -> Floats:
 class StaticStart(NamedTuple):
     """Attitude, gyro bias and their covariance after a rest.
 
-    ``q`` (4,), body to inertial; ``bias`` (3,), rad/s, with the Earth's turn in it; ``P`` (6, 6) of
-    (δθ, δb), rad and rad/s, as a filter takes it; ``gravity``, the mean specific force, m/s².
+    ``q`` (4,), body to inertial; ``bias`` (3,), rad/s, with the Earth's rotation in it; ``P`` (6,
+    6) of (δθ, δb), rad and rad/s, as a filter takes it; ``gravity``, the mean specific force, m/s².
     """
 
     q: Floats
@@ -161,8 +161,8 @@ def static_start(
     """Attitude and gyro bias from samples at rest.
 
     The bias is the gyro's mean; the accelerometer's is the direction up, and with the
-    magnetometer's the attitude is that of :func:`attitude_from_vectors`. Without, the least turn
-    from the inertial axes is given, whose heading has a deviation of π.
+    magnetometer's the attitude is that of :func:`attitude_from_vectors`. Without, the smallest
+    rotation from the inertial axes is given, whose heading has a deviation of π.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def static_start(
     sigma : a number or (2,), standard deviation of the two means across, rad, of what is not noise:
         bias over gravity, 5e-3 for 5 mg, and the field's calibration. The noise is seen and added.
     up, field : (3,), the two directions along inertial axes, any length; ``field`` with ``mag``.
-    largest_bias : of the gyro, rad/s: a mean beyond is a turn.
+    largest_bias : of the gyro, rad/s: a larger mean is a rotation.
     largest_change : of the means over quarters of the samples, rad/s, and rad of the directions.
 
     Raises
@@ -255,7 +255,7 @@ def _angles(a: Floats, b: Floats) -> Floats:
 
 
 def _least_turn(mean: Floats, up: Floats, deviation: float) -> tuple[Floats, Floats]:
-    """The least turn that brings a direction up, and the covariance about body axes."""
+    """The smallest rotation that brings a direction up, and the covariance about body axes."""
     if not up.any():
         raise ValueError("up: found the zero vector; accepted: any other")
     f, u = normalised(mean), normalised(up)

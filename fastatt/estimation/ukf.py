@@ -14,33 +14,26 @@ from fastatt import checks
 from fastatt.arrays import (
     normalised,
     quat_multiply,
-    quat_rotate_inverse,
     quat_to_dcm,
     rotation_vector_to_quat,
 )
-from fastatt.estimation.amounts import covariances, root, variance
+from fastatt.estimation.amounts import covariances, definite, largest_square, root
 from fastatt.estimation.filters import (
-    NEARLY_SETTLED,
-    PASSES,
     Estimates,
     Floats,
     Motion,
-    attitude_covariance,
     attitude_error,
-    definite,
-    largest_square,
-    measured_attitudes,
     moved_rows,
     normalised_square,
 )
 
-# rad that a sigma point lies from the estimate at most, and from the mean after a motion: there it
-# is half as near to the angle π at which it would be taken for its opposite
+# largest angle of a sigma point from the estimate, and from the mean after a motion, rad: errors
+# of π are ambiguous
 _FARTHEST, _FAR = 0.5 * math.pi, 0.75 * math.pi
 
 
 class UKF(Estimates):
-    """Attitude and K numbers besides, of one body or of N at once.
+    """Attitude and an auxiliary state of K numbers, of one body or of N at once.
 
     The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy; its 2D + 1 sigma points (D = 3 + K)
     lie at ±√(D + κ) L about the estimate, P = L Lᵀ, the columns of L along the principal axes of
@@ -50,16 +43,16 @@ class UKF(Estimates):
     corrected attitude. Julier and Uhlmann, Proc. IEEE 92 (2004) 401; Crassidis and Markley, J.
     Guidance 26 (2003) 536; Kraft, Int. Conf. Information Fusion (2003).
 
-    Errors beyond π would be taken for others, so that no pair of points lies farther than π/2 rad
-    from the estimate: with D = 6 and κ = 1 from a deviation of 0.59 rad on they lie nearer, and
-    what they tell is scaled (Julier, American Control Conf. (2002) 4555). A heading that nothing
-    measures may so have any deviation. Points whose rates differ by δw during a motion of T s, of
+    Errors beyond π are ambiguous, so that no point lies farther than π/2 rad from the estimate:
+    with D = 6 and κ = 1 from a deviation of 0.59 rad on they lie nearer, and their moments are
+    scaled (Julier, American Control Conf. (2002) 4555). A heading that nothing measures may thus
+    have any deviation. Points whose rates differ by δw during a motion of T s, of
     :func:`gyro_motion` and of a body's :func:`scene_motion`, lie nearer by |δw| T.
 
     Parameters
     ----------
     q : (4,) or (N, 4), attitudes, body to inertial, of any length but zero.
-    y : (K,) or (N, K), what is estimated besides: a gyro's bias, an angular velocity.
+    y : (K,) or (N, K), the auxiliary state: a gyro's bias, an angular velocity.
     covariance : (D, D) or (N, D, D), of (δθ, δy).
     kappa : κ, above −D; below 0 the covariance may lose its sign.
     invalid : "raise" refuses measurements that are not finite; "skip" leaves them out, for the
@@ -67,7 +60,7 @@ class UKF(Estimates):
 
     Attributes
     ----------
-    q, y, covariance : the estimates, with the shapes above.
+    q, y, covariance : the estimates, with the shapes above; every call changes them in place.
 
     Updates give the normalised innovation squared, do not use what is beyond ``gate``, and give NaN
     for what was left out: see :class:`MEKF`.
@@ -79,8 +72,8 @@ class UKF(Estimates):
 
     Warns
     -----
-    UserWarning : points that a motion has put farther than 3π/4 rad from their mean, of which some
-        may be taken for others; vectors that tell of an attitude with deviations beyond 0.7 rad.
+    UserWarning : points that a motion has put farther than 3π/4 rad from their mean, where errors
+        are ambiguous; vectors for an attitude with deviations beyond 0.7 rad.
     """
 
     def __init__(
@@ -100,7 +93,7 @@ class UKF(Estimates):
 
     @property
     def y(self) -> Floats:
-        """What is estimated besides, (K,) or (N, K)."""
+        """Auxiliary states, (K,) or (N, K)."""
         return self._each(self._y)
 
     def sigma_points(self) -> tuple[Floats, Floats]:
@@ -110,7 +103,7 @@ class UKF(Estimates):
     def _points(self, seconds: float) -> tuple[Floats, Floats, Floats, Floats]:
         """The sigma points, L, and how many columns of it they are away, (N, D).
 
-        Their attitudes are to move for so long by the first of the numbers besides.
+        The points are to move for so many seconds at rates in the first auxiliary numbers.
         """
         n, size = self._P.shape[:2]
         axes = np.tile(np.eye(size), (n, 1, 1))
@@ -170,7 +163,7 @@ class UKF(Estimates):
             )
         centre, slopes, spread = self._moments(np.concatenate([errors, y], axis=-1), columns)
         P = np.swapaxes(slopes, 1, 2) @ slopes + spread + added
-        self._q, self._y, self._P = mean, centre[:, 3:], 0.5 * (P + np.swapaxes(P, 1, 2))
+        self._set(slice(None), mean, centre[:, 3:], P)
 
     def update(
         self,
@@ -204,89 +197,21 @@ class UKF(Estimates):
         nis = normalised_square(innovation, S)
         d = (L @ gain @ innovation[..., None])[..., 0]
         left = np.eye(size) - gain @ across
-        before = self._P
-        turned = _turned(rotation_vector_to_quat(-d[:, :3]), L)
+        before = attitude_variance(self._P)
+        # along the axes of the corrected attitude
+        back = quat_to_dcm(rotation_vector_to_quat(-d[:, :3]))
+        seen_from = np.concatenate([back @ L[:, :3], L[:, 3:]], axis=1)
         q = quat_multiply(self._q, rotation_vector_to_quat(d[:, :3]))
-        self._take(nis, gate, q, self._y + d[:, 3:], turned @ left @ np.swapaxes(turned, 1, 2))
-        return self._judged(nis, gate, _taken(before, self._P))
+        used = nis <= largest_square(gate)
+        self._set(used, q, self._y + d[:, 3:], seen_from @ left @ np.swapaxes(seen_from, 1, 2))
+        return self._checked_nis(nis, gate, before - attitude_variance(self._P))
 
-    def update_vector(
-        self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None
-    ) -> Any:
-        """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
-
-        ``sigma`` is the standard deviation of each component, in the vectors' unit, above 0.
-        """
-        seen, _ = self._vectors("measured", measured)
-        fixed, _ = self._vectors("reference", reference)
-
-        def linearised(q: Floats) -> tuple[Floats, Floats]:
-            expected = np.asarray(quat_rotate_inverse(q, fixed))
-            length = np.linalg.norm(expected, axis=-1, keepdims=True)
-            n = expected / np.where(length > 0.0, length, 1.0)
-            along = (n * seen).sum(axis=-1, keepdims=True)
-            side = seen - along * n
-            sine = np.linalg.norm(side, axis=-1, keepdims=True)
-            arc = length * np.arctan2(sine, along) / np.where(sine > 0.0, sine, 1.0)
-            slopes = np.swapaxes(np.cross(expected[:, None], np.eye(3)), 1, 2)
-            return arc * side + (along - length) * n, slopes
-
-        return self._iterated(linearised, variance("sigma", sigma) * np.eye(3), gate, wide=True)
-
-    def update_attitude(
-        self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
-    ) -> Any:
-        """Use attitudes, (4,) or (N, 4), unit; ``sigma`` as for :meth:`MEKF.update_attitude`."""
-        rows = measured_attitudes(measured, len(self._q), skips=self._skips)
-
-        def linearised(q: Floats) -> tuple[Floats, Floats]:
-            return attitude_error(q, rows), np.eye(3)
-
-        return self._iterated(linearised, attitude_covariance(sigma), gate, wide=False)
-
-    def _iterated(
-        self,
-        linearised: Callable[[Floats], tuple[Floats, Floats]],
-        R: Floats,
-        gate: float | None,
-        *,
-        wide: bool,
-    ) -> Any:
-        """Use residuals z = H δθ + noise of covariance R, (z, H) about each of some attitudes q."""
-        q, before = self._q, self._P
-        for k in range(PASSES):
-            z, H = linearised(q)
-            # what is known so far, as it is seen from q
-            mean = attitude_error(q, self._q)
-            back = rotation_vector_to_quat(mean)
-            P = _turned(back, np.swapaxes(_turned(back, self._P), 1, 2))
-            cross = P[:, :, :3] @ np.swapaxes(H, -1, -2)
-            S = H @ cross[:, :3] + R
-            if k == 0:
-                nis = normalised_square(z, S)
-            gain = np.swapaxes(np.linalg.solve(S, np.swapaxes(cross, 1, 2)), 1, 2)
-            d = (gain @ (z[..., None] - H @ mean[..., None]))[..., 0]
-            d[:, :3] += mean
-            q = quat_multiply(q, rotation_vector_to_quat(d[:, :3]))
-        P = P - gain @ np.swapaxes(cross, 1, 2)
-        self._take(nis, gate, q, self._y + d[:, 3:], P)
-        last = normalised_square(d[:, :3], P[:, :3, :3]) / NEARLY_SETTLED
-        return self._judged(nis, gate, np.fmax(_taken(before, P), last) if wide else None)
-
-    def _take(self, nis: Floats, gate: float | None, q: Floats, y: Floats, P: Floats) -> None:
-        """What was found, for the filters whose NIS is not beyond the gate."""
-        used = (nis <= largest_square(gate))[:, None]
-        P = 0.5 * (P + np.swapaxes(P, 1, 2))
-        self._q, self._y = np.where(used, normalised(q), self._q), np.where(used, y, self._y)
-        self._P = np.where(used[..., None], P, self._P)
+    def _set(self, used: Any, q: Floats, y: Floats, P: Floats) -> None:
+        """Put estimates of those filters that are used in their place."""
+        self._q[used], self._y[used] = normalised(q)[used], y[used]
+        self._P[used] = 0.5 * (P + np.swapaxes(P, 1, 2))[used]
 
 
-def _turned(q: Floats, A: Floats) -> Floats:
-    """The first three rows of matrices (N, D, ...) along other axes, the others as they are."""
-    return np.concatenate([quat_to_dcm(q) @ A[:, :3], A[:, 3:]], axis=1)
-
-
-def _taken(before: Floats, after: Floats) -> Floats:
-    """What the variances of the attitude have lost together, rad²."""
-    first, last = (np.trace(P[:, :3, :3], axis1=1, axis2=2) for P in (before, after))
-    return np.asarray(first - last)
+def attitude_variance(P: Floats) -> Any:
+    """The sum of the variances of the attitude, rad²."""
+    return np.trace(P[:, :3, :3], axis1=1, axis2=2)

@@ -1,4 +1,4 @@
-"""Preintegration against matrix exponentials, differences and Forster's own recurrences."""
+"""Preintegration against matrix exponentials, and differences."""
 
 import copy
 import math
@@ -125,96 +125,6 @@ def test_covariance_is_that_of_simulated_logs(biased):
     assert (np.abs(errors.T @ errors / n - q) <= band).all()
 
 
-def user_code(add):
-    @njit
-    def user(gyro, accel, h, g, a):
-        s = kernels.begin(h)
-        for i in range(len(gyro)):
-            w = (gyro[i, 0], gyro[i, 1], gyro[i, 2])
-            f = (accel[i, 0], accel[i, 1], accel[i, 2])
-            s = add(s, w, f, h, g, a)
-        return s
-
-    return user
-
-
-def blocks(s):
-    """Covariance (9, 9) of a state."""
-    full = lambda c: np.reshape([c[i] for i in (0, 1, 2, 1, 3, 4, 2, 4, 5)], (3, 3))  # noqa: E731
-    square = lambda c: np.reshape(c, (3, 3))  # noqa: E731
-    rv, rp, vp = square(s.rv), square(s.rp), square(s.vp)
-    return np.block(
-        [
-            [full(s.rotation.covariance), rv, rp],
-            [rv.T, full(s.vv), vp],
-            [rp.T, vp.T, full(s.pp)],
-        ]
-    )
-
-
-@pytest.mark.parametrize("densities", [(SIGMA_G, 0.0), (0.0, SIGMA_A)])
-def test_white_noise_is_the_limit_of_short_samples(densities):
-    """One slow sample against 40 parts of it, each with noise of its own: 1/40² short of white."""
-    parts = 40
-    gyro, accel = 1e-3 * GYRO[:1], ACCEL[:1]
-    g, a = (x * x for x in densities)
-    found = blocks(white(gyro, accel, H, g, a))
-    true = estimation.preintegrate(
-        np.repeat(gyro, parts, axis=0),
-        np.repeat(accel, parts, axis=0),
-        H / parts,
-        gyro_noise=densities[0],
-        accel_noise=densities[1],
-    ).covariance
-    scale = np.sqrt(np.outer(np.diag(true), np.diag(true)))
-    assert (np.abs(found - true) <= 2 / parts**2 * scale).all()
-
-
-white = user_code(kernels.add_sample_white)
-
-
-def test_forsters_form():
-    """Eqs. 35 to 37, 59, 63 and the appendix's recurrences in numpy."""
-    skew = lambda v: np.array(hat(vec(v)).tolist(), dtype=float)  # noqa: E731
-    r, v, p, cov = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 9))
-    rg, vg, va, pg, pa = (np.zeros((3, 3)) for _ in range(5))
-    one = np.eye(3)
-    for w, f in zip(GYRO, ACCEL, strict=True):
-        d = fa.quat_to_dcm(fa.rotation_vector_to_quat(w * H))
-        jr = estimation.right_jacobian(w * H)
-        a = np.block(
-            [
-                [d.T, 0 * one, 0 * one],
-                [-r @ skew(f) * H, one, 0 * one],
-                [-0.5 * r @ skew(f) * H**2, H * one, one],
-            ]
-        )
-        b = np.block([[jr * H, 0 * one], [0 * one, r * H], [0 * one, 0.5 * r * H**2]])
-        q = np.diag([SIGMA_G**2 / H] * 3 + [SIGMA_A**2 / H] * 3)
-        cov = a @ cov @ a.T + b @ q @ b.T
-        pg = pg + vg * H - 0.5 * r @ skew(f) @ rg * H**2
-        pa = pa + va * H - 0.5 * r * H**2
-        vg = vg - r @ skew(f) @ rg * H
-        va = va - r * H
-        rg = d.T @ rg - jr * H
-        p = p + v * H + 0.5 * r @ f * H**2
-        v = v + r @ f * H
-        r = r @ d
-    s = user_code(kernels.add_sample_forster)(GYRO, ACCEL, H, SIGMA_G**2, SIGMA_A**2)
-    bound = N * 8 * EPS
-    for found, true in (
-        (s.v, v), (s.p, p), (s.rotation.jacobian, rg), (s.vg, vg), (s.va, va), (s.pg, pg),
-        (s.pa, pa),
-    ):  # fmt: skip
-        assert np.abs(np.ravel(found) - true.ravel()).max() <= bound * max(1, np.abs(true).max())
-    assert np.abs(fa.quat_to_dcm(s.rotation.q) - r).max() <= bound
-    scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-    assert (np.abs(blocks(s) - cov) <= bound * scale).all()
-    # the exact form differs by |ω×a| h²/2 a sample
-    apart = np.linalg.norm(estimation.preintegrate(GYRO, ACCEL, H).velocity - v)
-    assert 1e-3 < apart < N * 0.5 * H**2 * 2.5 * 12
-
-
 def test_users_code_in_single_precision(biased):
     """The rotation, its Jacobian and covariance, which are there whatever the specific force."""
 
@@ -292,10 +202,6 @@ def test_gyro_alone(biased):
     assert np.isnan([v, p]).all()
     with pytest.raises(ValueError, match="accel: found None where the samples were added"):
         found.predict((1.0, 0.0, 0.0, 0.0), np.zeros(3), np.zeros(3))
-    # white noise stays the same along all axes, held noise loses |Jr|² < 1 of it
-    even = estimation.preintegrate(GYRO, None, H, gyro_noise=SIGMA_G, model="white").covariance
-    assert np.abs(even[:3, :3] / (N * H * SIGMA_G**2) - np.eye(3)).max() <= N * 4 * EPS
-    assert np.trace(rotation) < np.trace(even[:3, :3])
 
 
 def test_prediction_and_correction():
@@ -327,7 +233,6 @@ def test_prediction_and_correction():
     [
         (lambda: estimation.preintegrate(GYRO, ACCEL[:3], H), r"accel: has shape \(3, 3\)"),
         (lambda: estimation.preintegrate(GYRO, ACCEL, -H), "dt: found -0.05; accepted"),
-        (lambda: estimation.preintegrate(GYRO, ACCEL, H, model="exact"), "model: found 'exact'"),
         (
             lambda: estimation.preintegrate(GYRO, ACCEL, H, gyro_noise=-1.0),
             "gyro_noise: found -1.0; accepted: at least 0",

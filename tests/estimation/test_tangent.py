@@ -13,7 +13,6 @@ from oracle import EPS
 import fastatt as fa
 from fastatt import estimation
 from fastatt.codegen.scalar import scalar_function
-from fastatt.estimation import derivatives as arrays
 from fastatt.estimation import tangent
 from fastatt.kernels import quat, so3
 
@@ -40,22 +39,21 @@ def hat(v):
 
 @pytest.mark.parametrize("method", RATE_METHODS)
 def test_rate_methods(method):
-    bias = np.vstack([np.zeros(3), displaced(3, STEP)])
-    found = estimation.rate_transition(CURVED, H, t=0.3, method=method, bias=bias)
-    turn = found.turn[0]
-    true = derivative(attitude_errors(turn, found.turn[1:]), STEP)
-    assert np.abs(found.bias[0] - true).max() <= BOUND * H
+    made = estimation.step_tangent(CURVED, method=method)
+    turn, attitude, bias = made.step(0.3, H, (0.0, 0.0, 0.0), made.params)
+    nearby = [made.step(0.3, H, tuple(b), made.params)[0] for b in displaced(3, STEP)]
+    true = derivative(attitude_errors(turn, nearby), STEP)
+    assert np.abs(np.reshape(bias, (3, 3)) - true).max() <= BOUND * H
     assert np.abs(np.linalg.norm(turn) - 1) <= 2 * EPS
-    assert np.abs(found.attitude[0] - fa.quat_to_dcm(turn).T).max() <= 4 * EPS
+    assert np.abs(np.reshape(attitude, (3, 3)) - fa.quat_to_dcm(turn).T).max() <= 4 * EPS
 
 
 def test_the_step_is_the_methods_own():
     stepper = fa.single_step(CURVED, method="magnus6")
     x = stepper.step(0.3, H, (1.0, 0.0, 0.0, 0.0), stepper.params)
-    found = estimation.rate_transition(CURVED, H, t=0.3, method="magnus6")
-    assert np.abs(found.turn - x).max() <= 2 * EPS
-    assert found.matrix.shape == (6, 6)
-    assert (found.matrix[3:] == np.eye(6)[3:]).all()
+    made = estimation.step_tangent(CURVED, method="magnus6")
+    turn, *_ = made.step(0.3, H, (0.0, 0.0, 0.0), made.params)
+    assert np.abs(np.subtract(turn, x)).max() <= 2 * EPS
 
 
 @pytest.mark.parametrize(
@@ -64,9 +62,11 @@ def test_the_step_is_the_methods_own():
 def test_constant_rate_at_any_angle(theta):
     w = np.array([2.0, -1.0, 2.0]) / 3.0 * theta / H
     scene = fa.Scene(rate=fa.rates.Polynomial([w, np.zeros(3), np.zeros(3)]))
-    found = estimation.rate_transition(scene, H, method="lie_euler")
-    true = estimation.transition_matrix(w, H)
-    assert np.abs(found.matrix - true).max() <= 4 * EPS * (1 + theta)
+    made = estimation.step_tangent(scene, method="lie_euler")
+    _, attitude, bias = made.step(0.0, H, (0.0, 0.0, 0.0), made.params)
+    true = estimation.transition_matrix(w, H)[:3]
+    found = np.hstack([np.reshape(x, (3, 3)) for x in (attitude, bias)])
+    assert np.abs(found - true).max() <= 4 * EPS * (1 + theta)
 
 
 def test_users_rate_from_users_code():
@@ -114,31 +114,12 @@ def test_sampled_methods(method, increments):
     assert np.abs(found.bias[0, :, 0, 0] + dt).max() <= 0.1 * H
 
 
-def test_turns_of_a_log_are_those_of_integrate_rates_and_differences_agree():
+def test_turns_of_a_log_are_those_of_integrate_rates():
     samples = log(10)[None]
-    dt = np.full(9, H)
     found = estimation.sample_transitions(samples, H, method="previous", bias=(0.1, 0.2, -0.1))
     q = fa.integrate_rates(samples - (0.1, 0.2, -0.1), H, method="previous")
     turns = fa.quat_multiply(q[:, :-1] * (1, -1, -1, -1), q[:, 1:])
     assert np.abs(found.turn - turns).max() <= 8 * EPS
-    # the way of "picard", which has no scalar kernel
-    other = arrays._by_differences(samples - (0.1, 0.2, -0.1), H, dt, "previous", increments=False)
-    assert np.abs(other.bias - found.bias).max() <= 1e-12 * H
-    assert np.abs(other.attitude - found.attitude).max() <= 8 * EPS
-
-
-def test_a_window_in_users_code():
-    window = estimation.sample_tangent("hold", increments=True)
-
-    @njit
-    def user(v, h):
-        return window(v, h)
-
-    u = tuple(H * log(1)[0])
-    ((turn, phi, coupling),) = user(u, (H,))
-    assert np.abs(turn - fa.rotation_vector_to_quat(u)).max() <= 2 * EPS
-    assert np.abs(np.reshape(phi, (3, 3)) - fa.quat_to_dcm(turn).T).max() <= 4 * EPS
-    assert np.abs(np.reshape(coupling, (3, 3)) + H * estimation.right_jacobian(u)).max() <= 4 * EPS
 
 
 # rigid bodies
@@ -285,23 +266,21 @@ BODY = fa.Scene(inertia=MOMENTS)
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: estimation.rate_transition(BODY, H), ValueError, "scene: found one with inertia"),
         (
             lambda: estimation.step_tangent(3),
             TypeError,
             "scene: found 3; accepted: a fastatt.Scene",
         ),
         (
-            lambda: estimation.rate_transition(CURVED, H, bias=np.zeros((2, 4))),
-            ValueError,
-            r"bias: has shape \(2, 4\)",
-        ),
-        (
-            lambda: estimation.rate_transition(CURVED, H, method="hold"),
+            lambda: estimation.step_tangent(CURVED, method="hold"),
             ValueError,
             "method: found 'hold'; accepted: lie_euler",
         ),
-        (lambda: estimation.sample_tangent("picard"), ValueError, "method: found 'picard'"),
+        (
+            lambda: estimation.sample_transitions(log(4), H, method="picard"),
+            ValueError,
+            "method: found 'picard'; accepted: hold",
+        ),
         (
             lambda: estimation.sample_transitions(np.zeros((1, 3)), H),
             ValueError,

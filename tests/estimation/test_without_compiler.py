@@ -34,12 +34,11 @@ def filtered(n):
 
 def results():
     log = estimation.preintegrate(GYRO, ACCEL, 0.1, **NOISE)
-    alone = estimation.preintegrate(GYRO, None, 0.1, gyro_noise=0.02, model="white")
-    steps = [estimation.Preintegrator(model=model, **NOISE) for model in ("held", "forster")]
-    for one in steps:
-        one.add(GYRO[0, 0], ACCEL[0, 0], 0.1)
+    alone = estimation.preintegrate(GYRO, None, 0.1, gyro_noise=0.02)
+    one = estimation.Preintegrator(**NOISE)
+    one.add(GYRO[0, 0], ACCEL[0, 0], 0.1)
     found = [log.rows, alone.rotation, alone.covariance[:, :3, :3]]
-    found += [one.result.rows for one in steps]
+    found.append(one.result.rows)
     found += log.predict(START, (1.0, 2.0, 3.0), (0.0, 1.0, 0.0), gyro_bias=(0.1, 0.0, 0.0))
     found += [estimation.right_jacobian(GYRO[0]), *filtered(1), *filtered(9)]
     for method in ("rk4", "kahan_li6"):
@@ -47,7 +46,8 @@ def results():
         found += [body.q, body.w, body.matrix, body.inertia, body.torque]
         made = estimation.step_tangent(TOP, method=method)
         found += made.step(0.0, 0.1, START, (0.1, 0.2, 0.3), made.params)
-    found.append(estimation.rate_transition(CONING, 0.1, bias=GYRO[0]).matrix)
+    cone = estimation.step_tangent(CONING)
+    found += cone.step(0.0, 0.1, (0.1, 0.2, 0.3), cone.params)
     found.append(estimation.sample_transitions(GYRO, 0.1, method="coning2").matrix)
     return [np.asarray(x).tolist() for x in found]
 
@@ -104,10 +104,9 @@ def test_many_filters_are_the_filters_alone():
 
 
 def test_a_log_is_its_samples_one_by_one():
-    for model, add in (("held", pre.add_sample), ("white", pre.add_sample_white)):
-        state = pre.begin(1.0)
-        for w, a in zip(GYRO[0].tolist(), ACCEL[0].tolist(), strict=True):
-            state = add(state, tuple(w), tuple(a), 0.1, 0.02**2, 0.3**2)
-        found = estimation.preintegrate(GYRO[0], ACCEL[0], 0.1, model=model, **NOISE)
-        assert np.abs(np.subtract(state.p, found.position)).max() <= 8 * EPS
-        assert np.abs(np.reshape(state.pg, (3, 3)) - found.position_gyro).max() <= 8 * EPS
+    state = pre.begin(1.0)
+    for w, a in zip(GYRO[0].tolist(), ACCEL[0].tolist(), strict=True):
+        state = pre.add_sample(state, tuple(w), tuple(a), 0.1, 0.02**2, 0.3**2)
+    found = estimation.preintegrate(GYRO[0], ACCEL[0], 0.1, **NOISE)
+    assert np.abs(np.subtract(state.p, found.position)).max() <= 8 * EPS
+    assert np.abs(np.reshape(state.pg, (3, 3)) - found.position_gyro).max() <= 8 * EPS

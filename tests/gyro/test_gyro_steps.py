@@ -12,7 +12,7 @@ from exact import EPS, START, generic
 from numba import njit
 
 import fastatt as fa
-from fastatt.estimation import single_steps as steps
+from fastatt.gyro import gyro_steps as steps
 
 H = 0.05
 ULPS = 4 * EPS

@@ -1,0 +1,277 @@
+"""Multiplicative extended Kalman filter as kernels: tuples in, tuples out, for ``@njit`` code too.
+
+The estimate is q, an auxiliary state y (K numbers, an MEKF's is the bias b) and the covariance of
+the error (δθ, δy): q_true = q∘exp(δθ), y_true = y + δy, δθ in body axes. The public kernels have
+K = 3 and take a covariance as ``fastatt.kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
+numbers; inside, a covariance is its rows. It is updated in Joseph's form and symmetric by
+construction. Lefferts, Markley and Shuster, J. Guidance 5 (1982) 417; Markley and Crassidis,
+*Fundamentals of Spacecraft Attitude Determination and Control* (2014), §6.2.
+
+Updates by a vector and by an attitude are linearised anew about what they find, four times (an
+iterated extended Kalman filter), with the prior covariance along the axes that a rotation from the
+prior estimate gives: what a vector can't determine, the rotation about it, then stays as unknown as
+it was (Barrau and Bonnabel, IEEE Trans. Automatic Control 62 (2017) 1797).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache, partial
+from typing import Any
+
+from fastatt.codegen.rows import Rows
+from fastatt.codegen.scalar import scalar_function
+from fastatt.kernels import dcm, error_state, quat, trig
+from fastatt.kernels.vec3 import add, axpy, dot, scale
+from fastatt.tracing.formulas import Vector
+
+_formula = partial(scalar_function, rewritten=True)
+#: linearisations of an update by vectors or attitudes, and the normalised square of the last
+#: correction from which on more would be needed: of three deviations
+PASSES, NEARLY_SETTLED = 4, 9.0
+
+
+@_formula
+def mekf_predict(q, b, P, gyro, h, angle_variance, bias_variance):
+    """(q, P) one gyro sample (rad/s, held for h s) later; b stays.
+
+    ``angle_variance`` σ_v² (rad²/s) and ``bias_variance`` σ_u² (rad²/s³) are the squares of the
+    angle random walk and of the bias random walk. Exact for a rate that is constant over h.
+    """
+    u = (h * (gyro[0] - b[0]), h * (gyro[1] - b[1]), h * (gyro[2] - b[2]))
+    noise = error_state.noise(u, h, angle_variance, bias_variance)
+    return quat.mul(q, quat.exp(u)), error_state.predict(P, error_state.transition(u, h), noise)
+
+
+@_formula
+def mekf_update(q, b, P, z, H, R):
+    """(q, b, P, NIS) by a residual z (3) = H δθ + noise of covariance R (6, as of ``sym3``).
+
+    H has nine numbers, row by row. NIS, the sum of the normalised innovations squared, is χ² with
+    three degrees of freedom where the filter is right and R of full rank. A gate takes what this
+    gives where NIS is small enough, and else what it was given. P stays along the axes of the q
+    that it was given, which is right for corrections far below 1 rad.
+    """
+    o = type(q[0])(0.0)
+    p, d, nis = _by_three(_rows_of(P), (o, o, o, o, o, o), z, H, R)
+    return _corrected(q, d), add(b, d[3:]), _blocks_of(p), nis
+
+
+@_formula
+def mekf_update_vector(q, b, P, measured, reference, variance):
+    """(q, b, P, NIS) by a vector: ``measured`` in body axes, ``reference`` along inertial ones.
+
+    A direction to a star or the Sun, the magnetic field, gravity. ``variance`` is that of each
+    component, in the vector's unit squared. The angle from the expected vector to the measured one
+    is used; the difference of their lengths, of which rounding would make an angle where the others
+    are precise, counts in NIS.
+    """
+    q, b, p, nis, _ = by_vector(q, b, _rows_of(P), measured, reference, variance)
+    return q, b, _blocks_of(p), nis
+
+
+@_formula
+def mekf_update_attitude(q, b, P, measured, R):
+    """(q, b, P, NIS) by a whole attitude, such as a star tracker's; R (6, as of ``sym3``), rad²."""
+    q, b, p, nis, _ = by_attitude(q, b, _rows_of(P), measured, R)
+    return q, b, _blocks_of(p), nis
+
+
+def _rows_of(P: Any) -> Any:
+    return _split_rows(error_state.matrix(P), 6)
+
+
+def _blocks_of(rows: Any) -> Any:
+    return error_state.blocks(sum(rows, ()))
+
+
+def _split_rows(P: Vector, size: int) -> tuple[Vector, ...]:
+    """The rows of a matrix of so many columns."""
+    return tuple(P[k : k + size] for k in range(0, len(P), size))
+
+
+# of a covariance's rows
+
+
+@_formula
+def by_vector(q, y, P, measured, reference, variance):
+    """(q, y, P, NIS, nonlinearity): of an update that is trustworthy the last is at most 1.
+
+    It is the larger of what the variances of the attitude have lost together, rad², and of the
+    normalised square of the last correction, by that of three deviations.
+    """
+    F = type(q[0])
+    o = F(0.0)
+    a = q
+    for k in range(PASSES):
+        p, d = _seen_from(a, q, P)
+        expected = quat.rotate_inverse(a, reference)
+        length = math.sqrt(dot(expected, expected))
+        n = scale(F(1.0) / length if length > o else o, expected)
+        x, y_axis = _perpendicular(n)
+        u = dot(x, measured)
+        v = dot(y_axis, measured)
+        sine = math.sqrt(u * u + v * v)
+        along = dot(n, measured)
+        # from the components across to the arc
+        m = length * trig.atan2(sine, along) / sine if sine > o else o
+        p, d, n0 = _joseph(p, d, m * u, scale(-length, y_axis), variance)
+        p, d, n1 = _joseph(p, d, m * v, scale(length, x), variance)
+        a = _corrected(a, d)
+        if k == 0:
+            nis = n0 + n1 + (along - length) * (along - length) / variance
+    lost = P[0][0] + P[1][1] + P[2][2] - (p[0][0] + p[1][1] + p[2][2])
+    last = _normalised_square(p, d) / F(NEARLY_SETTLED)
+    return a, _plus(y, d[3:]), p, nis, lost if lost > last else last
+
+
+@_formula
+def by_attitude(q, y, P, measured, R):
+    """(q, y, P, NIS, 0), as ``by_vector``."""
+    F = type(q[0])
+    o = F(0.0)
+    i = F(1.0)
+    a = q
+    for k in range(PASSES):
+        p, d = _seen_from(a, q, P)
+        z = quat.log(quat.mul(quat.conj(a), measured))
+        p, d, found = _by_three(p, d, z, (i, o, o, o, i, o, o, o, i), R)
+        a = _corrected(a, d)
+        if k == 0:
+            nis = found
+    return a, _plus(y, d[3:]), p, nis, o
+
+
+def _plus(x: Any, y: Any) -> Any:
+    return tuple(a + b for a, b in zip(x, y, strict=True))
+
+
+def _joseph(P: Any, d: Any, z: Any, h: Any, r: Any) -> Any:
+    """(P, d, NIS) by one number z = h·δθ + noise of variance r, d = (δθ, δy) found so far.
+
+    Joseph's form, (1 − K h) P (1 − K h)ᵀ + K r Kᵀ: positive whatever the rounding of the gain.
+    """
+    n = range(len(P))
+    c = [dot(h, row) for row in P]
+    inverse = type(r)(1.0) / (dot(h, c) + r)
+    gain = [inverse * x for x in c]
+    left = [[P[i][j] - gain[i] * c[j] for j in n] for i in n]
+    rest = [r * gain[i] - dot(h, left[i]) for i in n]
+    upper = {(i, j): left[i][j] + rest[i] * gain[j] for i in n for j in n if i <= j}
+    x = z - dot(h, d)
+    found = tuple(tuple(upper[min(i, j), max(i, j)] for j in n) for i in n)
+    return found, tuple(a + x * k for a, k in zip(d, gain, strict=True)), inverse * x * x
+
+
+def _by_three(P: Any, d: Any, z: Any, H: Any, R: Any) -> Any:
+    """(P, d, NIS) by three numbers z = H δθ + noise of covariance R, one after the other.
+
+    R = L D Lᵀ is factorised, so that nothing is inverted that a precise direction makes singular.
+    """
+    l1, l2, l3, r1, r2 = _ldl(R)
+    h1 = axpy(-l1, H[:3], H[3:6])
+    h2 = axpy(-l3, h1, axpy(-l2, H[:3], H[6:]))
+    z1 = z[1] - l1 * z[0]
+    P, d, n0 = _joseph(P, d, z[0], H[:3], R[0])
+    P, d, n1 = _joseph(P, d, z1, h1, r1)
+    P, d, n2 = _joseph(P, d, z[2] - l2 * z[0] - l3 * z1, h2, r2)
+    return P, d, n0 + n1 + n2
+
+
+def _ldl(R: Any) -> Any:
+    """(l1, l2, l3, r1, r2) of R = L D Lᵀ, L = [1 0 0; l1 1 0; l2 l3 1], D = diag(R11, r1, r2)."""
+    o = type(R[0])(0.0)
+    l1 = R[1] / R[0] if R[0] > o else o
+    l2 = R[2] / R[0] if R[0] > o else o
+    r1 = R[3] - l1 * R[1]
+    m = R[4] - l1 * R[2]
+    l3 = m / r1 if r1 > o else o
+    return l1, l2, l3, r1, R[5] - l2 * R[2] - l3 * m
+
+
+def _normalised_square(P: Any, d: Any) -> Any:
+    """δθᵀ P11⁻¹ δθ, 0 along what has no variance."""
+    o = type(d[0])(0.0)
+    l1, l2, l3, s1, s2 = _ldl((*P[0][:3], *P[1][1:3], P[2][2]))
+    x = d[1] - l1 * d[0]
+    y = d[2] - l2 * d[0] - l3 * x
+    first = d[0] * d[0] / P[0][0] if P[0][0] > o else o
+    second = x * x / s1 if s1 > o else o
+    third = y * y / s2 if s2 > o else o
+    return first + second + third
+
+
+def _corrected(q: Any, d: Any) -> Any:
+    """q with the δθ of an error (δθ, δy) taken in."""
+    return quat.renormalise(quat.mul(q, quat.exp(d[:3])))
+
+
+def _seen_from(a: Any, q: Any, P: Any) -> Any:
+    """(P, d): the covariance about q and the mean error (δθ, δy) that q has, seen from a."""
+    o = type(a[0])(0.0)
+    r = quat.mul(quat.conj(a), q)
+    c = dcm.from_quat(r)
+    return _rotated(c, _rotated(c, P)), (*quat.log(r), *(o for _ in P[3:]))
+
+
+def _rotated(c: Any, P: Any) -> Any:
+    """P Eᵀ of a symmetric P, E the rotation c of δθ; twice: E P Eᵀ."""
+    return tuple((*dcm.rotate(c, column[:3]), *column[3:]) for column in zip(*P, strict=True))
+
+
+def _perpendicular(n: Any) -> Any:
+    """Two axes across a unit vector: Duff et al., J. Computer Graphics Techniques 6 (2017) 1."""
+    F = type(n[0])
+    one = F(1.0)
+    s = one if n[2] >= F(0.0) else -one
+    a = -one / (s + n[2])
+    m = n[0] * n[1] * a
+    return (one + s * n[0] * n[0] * a, s * m, -s * n[0]), (m, s + n[1] * n[1] * a, -n[1])
+
+
+# ensembles: of the numbers of one filter
+
+
+@_formula
+def _gated(before, after, nis, gate):
+    """What an update makes of an estimate, or the estimate where NIS is beyond a gate, or NaN."""
+    return after if nis <= gate else before
+
+
+@_formula
+def _predicted(q, b, P, gyro, shared):
+    q, p = mekf_predict(q, b, error_state.blocks(P), gyro, *shared)
+    return q, b, error_state.matrix(p)
+
+
+def _by_vector(q: Vector, y: Vector, P: Vector, pair: Vector, shared: Vector) -> Any:
+    rows = _split_rows(P, 3 + len(y))
+    return _updated((q, y, rows), by_vector(q, y, rows, pair[:3], pair[3:], shared[1]), shared)
+
+
+def _by_attitude(q: Vector, y: Vector, P: Vector, measured: Vector, shared: Vector) -> Any:
+    rows = _split_rows(P, 3 + len(y))
+    return _updated((q, y, rows), by_attitude(q, y, rows, measured, shared[1:]), shared)
+
+
+def _updated(before: Any, found: Any, shared: Vector) -> Any:
+    return (*_gated(before, found[:3], found[3], shared[0]), *found[3:])
+
+
+_OPERATIONS: dict[str, Any] = {
+    "predict": (_predicted, 3, 3, ()),
+    "vector": (_by_vector, 6, 2, (None, None)),
+    "attitude": (_by_attitude, 4, 7, (None, None)),
+}
+
+
+@lru_cache
+def operation(name: str, numbers: int) -> Rows:
+    """An operation on filters with so many auxiliary numbers: q, y, P, and two figures of updates.
+
+    ``own`` are the numbers that each filter has: a gyro's sample, a vector and its reference, an
+    attitude; ``shared`` those that all share: the interval and variances, the gate and variances.
+    """
+    formula, own, shared, figures = _OPERATIONS[name]
+    state = {"q": 4, "y": numbers, "P": (3 + numbers) ** 2}
+    return Rows(formula, {**state, "own": own, "shared": shared}, (*state.values(), *figures))
