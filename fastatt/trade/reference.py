@@ -177,7 +177,7 @@ def _solution(problem: Problem) -> _Solution | None:
 
         return "one exponential", turned, 0.0
     if isinstance(scene.rate, rates.Coning) and scene.frame == "body":
-        angle, frequency = map(np.atleast_1d, scene.rate)
+        angle, frequency = np.atleast_1d(scene.rate.angle), np.atleast_1d(scene.rate.frequency)
 
         def cone(t: NDArray[np.float64]) -> State:
             path = coning_attitudes(angle, frequency, np.concatenate([[0.0], t]) + problem.t0)

@@ -306,7 +306,7 @@ def _decimated(model: Any) -> Any:
         samples = np.asarray(model.torques)
         if len(samples) % 2 == 0:  # the history ends where it did: its last line goes on
             samples = np.concatenate([samples, 2.0 * samples[-1:] - samples[-2:-1]])
-        return model._replace(torques=samples[::2], dt=2.0 * model.dt)
+        return replace(model, torques=samples[::2], dt=2.0 * model.dt)
     if isinstance(model, Sum):
         terms = [(term, _decimated(term)) for term in model.terms]
         if any(coarse is not None for _, coarse in terms):
