@@ -17,7 +17,7 @@ from fastatt.attitudes import QUATERNION
 from fastatt.methods.method import Method
 from fastatt.methods.windows import Window
 from fastatt.scene.equations import Body, PrescribedRate, RigidBody, Turning
-from fastatt.scene.models import SUM, Law
+from fastatt.scene.models import Law
 from fastatt.tracing.dual import derivatives, seed, value
 from fastatt.tracing.formulas import Vector, dcm, minus, quat, rigid, scale
 from fastatt.tracing.functions import larger
@@ -116,12 +116,11 @@ def own_numbers(law: Law) -> Iterator[bool]:
 
     The others say which row of a table is a body's.
     """
-    if law.record is SUM:
+    if law.parts:
         for part in law.parts:
             yield from own_numbers(part)
     else:
-        look_ups = law.look_ups or (None,) * len(law.sizes)
-        for size, look_up in zip(law.sizes, look_ups, strict=True):
+        for size, look_up in zip(law.sizes, law.look_ups, strict=True):
             yield from (look_up is None,) * size
 
 

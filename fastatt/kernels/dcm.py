@@ -67,16 +67,10 @@ def from_quat(q):
     wy = y * q[0]
     wz = z * q[0]
     return (
-        F(1.0) - (yy + zz),
-        xy - wz,
-        xz + wy,
-        xy + wz,
-        F(1.0) - (xx + zz),
-        yz - wx,
-        xz - wy,
-        yz + wx,
-        F(1.0) - (xx + yy),
-    )
+        F(1.0) - (yy + zz), xy - wz, xz + wy,
+        xy + wz, F(1.0) - (xx + zz), yz - wx,
+        xz - wy, yz + wx, F(1.0) - (xx + yy),
+    )  # fmt: skip
 
 
 @kernel

@@ -254,28 +254,16 @@ def theta_terms(K, Kc, c):
     infinite = (F(300.0) if F(1e-150) > F(0.0) else F(40.0)) < K
     period = x if wide else F(math.pi)
     inverse = F(1.0) / period if wide else F(0.0)
+    inverse = F(0.0) if infinite else inverse
     return (
         odd_real + odd_imaginary,
         real + imaginary,
         (
-            F(1.0) - a2,
-            -d - F(3.0) * a3,
-            F(2.0) * a2,
-            F(4.0) * a3,
-            F(2.0) * (b1 - b3),
-            F(4.0) * b2,
-            F(8.0) * b3,
-            F(0.0),
+            F(1.0) - a2, -d - F(3.0) * a3, F(2.0) * a2, F(4.0) * a3,
+            F(2.0) * (b1 - b3), F(4.0) * b2, F(8.0) * b3, F(0.0),
         ),
-        (
-            unit,
-            period,
-            F(0.0) if infinite else inverse,
-            F(0.0) if infinite else F(2.0) * gamma * inverse,
-            F(1.0) if wide else F(0.0),
-            nome,
-        ),
-    )
+        (unit, period, inverse, F(2.0) * gamma * inverse, F(1.0) if wide else F(0.0), nome),
+    )  # fmt: skip
 
 
 @kernel
@@ -284,15 +272,19 @@ def select(first, a, b):
     F = type(first)
     s = first > F(0.0)
     return (
-        a[0] if s else b[0],
-        a[1] if s else b[1],
-        a[2] if s else b[2],
-        a[3] if s else b[3],
-        a[4] if s else b[4],
-        a[5] if s else b[5],
-        a[6] if s else b[6],
-        a[7] if s else b[7],
-    )
+        a[0] if s else b[0], a[1] if s else b[1], a[2] if s else b[2], a[3] if s else b[3],
+        a[4] if s else b[4], a[5] if s else b[5], a[6] if s else b[6], a[7] if s else b[7],
+    )  # fmt: skip
+
+
+@kernel
+def weighted(p, size, side):
+    """A series and its conjugate (side −1), times ``size``."""
+    other = side * size
+    return (
+        size * p[0], size * p[1], size * p[2], size * p[3],
+        other * p[4], other * p[5], other * p[6], other * p[7],
+    )  # fmt: skip
 
 
 @kernel

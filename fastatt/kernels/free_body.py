@@ -17,7 +17,7 @@ import math
 
 from fastatt._jit import kernel
 from fastatt.kernels import quat
-from fastatt.kernels.elliptic import cubic, first_kind_pair, theta_pair, theta_pair_at
+from fastatt.kernels.elliptic import cubic, first_kind_pair, theta_pair, theta_pair_at, weighted
 from fastatt.kernels.trig import sincos
 
 # numbers with twice the digits, high and low part: |high| ≤ 1
@@ -179,12 +179,7 @@ def turned(x, n, angle):
     s, c = sincos(angle)
     s = n * s
     c = n * c
-    return (
-        c * x[0] - s * x[3],
-        c * x[1] - s * x[2],
-        c * x[2] + s * x[1],
-        c * x[3] + s * x[0],
-    )
+    return c * x[0] - s * x[3], c * x[1] - s * x[2], c * x[2] + s * x[1], c * x[3] + s * x[0]
 
 
 @kernel
@@ -266,17 +261,7 @@ def begin(q, m, low, inertia, size, f):
     # turning about the intermediate axis is an equilibrium
     rate = (zero if m[2] == zero else rate) if m[0] == zero else rate
 
-    weighted = (
-        weight * g[8],
-        weight * g[9],
-        weight * g[10],
-        weight * g[11],
-        weight * g[12],
-        weight * g[13],
-        weight * g[14],
-        weight * g[15],
-    )
-    g = g[0:8] + weighted + g[16:21]
+    g = g[0:8] + weighted(g[8:16], weight, one) + g[16:21]
     x, n, chi = pair(g, start)
     v = to_body((-n * x[1], -n * x[2], -n * x[3]), axes)
     p = quat.mul(q, (n * x[0], v[0], v[1], v[2]))
@@ -367,21 +352,8 @@ def symmetric_setup(q, w, inertia):
     excess = spin * ((C - A) / A)
     u = (w[0] + excess * e[0], w[1] + excess * e[1], w[2] + excess * e[2])
     return (
-        q[0],
-        q[1],
-        q[2],
-        q[3],
-        u[0],
-        u[1],
-        u[2],
-        w[0],
-        w[1],
-        w[2],
-        e[0],
-        e[1],
-        e[2],
-        -excess,
-    )
+        q[0], q[1], q[2], q[3], u[0], u[1], u[2], w[0], w[1], w[2], e[0], e[1], e[2], -excess,
+    )  # fmt: skip
 
 
 @kernel

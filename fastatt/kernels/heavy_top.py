@@ -24,6 +24,7 @@ from fastatt.kernels.elliptic import (
     select,
     theta_argument,
     theta_terms,
+    weighted,
 )
 from fastatt.kernels.free_body import largest, scale
 from fastatt.kernels.trig import atan2, sincos
@@ -168,22 +169,6 @@ def middle(series):
     F = type(series[0])
     size = cubic(series[0:4], F(1.0))
     return size, cubic(series[4:8], F(1.0)) / size
-
-
-@kernel
-def weighted(p, size, side):
-    """A series and its conjugate (side −1), times ``size``."""
-    other = side * size
-    return (
-        size * p[0],
-        size * p[1],
-        size * p[2],
-        size * p[3],
-        other * p[4],
-        other * p[5],
-        other * p[6],
-        other * p[7],
-    )
 
 
 @kernel

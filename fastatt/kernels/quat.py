@@ -58,23 +58,13 @@ def rotate_inverse(q, v):
 @kernel
 def turn_first(q, c, s):
     """q∘(c, s, 0, 0): turned about body axis 1, c and s cosine and sine of half the angle."""
-    return (
-        c * q[0] - s * q[1],
-        c * q[1] + s * q[0],
-        c * q[2] + s * q[3],
-        c * q[3] - s * q[2],
-    )
+    return c * q[0] - s * q[1], c * q[1] + s * q[0], c * q[2] + s * q[3], c * q[3] - s * q[2]
 
 
 @kernel
 def turn_third(q, c, s):
     """q∘(c, 0, 0, s): turned about body axis 3, c and s cosine and sine of half the angle."""
-    return (
-        c * q[0] - s * q[3],
-        c * q[1] + s * q[2],
-        c * q[2] - s * q[1],
-        c * q[3] + s * q[0],
-    )
+    return c * q[0] - s * q[3], c * q[1] + s * q[2], c * q[2] - s * q[1], c * q[3] + s * q[0]
 
 
 @kernel

@@ -43,16 +43,10 @@ def second_order(b, c, v):
     yy = c * v[1] * v[1]
     zz = c * v[2] * v[2]
     return (
-        F(1.0) - (yy + zz),
-        xy - b * v[2],
-        xz + b * v[1],
-        xy + b * v[2],
-        F(1.0) - (xx + zz),
-        yz - b * v[0],
-        xz - b * v[1],
-        yz + b * v[0],
-        F(1.0) - (xx + yy),
-    )
+        F(1.0) - (yy + zz), xy - b * v[2], xz + b * v[1],
+        xy + b * v[2], F(1.0) - (xx + zz), yz - b * v[0],
+        xz - b * v[1], yz + b * v[0], F(1.0) - (xx + yy),
+    )  # fmt: skip
 
 
 @kernel

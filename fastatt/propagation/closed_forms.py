@@ -24,7 +24,7 @@ from fastatt.codegen.rows import kind_of, without_compiler
 from fastatt.scene import torques
 from fastatt.scene.inertia import Principal, about_arm
 from fastatt.scene.scene import Scene
-from fastatt.scene.torques import RECORDS
+from fastatt.scene.torque_record import Torque
 from fastatt.threads import each_in_threads
 from fastatt.tracing import formulas
 from fastatt.tracing.finished import Flat
@@ -83,7 +83,7 @@ class BodySolution(NamedTuple):
 
 
 #: torques that have a closed form, by name
-LEVERS = tuple(m.__name__ for m, record in RECORDS.items() if record.lever is not None)
+LEVERS = tuple(m.__name__ for m in Torque.__subclasses__() if m.lever is not None)
 _Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 

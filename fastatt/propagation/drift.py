@@ -15,7 +15,7 @@ from fastatt.propagation.energy import angular_momentum, kinetic_energy, potenti
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.time_series import TimeSeries
-from fastatt.scene.torques import RECORDS
+from fastatt.scene.torque_record import Torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +83,13 @@ def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
 
 
 def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
-    record = RECORDS.get(type(scene.torque))
-    wheels = None if record is None else record.momentum
+    torque = scene.torque
+    wheels = torque.wheel_momentum if isinstance(torque, Torque) else None
     if scene.inertia is None or not (scene.torque is None or wheels):
         return None
     inside = angular_momentum(trajectory.w, scene.inertia)
     if wheels is not None:
-        inside = inside + _of_wheels(wheels(scene.torque), trajectory)
+        inside = inside + _of_wheels(wheels(), trajectory)
     total = quat_rotate(trajectory.q, inside)
     change = np.linalg.norm(total - total[0], axis=-1)
     return _relative(change, np.linalg.norm(total, axis=-1))

@@ -2,54 +2,112 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.scene import models
-from fastatt.scene.models import Field, Packed
+from fastatt.scene.models import Field, PackedLaw, Resources
 from fastatt.scene.time_series import TimeSeries
-from fastatt.scene.torque_models import QuaternionPD, check_unit
-from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
+from fastatt.scene.torque_models import check_unit
+from fastatt.scene.torque_record import Pose, Torque
 from fastatt.tracing.formulas import Vector, dot, minus, product, quat, rigid, scale
 
-
-# what formulas take: gains of 1, 3 or 9 numbers
-class _Plain(NamedTuple):
-    stiffness: Any
-    damping: Any
-    target: Any
+TabledQuaternion = Annotated[ArrayLike | TimeSeries, Field((4,), table="slopes")]
+#: gains of 1, 3 or 9 numbers
+_Gains = Annotated[ArrayLike, Field((-1,))]
 
 
-class _Limited(NamedTuple):
-    stiffness: Any
-    damping: Any
-    target: Any
-    limit: Any
+class QuaternionPD(Torque):
+    """Attitude controller τ = −K sgn(e0) (e1, e2, e3) − D w with e = target*∘q.
+
+    The rate of a target that moves, seen from the body, is taken off w. Where e0 passes 0 the
+    torque jumps: across it a step of any method is of order 1. Wie, *Space Vehicle Dynamics and
+    Control* (2008), §7.3.
+
+    Parameters
+    ----------
+    stiffness : array_like
+        K, N·m: a number, (3,) per body axis, or a (3, 3) matrix along body axes, symmetric and
+        without negative eigenvalues. Of each body (N, 1, 1) or (N, 3, 3).
+    damping : array_like
+        D, N·m·s, in the same shapes.
+    target : array_like or TimeSeries
+        (4,) or (N, 4), unit quaternions, or a table, whose signs go on from sample to sample.
+    limit : array_like, optional
+        Largest torque along each body axis, N·m, above 0: a number, (3,), (N, 1) or (N, 3).
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> pd = fa.torques.QuaternionPD((2.0, 1.0, 1.0), 3.0, limit=0.1)
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=pd)
+    """
+
+    stiffness: Annotated[ArrayLike, Field((3, 3))]
+    damping: Annotated[ArrayLike, Field((3, 3))]
+    target: TabledQuaternion = (1.0, 0.0, 0.0, 0.0)
+    limit: Annotated[ArrayLike | None, Field((3,))] = None
+
+    def decay(self) -> Any:
+        """The largest damping gain or, of a matrix, a bound of its eigenvalues; (N,) per body."""
+        found = np.abs(np.asarray(self.damping, dtype=np.float64))
+        if found.ndim >= 2:
+            return found.sum(axis=-1).max(axis=-1)
+        return found.max(axis=-1) if found.ndim else found
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        name = f"{argument}: QuaternionPD"
+        if isinstance(self.target, TimeSeries):
+            _check_signs(name, self.target)
+        k = _gains(f"{name}.stiffness", self.stiffness)
+        c = _gains(f"{name}.damping", self.damping)
+        if self.limit is None:
+            made: Torque = _Feedback(k, c, self.target)
+        else:
+            limit = _limit(f"{name}.limit", self.limit)
+            made = _LimitedFeedback(k, c, self.target, limit)
+        return made.pack(n_bodies, argument, resources)
 
 
-# models are named by their class in messages
-_Plain.__name__ = _Limited.__name__ = QuaternionPD.__name__
+class _Feedback(Torque):
+    """A controller as formulas take it."""
 
+    stiffness: _Gains
+    damping: _Gains
+    target: TabledQuaternion
 
-def _torque(t: Any, pose: Pose, m: Any) -> Any:
-    (target, slope), w = m.target, pose.w
-    if slope:
-        # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
-        rate = quat.mul(slope, quat.conj(target))
-        size = dot(target, target)
-        target = quat.normalise(target)
-        w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
-    error = rigid.target_error(target, pose.quaternion)
-    if len(m.stiffness) == len(m.damping) == 1:
-        torque = rigid.quaternion_feedback(error, w, m.stiffness[0], m.damping[0])
-    else:
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        (target, slope), w = self.target, pose.w
+        if slope:
+            # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
+            rate = quat.mul(slope, quat.conj(target))
+            size = dot(target, target)
+            target = quat.normalise(target)
+            w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
+        error = rigid.target_error(target, pose.quaternion)
+        if len(self.stiffness) == len(self.damping) == 1:
+            return rigid.quaternion_feedback(error, w, self.stiffness[0], self.damping[0])
         shorter = scale(-rigid.sign_of_scalar(error), error[1:])
-        torque = minus(_gained(m.stiffness, shorter), _gained(m.damping, w))
-    return rigid.saturated(torque, m.limit) if isinstance(m, _Limited) else torque
+        return minus(_gained(self.stiffness, shorter), _gained(self.damping, w))
+
+    def check(self: Any, name: str) -> None:
+        check_unit(f"{name}.target", self.target[0], np.abs(self.stiffness).max(axis=0))
+
+
+class _LimitedFeedback(_Feedback):
+    """A controller with the largest torque along each axis."""
+
+    limit: Annotated[ArrayLike, Field((3,), above_zero=True)]
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.saturated(_Feedback.formula(self, t, pose), self.limit)
+
+
+# messages name a model by its class
+_Feedback.__name__ = _LimitedFeedback.__name__ = QuaternionPD.__name__
 
 
 def _gained(gain: Vector, v: Vector) -> Vector:
@@ -57,51 +115,6 @@ def _gained(gain: Vector, v: Vector) -> Vector:
     if len(gain) == 9:
         return tuple(dot(gain[3 * i : 3 * i + 3], v) for i in range(3))
     return product(gain * 3 if len(gain) == 1 else gain, v)
-
-
-def largest_damping(model: QuaternionPD) -> Any:
-    """The largest damping gain or, of a matrix, a bound of its eigenvalues; (N,) if per body."""
-    found = np.abs(np.asarray(model.damping, dtype=np.float64))
-    if found.ndim >= 2:
-        return found.sum(axis=-1).max(axis=-1)
-    return found.max(axis=-1) if found.ndim else found
-
-
-@lru_cache(maxsize=18)
-def _record(stiffness: int, damping: int, limited: bool) -> TorqueRecord:
-    fields = [*(Field((n,)) for n in (stiffness, damping)), Field((4,), table="slopes")]
-    if limited:
-        fields.append(Field((3,), True))
-    model = _Limited if limited else _Plain
-    return TorqueRecord(model, tuple(fields), _torque, Dependence.RATE, False)
-
-
-#: a controller of matrices, from whose fields a scene takes rows
-RECORD = TorqueRecord(
-    QuaternionPD, (Field((3, 3)), Field((3, 3)), Field((4,), table="slopes"), Field((3,))),
-    _torque, Dependence.RATE, False, decay=largest_damping,
-)  # fmt: skip
-
-
-def pack_controller(model: QuaternionPD, n_bodies: int | None, argument: str) -> Packed:
-    """Check a controller's numbers and lay them out flat.
-
-    Raises ``ValueError`` for gains, limits and targets that cannot be.
-    """
-    name = f"{argument}: QuaternionPD"
-    if isinstance(model.target, TimeSeries):
-        _check_signs(name, model.target)
-    k = _gains(f"{name}.stiffness", model.stiffness)
-    c = _gains(f"{name}.damping", model.damping)
-    record = _record(k.shape[-1], c.shape[-1], model.limit is not None)
-    given: Any = _Plain(k, c, model.target)
-    if model.limit is not None:
-        given = _Limited(k, c, model.target, _limit(f"{name}.limit", model.limit))
-    packed = models.pack_fields(given, record, n_bodies, argument)
-    if not isinstance(model.target, TimeSeries):
-        p, at = np.moveaxis(packed.params, -1, 0), k.shape[-1] + c.shape[-1]
-        check_unit(f"{name}.target", p[at : at + 4], np.abs(p[: k.shape[-1]]).max(axis=0))
-    return packed
 
 
 def _check_signs(name: str, target: TimeSeries) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
 from fastatt.scene.torque_record import Pose
-from fastatt.scene.torques import damping_rates, is_free, torque_of
+from fastatt.scene.torques import damping_rates, is_free
 from fastatt.tracing.formulas import (
     Vector,
     as_like,
@@ -241,7 +241,7 @@ class Body(EquationsOfMotion):
         ``place`` is (velocity, position) where something reads them.
         """
         pose = Pose(self.plain, a, w, self.moments, place, self.axes_given)
-        torque = torque_of(self.structure.law, t, pose, self.torque_numbers)
+        torque = self.structure.law.formula(t, pose, self.torque_numbers)
         return tuple(as_like(x, a[0]) for x in torque)
 
     def momentum_rate(self, t: Any, a: Vector, m: Vector, place: Vector = ()) -> Vector:

@@ -1,44 +1,72 @@
 """Force on a body, for Newton's equation in body axes μ(V̇ + Ω×V) = F.
 
-A model is a ``NamedTuple`` of numbers, or of arrays with one row per body. Forces are in N along
-body axes; weights and other forces fixed in space are given along inertial axes.
+Forces are in N along body axes; weights and other forces fixed in space are given along inertial
+axes. Numbers of a model may be arrays with one row per body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fastatt.scene import models
-from fastatt.scene.models import SUM, Field, Law, Model, Packed, Record, Sum, join, pack_user
-from fastatt.scene.time_series import TimeSeries
+from fastatt.scene.models import (
+    Law,
+    Model,
+    Number,
+    Packed,
+    PositiveNumber,
+    Resources,
+    Sum,
+    TabledVector,
+    UserModel,
+)
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import apply
 
 
-class Constant(NamedTuple):
+class Force(Model):
+    """Base of forces: ``formula(t, q, w, v, r)``, N along body axes.
+
+    v and r are () where no velocity or position is carried, or where it is not stepped with the
+    attitude. The optional method ``squared_rate(r)`` gives the square of the rate (rad/s) at which
+    a body at r falls round a centre.
+    """
+
+    kind = "force"
+    squared_rate: ClassVar[Any] = None
+
+
+class Constant(Force):
     """A force along body axes, such as a thrust: (3,), (N, 3) or a table, N."""
 
-    force: ArrayLike | TimeSeries
+    force: TabledVector
+
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+        return self.force
 
 
-class ConstantInertial(NamedTuple):
+class ConstantInertial(Force):
     """A force along inertial axes, such as a weight: (3,), (N, 3) or a table, N."""
 
-    force: ArrayLike | TimeSeries
+    force: TabledVector
+
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+        return quat.rotate_inverse(q, self.force)
 
 
-class Drag(NamedTuple):
+class Drag(Force):
     """Linear drag F = −c V. ``coefficient`` c: a number or (N,), kg/s."""
 
-    coefficient: ArrayLike
+    coefficient: Number
+
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+        return scale(-self.coefficient, v)
 
 
-class CentralGravity(NamedTuple):
+class CentralGravity(Force):
     """Gravity of a point mass at the origin: F = −(μ m/r³) r, r the position that is carried, m.
 
     ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
@@ -46,10 +74,11 @@ class CentralGravity(NamedTuple):
     it; a step may be no longer than their limit at the rate 2 √(μ/r³).
     """
 
-    gravitational_parameter: ArrayLike = 3.986004418e14
+    gravitational_parameter: PositiveNumber = 3.986004418e14
+    reads_position = True
 
 
-class Custom(NamedTuple):
+class Custom(UserModel, Force):
     """A user's ``@njit`` function ``force(t, q, w, v, p) -> (f1, f2, f3)``, N along body axes.
 
     t in s; q, w and v (m/s, body axes) as tuples, p the tuple of ``params``, (P,) or (N, P). With
@@ -57,20 +86,24 @@ class Custom(NamedTuple):
     is then stepped as one system, by methods whose record says ``couples``.
     """
 
-    function: Callable[..., Any]
-    params: ArrayLike | None = None
     uses_position: bool = False
 
 
-class _Weight(NamedTuple):
+class _Weight(CentralGravity):
     """``CentralGravity`` with the scene's mass, kg."""
 
-    gravitational_parameter: Any
-    mass: Any
+    mass: Number = 1.0
+
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+        k = -self.mass * falling(r, self.gravitational_parameter)
+        return quat.rotate_inverse(q, scale(k, r))
+
+    def squared_rate(self: Any, r: Vector) -> Any:
+        return falling(r, self.gravitational_parameter)
 
 
-def _central_gravity(t: Any, q: Vector, w: Vector, v: Vector, r: Vector, m: Any) -> Any:
-    return quat.rotate_inverse(q, scale(-m.mass * falling(r, m.gravitational_parameter), r))
+# messages name a model by its class
+_Weight.__name__ = CentralGravity.__name__
 
 
 def falling(r: Vector, gravitational_parameter: Any) -> Any:
@@ -79,60 +112,29 @@ def falling(r: Vector, gravitational_parameter: Any) -> Any:
     return gravitational_parameter * inverse * (inverse * inverse)
 
 
-@dataclass(frozen=True, eq=False)
-class ForceRecord(Record):
-    """A class of forces, with the square of the rate (rad/s) at which a body falls round a centre.
-
-    ``squared_rate(model, r)`` is that at a position; None where there is no centre.
-    """
-
-    squared_rate: Callable[[Any, Vector], Any] | None = None
+def _weighed(model: Any, mass: NDArray[np.float64]) -> Any:
+    if isinstance(model, Sum) and isinstance(model.terms, (tuple, list)):
+        return Sum(tuple(_weighed(term, mass) for term in model.terms))
+    if isinstance(model, CentralGravity):
+        return _Weight(model.gravitational_parameter, mass)
+    return model
 
 
-# formulas of (t, q, w, v, r, model): force (N) along body axes at an attitude, a rate, a
-# velocity and a position, () where none is carried or where it is not stepped with the attitude
-_VECTOR = Field((3,), table="values")
-_ALL = (
-    ForceRecord(Constant, (_VECTOR,), lambda t, q, w, v, r, m: m.force),
-    ForceRecord(
-        ConstantInertial, (_VECTOR,), lambda t, q, w, v, r, m: quat.rotate_inverse(q, m.force)
-    ),
-    ForceRecord(Drag, (Field(),), lambda t, q, w, v, r, m: scale(-m.coefficient, v)),
-    ForceRecord(CentralGravity, (Field(above_zero=True),), _central_gravity, reads_position=True),
-)
-_WEIGHT = ForceRecord(
-    _Weight, (Field(), Field()), _central_gravity, reads_position=True,
-    squared_rate=lambda m, r: falling(r, m.gravitational_parameter),
-)  # fmt: skip
-RECORDS: dict[type, ForceRecord] = {r.model: r for r in _ALL if r.model is not None}
-USER = {
-    at: ForceRecord(None, (), lambda *given: given[-1], reads_position=at) for at in (False, True)
-}
-
-
-def _pack_custom(model: Custom, n_bodies: int | None, argument: str) -> Packed:
-    record = USER[bool(model.uses_position)]
-    return pack_user(model.function, "force", record, model.params, n_bodies)
-
-
-def pack(model: Model, n_bodies: int | None, mass: NDArray[np.float64]) -> Packed:
+def pack(
+    model: Any,
+    n_bodies: int | None,
+    mass: NDArray[np.float64],
+    resources: Resources | None = None,
+) -> Packed:
     """``models.pack`` of a force; ``mass`` is () or (N,), kg."""
-
-    def pack_gravity(model: CentralGravity, n_bodies: int | None, argument: str) -> Packed:
-        packed = models.pack_fields(model, RECORDS[CentralGravity], n_bodies, argument)
-        params = join([packed.params, mass[..., None]], n_bodies, argument)
-        return packed._replace(structure=Law(_WEIGHT, (1, 1)), params=params)
-
-    others: dict[type, Any] = {Custom: _pack_custom, CentralGravity: pack_gravity}
-    return models.pack(model, n_bodies, "force", RECORDS, others)
+    return models.pack(_weighed(model, mass), Force, n_bodies, resources)
 
 
 def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:
     """Squares of the rates (rad/s) at which a body falls round the centres that are known."""
-    if law.record is SUM:
+    if law.parts:
         return [x for part, own in law.split(p) for x in squares_of_rates(part, r, own)]
-    rate = law.record.squared_rate
-    return [] if rate is None else [rate(law.numbers(None, p), r)]
+    return [] if law.model.squared_rate is None else [law.numbers(None, p).squared_rate(r)]
 
 
 __all__ = ["CentralGravity", "Constant", "ConstantInertial", "Custom", "Drag", "Sum"]

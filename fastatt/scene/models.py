@@ -1,17 +1,17 @@
-"""What models of rates, torques and forces share: their numbers checked and laid out flat.
+"""What models of rates, torques and forces share: a class each, its numbers checked and laid flat.
 
-A model is a ``NamedTuple`` of numbers, or of arrays with one row per body. Packed, it is a law (the
-record of its class and how many numbers each field has, which is all that a formula depends on) and
-an array of parameters, (P,) shared by all bodies or (N, P).
+A model is a frozen dataclass of numbers, or of arrays with one row per body, with its formula as a
+method. Packed, it is a law (the model without its numbers, and how many each field has, which is
+all that a formula depends on) and an array of parameters, (P,) shared by all bodies or (N, P).
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, dataclass_transform, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +20,9 @@ from fastatt import checks
 from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
 from fastatt.tracing.user import FORMS, UserFunction, user_function
 
-Model = Any  # an instance of a model's class
-
-
-class Sum(NamedTuple):
-    """Sum of other models of its kind, ``Sum((Constant(...), Damping(...)))``."""
-
-    terms: Sequence[Model]
+Resources = dict[tuple[str, Any], Any]
+#: with its parameters, (P,) or (N, P)
+PackedLaw = tuple["Law", NDArray[np.float64]]
 
 
 class Field(NamedTuple):
@@ -49,24 +45,158 @@ class Field(NamedTuple):
             return tuple(numbers[k : k + n] for k in range(0, len(numbers), n))
         return (numbers, ()) if self.table == "slopes" else numbers
 
+    def flat(self, name: str, value: ArrayLike) -> NDArray[np.float64]:
+        """The numbers in rows, (n,) or (N, n).
 
-@dataclass(frozen=True, eq=False)
-class Record:
-    """What every kind of model says of its class: its fields and its formula.
+        Raises ``ValueError`` for other shapes, and for numbers that are not above 0 where they
+        must be.
+        """
+        array, shape = numbers(name, value), self.shape
+        bodies = array.shape[: max(array.ndim - len(shape), 0)]
+        tail = array.shape[len(bodies) :]
+        fits = array.size > 0 and len(bodies) <= 1 and len(tail) == len(shape)
+        if not fits or any(n not in (m, -1) for m, n in zip(tail, shape, strict=True)):
+            lengths = ", ".join("K" if n == -1 else str(n) for n in shape)
+            one = f"({lengths},)" if len(shape) == 1 else f"({lengths})"
+            each = f"(N, {lengths})" if shape else "(N,)"
+            raise ValueError(f"{name} {checks.shape(array)}; accepted are {one} and {each}")
+        if self.above_zero:
+            checks.refuse(name, array, array <= 0.0, "above 0")
+        return array.reshape((*bodies, -1))
 
-    The formula's last argument is an instance of ``model`` whose fields are recorded numbers, or
-    tuples of them.
+    def check_table(self, name: str, table: TimeSeries) -> None:
+        """Refuse a table that does not give this field."""
+        if not self.table or (table.form.size,) != self.shape:
+            accepted = f"values of {self.shape[0]} numbers" if self.table else "numbers, no table"
+            raise ValueError(f"{name}: found {table!r}; accepted: {accepted}")
+        if self.table == "slopes" and not table.form.cubic:
+            raise ValueError(f'{name}: found a linear table; accepted: one of kind "cubic"')
+
+
+# how a model's class names its fields
+Number = Annotated[ArrayLike, Field()]
+PositiveNumber = Annotated[ArrayLike, Field(above_zero=True)]
+Vector3 = Annotated[ArrayLike, Field((3,))]
+TabledVector = Annotated[ArrayLike | TimeSeries, Field((3,), table="values")]
+TabledMomentum = Annotated[ArrayLike | TimeSeries, Field((3,), table="slopes")]
+
+
+@dataclass_transform(frozen_default=True)
+class Model:
+    """Base of all models: fields that are annotated with a ``Field`` are numbers.
+
+    ``formula`` is a method of an instance whose fields are recorded numbers, or tuples of them.
     """
 
-    model: type | None
-    fields: tuple[Field, ...]
-    formula: Callable[..., Any]
-    _: KW_ONLY
-    #: ``check(name, model, numbers)`` refuses a user's model that cannot be, by its name;
-    #: ``numbers`` is the same with numpy's arrays as fields, the body's index last
-    check: Callable[[str, Any, Any], None] | None = None
+    #: "rate", "torque" or "force"
+    kind: ClassVar[str]
+    fields: ClassVar[Mapping[str, Field]]
     #: of a torque or a force: whether it takes the position that the scene carries
-    reads_position: bool = False
+    reads_position: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
+        hints = get_type_hints(cls, include_extras=True)
+        cls.fields = {
+            name: hint.__metadata__[0]
+            for name, hint in hints.items()
+            if hasattr(hint, "__metadata__")
+        }
+
+    def formula(self, *state: Any) -> Any:
+        """The rate, torque or force."""
+        raise NotImplementedError
+
+    def evaluate(self, *state: Any) -> Any:
+        """The formula along the axes of the state."""
+        return self.formula(*state)
+
+    def check(self, name: str) -> None:
+        """Refuse numbers that cannot be: fields are numpy's arrays, the body's index last."""
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """What it was made of."""
+        return tuple(getattr(self, field.name) for field in dataclasses.fields(self))  # type: ignore[arg-type]
+
+    @classmethod
+    def of(cls, values: Iterable[Any]) -> Self:
+        """A model of other ``values``."""
+        return cls(*values)
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        """Check the numbers and lay them out flat; tables are added to ``resources``.
+
+        Raises ``ValueError`` or ``TypeError`` for numbers that are not finite or of the wrong
+        shape.
+        """
+        name = f"{argument}: {type(self).__name__}"
+        columns: list[NDArray[np.float64]] = []
+        look_ups: list[LookUp | None] = []
+        for key, field in self.fields.items():
+            value, label = getattr(self, key), f"{name}.{key}"
+            if isinstance(value, TimeSeries):
+                field.check_table(label, value)
+                rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
+                columns.append(rows)
+                look_ups.append(LookUp(len(resources), value.form, field.table == "slopes"))
+                resources["table", len(resources)] = value.data
+            else:
+                columns.append(field.flat(label, value))
+                look_ups.append(None)
+        params = join(columns, n_bodies, name)
+        empty = replace(self, **dict.fromkeys(self.fields))  # type: ignore[type-var]
+        law = Law(empty, tuple(column.shape[-1] for column in columns), tuple(look_ups))
+        if not any(look_ups):
+            law.numbers(None, np.moveaxis(params, -1, 0)).check(name)
+        return law, params
+
+
+class Sum(Model):
+    """Sum of other models of its kind, ``Sum((Constant(...), Damping(...)))``."""
+
+    terms: Sequence[Model]
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """Its terms."""
+        return tuple(self.terms)
+
+    @classmethod
+    def of(cls, values: Iterable[Any]) -> Self:
+        """A sum of other terms."""
+        return cls(tuple(values))
+
+
+class UserModel(Model):
+    """A model that a user-defined function gives."""
+
+    function: Callable[..., Any]
+    params: Annotated[ArrayLike | None, Field((-1,))] = None
+
+    @property
+    def reads_position(self) -> bool:  # type: ignore[override]
+        """Whether the function takes the position."""
+        return bool(getattr(self, "uses_position", False))
+
+    @property
+    def form(self) -> str:
+        """Which of ``FORMS`` the function has."""
+        return f"{self.kind} at position" if self.reads_position else self.kind
+
+    def formula(self: Any, *state: Any) -> Any:
+        return self.function.given(*state, self.params)
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        """The law of a traced or compiled function, and its parameters, (P,) or (N, P)."""
+        given = np.atleast_1d(numbers("params", () if self.params is None else self.params))
+        if given.ndim > 2 or (given.ndim == 2 and not len(given)):
+            raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
+        params = join([given], n_bodies, "params")
+        n = params.shape[-1]
+        made = user_function(self.function, self.form, n, params)
+        resources.update(resources_of(made))
+        return Law(replace(self, function=made, params=None), (n,), (None,)), params
 
 
 class LookUp(NamedTuple):
@@ -84,19 +214,16 @@ class LookUp(NamedTuple):
 
 @dataclass(frozen=True)
 class Law:
-    """A model without its numbers: which formula, of how many numbers.
+    """A model without its numbers, and how many numbers each field has.
 
-    ``parts`` are the laws of a sum's terms.
+    ``look_ups`` are those of fields that are tables, None of others; ``parts`` are the laws of a
+    sum's terms.
     """
 
-    record: Any
+    model: Any
     sizes: tuple[int, ...] = ()
-    parts: tuple[Law, ...] = ()
-    #: a user's functions: what is traced or called, and the potential, if there is one
-    function: Any = None
-    potential: Any = None
-    #: of each field what it looks up, if there is one that does
     look_ups: tuple[LookUp | None, ...] = ()
+    parts: tuple[Law, ...] = ()
 
     @cached_property
     def count(self) -> int:
@@ -104,8 +231,8 @@ class Law:
         return sum(self.sizes) + sum(part.count for part in self.parts)
 
     def split(self, p: Any) -> list[tuple[Law, Any]]:
-        """Each part with its own parameters, which follow this law's."""
-        at, found = sum(self.sizes), []
+        """Each part with its own parameters."""
+        at, found = 0, []
         for part in self.parts:
             found.append((part, p[at : at + part.count]))
             at += part.count
@@ -113,36 +240,26 @@ class Law:
 
     def numbers(self, t: Any, p: Any) -> Any:
         """The model at a time, its fields from flat parameters or looked up in tables."""
-        if self.record.model is None:
-            return p
-        at, found = 0, []
-        look_ups = self.look_ups or (None,) * len(self.sizes)
-        for field, size, look_up in zip(self.record.fields, self.sizes, look_ups, strict=True):
+        at, found = 0, {}
+        fields = self.model.fields.items()
+        for (name, field), size, look_up in zip(fields, self.sizes, self.look_ups, strict=True):
             own = p[at : at + size]
-            found.append(field.shaped(own) if look_up is None else look_up.numbers(t, own))
+            found[name] = field.shaped(own) if look_up is None else look_up.numbers(t, own)
             at += size
-        return self.record.model(*found)
+        return replace(self.model, **found)
 
     def formula(self, *given: Any) -> Any:
-        """The record's formula of what is given, parameters last; of a sum that of its terms."""
-        *before, p = given
-        if self.record is SUM:
-            terms = [law.formula(*before, own) for law, own in self.split(p)]
+        """The model's formula of a time and what else is given, parameters last."""
+        *state, p = given
+        if self.parts:
+            terms = [law.formula(*state, own) for law, own in self.split(p)]
             return tuple(sum(column[1:], column[0]) for column in zip(*terms, strict=True))
-        if self.function is not None:
-            return self.function.given(*given)
-        return self.record.formula(*before, self.numbers(before[0], p))
+        return self.numbers(state[0], p).evaluate(*state)
 
     @cached_property
     def reads_position(self) -> bool:
         """Whether it takes the position that the scene carries."""
-        return any(leaf.record.reads_position for leaf in self.leaves())
-
-    def with_tables_from(self, k: int) -> Law:
-        """The same, its tables numbered from k on."""
-        parts = tuple(part.with_tables_from(k) for part in self.parts)
-        moved = tuple(x and x._replace(number=x.number + k) for x in self.look_ups)
-        return replace(self, parts=parts, look_ups=moved)
+        return any(leaf.model.reads_position for leaf in self.leaves())
 
     def leaves(self) -> Iterable[Law]:
         """The laws of which a sum is one, or this one."""
@@ -153,7 +270,7 @@ class Law:
 
 
 class Packed(NamedTuple):
-    """What acts, ready for the engine."""
+    """Models of a scene, ready for the engine."""
 
     #: a law, or a scene's ``fastatt.scene.equations.Structure`` of them
     structure: Any
@@ -161,140 +278,50 @@ class Packed(NamedTuple):
     params: NDArray[np.float64]
     #: tables and opaque functions that formulas look up, by the names that graphs have for them:
     #: of fields of models by numbers, of a user's function by themselves
-    resources: dict[tuple[str, Any], Any]
+    resources: Resources
 
     @property
     def tables(self) -> dict[Any, NDArray[np.float64]]:
         """The tables alone."""
         return {x: array for (kind, x), array in self.resources.items() if kind == "table"}
 
-    def with_tables_from(self, k: int) -> Packed:
-        """That of a law, its tables numbered from k on."""
-        moved = {
-            (kind, x + k if isinstance(x, int) else x): found
-            for (kind, x), found in self.resources.items()
-        }
-        return self._replace(structure=self.structure.with_tables_from(k), resources=moved)
 
-
-def resources_of(function: UserFunction) -> dict[tuple[str, Any], Any]:
+def resources_of(function: UserFunction) -> Resources:
     """What a graph of a user's function looks up, by the names that it has there."""
     if not function.straight:
         return {("function", function): function.address}
     return {("table", x): array for x, array in function.tables.items()}
 
 
-_Pack = Callable[[Any, int | None, str], Packed]
-
-
 def pack(
-    model: Model,
-    n_bodies: int | None,
-    argument: str,
-    records: Mapping[type, Record],
-    others: Mapping[type, _Pack] = MappingProxyType({}),
+    model: Any, base: type[Model], n_bodies: int | None, resources: Resources | None = None
 ) -> Packed:
-    """Check a model's numbers and lay them out flat.
-
-    Models with a record are packed by their fields, ``others`` as these say.
+    """Check the numbers of a model, a subclass of ``base``, and lay them out flat.
 
     Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
     finite or of the wrong shape.
     """
-    cls = type(model)
-    if cls is Sum:
+    found: Resources = {} if resources is None else resources
+    return Packed(*_pack(model, base, n_bodies, base.kind, found), found)
+
+
+def _pack(
+    model: Any, base: type[Model], n_bodies: int | None, argument: str, resources: Resources
+) -> PackedLaw:
+    if isinstance(model, Sum):
         name = f"{argument}: Sum"
         if not isinstance(model.terms, (tuple, list)) or not model.terms:
             raise ValueError(f"{name}.terms is empty; accepted is a tuple of models")
-        terms = [pack(term, n_bodies, name, records, others) for term in model.terms]
-        params = join([term.params for term in terms], n_bodies, name)
-        laws: list[Law] = []
-        found: dict[tuple[str, Any], Any] = {}
-        for term in terms:
-            moved = term.with_tables_from(len(found))
-            laws.append(moved.structure)
-            found |= moved.resources
-        return Packed(Law(SUM, (), tuple(laws)), params, found)
-    if cls in others:
-        return others[cls](model, n_bodies, argument)
-    if cls in records:
-        return pack_fields(model, records[cls], n_bodies, argument)
-    kind = argument.partition(":")[0]
-    names = ", ".join(sorted({c.__name__ for c in (*records, *others, Sum)}))
+        terms = [_pack(term, base, n_bodies, name, resources) for term in model.terms]
+        laws, columns = zip(*terms, strict=True)
+        return Law(Sum(()), parts=laws), join(columns, n_bodies, name)
+    if isinstance(model, base):
+        return model.pack(n_bodies, argument, resources)
+    names = {c.__name__ for c in (*base.__subclasses__(), Sum) if not c.__name__.startswith("_")}
     raise TypeError(
-        f"{argument}: found {cls.__name__}; accepted is a model of fastatt.{kind}s ({names}) or an "
-        f"@njit function {FORMS[kind].call}"
+        f"{argument}: found {type(model).__name__}; accepted is a model of fastatt.{base.kind}s "
+        f"({', '.join(sorted(names))}) or an @njit function {FORMS[base.kind].call}"
     )
-
-
-def pack_fields(model: Model, record: Record, n_bodies: int | None, argument: str) -> Packed:
-    """Check a model's numbers and lay them out flat.
-
-    Raises ``ValueError`` or ``TypeError`` for numbers that are not finite or of the wrong shape.
-    """
-    cls = type(model)
-    sizes, columns = [], []
-    look_ups: list[LookUp | None] = []
-    tables: dict[tuple[str, Any], NDArray[np.float64]] = {}
-    for name, value, field in zip(model._fields, model, record.fields, strict=True):
-        label = f"{argument}: {cls.__name__}.{name}"
-        if isinstance(value, TimeSeries):
-            _check_table(label, value, field)
-            rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
-            sizes.append(rows.shape[-1])
-            columns.append(rows)
-            look_ups.append(LookUp(len(tables), value.form, field.table == "slopes"))
-            tables["table", len(tables)] = value.data
-            continue
-        shape, above_zero, _ = field
-        look_ups.append(None)
-        array = numbers(label, value)
-        one = array.ndim == len(shape)
-        tail = array.shape[array.ndim - len(shape) :]
-        fits = array.size > 0 and (one or array.ndim == len(shape) + 1)
-        if not fits or any(n not in (m, -1) for m, n in zip(tail, shape, strict=True)):
-            sizes_ = ["K" if n == -1 else str(n) for n in shape]
-            accepted = f"{_tuple(sizes_)} and {_tuple(['N', *sizes_])}"
-            raise ValueError(f"{label} {checks.shape(array)}; accepted are {accepted}")
-        if above_zero:
-            checks.refuse(label, array, array <= 0.0, "above 0")
-        sizes.append(int(np.prod(tail, dtype=int)))
-        columns.append(array.reshape((*array.shape[: array.ndim - len(shape)], -1)))
-    params = join(columns, n_bodies, f"{argument}: {cls.__name__}")
-    law = Law(record, tuple(sizes), look_ups=tuple(look_ups) if tables else ())
-    if record.check is not None:
-        flat = replace(law, look_ups=()).numbers(None, np.moveaxis(params, -1, 0))
-        record.check(f"{argument}: {cls.__name__}", model, flat)
-    return Packed(law, params, tables)
-
-
-def _check_table(label: str, table: TimeSeries, field: Field) -> None:
-    if not field.table or (table.form.size,) != field.shape:
-        accepted = f"values of {field.shape[0]} numbers" if field.table else "numbers, no table"
-        raise ValueError(f"{label}: found {table!r}; accepted: {accepted}")
-    if field.table == "slopes" and not table.form.cubic:
-        raise ValueError(f'{label}: found a linear table; accepted: one of kind "cubic"')
-
-
-def pack_user(
-    function: Callable[..., Any],
-    form: str,
-    record: Record,
-    params: ArrayLike | None,
-    n_bodies: int | None,
-) -> Packed:
-    """The same for a user's function, of a form of ``FORMS``, with (P,) or (N, P) parameters."""
-    form = f"{form} at position" if record.reads_position else form
-    given = np.atleast_1d(np.zeros(0) if params is None else numbers("params", params))
-    if given.ndim > 2 or (given.ndim == 2 and not len(given)):
-        raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
-    joined = join([given], n_bodies, "params")
-    n = joined.shape[-1]
-    made = user_function(function, form, n, joined)
-    return Packed(Law(record, (n,), function=made), joined, resources_of(made))
-
-
-SUM = Record(Sum, (), sum)
 
 
 def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
@@ -317,7 +344,3 @@ def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str
     n = rows.pop()
     together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
     return np.ascontiguousarray(together)
-
-
-def _tuple(sizes: Sequence[str]) -> str:
-    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"

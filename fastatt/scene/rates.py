@@ -1,47 +1,75 @@
 """Angular velocity as a function of time: built-in models and a user's own function.
 
-A model is a ``NamedTuple`` of numbers, or of arrays with one row per body. Rates are in rad/s,
-along body axes unless the scene says ``frame="inertial"``; times in s, angles in rad.
+Rates are in rad/s, along body axes unless the scene says ``frame="inertial"``; times in s, angles
+in rad. Numbers of a model may be arrays with one row per body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.scene.models import SUM, Field, Law, Record, Sum
+from fastatt.scene.models import Field, Law, Model, Number, PositiveNumber, Sum, UserModel, Vector3
 from fastatt.tracing.formulas import axpy, scale, trig
 from fastatt.tracing.graph import choose
 
-_VECTOR = Field((3,))
+Numbers = NDArray[np.float64]
 
 
-class Constant(NamedTuple):
+class Rate(Model):
+    """Base of rates: ``formula(t)``, rad/s.
+
+    The optional method ``bound()`` gives what |w| is not above at any time, rad/s, of a model whose
+    fields are arrays (..., N).
+    """
+
+    kind = "rate"
+    bound: ClassVar[Any] = None
+
+
+class Constant(Rate):
     """w(t) = w. ``w``: (3,) or (N, 3)."""
 
-    w: ArrayLike
+    w: Vector3
+
+    def formula(self: Any, t: Any) -> Any:
+        return self.w
+
+    def bound(self: Any) -> Any:
+        return lengths(self.w.T)
 
 
-class Polynomial(NamedTuple):
+class Polynomial(Rate):
     """w(t) = Σ c_k t^k. ``coefficients``: (K, 3) or (N, K, 3), the constant term first."""
 
-    coefficients: ArrayLike
+    coefficients: Annotated[ArrayLike, Field((-1, 3))]
+
+    def formula(self: Any, t: Any) -> Any:
+        *before, w = self.coefficients
+        for c in reversed(before):
+            w = axpy(t, w, c)
+        return w
 
 
-class Sinusoidal(NamedTuple):
+class Sinusoidal(Rate):
     """w(t) = bias + amplitude sin(frequency t + phase), axis by axis; each (3,) or (N, 3)."""
 
-    bias: ArrayLike
-    amplitude: ArrayLike
-    frequency: ArrayLike
-    phase: ArrayLike = (0.0, 0.0, 0.0)
+    bias: Vector3
+    amplitude: Vector3
+    frequency: Vector3
+    phase: Vector3 = (0.0, 0.0, 0.0)
+
+    def formula(self: Any, t: Any) -> Any:
+        waves = zip(self.bias, self.amplitude, self.frequency, self.phase, strict=True)
+        return tuple(b + a * trig.sincos(f * t + phase)[0] for b, a, f, phase in waves)
+
+    def bound(self: Any) -> Any:
+        return lengths((np.abs(self.bias) + np.abs(self.amplitude)).T)
 
 
-class Coning(NamedTuple):
+class Coning(Rate):
     """The z axis sweeps a cone of half ``angle`` a at ``frequency`` Ω without turning round it.
 
     w = (−Ω sin a sin Ωt, Ω sin a cos Ωt, −2Ω sin²(a/2)), exact attitude
@@ -49,106 +77,70 @@ class Coning(NamedTuple):
     25 (1958) 210. Numbers or (N,).
     """
 
-    angle: ArrayLike
-    frequency: ArrayLike
+    angle: Number
+    frequency: Number
+
+    def formula(self: Any, t: Any) -> Any:
+        s, c = trig.sincos(self.frequency * t)
+        a, b = trig.sincos(0.5 * self.angle)
+        k = 2.0 * self.frequency * a
+        return -k * b * s, k * b * c, -k * a
+
+    def bound(self: Any) -> Any:
+        return np.abs(2.0 * self.frequency * np.sin(0.5 * self.angle))
 
 
-class Precession(NamedTuple):
+class Precession(Rate):
     """Rate of constant size whose transverse part turns in the body, as in a free symmetric top.
 
     w = (A cos(kt + φ0), A sin(kt + φ0), s). Numbers or (N,): ``transverse`` A, ``axial`` s,
     ``frequency`` k, ``phase`` φ0.
     """
 
-    transverse: ArrayLike
-    axial: ArrayLike
-    frequency: ArrayLike
-    phase: ArrayLike = 0.0
+    transverse: Number
+    axial: Number
+    frequency: Number
+    phase: Number = 0.0
+
+    def formula(self: Any, t: Any) -> Any:
+        s, c = trig.sincos(self.frequency * t + self.phase)
+        return self.transverse * c, self.transverse * s, self.axial
+
+    def bound(self: Any) -> Any:
+        return np.hypot(self.transverse, self.axial)
 
 
-class Slew(NamedTuple):
+class Slew(Rate):
     """Rest-to-rest turn by ``rotation`` (rad, (3,) or (N, 3)) in ``duration`` s from ``start`` on.
 
     w = rotation/T (1 − cos(2πs/T)) within the slew, 0 outside: rate and acceleration continuous.
     """
 
-    rotation: ArrayLike
-    duration: ArrayLike
-    start: ArrayLike = 0.0
+    rotation: Vector3
+    duration: PositiveNumber
+    start: Number = 0.0
+
+    def formula(self: Any, t: Any) -> Any:
+        x = (t - self.start) / self.duration
+        x = choose(x < 0.0, 0.0, x)
+        x = choose(x > 1.0, 1.0, x)
+        s, _ = trig.sincos(3.141592653589793 * x)
+        return scale(2.0 * s * s / self.duration, self.rotation)
+
+    def bound(self: Any) -> Any:
+        return 2.0 * lengths(self.rotation.T) / self.duration
 
 
-Numbers = NDArray[np.float64]
+class Custom(UserModel, Rate):
+    """A user's ``@njit`` function ``rate(t, p) -> (w1, w2, w3)``, rad/s.
 
-
-@dataclass(frozen=True, eq=False)
-class RateRecord(Record):
-    """A class of rates: ``formula(t, model)``, and what |w| of a model is not above.
-
-    ``bound(model)`` is that, rad/s, at any time, of a model of arrays (..., N); None where there is
-    none.
+    t in s, p the tuple of ``params``, (P,) or (N, P).
     """
-
-    bound: Callable[[Any], Any] | None = None
-
-
-def _sinusoidal(t: Any, m: Any) -> Any:
-    s = [trig.sincos(f * t + phase)[0] for f, phase in zip(m.frequency, m.phase, strict=True)]
-    return tuple(b + a * x for b, a, x in zip(m.bias, m.amplitude, s, strict=True))
-
-
-def _coning(t: Any, m: Any) -> Any:
-    s, c = trig.sincos(m.frequency * t)
-    a, b = trig.sincos(0.5 * m.angle)
-    k = 2.0 * m.frequency * a
-    return -k * b * s, k * b * c, -k * a
-
-
-def _precession(t: Any, m: Any) -> Any:
-    s, c = trig.sincos(m.frequency * t + m.phase)
-    return m.transverse * c, m.transverse * s, m.axial
-
-
-def _slew(t: Any, m: Any) -> Any:
-    x = (t - m.start) / m.duration
-    x = choose(x < 0.0, 0.0, x)
-    x = choose(x > 1.0, 1.0, x)
-    s, _ = trig.sincos(3.141592653589793 * x)
-    return scale(2.0 * s * s / m.duration, m.rotation)
-
-
-def _polynomial(t: Any, m: Any) -> Any:
-    *before, w = m.coefficients
-    for c in reversed(before):
-        w = axpy(t, w, c)
-    return w
 
 
 def lengths(v: NDArray[Any]) -> Numbers:
     """Of rows (N, 3); a matrix product, since numpy reduces short rows slowly."""
     return np.asarray(np.sqrt((v * v) @ np.ones(3)))
-
-
-_ALL = (
-    RateRecord(Constant, (_VECTOR,), lambda t, m: m.w, bound=lambda m: lengths(m.w.T)),
-    RateRecord(Polynomial, (Field((-1, 3)),), _polynomial),
-    RateRecord(
-        Sinusoidal, (_VECTOR,) * 4, _sinusoidal,
-        bound=lambda m: lengths((np.abs(m.bias) + np.abs(m.amplitude)).T),
-    ),
-    RateRecord(
-        Coning, (Field(),) * 2, _coning,
-        bound=lambda m: np.abs(2.0 * m.frequency * np.sin(0.5 * m.angle)),
-    ),
-    RateRecord(
-        Precession, (Field(),) * 4, _precession, bound=lambda m: np.hypot(m.transverse, m.axial)
-    ),
-    RateRecord(
-        Slew, (_VECTOR, Field(above_zero=True), Field()), _slew,
-        bound=lambda m: 2.0 * lengths(m.rotation.T) / m.duration,
-    ),
-)  # fmt: skip
-RECORDS: dict[type, RateRecord] = {r.model: r for r in _ALL if r.model is not None}
-USER = RateRecord(None, (), lambda t, m: m)
 
 
 def bound(law: Law, params: Numbers) -> Numbers | None:
@@ -157,20 +149,23 @@ def bound(law: Law, params: Numbers) -> Numbers | None:
     ``params`` are flat, (P,) or (N, P).
     """
     p = np.atleast_2d(params)
-    if law.record is SUM:
+    if law.parts:
         parts = [bound(part, own.T) for part, own in law.split(p.T)]
         known = [part for part in parts if part is not None]
         return np.sum(known, axis=0) if len(known) == len(parts) else None
-    found = law.record.bound
-    return None if found is None else np.asarray(found(law.numbers(None, p.T)))
+    if law.model.bound is None:
+        return None
+    return np.asarray(law.numbers(None, p.T).bound())
 
 
 def is_constant(law: Law) -> bool:
     """Whether a rate never changes along its axes."""
-    return law.record.model is Constant
+    return isinstance(law.model, Constant)
 
 
-__all__ = ["Coning", "Constant", "Polynomial", "Precession", "Sinusoidal", "Slew", "Sum"]
+__all__ = [
+    "Coning", "Constant", "Custom", "Polynomial", "Precession", "Sinusoidal", "Slew", "Sum",
+]  # fmt: skip
 
 
 def __dir__() -> list[str]:

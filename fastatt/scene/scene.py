@@ -163,7 +163,8 @@ class Scene:
         """Principal moments and axes of ``inertia``."""
         if self.inertia is None:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
-        return _kept(principal(self.inertia, allow_unphysical=self.allow_unphysical))  # type: ignore[no-any-return]
+        found = principal(self.inertia, allow_unphysical=self.allow_unphysical)
+        return Principal(*map(_kept, found))
 
     @cached_property
     def _law(self) -> Law:
@@ -197,8 +198,8 @@ class Scene:
         structure = self.packed(None).structure
         laws = (structure.turning.law, structure.force)
         leaves = [leaf for law in laws if law is not None for leaf in law.leaves()]
-        found = [f for leaf in leaves for f in (leaf.function, leaf.potential)]
-        return tuple(f for f in found if f is not None)
+        found = [value for leaf in leaves for value in leaf.model.values]
+        return tuple(value for value in found if isinstance(value, UserFunction))
 
     @property
     def moves(self) -> bool:
@@ -232,22 +233,21 @@ class Scene:
             return packed
         mass = _masses(self.mass)
         model = self.force
-        if isinstance(model, (list, tuple, np.ndarray)) and not hasattr(model, "_fields"):
+        if isinstance(model, (list, tuple, np.ndarray)):
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        pushing = forces.pack(model, n_bodies, mass).with_tables_from(len(packed.resources))
-        columns = [packed.params, 1.0 / mass[..., None], pushing.params]
-        params = join(columns, n_bodies, "mass, force")
-        structure = packed.structure._replace(force=pushing.structure)
+        force = forces.pack(model, n_bodies, mass, packed.resources)
+        columns = [packed.params, 1.0 / mass[..., None], force.params]
+        structure = packed.structure._replace(force=force.structure)
         structure = structure._replace(position=position or structure.reads_position)
-        return Packed(structure, params, {**packed.resources, **pushing.resources})
+        return Packed(structure, join(columns, n_bodies, "mass, force"), packed.resources)
 
     def _rate(self, n_bodies: int | None) -> Packed:
-        if callable(self.rate):
-            packed = models.pack_user(self.rate, "rate", rates.USER, self.params, n_bodies)
-        else:
-            packed = models.pack(self.rate, n_bodies, "rate", rates.RECORDS)
+        model = self.rate
+        if callable(model):
+            model = rates.Custom(model, self.params)
+        packed = models.pack(model, rates.Rate, n_bodies)
         structure = Structure(PrescribedRate(packed.structure, self.frame == "inertial"))
         return packed._replace(structure=structure)
 
@@ -281,6 +281,8 @@ def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str])
 
 def _own_functions(value: Any) -> list[Any]:
     """The functions in what a scene was given."""
+    if isinstance(value, models.Model):
+        value = value.values
     if isinstance(value, tuple):
         return [function for each in value for function in _own_functions(each)]
     return [value] if callable(value) else []
@@ -288,10 +290,8 @@ def _own_functions(value: Any) -> list[Any]:
 
 def _kept(value: Any) -> Any:
     """Numbers, a model's too, that can't be changed: tuples of numbers, else copies."""
-    if isinstance(value, models.Sum):
-        return models.Sum(tuple(map(_kept, value.terms)))
-    if hasattr(value, "_fields"):
-        return type(value)(*map(_kept, value))
+    if isinstance(value, models.Model):
+        return value.of(map(_kept, value.values))
     if isinstance(value, (list, tuple)) and all(map(np.isscalar, value)):
         return tuple(value)
     if value is None or callable(value):
@@ -303,10 +303,8 @@ def _kept(value: Any) -> Any:
 
 def _key(value: Any) -> Any:
     """What is equal, and has a hash, for equal numbers."""
-    if isinstance(value, models.Sum):
-        return (models.Sum, *map(_key, value.terms))
-    if hasattr(value, "_fields"):
-        return (type(value), *map(_key, value))
+    if isinstance(value, models.Model):
+        return (type(value), *map(_key, value.values))
     if isinstance(value, (tuple, np.ndarray)):
         return np.shape(value), (np.asarray(value, np.float64) + 0.0).tobytes()  # −0 equals 0
     return value
@@ -315,20 +313,18 @@ def _key(value: Any) -> Any:
 def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
     """Numbers, a model's too, of some bodies; those of one body have so many axes."""
     if isinstance(value, models.Sum):
-        return models.Sum(tuple(_of_rows(term, rows) for term in value.terms))
-    if isinstance(value, (torques.Custom, forces.Custom)):
-        return value._replace(params=_of_rows(value.params, rows))
-    if type(value) in _RECORDS:
-        each = zip(value, _RECORDS[type(value)].fields, strict=True)
-        return type(value)(*(_of_rows(x, rows, len(field.shape)) for x, field in each))
+        return value.of(_of_rows(term, rows) for term in value.terms)
+    if isinstance(value, models.Model):
+        numbers = {
+            name: _of_rows(getattr(value, name), rows, len(field.shape))
+            for name, field in value.fields.items()
+        }
+        return replace(value, **numbers)  # type: ignore[type-var]
     if isinstance(value, TimeSeries):
         return value[rows] if value.form.own else value
-    if hasattr(value, "_fields") or np.ndim(value) <= dims:  # shared
+    if value is None or callable(value) or np.ndim(value) <= dims:  # shared
         return value
     return np.asarray(value)[rows]
-
-
-_RECORDS: dict[type, models.Record] = {**rates.RECORDS, **torques.RECORDS, **forces.RECORDS}
 
 
 def as_scene(scene: object) -> Scene:

@@ -1,52 +1,100 @@
-"""Torque models: the numbers that a user gives of what turns a body, and their formulas."""
+"""Torque models: the numbers that a user gives, and their formulas."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.scene.models import Field
+from fastatt.scene.models import (
+    Number,
+    PackedLaw,
+    PositiveNumber,
+    Resources,
+    TabledMomentum,
+    TabledVector,
+    UserModel,
+    Vector3,
+    resources_of,
+)
 from fastatt.scene.time_series import TimeSeries
-from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
-from fastatt.tracing.formulas import dot, minus, rigid, scale, vec3
+from fastatt.scene.torque_record import Dependence, Pose, Torque
+from fastatt.tracing.called import nested, points
+from fastatt.tracing.formulas import as_like, dot, minus, rigid, scale, vec3
 from fastatt.tracing.graph import apply
+from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.user import UserFunction, user_function
 
 
-class Constant(NamedTuple):
+class Constant(Torque):
     """A torque along body axes, such as a thruster's: (3,), (N, 3) or a table, N·m."""
 
-    torque: ArrayLike | TimeSeries
+    torque: TabledVector
+    depends = Dependence.POSITION
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return self.torque
 
 
-class ConstantInertial(NamedTuple):
+class ConstantInertial(Torque):
     """A torque along inertial axes: (3,), (N, 3) or a table, N·m."""
 
-    torque: ArrayLike | TimeSeries
+    torque: TabledVector
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return pose.to_body(self.torque)
 
 
-class Damping(NamedTuple):
+class Damping(Torque):
     """Linear damping τ = −c w. ``coefficient`` c: a number or (N,), N·m·s."""
 
-    coefficient: ArrayLike
+    coefficient: Number
+    depends = Dependence.DAMPED
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.damping(pose.w, self.linear_damping())
+
+    def linear_damping(self) -> Any:
+        return (self.coefficient,) * 3
+
+    def decay(self) -> Any:
+        return np.abs(self.coefficient)
 
 
-class AxisDamping(NamedTuple):
+class AxisDamping(Torque):
     """Linear damping, a coefficient an axis: τ_i = −c_i w_i. (3,) or (N, 3), N·m·s."""
 
-    coefficients: ArrayLike
+    coefficients: Vector3
+    depends = Dependence.DAMPED
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.damping(pose.w, self.coefficients)
+
+    def linear_damping(self) -> Any:
+        return self.coefficients
+
+    def decay(self) -> Any:
+        return np.abs(np.asarray(self.coefficients)).max(axis=-1)
 
 
-class QuadraticDamping(NamedTuple):
+class QuadraticDamping(Torque):
     """Quadratic damping τ = −c |w| w. ``coefficient`` c: a number or (N,), N·m·s²."""
 
-    coefficient: ArrayLike
+    coefficient: Number
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.quadratic_damping(pose.w, self.coefficient)
 
 
-class GravityGradient(NamedTuple):
+class GravityGradient(Torque):
     """τ = 3 n² o×(I o) in a circular orbit of mean motion n, o the direction out from the planet.
 
     At t = 0 o lies along ``radial``, a quarter of an orbit later along ``along``, both inertial
@@ -54,12 +102,21 @@ class GravityGradient(NamedTuple):
     §8.1.
     """
 
-    mean_motion: ArrayLike
-    radial: ArrayLike = (1.0, 0.0, 0.0)
-    along: ArrayLike = (0.0, 1.0, 0.0)
+    mean_motion: Number
+    radial: Vector3 = (1.0, 0.0, 0.0)
+    along: Vector3 = (0.0, 1.0, 0.0)
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        o = pose.to_body(rigid.orbit_direction(t, self.mean_motion, self.radial, self.along))
+        return rigid.gravity_gradient(o, pose.moments, self.mean_motion)
+
+    def check(self, name: str) -> None:
+        _check_orbit(name, self.mean_motion, "radial", self.radial, self.along)
 
 
-class KeplerGravityGradient(NamedTuple):
+class KeplerGravityGradient(Torque):
     """τ = 3 n² (a/r)³ o×(I o) in an elliptic orbit of mean motion n.
 
     o, the direction out from the planet, lies at periapsis along ``periapsis``, and turns towards
@@ -67,25 +124,44 @@ class KeplerGravityGradient(NamedTuple):
     body; rad/s; ``eccentricity`` from 0 to 0.9. Hughes (1986), eq. 8.1.13.
     """
 
-    mean_motion: ArrayLike
-    eccentricity: ArrayLike
-    periapsis: ArrayLike = (1.0, 0.0, 0.0)
-    along: ArrayLike = (0.0, 1.0, 0.0)
-    mean_anomaly: ArrayLike = 0.0
+    mean_motion: Number
+    eccentricity: Number
+    periapsis: Vector3 = (1.0, 0.0, 0.0)
+    along: Vector3 = (0.0, 1.0, 0.0)
+    mean_anomaly: Number = 0.0
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        anomaly = self.mean_motion * t + self.mean_anomaly
+        o, nearness = rigid.kepler_direction(anomaly, self.eccentricity, self.periapsis, self.along)
+        # n² a³/r³ in place of n²
+        rate = self.mean_motion * nearness * apply("sqrt", nearness)
+        return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
+
+    def check(self: Any, name: str) -> None:
+        e = self.eccentricity
+        checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
+        _check_orbit(name, self.mean_motion, "periapsis", self.periapsis, self.along)
 
 
-class GravityGradientAt(NamedTuple):
+class GravityGradientAt(Torque):
     """τ = 3 (μ/r³) o×(I o) at ``position`` r o, m, from the planet's centre along inertial axes.
 
     ``position``: (3,), (N, 3) or a table; μ, m³/s², a number or (N,), that of the Earth (IERS
     Conventions 2010, table 1.1) unless said. Hughes (1986), eq. 8.1.13.
     """
 
-    position: ArrayLike | TimeSeries
-    gravitational_parameter: ArrayLike = 3.986004418e14
+    position: TabledVector
+    gravitational_parameter: PositiveNumber = 3.986004418e14
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return _gravity_gradient(self.position, self.gravitational_parameter, pose)
 
 
-class CentralGravityGradient(NamedTuple):
+class CentralGravityGradient(Torque):
     """τ = 3 (μ/r³) o×(I o) at the position r o that the scene carries, m, from the planet's centre.
 
     ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
@@ -93,73 +169,79 @@ class CentralGravityGradient(NamedTuple):
     ``fastatt.forces.CentralGravity``; methods whose record says ``couples`` take it.
     """
 
-    gravitational_parameter: ArrayLike = 3.986004418e14
+    gravitational_parameter: PositiveNumber = 3.986004418e14
+    depends = Dependence.POSITION
+    axis_free = True
+    reads_position = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return _gravity_gradient(pose.place[1], self.gravitational_parameter, pose)
 
 
-class HeavyTop(NamedTuple):
+class HeavyTop(Torque):
     """A weight off the fixed point: τ = r × Cᵀ(0, 0, −W).
 
     ``arm`` r: (3,) or (N, 3), from the fixed point to the centre of mass, m, body axes; ``weight``
     W: N, along −z of inertial axes. Inertia is that about the fixed point.
     """
 
-    arm: ArrayLike
-    weight: ArrayLike
+    arm: Vector3
+    weight: Number
+    depends = Dependence.POSITION
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        # half of the vertical: the doubling is done to what stays
+        return vec3.cross(vec3.scale(-2.0 * self.weight, self.arm), pose.to_body((0.0, 0.0, 0.5)))
+
+    def energy(self: Any, t: Any, pose: Pose) -> Any:
+        return self.weight * dot(self.arm, pose.to_body((0.0, 0.0, 1.0)))
+
+    def lever(self) -> Any:
+        return self.arm, (0.0, 0.0, self.weight)
 
 
-class MagneticDipole(NamedTuple):
+class MagneticDipole(Torque):
     """τ = μ × CᵀB. ``dipole`` μ: A·m², body axes; ``field`` B: T, inertial axes.
 
     Each (3,), (N, 3) or a table.
     """
 
-    dipole: ArrayLike | TimeSeries
-    field: ArrayLike | TimeSeries
+    dipole: TabledVector
+    field: TabledVector
+    depends = Dependence.POSITION
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return vec3.cross(self.dipole, pose.to_body(self.field))
+
+    def energy(self: Any, t: Any, pose: Pose) -> Any:
+        return -dot(self.dipole, pose.to_body(self.field))
+
+    def lever(self: Any) -> Any:
+        return self.dipole, -self.field
 
 
-class QuaternionPD(NamedTuple):
-    """Attitude controller τ = −K sgn(e0) (e1, e2, e3) − D w with e = target*∘q.
-
-    The rate of a target that moves, seen from the body, is taken off w. Where e0 passes 0 the
-    torque jumps: across it a step of any method is of order 1. Wie, *Space Vehicle Dynamics and
-    Control* (2008), §7.3.
-
-    Parameters
-    ----------
-    stiffness : array_like
-        K, N·m: a number, (3,) per body axis, or a (3, 3) matrix along body axes, symmetric and
-        without negative eigenvalues. Of each body (N, 1, 1) or (N, 3, 3).
-    damping : array_like
-        D, N·m·s, in the same shapes.
-    target : array_like or TimeSeries
-        (4,) or (N, 4), unit quaternions, or a table, whose signs go on from sample to sample.
-    limit : array_like, optional
-        Largest torque along each body axis, N·m, above 0: a number, (3,), (N, 1) or (N, 3).
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> pd = fa.torques.QuaternionPD((2.0, 1.0, 1.0), 3.0, limit=0.1)
-    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=pd)
-    """
-
-    stiffness: ArrayLike
-    damping: ArrayLike
-    target: ArrayLike | TimeSeries = (1.0, 0.0, 0.0, 0.0)
-    limit: ArrayLike | None = None
-
-
-class Rotor(NamedTuple):
+class Rotor(Torque):
     """Wheels of momentum h in the body (gyrostat): τ = h×w − dh/dt.
 
     ``momentum``: (3,) or (N, 3), constant, or a cubic table, N·m·s, body axes. ``inertia`` is the
     whole body's, wheels held. Hughes (1986), §6.1.
     """
 
-    momentum: ArrayLike | TimeSeries
+    momentum: TabledMomentum
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        momentum, slope = self.momentum
+        gyroscopic = vec3.cross(momentum, pose.w)
+        return minus(gyroscopic, slope) if slope else gyroscopic
+
+    def energy(self, t: Any, pose: Pose) -> Any:
+        return 0.0
+
+    def wheel_momentum(self) -> Any:
+        return self.momentum
 
 
-class Sampled(NamedTuple):
+class Sampled(Torque):
     """A history of torques along body axes, linear between samples.
 
     ``torques``: (n, 3), N·m, at times start, start + dt, …; one history for all bodies. A step of
@@ -173,8 +255,20 @@ class Sampled(NamedTuple):
     start: float = 0.0
     outside: str = "nan"
 
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        name = f"{argument}: Sampled"
+        samples = checks.array(f"{name}.torques", self.torques, "(n, 3)")
+        if len(samples) < 2:
+            raise ValueError(f"{name}.torques has 1 sample; accepted: at least 2")
+        dt = checks.above_zero(f"{name}.dt", self.dt, "above 0")
+        start = checks.real(f"{name}.start", self.start)
+        outside = checks.choice(f"{name}.outside", self.outside, ("nan", "hold"))
+        times = start + dt * np.arange(len(samples))
+        table = TimeSeries(times, samples, kind="linear", outside=outside)
+        return Constant(table).pack(n_bodies, argument, resources)
 
-class Custom(NamedTuple):
+
+class Custom(UserModel, Torque):
     """A user's ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes.
 
     t in s, q and w as tuples, p the tuple of ``params``, (P,) or (N, P). ``uses_rate=False``
@@ -186,13 +280,56 @@ class Custom(NamedTuple):
     whose record says ``couples``; ``potential(t, q, r, p)`` is that of torque and force together.
     """
 
-    function: Callable[..., Any]
-    params: ArrayLike | None = None
     uses_rate: bool = True
     potential: Callable[..., Any] | None = None
     uses_position: bool = False
 
+    @property
+    def depends(self) -> Dependence:  # type: ignore[override]
+        return Dependence.RATE if self.uses_rate else Dependence.POSITION
 
+    @property
+    def energy(self) -> Any:
+        return None if self.potential is None else self._energy
+
+    def _energy(self: Any, t: Any, pose: Pose) -> Any:
+        return self.potential.given(t, pose.quaternion, *pose.place[1:], self.params)
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        found = self.function.given(t, pose.quaternion, pose.w, *pose.place, self.params)
+        return as_like(found, pose.moments[0])
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        law, params = super().pack(n_bodies, argument, resources)
+        function = law.model.function
+        # where the scene is made, not at each run of it
+        if not self.uses_rate and n_bodies is None and _uses_rate(function, params):
+            raise ValueError(
+                f"{argument}: found Custom.uses_rate False with {function.name}, which gives other "
+                "torques at some w than at w = 0; accepted: True, or a function that does not use w"
+            )
+        if self.potential is not None:
+            form = self.form.replace("torque", "potential")
+            energy = user_function(self.potential, form, law.count, params)
+            resources.update(resources_of(energy))
+            law = replace(law, model=replace(law.model, potential=energy))
+        return law, params
+
+
+class _NoTorque(Torque):
+    """A free body."""
+
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return 0.0, 0.0, 0.0
+
+    def energy(self, t: Any, pose: Pose) -> Any:
+        return 0.0
+
+
+FREE = _NoTorque()
 # by how much given unit vectors may be off
 _ROUNDED = 1e-3
 
@@ -214,106 +351,25 @@ def _check_orbit(name: str, n: Any, first: str, out: Any, along: Any) -> None:
     checks.refuse(f"{name}.{first}·along", across, off, "0, vectors at right angles")
 
 
-def _check_kepler(name: str, model: Any, m: Any) -> None:
-    e = m.eccentricity
-    checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
-    _check_orbit(name, m.mean_motion, "periapsis", m.periapsis, m.along)
-
-
-def _no_potential(t: Any, pose: Pose, m: Any) -> float:
-    return 0.0
-
-
-def _gravity_gradient(t: Any, pose: Pose, m: Any) -> Any:
-    o = pose.to_body(rigid.orbit_direction(t, m.mean_motion, m.radial, m.along))
-    return rigid.gravity_gradient(o, pose.moments, m.mean_motion)
-
-
-def _kepler_gravity_gradient(t: Any, pose: Pose, m: Any) -> Any:
-    anomaly = m.mean_motion * t + m.mean_anomaly
-    o, nearness = rigid.kepler_direction(anomaly, m.eccentricity, m.periapsis, m.along)
-    # n² a³/r³ in place of n²
-    rate = m.mean_motion * nearness * apply("sqrt", nearness)
-    return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
-
-
-def _gravity_gradient_at(t: Any, pose: Pose, m: Any) -> Any:
-    r = m.position
+def _gravity_gradient(r: Any, gravitational_parameter: Any, pose: Pose) -> Any:
+    """The torque of a point mass at a position r, m, from it along inertial axes."""
     inverse = 1.0 / apply("sqrt", dot(r, r))
-    rate = apply("sqrt", m.gravitational_parameter * inverse) * inverse
+    rate = apply("sqrt", gravitational_parameter * inverse) * inverse
     return rigid.gravity_gradient(pose.to_body(scale(inverse, r)), pose.moments, rate)
 
 
-def _central_gravity_gradient(t: Any, pose: Pose, m: Any) -> Any:
-    here = GravityGradientAt(pose.place[1], m.gravitational_parameter)
-    return _gravity_gradient_at(t, pose, here)
-
-
-def _heavy_top(t: Any, pose: Pose, m: Any) -> Any:
-    # half of the vertical: the doubling is done to what stays
-    return vec3.cross(vec3.scale(-2.0 * m.weight, m.arm), pose.to_body((0.0, 0.0, 0.5)))
-
-
-def _rotor(t: Any, pose: Pose, m: Any) -> Any:
-    momentum, slope = m.momentum
-    gyroscopic = vec3.cross(momentum, pose.w)
-    return minus(gyroscopic, slope) if slope else gyroscopic
-
-
-_VECTOR, _NUMBER, _ABOVE_ZERO = Field((3,)), Field(), Field(above_zero=True)
-_TABLED, _WITH_SLOPES = Field((3,), table="values"), Field((3,), table="slopes")
-_POSITION, _DAMPED, _RATE = Dependence
-FREE = TorqueRecord(
-    None, (), lambda t, pose, m: (0.0, 0.0, 0.0), _POSITION, True, potential=_no_potential
-)
-_ALL = (
-    TorqueRecord(Constant, (_TABLED,), lambda t, pose, m: m.torque, _POSITION, False),
-    TorqueRecord(
-        ConstantInertial, (_TABLED,), lambda t, pose, m: pose.to_body(m.torque), _POSITION, True
-    ),
-    TorqueRecord(
-        Damping, (_NUMBER,), lambda t, pose, m: rigid.damping(pose.w, (m.coefficient,) * 3),
-        _DAMPED, True,
-        damping=lambda m: (m.coefficient,) * 3,
-        decay=lambda m: np.abs(m.coefficient),
-    ),
-    TorqueRecord(
-        AxisDamping, (_VECTOR,), lambda t, pose, m: rigid.damping(pose.w, m.coefficients),
-        _DAMPED, False,
-        damping=lambda m: m.coefficients,
-        decay=lambda m: np.abs(np.asarray(m.coefficients)).max(axis=-1),
-    ),
-    TorqueRecord(
-        QuadraticDamping, (_NUMBER,),
-        lambda t, pose, m: rigid.quadratic_damping(pose.w, m.coefficient), _RATE, True,
-    ),
-    TorqueRecord(
-        GravityGradient, (_NUMBER, _VECTOR, _VECTOR), _gravity_gradient, _POSITION, True,
-        check=lambda name, _, m: _check_orbit(name, m.mean_motion, "radial", m.radial, m.along),
-    ),
-    TorqueRecord(
-        KeplerGravityGradient, (_NUMBER, _NUMBER, _VECTOR, _VECTOR, _NUMBER),
-        _kepler_gravity_gradient, _POSITION, True, check=_check_kepler,
-    ),
-    TorqueRecord(GravityGradientAt, (_TABLED, _ABOVE_ZERO), _gravity_gradient_at, _POSITION, True),
-    TorqueRecord(
-        CentralGravityGradient, (_ABOVE_ZERO,), _central_gravity_gradient, _POSITION, True,
-        reads_position=True,
-    ),
-    TorqueRecord(
-        HeavyTop, (_VECTOR, _NUMBER), _heavy_top, _POSITION, False,
-        potential=lambda t, pose, m: m.weight * dot(m.arm, pose.to_body((0.0, 0.0, 1.0))),
-        lever=lambda m: (m.arm, (0.0, 0.0, m.weight)),
-    ),
-    TorqueRecord(
-        MagneticDipole, (_TABLED, _TABLED),
-        lambda t, pose, m: vec3.cross(m.dipole, pose.to_body(m.field)), _POSITION, False,
-        potential=lambda t, pose, m: -dot(m.dipole, pose.to_body(m.field)),
-        lever=lambda m: (m.dipole, -m.field),
-    ),
-    TorqueRecord(
-        Rotor, (_WITH_SLOPES,), _rotor, _RATE, False,
-        potential=_no_potential, momentum=lambda m: m.momentum,
-    ),
-)  # fmt: skip
-MODELS: dict[type, TorqueRecord] = {r.model: r for r in _ALL if r.model is not None}
+def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
+    """Whether a user's torque at a few points differs from that at a standstill."""
+    for point in points(function.sizes, params, function.span):
+        t, q, w, *rest = nested(point, function.sizes)
+        values = []
+        for v in (w, (0.0, 0.0, 0.0)):
+            try:
+                values.append(function.call(t, q, v, *rest))
+            except NotStraight:  # an error in Python at these numbers
+                values.append((np.nan,) * 3)
+        turning, still = np.array(values)
+        size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)
+        if not np.allclose(turning, still, rtol=0.0, atol=1e-9 * size, equal_nan=True):
+            return True
+    return False

@@ -1,15 +1,13 @@
-"""A torque model's record: its formula, at a pose of the body, and what it may be used for."""
+"""The base of torque models, and the pose of the body at which a torque is evaluated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 from fastatt.attitudes import QUATERNION, Attitude
-from fastatt.scene.models import Record
+from fastatt.scene.models import Model
 from fastatt.tracing.formulas import Vector, quat
 
 
@@ -52,31 +50,38 @@ class Pose:
 
     @cached_property
     def along_body(self) -> Pose:
-        """The same along the body's own axes."""
+        """The pose along the body's axes."""
         if self.axes is None:
             return self
         q = quat.mul(self.quaternion, quat.conj(self.axes))
         return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.place)
 
 
-@dataclass(frozen=True, eq=False)
-class TorqueRecord(Record):
-    """A class of torques: ``formula(t, pose, model)``, N·m along the axes of the pose.
+class Torque(Model):
+    """Base of torques: ``formula(t, pose)``, N·m along the axes of the pose.
 
-    ``depends`` says how on w, and has no default: taken for independent, a torque is evaluated at
-    a standstill by the splittings. ``damping(model)`` gives the coefficients (N·m·s, three) of what
-    is linear damping; ``decay(model)`` a bound of them in numpy; ``potential(t, pose, model)`` the
-    potential energy, J, where there is one. ``lever(model)`` gives (arm, pull), in body and in
-    inertial axes, of a potential energy arm·Cᵀpull: a symmetric body with the arm on its axis has a
-    closed form. ``momentum(model)`` gives the wheels' momentum of a user's model, N·m·s, body axes,
-    of torques that keep the momentum of body and wheels.
+    Optional methods say what else a torque may be used for: ``energy(t, pose)`` is the potential
+    energy, J; ``linear_damping()`` the three coefficients, N·m·s, of linear damping, ``decay()`` a
+    bound of them in numpy; ``lever()`` (arm, pull), in body and in inertial axes, of a potential
+    energy arm·Cᵀpull: a symmetric body with the arm on its axis has a closed form;
+    ``wheel_momentum()`` that of wheels, N·m·s, body axes, of torques that keep the momentum of body
+    and wheels.
     """
 
-    depends: Dependence
-    #: the same along all axes, or given along principal ones
-    axis_free: bool
-    potential: Callable[..., Any] | None = None
-    damping: Callable[[Any], Vector] | None = None
-    decay: Callable[[Any], Any] | None = None
-    lever: Callable[[Any], tuple[Vector, Vector]] | None = None
-    momentum: Callable[[Any], Any] | None = None
+    kind = "torque"
+    #: how it depends on w; splittings evaluate a torque of POSITION at a standstill
+    depends: ClassVar[Dependence] = Dependence.RATE
+    #: whether the formula holds along any axes, and not along the body's alone
+    axis_free: ClassVar[bool] = False
+    energy: ClassVar[Any] = None
+    linear_damping: ClassVar[Any] = None
+    decay: ClassVar[Any] = None
+    lever: ClassVar[Any] = None
+    wheel_momentum: ClassVar[Any] = None
+
+    def evaluate(self, *state: Any) -> Any:
+        """The torque along the axes of a pose, (t, pose)."""
+        t, pose = state
+        if pose.axes is None or self.axis_free:
+            return self.formula(t, pose)
+        return quat.rotate_inverse(pose.axes, self.formula(t, pose.along_body))

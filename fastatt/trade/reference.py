@@ -167,7 +167,8 @@ def _closed_form(problem: Problem) -> Reference | None:
 
 
 def _coning(problem: Problem, t: NDArray[np.float64]) -> NDArray[Any]:
-    angle, frequency = map(np.atleast_1d, problem.ensemble.scene.rate)
+    rate = problem.ensemble.scene.rate
+    angle, frequency = np.atleast_1d(rate.angle), np.atleast_1d(rate.frequency)
     path = coning_attitudes(angle, frequency, np.concatenate([[0.0], t]) + problem.t0)
     back = path[:1] * (1.0, -1.0, -1.0, -1.0)
     return quat_multiply(problem.ensemble.q0, quat_multiply(back, path[1:]))

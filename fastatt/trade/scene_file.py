@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +87,8 @@ def model(kind: str, name: str, numbers: Mapping[str, Any]) -> Any:
     names = [n for n in module.__all__ if n not in _WORDLESS]
     cls = getattr(module, checks.choice(kind, name, names))
     for key in numbers:
-        checks.choice(f"{kind} {name}", key, cls._fields)
-    missing = [f for f in cls._fields if f not in numbers and f not in cls._field_defaults]
+        checks.choice(f"{kind} {name}", key, [field.name for field in fields(cls)])
+    missing = [f.name for f in fields(cls) if f.name not in numbers and f.default is MISSING]
     if missing:
         raise ValueError(f"{kind} {name}: {', '.join(missing)} is missing")
     return cls(**numbers)

@@ -28,7 +28,7 @@ def modelled(d: Draw, module: Any) -> Any:
         return cls(d.one((terms, tuple(terms), tuple(terms), (3,), None, "ab", 5)))
     if cls.__name__ == "Custom":
         return cls(d.one((3, None, "f", len, Anything, Anything())), d.array((2,), (2, 2)))
-    names = cls._fields
+    names = cls.__match_args__
     by_name = {
         "w": ((3,), (2, 3)), "coefficients": ((3,), (2, 3), (2, 2, 3)), "bias": ((3,), (2, 3)),
         "amplitude": ((3,),), "rotation": ((3,), (2, 3)), "torque": ((3,), (2, 3)),

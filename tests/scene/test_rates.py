@@ -10,8 +10,8 @@ from numba import njit
 import fastatt as fa
 from fastatt.codegen.rows import rows
 from fastatt.scene import rates
-from fastatt.scene.models import SUM, Law, pack, pack_user
-from fastatt.scene.rates import RECORDS, USER
+from fastatt.scene.models import pack
+from fastatt.scene.rates import Rate
 
 TIMES = [0.0, 0.3, 1.7, -2.4, 60.0]
 A, B, C, D = np.array([[0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1, 2.0, -1.0]])
@@ -19,7 +19,7 @@ A, B, C, D = np.array([[0.3, -0.2, 0.5], [1.0, 0.4, -0.7], [2.0, 0.5, 3.1], [0.1
 
 def at(model, t):
     """w(t) from the compiled model."""
-    law, params, _ = pack(model, None, "rate", RECORDS)
+    law, params, _ = pack(model, Rate, None)
     assert params.ndim == 1
     inputs = {"t": None, "p": law.count}
     (found,) = rows(law.formula, inputs, (3,), key=law)(float(t), params)
@@ -88,23 +88,22 @@ def test_polynomial_of_any_degree(degree):
 @pytest.mark.parametrize("name", [name for name in CASES if name not in ("sum", "polynomial")])
 def test_bound_is_no_less_than_the_rate_and_no_more_than_needed(name):
     model, formula = CASES[name]
-    packed = pack(model, None, "rate", RECORDS)
+    packed = pack(model, Rate, None)
     most = max(np.linalg.norm(formula(t)) for t in np.linspace(-2.4, 2.4, 481))
     (bound,) = rates.bound(packed.structure, packed.params)
     assert most * (1.0 - 4 * EPS) <= bound <= 2.0 * most
 
 
 def test_no_bound_is_known_of_what_grows_without_end():
-    packed = pack(rates.Polynomial([A, B]), None, "rate", RECORDS)
+    packed = pack(rates.Polynomial([A, B]), Rate, None)
     assert rates.bound(packed.structure, packed.params) is None
 
 
 def test_no_bound_is_known_of_a_users_function():
-    given = pack_user(njit(lambda t, p: (p[0], 0.0, t)), "rate", USER, [0.3], None)
-    assert rates.bound(given.structure, given.params) is None
-    constant = pack(rates.Constant(A), None, "rate", RECORDS)
-    both = Law(SUM, (), (constant.structure, given.structure))
-    assert rates.bound(both, np.concatenate([A, [0.3]])) is None
+    user = rates.Custom(njit(lambda t, p: (p[0], 0.0, t)), [0.3])
+    for model in (user, rates.Sum((rates.Constant(A), user))):
+        packed = pack(model, Rate, None)
+        assert rates.bound(packed.structure, packed.params) is None
 
 
 # attitudes in closed form
@@ -179,8 +178,8 @@ def test_sum_attitude():
     ids=["sinusoidal", "coning", "slew", "sum", "polynomial"],
 )
 def test_rows_of_bodies_broadcast_with_numbers_for_all(model, single):
-    packed = pack(model, 2, "rate", RECORDS)
-    alone = [pack(m, None, "rate", RECORDS) for m in single]
+    packed = pack(model, Rate, 2)
+    alone = [pack(m, Rate, None) for m in single]
     assert packed.params.tolist() == [p.params.tolist() for p in alone]
     assert {packed.structure} == {p.structure for p in alone}
 

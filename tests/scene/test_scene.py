@@ -12,7 +12,7 @@ import pytest
 from each import each
 
 import fastatt as fa
-from fastatt.scene.models import Sum
+from fastatt.scene.models import Model, Sum
 
 N = 5
 rng = np.random.default_rng(3)
@@ -105,8 +105,8 @@ def numbers(scene):
 def arrays_in(value):
     if isinstance(value, np.ndarray):
         yield value
-    elif isinstance(value, tuple):
-        for x in value:
+    elif isinstance(value, (tuple, Model)):
+        for x in getattr(value, "values", value):
             yield from arrays_in(x)
 
 
@@ -178,8 +178,8 @@ def test_numbers_are_equal_whatever_holds_them():
     torque = fa.torques.AxisDamping((0.0, 1, 2))
     one = fa.Scene(inertia=(1, 2, 2), torque=torque)
     for kind in (list, np.array, np.float32):
-        other = replace(one, inertia=kind([1.0, 2.0, 2.0]), torque=torque._replace(
-            coefficients=kind([-0.0, 1.0, 2.0])
+        other = replace(one, inertia=kind([1.0, 2.0, 2.0]), torque=replace(
+            torque, coefficients=kind([-0.0, 1.0, 2.0])
         ))  # fmt: skip
         assert other == one
         assert hash(other) == hash(one)

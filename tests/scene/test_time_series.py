@@ -18,7 +18,6 @@ from fastatt.codegen.rows import rows
 from fastatt.estimation.tangent import own_numbers
 from fastatt.scene import forces, torques
 from fastatt.scene.torque_record import Pose
-from fastatt.scene.torques import RECORDS, torque_of
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.functions import gather
 from fastatt.tracing.graph import Graph
@@ -209,10 +208,10 @@ def test_a_time_outside_ends_as_a_status_of_that_body():
 # models that take tables
 
 FIELDS = [
-    (record.model, name)
-    for records in (RECORDS, forces.RECORDS)
-    for record in records.values()
-    for name, field in zip(record.model._fields, record.fields, strict=True)
+    (getattr(module, model), name)
+    for module in (torques, forces)
+    for model in module.__all__
+    for name, field in getattr(module, model).fields.items()
     if field.table
 ]
 NUMBERS = {3: (0.4, -0.3, 0.2), 4: Q0, 0: 0.7}
@@ -221,8 +220,8 @@ NUMBERS = {3: (0.4, -0.3, 0.2), 4: Q0, 0: 0.7}
 @pytest.mark.parametrize(("model", "name"), FIELDS, ids=lambda x: getattr(x, "__name__", x))
 @pytest.mark.parametrize("own", [False, True], ids=["shared", "own"])
 def test_a_table_that_does_not_change_is_its_number(model, name, own):
-    records = torques if model in RECORDS else forces
-    shapes = {n: f.shape for n, f in zip(model._fields, records.RECORDS[model].fields, strict=True)}
+    module = {"torque": torques, "force": forces}[model.kind]
+    shapes = {n: field.shape for n, field in model.fields.items()}
     given = {n: NUMBERS[shape[0] if shape else 0] for n, shape in shapes.items()}
     if model is torques.QuaternionPD:
         given |= {"stiffness": 0.7, "damping": (0.4, 0.3, 0.2), "limit": None}
@@ -230,16 +229,16 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
     samples = np.tile(value, (2, 1))
     if own:
         samples = np.stack([2.0 * samples, samples])
-    of_forces = (np.array(2.0),) if records is forces else ()
+    of_forces = (np.array(2.0),) if module is forces else ()
     table = fa.TimeSeries([0.0, 4.0], samples)
-    with_table = records.pack(model(**{**given, name: table}), None, *of_forces)
-    plain = records.pack(model(**given), None, *of_forces)
+    with_table = module.pack(model(**{**given, name: table}), None, *of_forces)
+    plain = module.pack(model(**given), None, *of_forces)
 
     def acting(law):
         def formula(t, q, w, p):
-            if records is forces:
+            if module is forces:
                 return law.formula(t, q, w, (0.1, 0.2, 0.3), (), p)
-            return torque_of(law, t, Pose(QUATERNION, q, w, INERTIA), p)
+            return law.formula(t, Pose(QUATERNION, q, w, INERTIA), p)
 
         inputs = {"t": None, "q": 4, "w": 3, "p": law.count}
         return rows(formula, inputs, (3,))
@@ -336,7 +335,7 @@ def test_a_controller_takes_the_rate_of_its_target_off():
     packed = torques.pack(model, None)
 
     def formula(t, q, w, p):
-        return torque_of(packed.structure, t, Pose(QUATERNION, q, w, INERTIA), p)
+        return packed.structure.formula(t, Pose(QUATERNION, q, w, INERTIA), p)
 
     acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": packed.structure.count}, (3,))
     on = fa.rotation_vector_to_quat(1.23 * speed * axis)

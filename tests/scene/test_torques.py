@@ -26,8 +26,7 @@ from fastatt.attitudes import ATTITUDES, QUATERNION
 from fastatt.codegen.rows import rows
 from fastatt.scene import torques as ft
 from fastatt.scene.models import Sum
-from fastatt.scene.torque_record import Dependence, Pose, TorqueRecord
-from fastatt.scene.torques import RECORDS, torque_of
+from fastatt.scene.torque_record import Dependence, Pose, Torque
 
 INERTIA = np.array([0.6, 0.8, 1.0])
 AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
@@ -146,7 +145,7 @@ def compiled(law, representation, axes):
     attitude = ATTITUDES[representation]
 
     def torque(t, x, w, moments, p):
-        return torque_of(law, t, Pose(attitude, x, w, moments, axes=axes), p)
+        return law.formula(t, Pose(attitude, x, w, moments, axes=axes), p)
 
     inputs = {"t": None, "x": attitude.size, "w": 3, "moments": 3, "p": law.count}
     return rows(torque, inputs, (3,))
@@ -250,7 +249,7 @@ def one_each():
     terms = {}
     for i, name in enumerate(SUMMED):
         terms[name] = []
-        for value in MODELS[name][0]:
+        for value in MODELS[name][0].values:
             if value is None:  # no limit
                 continue
             if name == "QuaternionPD" and np.ndim(value) == 0:
@@ -346,7 +345,7 @@ def test_torques_of_each_body_are_single_runs():
     full = run(scene, *many(len(SUMMED) + 1))
     for i in range(len(SUMMED) + 1):
         terms = {
-            type(m).__name__: [np.asarray(a)[i] for a in m if a is not None]
+            type(m).__name__: [np.asarray(a)[i] for a in m.values if a is not None]
             for m in scene.torque.terms
         }
         one = run(
@@ -485,7 +484,7 @@ def test_gains_of_a_controller(stiffness, damping, limit):
     q /= np.linalg.norm(q, axis=1, keepdims=True)
 
     def formula(t, q, w, p):
-        return torque_of(pd.structure, t, Pose(QUATERNION, q, w, INERTIA), p)
+        return pd.structure.formula(t, Pose(QUATERNION, q, w, INERTIA), p)
 
     acting = rows(formula, {"t": None, "q": 4, "w": 3, "p": pd.structure.count}, (3,))
     (found,) = acting(0.0, q, w, pd.params)
@@ -695,14 +694,13 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
 def test_every_torque_of_the_package_is_among_the_models():
     moving = {"CentralGravityGradient"}  # of scenes with mass: tests/test_position.py
     every = {*MODELS, *moving}
-    assert every == {record.__name__ for record in (*RECORDS, ft.Sampled)}
     assert every == set(ft.__all__) - {"Custom", "Sum"}
 
 
-def test_a_record_says_how_its_torque_depends_on_the_rate():
-    """There is nothing that it would be taken for."""
-    with pytest.raises(TypeError, match="'depends' and 'axis_free'"):
-        TorqueRecord(ft.Constant, (), lambda t, pose, p: p)
+def test_a_torque_that_says_nothing_is_taken_for_one_of_any_rate_along_body_axes():
+    """No splitting evaluates it at a standstill, and no frame is assumed for it."""
+    assert Torque.depends is Dependence.RATE
+    assert not Torque.axis_free
 
 
 @each("name", MODELS)
