@@ -11,7 +11,7 @@ from typing import Any
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
 from fastatt.tracing.graph import Graph, flattened
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.trace import traceable
 
 #: a function of tuples of recorded numbers; None where a representation has none
@@ -155,7 +155,7 @@ class Attitude:
         for name in own:
             try:
                 object.__setattr__(self, name, traceable(getattr(self, name)))
-            except NotStraight as error:
+            except TraceError as error:
                 raise TypeError(f"{name}: {error}; accepted: a function of tuples") from error
         if own:
             self._check(own)
@@ -228,7 +228,7 @@ class Attitude:
                 continue
             try:
                 found = flattened(getattr(self, name)(*calls[name]))
-            except NotStraight as error:
+            except TraceError as error:
                 raise TypeError(f"{name}: {error}; accepted: formulas that are recorded") from error
             wanted = sizes.get(name, self.size)
             if len(found) != wanted:

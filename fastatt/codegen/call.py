@@ -33,7 +33,8 @@ def _same(array: Any, kind: str = "") -> Any:
     return array
 
 
-_KINDS = {"double": types.float64, "single": types.float32}
+#: Numba's types by the names of precisions
+TYPES = {"double": types.float64, "single": types.float32}
 if config.DISABLE_JIT:
     doubles = wholes = octets = reals = _same
 else:
@@ -41,12 +42,12 @@ else:
 
     @intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
     def reals(typing_context: Any, address: Any, kind: Any) -> Any:
-        """The same for numbers of a precision by its name, a constant."""
+        """An address as a pointer to numbers of a precision, by its name, a constant."""
 
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             return builder.inttoptr(args[0], context.get_value_type(sig.return_type))
 
-        return types.CPointer(_KINDS[kind.literal_value])(address, kind), lower
+        return types.CPointer(TYPES[kind.literal_value])(address, kind), lower
 
 
 def call_generated(entry: Any, part: int, memory: Any, numbers: Any) -> None:
@@ -60,7 +61,7 @@ if not config.DISABLE_JIT:
     def call_generated(
         typing_context: Any, entry: Any, part: Any, memory: Any, numbers: Any
     ) -> Any:
-        """The same by the function's address."""
+        """Call a generated function by its address."""
 
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             address, number, *tuples = args

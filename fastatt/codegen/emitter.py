@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from llvmlite import ir
+from numba.core import cgutils
 
 from fastatt.codegen.instructions import BIT, I32, I64, REALS, Code
+from fastatt.codegen.processor import processor
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.nodes import COMPARISONS, LIBRARY, Node, operands
+from fastatt.tracing.traced import Loop, Traced
 
 _INSTRUCTIONS = {
     "abs": "llvm.fabs",
@@ -29,15 +32,13 @@ class Emitter:
     """Writes the operations of a graph.
 
     ``given(name, kind)`` gives the value of an input and whether it has a lane a body; what depends
-    on none that has is written for one number. ``fuses`` says that the processor has fused
-    multiplications; ``resources`` finds the pointers of tables and of opaque functions.
+    on none that has is written for one number. ``resources`` finds the pointers of tables and of
+    opaque functions.
     """
 
-    def __init__(
-        self, code: Code, lanes: int, fuses: bool, resources: Mapping[Any, Any] | None = None
-    ) -> None:
-        self.code, self.lanes, self.fuses = code, lanes, fuses
-        self.resources = resources or {}
+    def __init__(self, code: Code, lanes: int, resources: Mapping[Any, Any]) -> None:
+        self.code, self.lanes, self.resources = code, lanes, resources
+        self.fuses = processor().fuses
         self._spread: dict[int, Any] = {}
 
     def __call__(self, flat: Flat, given: Given) -> list[tuple[Any, bool]]:
@@ -105,9 +106,7 @@ class Emitter:
         if op == "not":
             return code.b.not_(args[0])
         if op == "cast":
-            to = REALS[kind]
-            to = ir.VectorType(to, self.lanes) if has_lanes and self.lanes > 1 else to
-            return (code.b.fpext if kind == "double" else code.b.fptrunc)(args[0], to)
+            return code.cast(kind, args[0])
         if op in _BITS:
             return _BITS[op](code, *args)
         raise NotImplementedError(op)
@@ -243,3 +242,74 @@ POINTERS = {
     "table": _DOUBLES,
     "function": ir.FunctionType(ir.VoidType(), [_DOUBLES, _DOUBLES]).as_pointer(),
 }
+
+
+def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
+    """The results, each of its kind, of values that are given.
+
+    The graphs of a formula follow each other, with lanes for the directions of dual numbers.
+    """
+    lanes = traced.lanes
+    emit = Emitter(code, lanes, resources)
+    # the inputs, and those of a loop's step: the state as pairs with whether it has lanes
+    found: dict[str, Any] = {"x": given}
+
+    def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+        group, k = name
+        if group == "s":
+            return found["s"][k]  # type: ignore[no-any-return]
+        if group != "direction":
+            return code.cast(kind, found[group][k]), False
+        if lanes == 1:
+            return ir.Constant(REALS[kind], 1.0), False
+        units = [float(i == k) for i in range(lanes)]
+        return ir.Constant(ir.VectorType(REALS[kind], lanes), units), True
+
+    loop = traced.loop
+    if loop is not None:
+        state = emit(loop.begin, find)
+        n, size = len(loop.step.results), len(loop.table[0])
+        wide = [k in loop.wide and lanes > 1 for k in range(n)]
+        places: list[Any] = []
+
+        def keep(values: Sequence[tuple[Any, bool]]) -> None:
+            """Store what changes, each with lanes where it has any."""
+            for k, (value, has_lanes) in enumerate(values):
+                whole = emit.spread(value, has_lanes) if wide[k] else value
+                if k == len(places):
+                    places.append(code.room(whole.type))
+                # a vector of many directions is wider than the alignment of the stack
+                code.b.store(whole, places[k], align=8)
+
+        def kept() -> list[tuple[Any, bool]]:
+            now = [code.b.load(place, align=8) for place in places]
+            return [*zip(now, wide, strict=True), *state[n:]]
+
+        keep(state[:n])
+        table = _table(code, loop)
+        with cgutils.for_range(code.b, ir.Constant(I64, len(loop.table))) as step:
+            found["s"] = kept()
+            row = code.b.mul(step.index, ir.Constant(I64, size))
+            numbers = [code.b.add(row, ir.Constant(I64, k)) for k in range(size)]
+            found["row"] = [code.load(table, k) for k in numbers]
+            keep(emit(loop.step, find))
+        found["s"] = kept()
+    return [value for value, _ in emit(traced.flat, find)]
+
+
+def _table(code: Code, loop: Loop) -> Any:
+    """Pointer to the constants of a loop, which are a part of the module."""
+    kinds = (node.kind for node in loop.step.nodes if node.args[:1] == ("row",))
+    kind = REALS[next(kinds, "double")]
+    numbers = [x for row in loop.table for x in row]
+    values = ir.Constant(ir.ArrayType(kind, len(numbers)), numbers)
+    table = cgutils.global_constant(code.b, "table", values)
+    return code.b.bitcast(table, kind.as_pointer())
+
+
+def pointers_of(code: Code, whole: Any, resources: Sequence[tuple[str, Any]]) -> dict[Any, Any]:
+    """Pointers of tables and opaque functions, whose addresses an array holds."""
+    return {
+        key: code.b.inttoptr(code.constant_load(whole, i), POINTERS[key[0]])
+        for i, key in enumerate(resources)
+    }

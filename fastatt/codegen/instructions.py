@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -16,10 +15,7 @@ REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
 class Line:
-    """An operation as text, formatted once; llvmlite treats it as an instruction of its own.
-
-    An operation without a ``kind`` has no result.
-    """
+    """An operation as text, formatted once; which llvmlite takes for an instruction."""
 
     __slots__ = ("_name", "_text", "type")
     opname, metadata = "", ("dbg",)
@@ -27,7 +23,7 @@ class Line:
 
     def __init__(self, builder: Any, kind: Any, text: str) -> None:
         self.type, self._name = kind, f"%-{next(self._numbers)}"
-        self._text = text if kind is None else f"{self._name} = {text}"
+        self._text = f"{self._name} = {text}"
         builder._insert(self)  # noqa: SLF001
 
     def get_reference(self) -> str:
@@ -82,29 +78,28 @@ class Code:
     def place(self, pointer: Any, index: Any) -> Any:
         """Address of an element; ``index`` is a number or one of LLVM's."""
         index = ir.Constant(I64, index) if isinstance(index, int) else index
-        text = f"getelementptr inbounds {pointer.type.pointee}, {_typed(pointer)}, {_typed(index)}"
-        return Line(self.b, pointer.type, text)
+        return self.b.gep(pointer, [index], inbounds=True)
 
     def load(self, pointer: Any, index: Any) -> Any:
         """An element."""
-        return self._loaded(self.place(pointer, index))
+        return self.b.load(self.place(pointer, index))
 
     def constant_load(self, pointer: Any, index: Any) -> Any:
         """An element of an array that does not change while the function runs."""
-        loaded = self.b.load(self.place(pointer, index))
+        loaded = self.load(pointer, index)
         loaded.set_metadata("invariant.load", self.module.add_metadata([]))
         return loaded
 
     def store(self, pointer: Any, index: Any, value: Any) -> None:
         """Change an element."""
-        self._stored(value, self.place(pointer, index))
+        self.b.store(value, self.place(pointer, index))
 
     def vector(self, pointer: Any, index: Any, n: int) -> Any:
         """n elements in a row, aligned to the size of the vector, or one element."""
         if n == 1:
             return self.load(pointer, index)
         at = self._as_vector(pointer, index, n)
-        return self._loaded(at, f", align {_aligned(at)}")
+        return self.b.load(at, align=_aligned(at))
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change as many elements in a row as the value has."""
@@ -112,34 +107,11 @@ class Code:
             self.store(pointer, index, value)
             return
         at = self._as_vector(pointer, index, value.type.count)
-        self._stored(value, at, f", align {_aligned(at)}")
+        self.b.store(value, at, align=_aligned(at))
 
     def _as_vector(self, pointer: Any, index: Any, n: int) -> Any:
         to = ir.VectorType(pointer.type.pointee, n).as_pointer()
-        return Line(self.b, to, f"bitcast {_typed(self.place(pointer, index))} to {to}")
-
-    def _loaded(self, pointer: Any, how: str = "") -> Line:
-        kind = pointer.type.pointee
-        return Line(self.b, kind, f"load {kind}, {_typed(pointer)}{how}")
-
-    def _stored(self, value: Any, pointer: Any, how: str = "") -> None:
-        Line(self.b, None, f"store {_typed(value)}, {_typed(pointer)}{how}")
-
-    @contextmanager
-    def loop(self, n: int) -> Iterator[Any]:
-        """for index in range(n), n > 0."""
-        b = self.b
-        before = b.block
-        body, after = map(b.append_basic_block, ("body", "after"))
-        b.branch(body)
-        b.position_at_end(body)
-        index = b.phi(I64)
-        index.add_incoming(ir.Constant(I64, 0), before)
-        yield index
-        following = b.add(index, ir.Constant(I64, 1))
-        index.add_incoming(following, b.block)
-        b.cbranch(b.icmp_signed("<", following, ir.Constant(I64, n)), body, after)
-        b.position_at_end(after)
+        return self.b.bitcast(self.place(pointer, index), to)
 
     def real(self, kind: str, value: float) -> Any:
         """A constant."""
@@ -151,18 +123,19 @@ class Code:
             return value
         if isinstance(value, ir.Constant):
             return ir.Constant(ir.VectorType(value.type, n), [value] * n)
-        to = ir.VectorType(value.type, n)
-        one = Line(self.b, to, f"insertelement {to} undef, {_typed(value)}, i32 0")
-        first = f"<{n} x i32> zeroinitializer"
-        return Line(self.b, to, f"shufflevector {_typed(one)}, {to} undef, {first}")
+        undefined = ir.Constant(ir.VectorType(value.type, n), ir.Undefined)
+        one = self.b.insert_element(undefined, value, ir.Constant(I32, 0))
+        first = ir.Constant(ir.VectorType(I32, n), [0] * n)
+        return self.b.shuffle_vector(one, undefined, first)
 
-    def narrow(self, kind: str, value: Any) -> Any:
-        """A double, or a vector of doubles, in a precision."""
-        if kind == "double":
+    def cast(self, kind: str, value: Any) -> Any:
+        """A number, or a vector of numbers, in a precision."""
+        to = REALS[kind]
+        if isinstance(value.type, ir.VectorType):
+            to = ir.VectorType(to, value.type.count)
+        if value.type == to:
             return value
-        vector = isinstance(value.type, ir.VectorType)
-        to = ir.VectorType(REALS[kind], value.type.count) if vector else REALS[kind]
-        return self.b.fptrunc(value, to)
+        return (self.b.fpext if kind == "double" else self.b.fptrunc)(value, to)
 
     def declared(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
         """A function of that name, defined elsewhere."""
@@ -172,26 +145,6 @@ class Code:
     def intrinsic(self, name: str, kind: Any, n: int = 1) -> Any:
         """LLVM's function of that name for a type, of n arguments of it."""
         return self.declared(f"{name}.{_suffix(kind)}", kind, [kind] * n)
-
-
-class Cells:
-    """Numbers and vectors that change, each in memory on the stack: ``cells[i]``, or all of them.
-
-    ``align`` is given for vectors that are wider than the alignment of the stack.
-    """
-
-    def __init__(self, code: Code, kinds: Iterable[Any], align: int | None = None) -> None:
-        self._b, self._align = code.b, align
-        self._places = [code.room(kind) for kind in kinds]
-
-    def get(self) -> list[Any]:
-        """The values."""
-        return [self._b.load(place, align=self._align) for place in self._places]
-
-    def set(self, values: Iterable[Any]) -> None:
-        """Change the values."""
-        for place, value in zip(self._places, values, strict=True):
-            self._b.store(value, place, align=self._align)
 
 
 def _typed(x: Any) -> str:

@@ -10,22 +10,21 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numba import types
 
-from fastatt.codegen.emitter import Emitter, raised
+from fastatt.codegen.call import TYPES
+from fastatt.codegen.emitter import Emitter, pointers_of, raised, write
 from fastatt.codegen.instructions import REALS, Code
 from fastatt.codegen.memory import DTYPES, LINE
 from fastatt.codegen.modules import Emission, generated
-from fastatt.codegen.processor import processor
-from fastatt.codegen.writing import pointers_of, spelled, write
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.traced import Traced
 
-_TYPES = {"double": types.float64, "single": types.float32}
 _WHOLE = types.CPointer(types.int64)
 
 Name = tuple[Any, ...]
@@ -44,7 +43,7 @@ class Place(NamedTuple):
     of: Literal["lanes", "shared", "indexed", "computed"] = "lanes"
 
 
-class Clock(NamedTuple):
+class StepTimes(NamedTuple):
     """The times of a formula: a graph of the number of steps, ("n",), and names of its results.
 
     The steps are the last argument of a formula that has a clock.
@@ -69,7 +68,7 @@ class LaneFormula(NamedTuple):
     finite: Place | None = None
     largest: int | None = None
     lanes: int = 0
-    clock: Clock | None = None
+    clock: StepTimes | None = None
 
 
 class Shape(NamedTuple):
@@ -97,7 +96,7 @@ class LaneProgram(NamedTuple):
 
     def compiled(self) -> Any:
         """Numba's ``CFunc``, compiled or loaded from disk."""
-        arrays = [types.CPointer(_TYPES[kind]) for kind in self.arrays]
+        arrays = [types.CPointer(TYPES[kind]) for kind in self.arrays]
         memory = arrays if self.resources is None else [*arrays, _WHOLE]
         keys = self.resources or ()
         key = [repr((tuple(self.shape), self.arrays, [key[0] for key in keys]))]
@@ -105,14 +104,14 @@ class LaneProgram(NamedTuple):
         for name, x in self.formulas.items():
             places = sorted(x.inputs.items()), *x[2:6]
             clock = x.clock and (x.clock.flat.spelled(()), x.clock.names)
-            key += [spelled(x.graph, keys), repr((places, clock))]
+            key += [x.graph.spelled(keys), repr((places, clock))]
             whole = [types.int64] * (len(arrays) + (x.clock is not None))
-            emissions[name] = (*memory, *whole), _Emission(self, x)
+            emissions[name] = (*memory, *whole), partial(_emit, self, x)
         arguments = types.int64, *memory, *[types.int64] * self.numbers
         return generated(self.text, arguments, emissions, "\0".join(key))
 
     def in_python(self) -> Callable[..., None]:
-        """The same on NumPy's arrays, ``whole`` a list of the resources; nothing is fused."""
+        """The function on NumPy's arrays, ``whole`` a list of the resources; nothing is fused."""
         scope: dict[str, Any] = {name: _apply(self, x) for name, x in self.formulas.items()}
         exec(self.text, scope)
         found: Callable[..., None] = scope["run"]
@@ -126,56 +125,52 @@ class LaneProgram(NamedTuple):
         return args[:n], whole, args[begin : begin + n], args[-1]
 
 
-class _Emission:
-    """Writes a formula where a call of it stands."""
+def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence[Any]) -> None:
+    """Write a formula where a call of it stands."""
+    kind, block, lanes = program.shape
+    lanes = formula.lanes or lanes
+    arrays, whole, offsets, steps = program.split(args)
+    pointers = pointers_of(code, whole, program.resources or ())
+    times: dict[Name, tuple[Any, bool]] = {}
 
-    def __init__(self, program: LaneProgram, formula: LaneFormula) -> None:
-        self.program, self.formula = program, formula
+    def place(x: Place) -> tuple[Any, Any]:
+        offset = offsets[x.array]
+        at = x.row if x.of == "indexed" else x.row * block
+        return arrays[x.array], code.b.add(offset, offset.type(at))
 
-    def __call__(self, code: Code, args: Sequence[Any]) -> None:
-        formula, (kind, block, lanes) = self.formula, self.program.shape
-        lanes = formula.lanes or lanes
-        arrays, whole, offsets, steps = self.program.split(args)
-        pointers = pointers_of(code, whole, self.program.resources or ())
-        times: dict[Name, tuple[Any, bool]] = {}
+    def find(name: Name, _: str) -> tuple[Any, bool]:
+        if name in times:
+            return times[name]
+        x = formula.inputs[name]
+        if x.of == "lanes":
+            return code.vector(*place(x), lanes), True
+        if x.of == "computed":
+            return code.load(arrays[x.array], x.row), False
+        at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
+        return code.constant_load(*at), False
 
-        def place(x: Place) -> tuple[Any, Any]:
-            offset = offsets[x.array]
-            at = x.row if x.of == "indexed" else x.row * block
-            return arrays[x.array], code.b.add(offset, offset.type(at))
-
-        def find(name: Name, _: str) -> tuple[Any, bool]:
-            if name in times:
-                return times[name]
-            x = formula.inputs[name]
-            if x.of == "lanes":
-                return code.vector(*place(x), lanes), True
-            if x.of == "computed":
-                return code.load(arrays[x.array], x.row), False
-            at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
-            return code.constant_load(*at), False
-
-        if isinstance(formula.graph, Traced):
-            given = [code.load(*place(x)) for x in formula.inputs.values()]
-            values = write(code, formula.graph, given, pointers)
-        else:
-            emit = Emitter(code, lanes, processor().fuses, pointers)
-            if formula.clock is not None:
-                times["n",] = code.b.sitofp(steps, REALS["double"]), False
-                made = emit(formula.clock.flat, find)
-                times |= zip(formula.clock.names, made, strict=True)
-            values = emit.wide(formula.graph, find)
-        for i, (x, value) in enumerate(zip(formula.results, values, strict=True)):
-            kept = value
-            if i == formula.largest:
-                kept = raised(code, code.vector(*place(x), lanes), value)
-            code.store_vector(*place(x), kept)
-        if formula.finite is not None:
-            zero = code.splat(code.real(kind, 0.0), lanes)
-            total = code.vector(*place(formula.finite), lanes)
-            for value in values:
-                total = code.of("fadd", total, code.of("fmul", value, zero))
-            code.store_vector(*place(formula.finite), total)
+    if isinstance(formula.graph, Traced):
+        given = [code.load(*place(x)) for x in formula.inputs.values()]
+        values = write(code, formula.graph, given, pointers)
+        values = [code.cast(kind, x) for x in values]
+    else:
+        emit = Emitter(code, lanes, pointers)
+        if formula.clock is not None:
+            times["n",] = code.b.sitofp(steps, REALS["double"]), False
+            made = emit(formula.clock.flat, find)
+            times |= zip(formula.clock.names, made, strict=True)
+        values = emit.wide(formula.graph, find)
+    for i, (x, value) in enumerate(zip(formula.results, values, strict=True)):
+        kept = value
+        if i == formula.largest:
+            kept = raised(code, code.vector(*place(x), lanes), value)
+        code.store_vector(*place(x), kept)
+    if formula.finite is not None:
+        zero = code.splat(code.real(kind, 0.0), lanes)
+        total = code.vector(*place(formula.finite), lanes)
+        for value in values:
+            total = code.of("fadd", total, code.of("fmul", value, zero))
+        code.store_vector(*place(formula.finite), total)
 
 
 def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
@@ -185,7 +180,7 @@ def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
     lanes = formula.lanes or program.shape.lanes
     kinds = {node.args: DTYPES[node.kind] for node in flat.nodes if node.op == "in"}
     clock_of = None if clock is None else source.function(clock.flat)
-    # a program serves every scene of a structure, each with tables of its own
+    # a program serves every scene of a structure, each with its tables
     made: list[Any] = [None, None]
 
     def apply(*args: Any) -> None:

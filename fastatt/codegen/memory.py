@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import threading
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,12 +28,3 @@ def address_of(x: NDArray[Any]) -> int:
         return ctypes.addressof(_BYTE.from_buffer(x))  # type: ignore[arg-type]
     except (TypeError, ValueError, BufferError):  # read-only, empty, or with gaps
         return int(x.__array_interface__["data"][0])
-
-
-class ThreadMemory(threading.local):
-    """Arrays of each thread, made by ``make`` when it first needs them, as a loop takes them."""
-
-    def __init__(self, make: Callable[[], Sequence[NDArray[Any]]], *, plain: bool) -> None:
-        self._arrays = make()
-        #: the arrays, or with machine code their addresses
-        self.places = list(self._arrays) if plain else [address_of(x) for x in self._arrays]

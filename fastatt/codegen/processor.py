@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from numba.core.registry import cpu_target
 
-_BYTES = {"double": 8, "single": 4}
+from fastatt.codegen.memory import DTYPES
 
 
 class Processor(NamedTuple):
@@ -23,7 +23,7 @@ class Processor(NamedTuple):
 
     def lanes(self, kind: str) -> int:
         """Numbers of a precision, "double" or "single", in one vector."""
-        return self.vector // _BYTES[kind]
+        return self.vector // DTYPES[kind].itemsize
 
 
 def described(triple: str, name: str, features: str) -> Processor:

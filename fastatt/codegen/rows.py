@@ -1,12 +1,9 @@
-"""A function of numbers on every row of arrays: traced and compiled once, a vector's lane a row.
+"""A function of numbers on every row of arrays, or of every log: traced and compiled once.
 
-``Rows`` applies it to every row, ``Fold`` to a log's samples one after the other, a log a row. The
-loop is that of ``fastatt.codegen.row_loops``. Results depend neither on the number of rows nor on
-that of threads.
-
-Where derivatives go side by side, a vector holds those of one row's number in six or more
-directions, and the loop is over single rows: with a lane a row each direction would need operations
-of its own, six times as many to compile, at the same speed.
+A vector's lane is a row. Results depend neither on the number of rows nor on that of threads. Where
+derivatives go side by side, a vector holds those of one row's number in six or more directions, and
+the loop is over single rows: with a lane a row each direction would need separate operations, six
+times as many to compile, at the same speed.
 """
 
 from __future__ import annotations
@@ -41,10 +38,9 @@ Width = int | None
 
 
 class _Made(NamedTuple):
-    """A formula compiled for a shape: the function, which its address needs, and its memory."""
+    """A formula compiled for blocks of some rows: Numba's function, and its memory."""
 
     function: Any
-    entry: int
     block: int
     memory: Memory
 
@@ -59,18 +55,13 @@ class _Source(NamedTuple):
     width: int
 
 
-class Rows:
+class RowFunction:
     """``function`` of numbers, applied to every row of arrays; compiled at the first call.
 
-    Parameters
-    ----------
-    function : takes a tuple of ``width`` recorded numbers an input (one number where the width is
-        None), in the order of ``inputs``, and gives numbers in tuples, nested at will: a kernel of
-        ``flat.formulas``, or what is made of such. It may look up tables (``graph.gather``), which
-        a call is given, and call opaque functions (``graph.opaque``), which have an ``address``.
-    inputs : widths by name.
-    outputs : widths of the output arrays, in order.
-    kind : "double" or "single", the precision of inputs and outputs.
+    It takes a tuple of ``width`` recorded numbers an input (one number where the width is None), in
+    the order of ``inputs``, and gives numbers in tuples, nested at will. It may read tables, which
+    a call is given, and call opaque functions. ``inputs`` are widths by name, ``outputs`` those of
+    the output arrays; ``kind`` is the precision of all, "double" or "single".
     """
 
     _widest = WIDEST
@@ -110,7 +101,7 @@ class Rows:
         """Of blocks of a few vectors; of single rows with derivatives or a recurrence."""
         if self.traced.lanes > 1 or self.traced.loop is not None:
             return Shape(self.kind, 1, 1)
-        lanes = lanes_of(self.kind)
+        lanes = processor().lanes(self.kind)
         return Shape(self.kind, _VECTORS * lanes, lanes)
 
     @cached_property
@@ -130,7 +121,7 @@ class Rows:
         formula = LaneFormula(traced.flat if by_lanes else traced, inputs, results)
         function = lane_function(shape, [formula], traced.resources)
         memory = Memory(shape, self._taken + self._given, 3)
-        return _Made(function, function.address, shape.block, memory)
+        return _Made(function, shape.block, memory)
 
     def _table(
         self,
@@ -141,7 +132,7 @@ class Rows:
         whole: array[int],
     ) -> array[int]:
         """The table of ``run_rows``; the lengths are rows, those of the last axis, and samples."""
-        numbers = [made.entry, _first(whole), *lengths, self._first_result]
+        numbers = [made.function.address, _first(whole), *lengths, self._first_result]
         numbers += [len(sources), len(out)]
         for x, *rest in sources:
             numbers += [address_of(x), *rest]
@@ -169,7 +160,7 @@ class Rows:
         """(..., width) of each output from (..., width) of each input.
 
         The leading axes broadcast against each other; nothing is copied for it. ``tables`` are what
-        the function looks up, by number. Results do not depend on ``n_threads``.
+        the function reads, by number. Results do not depend on ``n_threads``.
 
         Raises ``ValueError`` for shapes that do not fit.
         """
@@ -179,7 +170,7 @@ class Rows:
         ]
         lead = np.broadcast_shapes(*[x.shape[:-1] for x in given])
         if without_compiler():
-            return self._in_python(lead, given, tables or {})
+            return self._in_python(plain(self._trace(0), tables or {}), lead, given)
         total = math.prod(lead)
         if len(lead) > 2 and total:
             # more axes are two: a copy only where one of the first does not follow the next
@@ -216,7 +207,7 @@ class Rows:
 
             return slowly
         n = len(out[0])
-        made = self._made_for_few if 2 * n <= lanes_of(self.kind) else self._made
+        made = self._made_for_few if 2 * n <= processor().lanes(self.kind) else self._made
         widths = [math.prod(x.shape[1:]) for x in arrays]
         sources = [
             _Source(x, 0, 0 if len(x) == 1 else k, 0, k)
@@ -244,10 +235,9 @@ class Rows:
         return x if n < 2 or x.strides[-1] == x.itemsize else np.ascontiguousarray(x)
 
     def _in_python(
-        self, lead: tuple[int, ...], given: list[Array], tables: Mapping[int, Array]
+        self, run: Callable[..., Any], lead: tuple[int, ...], given: Sequence[Array]
     ) -> tuple[Array, ...]:
         columns = [x[..., i] for x in given for i in range(x.shape[-1])]
-        run = plain(self._trace(0), tables)
         made = [np.broadcast_to(np.asarray(x, self._dtype), lead) for x in run(columns)]
         bounds = pairwise(accumulate(map(_count, self.outputs), initial=0))
         return tuple(
@@ -256,17 +246,11 @@ class Rows:
         )
 
 
-class Fold(Rows):
+class LogFunction(RowFunction):
     """``step(state, *sample, *given)`` over the samples of many logs, compiled at the first call.
 
-    Parameters
-    ----------
-    step : gives the next state from tuples of recorded numbers: the state, what is sampled, what is
-        given for a whole log. All is of double precision.
-    size : numbers of the state.
-    sampled, given : how many numbers of each, by name.
-
-    A row is a log.
+    A row is a log. ``step`` gives the next state, of ``size`` numbers, from tuples of recorded
+    numbers: the state, those ``sampled`` and those ``given`` for a whole log. All are float64.
     """
 
     _widest = 0
@@ -284,7 +268,7 @@ class Fold(Rows):
 
     @cached_property
     def _shape(self) -> Shape:
-        lanes = lanes_of(self.kind)
+        lanes = processor().lanes(self.kind)
         return Shape(self.kind, lanes, lanes)
 
     def __call__(  # type: ignore[override]
@@ -300,26 +284,24 @@ class Fold(Rows):
         """
         n_logs, n = len(start), max(x.shape[1] for x in sampled)
         arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *given)]
-        # samples along an axis of their own: of what has none, and of one sample, the same for all
+        # samples along an axis: an array without any, or with one, repeats it
         wide = [
             np.broadcast_to(x if x.ndim == 3 else x[:, None], (n_logs, n, x.shape[-1]))
             for x in arrays
         ]
+        state = arrays[0].copy()
         if without_compiler():
-            step, state = plain(self.traced, {}), wide[0][:, 0]
+            run = plain(self.traced, {})
             for i in range(n):
-                now = [column for x in wide[1:] for column in x[:, i].T]
-                state = np.stack(np.broadcast_arrays(*step([*state.T, *now])), axis=1)
-            return state
-        steps = [[stride // x.itemsize for stride in x.strides[:2]] for x in wide]
-        pairs = zip(wide, steps, strict=True)
-        sources = [_Source(x, 0, inner, later, x.shape[2]) for x, (inner, later) in pairs]
-        state = np.empty_like(arrays[0])
-        # without samples none is the next state
-        if not n:
-            return arrays[0].copy()
-        table = self._table(self._made, (n_logs, n_logs, n), sources, [state], array("q"))
-        self._run(table, n_threads, self._made.block)
+                now = [state, *(x[:, i] for x in wide[1:])]
+                (state,) = self._in_python(run, (n_logs,), now)
+        elif n:
+            size = state.itemsize
+            sources = [
+                _Source(x, 0, x.strides[0] // size, x.strides[1] // size, x.shape[2]) for x in wide
+            ]
+            table = self._table(self._made, (n_logs, n_logs, n), sources, [state], array("q"))
+            self._run(table, n_threads, self._made.block)
         return state
 
 
@@ -343,7 +325,7 @@ def _tail(width: Width) -> tuple[int, ...]:
     return () if width is None else (width,)
 
 
-_KNOWN: dict[Hashable, Rows] = {}
+_KNOWN: dict[Hashable, RowFunction] = {}
 
 
 def rows(
@@ -352,25 +334,20 @@ def rows(
     outputs: Sequence[Width],
     kind: str = "double",
     key: Hashable = None,
-) -> Rows:
-    """The ``Rows`` of a function, made once a process for a layout and a precision.
+) -> RowFunction:
+    """The ``RowFunction`` of a function, made once a process for a layout and a precision.
 
-    ``key`` stands for the function where that is made anew at each call; it says all that the
+    ``key`` replaces the function where that is made anew at each call; it says all that the
     function's operations depend on.
     """
     layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), kind
     found = _KNOWN.get(layout)
-    return found or _KNOWN.setdefault(layout, Rows(function, inputs, outputs, kind))
+    return found or _KNOWN.setdefault(layout, RowFunction(function, inputs, outputs, kind))
 
 
 def kind_of(dtype: Any) -> str:
     """Precision in which arrays of a type are worked on."""
     return "single" if np.dtype(dtype) == np.float32 else "double"
-
-
-def lanes_of(kind: str) -> int:
-    """Numbers in one of the processor's vectors."""
-    return processor().lanes(kind)
 
 
 def without_compiler() -> bool:

@@ -7,8 +7,10 @@ numbers go side by side, a lane a direction.
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import inspect
+import struct
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -23,17 +25,18 @@ from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import signature
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
-from fastatt.codegen.emitter import POINTERS
+from fastatt.codegen.call import TYPES
+from fastatt.codegen.emitter import POINTERS, write
 from fastatt.codegen.instructions import Code
+from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
-from fastatt.codegen.writing import in_memory, in_python, unpacking, write
 from fastatt.tracing.graph import flattened
-from fastatt.tracing.recorded import Recorded
+from fastatt.tracing.nodes import Recorded
 from fastatt.tracing.trace import traceable
-from fastatt.tracing.traced import Traced, Tuple, trace
+from fastatt.tracing.traced import Traced, Tuple, flattened_forms, plain, trace
 
-_TYPES = {"double": types.float64, "single": types.float32, "truth": types.boolean}
-_KINDS = {types.float64: "double", types.float32: "single"}
+_TYPES = {**TYPES, "truth": types.boolean}
+_KINDS = {of: kind for kind, of in TYPES.items()}
 
 
 class ScalarFunction:
@@ -42,15 +45,15 @@ class ScalarFunction:
     ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
     ``rewritten`` one that is written as kernels are (``tracing.trace``); or a ``Recurrence``.
     It takes floats and tuples of them, nested and named ones too, and gives such; results are of
-    single precision where all arguments are. What the formula is made of is looked up when it is
-    first called with arguments of some types. ``tables`` are the arrays that it looks up;
+    single precision where all arguments are. What the formula refers to is read when it is
+    first called with arguments of some types. ``tables`` are the arrays that it reads;
     ``arrays`` names the arguments that may be arrays too, of one axis, in place of tuples of so
     many numbers: the first so many are read, and must be there.
 
     Code that calls it holds the formula as it was then, which may have been edited when another
     process runs: Numba keeps no such code on disk. Of ``@njit(cache=True)`` it warns so.
 
-    Two of them, chosen from by an ``if``, are a function of one's own that calls both.
+    To choose from two by an ``if``, write a function that calls both.
     """
 
     __name__: str
@@ -109,19 +112,100 @@ class ScalarFunction:
         forms = tuple(_form_of(x, self.__name__) for x in args)
         if forms not in self._compiled:
             made = self._in_python if config.DISABLE_JIT else self._in_memory
-            self._compiled[forms] = unpacking(forms), made(forms)
+            self._compiled[forms] = _unpacking(forms), made(forms)
         self._last = self._compiled[forms]
         return self._last[1](numbers)
 
-    def _in_memory(self, forms: tuple[Any, ...]) -> Callable[..., Any]:
+    def _in_memory(self, forms: tuple[Any, ...]) -> Callable[[Sequence[float]], Any]:
+        """The formula compiled, as a function of its arguments' numbers."""
         traced = self.traced(forms)
-        return in_memory(traced, forms, addresses(traced.resources, self.tables))
+        n, count = len(list(flattened_forms(forms))), len(traced.flat.results)
+        places = [Place(k) for k in range(n + count)]
+        inputs = {("x", k): place for k, place in enumerate(places[:n])}
+        formula = LaneFormula(traced, inputs, places[n:])
+        made = lane_function(Shape("double", 1, 1), [formula], traced.resources)
+        pointer, number = ctypes.c_void_p, ctypes.c_int64
+        run = ctypes.CFUNCTYPE(None, number, pointer, pointer, number)(made.address)
+        run.function = made  # type: ignore[attr-defined]  # it lives as long as its machine code
+        room = ctypes.c_double * (n + count)
+        at = addresses(traced.resources, self.tables)
+        whole = (ctypes.c_int64 * len(at))(*at)
+        # struct lays numbers in a row in a third of the time of ctypes
+        pack = struct.Struct(f"{n}d").pack_into
+        unpack = struct.Struct(f"{count}d").unpack_from
+        assembled = _assembling(traced.form)
 
-    def _in_python(self, forms: tuple[Any, ...]) -> Callable[..., Any]:
-        return in_python(self.formula, forms, self.tables)
+        def call(numbers: Sequence[float]) -> Any:
+            memory = room()
+            pack(memory, 0, *numbers)
+            run(0, memory, whole, 1)
+            return assembled(unpack(memory, 8 * n))
+
+        return call
+
+    def _in_python(self, forms: tuple[Any, ...]) -> Callable[[Sequence[float]], Any]:
+        traced = trace(self.formula, forms, 0)
+        run, assembled = plain(traced, self.tables), _assembling(traced.form)
+        return lambda numbers: assembled(run(numbers))
 
 
 scalar_function = ScalarFunction
+
+# arguments and results in Python
+
+
+def _unpacking(forms: Sequence[Any]) -> Callable[[Any], tuple[float, ...] | None]:
+    """A function of arguments: their numbers, in order; None unless they are floats so nested."""
+    scope: dict[str, Any] = {}
+    lines = ["def unpacked(a):"]
+    leaves: list[str] = []
+
+    def taken(parts: Sequence[Any], name: str) -> None:
+        names = [f"{name}_{k}" for k in range(len(parts))]
+        lines.append(f"    if len({name}) != {len(parts)}: return None")
+        if names:
+            lines.append(f"    {', '.join(names)}, = {name}")
+        for part, own in zip(parts, names, strict=True):
+            if not isinstance(part, Tuple):
+                leaves.append(own)
+                continue
+            scope[f"class{own}"] = part.cls
+            lines.append(f"    if type({own}) is not class{own}: return None")
+            taken(part.parts, own)
+
+    taken(forms, "a")
+    numbers = "".join(f"{leaf}, " for leaf in leaves)
+    lines.append(f"    numbers = ({numbers})")
+    lines.append("    return numbers if {*map(type, numbers)} == {float} else None")
+    if any(kind != "double" for kind in flattened_forms(forms)):
+        return lambda args: None
+    exec("\n".join(lines), scope)
+    found: Callable[[Any], tuple[float, ...] | None] = scope["unpacked"]
+    return found
+
+
+_OF_KIND = {"single": "single({})", "double": "{}", "truth": "bool({})"}
+
+
+def _assembling(form: Any) -> Callable[[Sequence[Any]], Any]:
+    """A function of a list of numbers: they in a form."""
+    scope: dict[str, Any] = {"single": np.float32}
+    places = iter(range(len(list(flattened_forms((form,))))))
+
+    def made(part: Any) -> str:
+        if not isinstance(part, Tuple):
+            return _OF_KIND[part].format(f"r[{next(places)}]")
+        inner = "".join(f"{made(x)}, " for x in part.parts)
+        if part.cls is tuple:
+            return f"({inner})"
+        name = f"class{len(scope)}"
+        scope[name] = part.cls
+        return f"{name}({inner})"
+
+    exec(f"def assembled(r):\n    return {made(form)}", scope)
+    found: Callable[[Sequence[Any]], Any] = scope["assembled"]
+    return found
+
 
 # forms
 

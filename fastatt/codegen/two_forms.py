@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from fastatt.codegen.memory import ThreadMemory
+from fastatt.codegen.memory import address_of
 
 
 class TwoForms(ABC):
@@ -26,7 +26,7 @@ class TwoForms(ABC):
         self.functions = [made]
         self.entry = made if plain else made.address
         self.any_angle: Any = self.entry if one_form else 0
-        self._memory = ThreadMemory(self._new_memory, plain=plain)
+        self._memory = threading.local()
 
     @abstractmethod
     def _compiled(self, *, small_angle: bool) -> Any:
@@ -46,4 +46,8 @@ class TwoForms(ABC):
 
     def memory(self) -> list[Any]:
         """The calling thread's memory, as the loop takes it."""
-        return self._memory.places
+        own = self._memory
+        if not hasattr(own, "places"):
+            own.arrays = self._new_memory()
+            own.places = own.arrays if self.plain else [address_of(x) for x in own.arrays]
+        return own.places  # type: ignore[no-any-return]

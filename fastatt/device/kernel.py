@@ -44,7 +44,7 @@ def _larger(x: ast.expr, y: ast.expr) -> ast.expr:
     return source.call_of("selp", above, x, y)
 
 
-class _Text(source.Text):
+class _Text(source.GraphText):
     """A graph as statements of a kernel, its constants in ``constants``.
 
     A number in the text is of double precision, and takes Numba longer than a name does.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.codegen.lanes import Clock, LaneFormula, LaneProgram, Place, Shape
+from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTimes
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
@@ -176,7 +176,7 @@ class Program(TwoForms):
         inputs = {name: self._place(*name, even=even) for name in names}
         return LaneFormula(flat, inputs, results, clock=time)
 
-    def _clock(self, which: str) -> Clock:
+    def _clock(self, which: str) -> StepTimes:
         """The times of a state after so many steps, a "moment", of a "step" or of a "stage"."""
         graph, own = Graph(), self.job.own_steps
         n, dt, begin = (graph.input("double", name) for name in ("n", "dt", "begin"))
@@ -203,7 +203,7 @@ class Program(TwoForms):
         found["since"] = since
         kinds = ["double"] * len(exact) + [self.job.kind] * len(found)
         names = [(name,) for name in (*exact, *found)]
-        return Clock(Flat(graph, [*exact.values(), *found.values()], kinds), names)
+        return StepTimes(Flat(graph, [*exact.values(), *found.values()], kinds), names)
 
     def _results(self, **sizes: int) -> list[Place]:
         return [self._row(group, i) for group, n in sizes.items() for i in range(n)]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt._jit import around_formulas, enough
 from fastatt.arrays import normalised
-from fastatt.codegen.rows import Rows
+from fastatt.codegen.rows import RowFunction
 from fastatt.codegen.scalar import scalar_function
 from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, triples
@@ -159,11 +159,11 @@ def sample_transitions(
 
 
 @lru_cache(maxsize=64)
-def _window_rows(record: Method, increments: bool) -> Rows:
+def _window_rows(record: Method, increments: bool) -> RowFunction:
     window = record.window
     formula = tangent.window_tangent(window, increments=increments)
     inputs = {"v": 3 * window.samples(increments), "h": window.intervals}
-    return Rows(formula, inputs, (4, 9, 9) * window.span)
+    return RowFunction(formula, inputs, (4, 9, 9) * window.span)
 
 
 # bodies
@@ -179,12 +179,12 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
 
 
 @lru_cache(maxsize=64)
-def _body_rows(record: Method, structure: Any, parameters: bool) -> Rows:
+def _body_rows(record: Method, structure: Any, parameters: bool) -> RowFunction:
     formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
     state = tangent.ANY_LENGTH
     size = tangent.directions(structure, state, parameters=parameters)
     inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
-    return Rows(formula, inputs, (4, 3, state * size, None))
+    return RowFunction(formula, inputs, (4, 3, state * size, None))
 
 
 def tangent_rows(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised, quat_multiply, quat_rotate, rotation_vector_to_quat
-from fastatt.codegen.rows import Fold
+from fastatt.codegen.rows import LogFunction
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, triples
 from fastatt.gyro.integrate import intervals
@@ -34,7 +34,7 @@ def _step(x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, v:
     return pre.add_sample(nested(x), minus(w, bg), minus(a, ba), *h, *v)
 
 
-_LOGS = Fold(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
+_LOGS = LogFunction(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import math
 from functools import lru_cache, partial
 from typing import Any
 
-from fastatt.codegen.rows import Rows
+from fastatt.codegen.rows import RowFunction
 from fastatt.codegen.scalar import scalar_function
 from fastatt.kernels import dcm, error_state, quat, trig
 from fastatt.kernels.vec3 import add, axpy, dot, scale
@@ -266,7 +266,7 @@ _OPERATIONS: dict[str, Any] = {
 
 
 @lru_cache
-def operation(name: str, numbers: int) -> Rows:
+def operation(name: str, numbers: int) -> RowFunction:
     """An operation on filters with so many auxiliary numbers: q, y, P, and two figures of updates.
 
     ``own`` are the numbers that each filter has: a gyro's sample, a vector and its reference, an
@@ -274,4 +274,6 @@ def operation(name: str, numbers: int) -> Rows:
     """
     formula, own, shared, figures = _OPERATIONS[name]
     state = {"q": 4, "y": numbers, "P": (3 + numbers) ** 2}
-    return Rows(formula, {**state, "own": own, "shared": shared}, (*state.values(), *figures))
+    return RowFunction(
+        formula, {**state, "own": own, "shared": shared}, (*state.values(), *figures)
+    )

@@ -20,7 +20,7 @@ from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector, axpy, dot, minus, plus, scale, weighted
 from fastatt.tracing.functions import larger
 from fastatt.tracing.graph import Graph, Number
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.source import function
 from fastatt.tracing.trace import traceable
 
@@ -157,7 +157,7 @@ def lie_group(
     try:
         formula = traceable(exponents)
         asked, found = _recorded(formula)
-    except NotStraight as error:
+    except TraceError as error:
         raise TypeError(f"exponents: {error}; accepted: f(w, t, h) -> (u1, u2, …)") from error
     return lie_method(
         named(name),

@@ -55,8 +55,8 @@ def inspect_step(
     job = job_of(scene, method, representation, checks.precision(dtype), reduce)
     formulas = job.formulas
     flat = formulas.small_angle.plain
-    text = source.Text(flat)
-    constants = source.Text(formulas.constants)
+    text = source.GraphText(flat)
+    constants = source.GraphText(formulas.constants)
     groups = dict.fromkeys(name[0] for f in (formulas.constants, flat) for name in f.inputs())
     stages = len(job.method.stages)
     each = f" in {stages} stages" if stages > 1 else ""

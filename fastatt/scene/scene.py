@@ -25,7 +25,7 @@ from fastatt.scene.inertia import (
 from fastatt.scene.models import Law, Packed, join, numbers
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
-from fastatt.tracing.standing import keep, sources
+from fastatt.tracing.references import keep, sources
 from fastatt.tracing.user import UserFunction
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Double
-from fastatt.tracing.recorded import Recorded
+from fastatt.tracing.nodes import Recorded
 
 Numbers = NDArray[np.float64]
 

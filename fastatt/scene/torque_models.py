@@ -26,7 +26,7 @@ from fastatt.scene.torque_record import Dependence, Pose, Torque
 from fastatt.tracing.called import nested, points
 from fastatt.tracing.formulas import as_like, dot, minus, rigid, scale, vec3
 from fastatt.tracing.graph import apply
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.user import UserFunction, user_function
 
 
@@ -366,7 +366,7 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
         for v in (w, (0.0, 0.0, 0.0)):
             try:
                 values.append(function.call(t, q, v, *rest))
-            except NotStraight:  # an error in Python at these numbers
+            except TraceError:  # an error in Python at these numbers
                 values.append((np.nan,) * 3)
         turning, still = np.array(values)
         size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)

@@ -18,9 +18,10 @@ from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.tracing.recorded import Recorded
-from fastatt.tracing.standing import is_library, referred_to
-from fastatt.tracing.trace import Standing
+from fastatt._jit import recompile, with_options_of
+from fastatt.tracing.nodes import Recorded
+from fastatt.tracing.references import is_library, referred_to
+from fastatt.tracing.trace import ModuleProxy
 
 if TYPE_CHECKING:
     from fastatt.tracing.user import UserFunction
@@ -96,8 +97,6 @@ def _renewed(function: Any, within: tuple[Any, ...] = ()) -> Any:
 
     Numba keeps the globals of the moment when it first compiled a function.
     """
-    from fastatt._jit import with_options_of
-
     plain = getattr(function, "py_func", function)
     within = (*within, plain)
     found = referred_to(plain)
@@ -113,7 +112,7 @@ def _in_python(value: Any) -> Any:
     if isinstance(value, CPUDispatcher):
         return lambda *args, **named: interpreted(value)(*args, **named)
     if isinstance(value, ModuleType) and value not in (math, np):
-        return Standing(value, _in_python)
+        return ModuleProxy(value, _in_python)
     return value
 
 
@@ -127,15 +126,7 @@ _DOUBLES = ctypes.POINTER(ctypes.c_double)
 ENTRY = ctypes.CFUNCTYPE(None, _DOUBLES, _DOUBLES)
 
 
-class _Callback:
-    """A Python function at an address."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._entry = ENTRY(function)  # it lives as long as its address is used
-        self.address = ctypes.cast(self._entry, ctypes.c_void_p).value
-
-
-def called_back(function: Callable[..., Any], user: UserFunction) -> _Callback:
+def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     """The function called back in Python, where it is tried first; where it raises it gives NaN."""
     sizes, n = user.sizes, user.form.results
     n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
@@ -165,13 +156,13 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> _Callback:
         for k, x in enumerate(values):
             made[k] = x
 
-    return _Callback(entry)
+    made = ENTRY(entry)
+    made.address = ctypes.cast(made, ctypes.c_void_p).value  # type: ignore[attr-defined]
+    return made
 
 
 def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     """The function compiled by Numba behind pointers."""
-    from fastatt._jit import recompile
-
     f8 = types.float64
     *before, last = user.sizes
     signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))

@@ -2,7 +2,7 @@
 
 A formula that is called with them gives its derivatives along with its value, by the same formula:
 forward differentiation (Griewank and Walther, *Evaluating Derivatives*, 2008, ch. 3), exact but for
-rounding. What is 0 by its structure drops out. Comparisons look at values; the derivative of a
+rounding. What is 0 by its structure drops out. Comparisons take values; the derivative of a
 number that is selected away is never used; that of a number that is not finite means nothing.
 
 Where a graph has lanes for directions (``Graph.lanes``) a dual number holds one derivative, with a
@@ -11,23 +11,21 @@ lane a direction, in place of one for each: a sixth of the operations for six di
 
 from __future__ import annotations
 
-import functools
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from fastatt.kernels import trig
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition, Double, Number
-from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.recorded import Composed, Recorded
+from fastatt.tracing.nodes import Composed, Recorded, TraceError
 
 _STEP = 2.0**-17
 """Of differences: near the cube root of an ulp, where rounding and truncation are alike."""
 
 Slope = Callable[[Any, Any], Any]
-
 
 _COMPARISONS = (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne)
 
@@ -57,7 +55,8 @@ class Dual(Composed):
 
     def cast(self, to: type[Number]) -> Any:
         """It in another precision."""
-        return _dual(to(self.value), [_cast(to, slope) for slope in self.slopes])
+        slopes = [to(slope) if isinstance(slope, Number) else slope for slope in self.slopes]
+        return _dual(to(self.value), slopes)
 
     def __add__(self, other: Any) -> Any:
         a, b, pairs = _aligned(self, other)
@@ -135,7 +134,7 @@ class Dual(Composed):
 
     @classmethod
     def opaque(cls, function: int, results: int, args: Sequence[Any]) -> tuple[Any, ...]:
-        """A function that is no straight line: its derivatives are central differences.
+        """A function that can't be traced: its derivatives are central differences.
 
         An argument x is moved by 2⁻¹⁷ max(|x|, 1) to either side: where the function changes over 1
         and by much less is known of none other, the error is some 1e-10 of a derivative.
@@ -164,7 +163,7 @@ class Dual(Composed):
     @classmethod
     def called(cls, formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
         """A traced function: by a rule if there is one, of one number by the chain rule."""
-        rule = _rules().get(function)
+        rule = _RULES.get(function)
         if rule is not None:
             return rule(formula, *args)
         return _chained(formula, args[0]) if len(args) == 1 else formula(*args)
@@ -190,10 +189,6 @@ def _as_is(x: Any) -> Any:
     return x if isinstance(x, Recorded) else float(x)
 
 
-def _cast(to: type[Number], x: Any) -> Any:
-    return to(x) if isinstance(x, Number) else x
-
-
 def _dual(x: Any, slopes: Sequence[Any]) -> Any:
     """A dual number, or a plain one where no derivative is left."""
     if all(not isinstance(slope, Number) and slope == 0.0 for slope in slopes):
@@ -204,7 +199,7 @@ def _dual(x: Any, slopes: Sequence[Any]) -> Any:
 def _size(values: Sequence[Any]) -> int:
     sizes = {len(x.slopes) for x in values if isinstance(x, Dual)}
     if len(sizes) > 1:
-        raise NotStraight(f"dual numbers of {' and '.join(map(str, sorted(sizes)))} directions")
+        raise TraceError(f"dual numbers of {' and '.join(map(str, sorted(sizes)))} directions")
     return sizes.pop()
 
 
@@ -259,20 +254,6 @@ _SLOPES: dict[str, Slope] = {
 }
 
 
-@functools.cache
-def _rules() -> dict[Any, Callable[..., Any]]:
-    """Of kernels whose derivative is shorter than their polynomial's."""
-    from fastatt.kernels import trig
-
-    return {
-        trig.sincos: _sincos,
-        trig.sincos_bounded: _sincos,
-        trig.atan2: _atan2,
-        trig.half_sinc_cos: _half,
-        trig.half_sinc_cos_wide: _half,
-    }
-
-
 def _sincos(formula: Callable[..., Any], x: Dual) -> tuple[Any, Any]:
     s, c = formula(x.value)
     return x.through(s, c), x.through(c, -s)
@@ -291,6 +272,15 @@ def _atan2(formula: Callable[..., Any], y: Any, x: Any) -> Any:
     return _dual(formula(b, a), [(a * db - b * da) * inverse for db, da in pairs])
 
 
+# kernels whose derivative is shorter than their polynomial's
+_RULES: dict[Any, Callable[..., Any]] = {
+    trig.sincos: _sincos,
+    trig.sincos_bounded: _sincos,
+    trig.atan2: _atan2,
+    trig.half_sinc_cos: _half,
+    trig.half_sinc_cos_wide: _half,
+}
+
 # seeds and what is read
 
 
@@ -302,7 +292,7 @@ def seed(values: Sequence[Any], size: int, first: int = 0, like: Any = None) -> 
     """
     numbers = [x for x in (like, *values) if isinstance(x, Number)]
     if not numbers:
-        raise NotStraight("a seed of known numbers alone")
+        raise TraceError("a seed of known numbers alone")
     places = range(first, first + len(values))
     if places.stop > size:
         raise ValueError(f"size: found {size}; accepted: at least {places.stop}")
@@ -323,14 +313,11 @@ def value(x: Any) -> Any:
 def derivatives(x: Any, size: int) -> tuple[Any, ...]:
     """The ``size`` derivatives of a number; of a plain one all are 0."""
     if isinstance(x, Condition):
-        raise NotStraight("the derivative of a truth value")
+        raise TraceError("the derivative of a truth value")
     if not isinstance(x, Dual):
         return (0.0,) * size
     if len(x.slopes) == size:
         return x.slopes
     (slope,) = x.slopes
-    return tuple(_lane(slope, k) for k in range(size))
-
-
-def _lane(x: Any, k: int) -> Any:
-    return functions.lane(x, k) if isinstance(x, Number) else x
+    lanes = range(size)
+    return tuple(functions.lane(slope, k) if isinstance(slope, Number) else slope for k in lanes)

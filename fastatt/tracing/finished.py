@@ -21,7 +21,7 @@ _RESOURCES = {"gather": "table", "opaque": "function"}
 class Flat:
     """What is left of a graph for some results: operations in order, multiplications fused.
 
-    ``a*b + c`` becomes one ``fma`` where the product has no other use: chosen here and not by a
+    ``a*b + c`` becomes one ``fma`` where the product is used only there: chosen here and not by a
     compiler, so that every form of a formula rounds alike.
     """
 
@@ -65,11 +65,11 @@ class Flat:
         return found
 
     def first(self, n: int) -> Flat:
-        """The same for the first n results alone."""
+        """What the first n results need."""
         return Flat.of(dict(enumerate(self.nodes)), self.results[:n])
 
     def in_few_registers(self) -> Flat:
-        """The same in an order in which few results wait."""
+        """The graph in an order in which few results wait."""
         order = _ordered(self.nodes, self.results)
         at = {i: k for k, i in enumerate(order)}
         found = Flat.__new__(Flat)

@@ -8,9 +8,9 @@ from typing import Any
 
 from fastatt import kernels
 from fastatt.tracing.graph import Graph, Number, _of, choose
-from fastatt.tracing.nodes import operands
-from fastatt.tracing.recorded import Recorded
-from fastatt.tracing.trace import kind_of, stand_in
+from fastatt.tracing.mathematics import kind_of
+from fastatt.tracing.nodes import Recorded, operands
+from fastatt.tracing.trace import stand_in
 
 compensated: Any = stand_in(kernels.compensated)
 coning: Any = stand_in(kernels.coning)
@@ -26,7 +26,7 @@ trig: Any = stand_in(kernels.trig)
 vec3: Any = stand_in(kernels.vec3)
 
 Vector = tuple[Any, ...]
-#: operations between a factor and what it is made of, beyond which nobody looks
+#: operations between a factor and its inputs beyond which the search ends
 _DEPTH = 5
 
 

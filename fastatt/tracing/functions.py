@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from fastatt.tracing.graph import Double, Number, _lifted, _made, _pair, apply, choose
-from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.recorded import Composed, Recorded, composed_of
+from fastatt.tracing.native import SHORTER
+from fastatt.tracing.nodes import Composed, Recorded, TraceError, composed_of
 
 
 def raised(x: Any, power: Any) -> Any:
     """x to the power of a whole number or of half of one, at most 64 in size."""
     if isinstance(power, Recorded):
-        raise NotStraight("a power that is not known beforehand")
+        raise TraceError("a power that is not known beforehand")
     if isinstance(x, Composed):
         return x.raised(power)
     if not abs(power) <= 64 or 2 * power != int(2 * power):
-        raise NotStraight(f"a power of {power}; accepted are whole ones and halves, up to 64")
+        raise TraceError(f"a power of {power}; accepted are whole ones and halves, up to 64")
     if power != int(power):
         whole = int(abs(power) - 0.5)
         result = apply("sqrt", x) * raised(x, whole)
@@ -71,7 +70,7 @@ def lane(x: Number, k: int) -> Any:
 
 
 def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tuple[Any, ...]:
-    """What a compiled function that is no straight line gives of some numbers, as doubles."""
+    """The results, as doubles, of a compiled function that can't be traced."""
     if (composed := composed_of(*args)) is not None:
         return composed.opaque(function, results, args)  # type: ignore[no-any-return]
     at = [Double(_lifted(x, like)).at for x in args]
@@ -84,13 +83,6 @@ def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) ->
     composed = composed_of(*args)
     if composed is not None:
         return composed.called(formula, function, args)
-    shorter = _shorter().get(function)
+    shorter = SHORTER.get(function)
     found = None if shorter is None else shorter(*args)
     return formula(*args) if found is None else found
-
-
-@functools.cache
-def _shorter() -> dict[Any, Callable[..., Any]]:
-    from fastatt.tracing.native import SHORTER
-
-    return SHORTER

@@ -15,8 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from fastatt.tracing.nodes import Node, NotStraight, operands
-from fastatt.tracing.recorded import Composed, Recorded, composed_of, functions_of_numbers
+from fastatt.tracing.nodes import (
+    Composed,
+    Node,
+    Recorded,
+    TraceError,
+    composed_of,
+    functions_of_numbers,
+    operands,
+)
 
 
 class Graph:
@@ -97,7 +104,7 @@ def _lifted(x: Any, like: Number) -> Number:
     if isinstance(x, Condition):
         return _lifted(choose(x, 1.0, 0.0), like)
     if not isinstance(x, (int, float, np.number, np.bool_)):
-        raise NotStraight(f"arithmetic with {type(x).__name__}")
+        raise TraceError(f"arithmetic with {type(x).__name__}")
     value = float(x)
     return _made(like.graph, "const", like.kind, value)  # type: ignore[no-any-return]
 
@@ -172,7 +179,7 @@ def _product(a: Any, b: Any) -> Any:
                 return y
             if _is(x, -1.0):
                 return -y
-        # a sign goes outwards, where a sum takes it up: −k b beside k b is one product
+        # a sign goes outwards, where a sum takes it up: −k b next to k b is one product
         elif (positive := _negative(x)) is not None and not isinstance(y, Composed):
             return -_product(positive, y)
     return _binary("*", a, b)
@@ -320,7 +327,7 @@ class Condition:
 
     def __bool__(self) -> bool:
         if deciding.by is None:
-            raise NotStraight("a branch on a condition that is not known beforehand")
+            raise TraceError("a branch on a condition that is not known beforehand")
         return deciding.by(self)
 
 
@@ -351,11 +358,15 @@ def choose(test: Any, a: Any, b: Any) -> Any:
         return a if test else b
     if isinstance(a, (tuple, list)):
         if not isinstance(b, (tuple, list)) or len(a) != len(b):
-            raise NotStraight("a choice between tuples of two lengths")
+            raise TraceError("a choice between tuples of two lengths")
         made = [choose(test, x, y) for x, y in zip(a, b, strict=True)]
         return type(a)(*made) if hasattr(a, "_fields") else tuple(made)
     if isinstance(a, Condition) or isinstance(b, Condition) or isinstance(a, bool):
-        return either(both(test, a), both(negated(test), b))
+        if not all(isinstance(x, (Condition, bool, np.bool_)) for x in (a, b)):
+            raise TraceError("a choice between a number and a truth value")
+        if a is test:
+            return either(test, b)
+        return both(test, a) if b is test else either(both(test, a), both(negated(test), b))
     if (composed := composed_of(a, b)) is not None:
         return composed.chosen(test, a, b)
     if isinstance(a, Number) or isinstance(b, Number):
@@ -366,7 +377,7 @@ def choose(test: Any, a: Any, b: Any) -> Any:
     if a is b:
         return a
     if not all(isinstance(x, (int, float, np.number)) for x in (a, b)):
-        raise NotStraight(f"a choice between {type(a).__name__} and {type(b).__name__}")
+        raise TraceError(f"a choice between {type(a).__name__} and {type(b).__name__}")
     if a == b:
         return a
     # two constants: of the precision of what is compared
@@ -388,7 +399,7 @@ def apply(function: str, x: Any) -> Any:
     if isinstance(x, Composed):
         return x.applied(function)
     if not isinstance(x, Number):
-        raise NotStraight(f"{function} of {type(x).__name__}")
+        raise TraceError(f"{function} of {type(x).__name__}")
     return _made(x.graph, function, x.kind, x.at)
 
 
@@ -397,9 +408,9 @@ def number(graph: Graph, x: Any, kind: str) -> Number:
     if isinstance(x, Number):
         return CLASSES[kind](x)  # type: ignore[no-any-return]
     if isinstance(x, (bool, Condition)):
-        raise NotStraight("a truth value where a number is wanted")
+        raise TraceError("a truth value where a number is wanted")
     if isinstance(x, Composed):
-        raise NotStraight(f"a {type(x).__name__} where a number of a graph is wanted")
+        raise TraceError(f"a {type(x).__name__} where a number of a graph is wanted")
     return _of(graph, graph.add("const", kind, float(x)), kind)  # type: ignore[no-any-return]
 
 

@@ -11,8 +11,7 @@ from typing import Any
 
 from fastatt.tracing import functions, graph, nodes
 from fastatt.tracing.graph import Condition
-from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.recorded import Recorded
+from fastatt.tracing.nodes import Recorded, TraceError
 
 _INSTRUCTIONS = {
     "sqrt": "sqrt", "fabs": "abs", "abs": "abs", "absolute": "abs", "rint": "rint",
@@ -35,16 +34,16 @@ def kind_of(x: Any) -> Any:
 
 
 def refused(name: str) -> Callable[..., Any]:
-    """What stands for a function that is unknown here: it can be named, not called."""
+    """What replaces a function that is unknown here: it can be named, not called."""
 
     def refuse(*_: Any, **__: Any) -> Any:
-        raise NotStraight(f"{name}, which is not among the functions that are known here")
+        raise TraceError(f"{name}, which is not among the functions that are known here")
 
     return refuse
 
 
 class Mathematics:
-    """Stands for ``math`` or ``numpy``: what vectorises here in place of what does not there."""
+    """Replaces ``math`` or ``numpy``: what vectorises here in place of what does not there."""
 
     def __init__(self, module: Any) -> None:
         self._module = module
@@ -53,7 +52,7 @@ class Mathematics:
         value = getattr(self._module, name)
         label = f"{self._module.__name__}.{name}"
         if label == "numpy.random":
-            raise NotStraight(f"{label}, which gives other numbers at every call")
+            raise TraceError(f"{label}, which gives other numbers at every call")
         if isinstance(value, type(math)):
             return Mathematics(value)
         if not callable(value):
@@ -67,7 +66,7 @@ class Mathematics:
                 return value(*args, **named)
             formula = None if named else formula_of(known, len(args))
             if formula is None:
-                raise NotStraight(f"{label} of numbers that are not known beforehand")
+                raise TraceError(f"{label} of numbers that are not known beforehand")
             return formula(*args)
 
         return call
@@ -117,16 +116,8 @@ def _extreme(better: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], 
 _minimum, _maximum = _extreme(operator.lt, 1), _extreme(operator.gt, 1)
 
 
-def _hypot(*values: Any) -> Any:
-    return graph.apply("sqrt", sum((x * x for x in values), 0.0))
-
-
 def _ceil(x: Any) -> Any:
     return -graph.apply("floor", -x)
-
-
-def _trunc(x: Any) -> Any:
-    return graph.choose(x < 0.0, _ceil(x), graph.apply("floor", x))
 
 
 def _fmod(x: Any, y: Any) -> Any:
@@ -157,7 +148,7 @@ def _log(x: Any, base: Any = None) -> Any:
 
 
 def _other_side(x: Any) -> Any:
-    """The side of a right triangle beside x, its longest being 1; the product loses nothing."""
+    """The other leg of a right triangle whose longest side is 1; the product loses nothing."""
     return graph.apply("sqrt", (1.0 - x) * (1.0 + x))
 
 
@@ -185,11 +176,11 @@ _FORMULAS: dict[str, Callable[..., Any]] = {
     "log2": lambda x: graph.apply("log", x) * (1.0 / math.log(2.0)),
     "log10": lambda x: graph.apply("log", x) * (1.0 / math.log(10.0)),
     "exp2": lambda x: graph.apply("exp", x * math.log(2.0)),
-    "hypot": _hypot,
+    "hypot": lambda *values: graph.apply("sqrt", sum((x * x for x in values), 0.0)),
     "sign": lambda x: graph.choose(x > 0.0, 1.0, graph.choose(x < 0.0, -1.0, x)),
     "copysign": _copysign,
     "ceil": _ceil,
-    "trunc": _trunc,
+    "trunc": lambda x: graph.choose(x < 0.0, _ceil(x), graph.apply("floor", x)),
     "fmod": _fmod,
     "math.remainder": _remainder,
     "mod": lambda x, y: functions.divided(x, y)[1],
@@ -237,18 +228,18 @@ def _round(x: Any, *digits: Any) -> Any:
     if not is_recorded(x):
         return round(x, *digits)
     if digits:
-        raise NotStraight("round to some digits")
+        raise TraceError("round to some digits")
     return graph.apply("rint", x)
 
 
 def _isinstance(x: Any, kinds: Any) -> bool:
     if is_recorded(x) and not isinstance(x, (tuple, list)):
-        raise NotStraight("isinstance of a number that is not known beforehand")
+        raise TraceError("isinstance of a number that is not known beforehand")
     return isinstance(x, kinds)
 
 
 def _builtins() -> dict[str, Any]:
-    """Python's own names: what gives the same of recorded numbers as of floats, by name."""
+    """Python's own names: what works on recorded numbers as on floats, by name."""
     as_they_are = (
         "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "filter", "int", "iter", "len",
         "list", "map", "next", "range", "reversed", "set", "slice", "sorted", "str", "sum", "tuple",

@@ -42,7 +42,7 @@ def _split_product(a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """The same of a graph that is for machine code alone; None of any other."""
+    """The formula in graphs that are for machine code alone; None in any other."""
 
     def shorter(*args: Any) -> Any:
         numbers = flattened(args)

@@ -1,18 +1,16 @@
-"""Operations by name: what a graph is made of."""
+"""What graphs are made of: operations by name, and recorded numbers as Python sees them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
-
-
 LIBRARY = ("exp", "log", "tan", "tanh", "sinh", "cosh", "asin", "acos")
 
 
-class NotStraight(TypeError):  # noqa: N818
-    """What was called is no straight line: a branch on a number, a loop, an unknown function."""
+class TraceError(TypeError):
+    """What was called can't be traced: a branch on a number, a loop, an unknown function."""
 
     #: "file:line" of the user's, where it is known; it is part of the message
     where = ""
@@ -44,10 +42,88 @@ def operands(node: Node) -> tuple[int, ...]:
 
 
 def renamed(node: Node, taken: Sequence[int]) -> Node:
-    """The same operation of others."""
+    """The operation with other operands."""
     if not taken:
         return node
     if node.op == "item":
         return Node(node.op, node.kind, (*taken, node.args[1]))
     rest = node.args[: len(node.args) - len(taken)] if node.op in SPECIAL else ()
     return Node(node.op, node.kind, (*rest, *taken))
+
+
+# recorded numbers
+
+
+def functions_of_numbers() -> Any:
+    """``fastatt.tracing.functions``, which is made of what is here."""
+    from fastatt.tracing import functions
+
+    return functions
+
+
+def _part_of(function: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
+    return lambda x, y: function(x, y)[k]
+
+
+class Recorded:
+    """A number that is not known beforehand: of a graph, or composed of some that are."""
+
+    __slots__ = ()
+    # numpy's numbers leave operations to it
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    def precision(self) -> Callable[[Any], Any]:
+        """``type(x)``: what gives a number, or a constant, in the precision of x."""
+        return type(self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __eq__(self, other: object) -> Any:
+        raise NotImplementedError
+
+    def __ne__(self, other: object) -> Any:
+        raise NotImplementedError
+
+    def __bool__(self) -> bool:
+        return bool(self != 0.0)
+
+    def __divmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(self, other)
+
+    def __rdivmod__(self, other: Any) -> Any:
+        return functions_of_numbers().divided(other, self)
+
+    __floordiv__, __mod__ = _part_of(__divmod__, 0), _part_of(__divmod__, 1)
+    __rfloordiv__, __rmod__ = _part_of(__rdivmod__, 0), _part_of(__rdivmod__, 1)
+
+    def __rpow__(self, base: Any) -> Any:
+        return functions_of_numbers().raised(base, self)
+
+    def __float__(self) -> float:
+        raise TraceError("a number that is not known beforehand, where Python wants a float")
+
+    def __int__(self) -> int:
+        raise TraceError("a whole number made of one that is not known beforehand")
+
+    __index__ = __int__
+
+
+class Composed(Recorded):
+    """A number composed of numbers of a graph: a dual number, to which functions hand it over.
+
+    Its class has ``cast``, ``applied``, ``raised``, ``chosen``, ``larger``, ``opaque`` and
+    ``called`` in place of the functions of such names.
+    """
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+def composed_of(*values: Any) -> Any:
+    """The class of the first that is composed, None if none is."""
+    return next((type(x) for x in values if isinstance(x, Composed)), None)

@@ -3,8 +3,8 @@
 ``a if c else b`` becomes a choice, ``and``, ``or``, ``not`` and chained comparisons become
 operations, an ``if`` whose branches only assign becomes choices of what they assign. Where a
 condition is known when the function is called, only what Python would evaluate is evaluated. All
-else stays as it is: where Python asks whether a condition holds, ``tracing.trace`` goes both
-ways.
+else stays as it is: where Python asks whether a condition holds, ``tracing.trace`` follows both
+execution paths.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ import ast
 import functools
 import linecache
 import types
+from itertools import pairwise
 from typing import Any
 
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
 
 _OPERATORS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
+_ASSIGNING = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.If, ast.Pass)
 # what catches errors would catch those of tracing; what changes a variable elsewhere would do so
-# once for each way through
+# once for each execution path
 _REFUSED: dict[type[ast.AST], str] = {
     ast.Try: "try",
     ast.TryStar: "try",
@@ -41,10 +43,10 @@ _REFUSED: dict[type[ast.AST], str] = {
 UNSET = "__unset"
 
 
-def located(message: str, file: str, line: int) -> NotStraight:
-    """The error with where it happened, and what stands there."""
+def located(message: str, file: str, line: int) -> TraceError:
+    """The error with where it happened, and the source line."""
     text = linecache.getline(file, line).strip()
-    error = NotStraight(f"{message} ({file}:{line}{f': {text}' if text else ''})")
+    error = TraceError(f"{message} ({file}:{line}{f': {text}' if text else ''})")
     error.where = f"{file}:{line}"
     return error
 
@@ -58,7 +60,7 @@ def name_of(code: types.CodeType) -> str:
 def rewritten(code: types.CodeType) -> types.CodeType:
     """Code of a module that defines the function ``code`` is of, rewritten.
 
-    Raises ``NotStraight`` where its source can't be read or has a statement that is not accepted.
+    Raises ``TraceError`` where its source can't be read or has a statement that is not accepted.
     """
     definition = _definition(code)
     for node in ast.walk(definition):
@@ -77,7 +79,7 @@ def _definition(code: types.CodeType) -> ast.FunctionDef:
     names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
     found = [f for f in _functions(text) if _fits(f, code, names)]
     if len(found) != 1:
-        raise NotStraight(f"{code.co_name}: its source can't be read")
+        raise TraceError(f"{code.co_name}: its source can't be read")
     # what was read is kept: the copy is rewritten
     body = _copied(found[0].body)
     a = found[0].args
@@ -136,7 +138,7 @@ def _fits(node: ast.FunctionDef | ast.Lambda, code: types.CodeType, names: tuple
 
 
 def _locals(definition: ast.FunctionDef) -> set[str]:
-    """Names of variables, but those that stand for the precision of a number."""
+    """Names of variables, but those of the precision of a number."""
     names: set[str] = set()
     precisions: set[str] = set()
     for node in ast.walk(definition):
@@ -160,7 +162,6 @@ class _Rewriting(ast.NodeTransformer):
 
     def __init__(self, local: set[str]) -> None:
         self._local = local
-        self._count = 0
         self._assigned: list[set[str]] = []
 
     def visit_FunctionDef(self, e: ast.FunctionDef) -> Any:
@@ -186,8 +187,7 @@ class _Rewriting(ast.NodeTransformer):
     def visit_BoolOp(self, e: ast.BoolOp) -> Any:
         pure = self._is_pure(e)
         self.generic_visit(e)
-        name = "__and" if isinstance(e.op, ast.And) else "__or"
-        return _call(e, name, *map(_later, e.values)) if pure else e
+        return _joined(e, "__and" if isinstance(e.op, ast.And) else "__or", e.values) if pure else e
 
     def visit_UnaryOp(self, e: ast.UnaryOp) -> Any:
         self.generic_visit(e)
@@ -198,10 +198,9 @@ class _Rewriting(ast.NodeTransformer):
         self.generic_visit(e)
         if len(e.ops) == 1 or not fits:
             return e
-        pairs: list[ast.expr] = []
-        for op, right in zip(e.ops, e.comparators, strict=True):
-            pairs += [ast.Constant(type(op).__name__), _later(right)]
-        return _call(e, "__chain", e.left, *pairs)
+        sides = pairwise([e.left, *e.comparators])
+        pairs = [_at(ast.Compare(x, [op], [y]), e) for op, (x, y) in zip(e.ops, sides, strict=True)]
+        return _joined(e, "__and", pairs)
 
     def visit_If(self, e: ast.If) -> Any:
         names = self._only_assigned(e)
@@ -209,35 +208,24 @@ class _Rewriting(ast.NodeTransformer):
         if not names:
             return e
         self._assigned[-1] |= set(names)
-        branches = f"__branches{self._count}"
-        self._count += 1
+        loads: list[ast.expr] = [ast.Name(name, ast.Load()) for name in names]
+        stores: list[ast.expr] = [ast.Name(name, ast.Store()) for name in names]
 
-        def tuple_of(context: ast.expr_context) -> ast.expr:
-            return ast.Tuple([ast.Name(name, context) for name in names], context)
+        def branch(name: str, statements: list[ast.stmt]) -> Any:
+            """A function from the names' values before a branch to those after it."""
+            body = [*map(_as_assignment, statements), ast.Return(ast.Tuple(loads, ast.Load()))]
+            arguments = ast.arguments([], [*map(ast.arg, names)], None, [], [], None, [])
+            fields: dict[str, Any] = {"args": arguments, "body": body}
+            fields |= {"decorator_list": [], "type_params": []}
+            return _at(ast.FunctionDef(name=name, **fields), e)
 
-        def part(name: str, context: ast.expr_context) -> ast.expr:
-            return ast.Attribute(ast.Name(branches, ast.Load()), name, context)
+        yes, no = (_later(_call(e, name, *loads)) for name in ("__yes", "__no"))
+        merged = _call(e, "__branch", e.test, yes, no)
+        after = _at(ast.Assign([ast.Tuple(stores, ast.Store())], merged), e)
+        return [branch("__yes", e.body), branch("__no", e.orelse), after]
 
-        def values(name: str) -> ast.stmt:
-            return ast.Assign([tuple_of(ast.Store())], part(name, ast.Load()))
-
-        begin = _call(e, "__branches", e.test, tuple_of(ast.Load()))
-        merged = ast.Call(part("merged", ast.Load()), [tuple_of(ast.Load())], [])
-        keep = ast.Assign([part("kept", ast.Store())], tuple_of(ast.Load()))
-        return [
-            _at(statement, e)
-            for statement in (
-                ast.Assign([ast.Name(branches, ast.Store())], begin),
-                ast.If(part("yes", ast.Load()), [*map(_as_assignment, e.body), keep], []),
-                ast.If(
-                    part("no", ast.Load()), [values("before"), *map(_as_assignment, e.orelse)], []
-                ),
-                ast.Assign([tuple_of(ast.Store())], merged),
-            )
-        ]
-
-    def _is_pure(self, e: ast.expr) -> bool:
-        """Whether an expression can be evaluated where Python would not: it changes nothing."""
+    def _is_pure(self, e: ast.AST) -> bool:
+        """Whether code can be evaluated where Python would not: its calls change nothing."""
         for node in ast.walk(e):
             if isinstance(node, ast.Call):
                 root = node.func
@@ -248,37 +236,18 @@ class _Rewriting(ast.NodeTransformer):
                     return False
         return True
 
-    def _only_assigned(self, e: ast.If) -> list[str] | None:
-        """The names that an ``if`` assigns, None where its branches do more than that."""
-        names: list[str] = []
-        for statement in (*e.body, *e.orelse):
-            if isinstance(statement, ast.Pass):
-                continue
-            if isinstance(statement, ast.If):
-                inner = self._only_assigned(statement)
-                if inner is None or not self._is_pure(statement.test):
-                    return None
-                names += inner
-                continue
-            if isinstance(statement, ast.Assign):
-                targets = statement.targets
-            elif isinstance(statement, (ast.AugAssign, ast.AnnAssign)):
-                targets = [statement.target]
-            else:
-                return None
-            found = [name for target in targets for name in _names(target)]
-            if None in found or statement.value is None or not self._is_pure(statement.value):
-                return None
-            names += [name for name in found if name]
-        return list(dict.fromkeys(names))
-
-
-def _names(target: ast.expr) -> list[str | None]:
-    if isinstance(target, ast.Name):
-        return [target.id]
-    if isinstance(target, (ast.Tuple, ast.List)):
-        return [name for part in target.elts for name in _names(part)]
-    return [None]
+    def _only_assigned(self, e: ast.If) -> list[str]:
+        """The names that an ``if`` assigns, none where its branches do more than that."""
+        parts = [*e.body, *e.orelse]
+        nodes = [x for part in parts for x in ast.walk(part)]
+        stored = [x for x in nodes if isinstance(getattr(x, "ctx", None), ast.Store)]
+        fits = (
+            all(isinstance(x, _ASSIGNING) for x in nodes if isinstance(x, ast.stmt))
+            and all(isinstance(x, (ast.Name, ast.Tuple, ast.List)) for x in stored)
+            and all(map(self._is_pure, parts))
+        )
+        names = dict.fromkeys(x.id for x in stored if isinstance(x, ast.Name))
+        return list(names) if fits else []
 
 
 def _as_assignment(e: ast.stmt) -> ast.stmt:
@@ -299,6 +268,14 @@ def _at(made: Any, where: ast.AST) -> Any:
 def _later(e: ast.expr) -> ast.expr:
     none = ast.arguments([], [], None, [], [], None, [])
     return _at(ast.Lambda(none, e), e)  # type: ignore[no-any-return]
+
+
+def _joined(where: ast.AST, name: str, parts: list[ast.expr]) -> ast.expr:
+    """``name(a, lambda: name(b, lambda: c))``, which evaluates no more than is needed."""
+    *others, last = parts
+    for part in reversed(others):
+        last = _call(where, name, part, _later(last))
+    return last
 
 
 def _call(where: ast.AST, name: str, *args: ast.expr) -> ast.expr:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,41 +16,30 @@ from fastatt.tracing.finished import Flat
 from fastatt.tracing.nodes import COMPARISONS, Node, operands
 
 _DEPTH = 5  # operations nested in one expression
-_LENGTH = 80  # characters of an expression beyond which it has a line of its own
-_BINARY: dict[str, ast.operator] = {
-    "+": ast.Add(),
-    "-": ast.Sub(),
-    "*": ast.Mult(),
-    "/": ast.Div(),
-    "and": ast.BitAnd(),
-    "or": ast.BitOr(),
-}
-_COMPARISONS: tuple[ast.cmpop, ...] = (
-    *(ast.Lt(), ast.LtE(), ast.Gt(), ast.GtE()),
-    *(ast.Eq(), ast.NotEq()),
-)
-
-
-def _binary(op: str, a: ast.expr, b: ast.expr) -> ast.expr:
-    return ast.BinOp(a, _BINARY[op], b)
-
-
-def _comparison(op: ast.cmpop, a: ast.expr, b: ast.expr) -> ast.expr:
-    return ast.Compare(a, [op], [b])
-
-
-# what is no call of a function
-_FORMS: dict[str, Callable[..., ast.expr]] = {
-    "fma": lambda a, b, c: _binary("+", _binary("*", a, b), c),
-    "fms": lambda a, b, c: _binary("-", _binary("*", a, b), c),
-    "fnma": lambda a, b, c: _binary("-", c, _binary("*", a, b)),
-    "neg": lambda a: ast.UnaryOp(ast.USub(), a),
-    **{op: partial(_binary, op) for op in _BINARY},
-    **{k: partial(_comparison, op) for k, op in zip(COMPARISONS, _COMPARISONS, strict=True)},
+_LENGTH = 80  # characters of an expression beyond which it gets a separate line
+# what is no call of a function, of the operands a, b and c
+_FORMS = {
+    "fma": "a * b + c",
+    "fms": "a * b - c",
+    "fnma": "c - a * b",
+    "neg": "-a",
+    "and": "a & b",
+    "or": "a | b",
+    **{op: f"a {op} b" for op in ("+", "-", "*", "/", *COMPARISONS)},
 }
 
 
-class Text:
+class _Operands(ast.NodeTransformer):
+    """Puts expressions in the place of the names a, b and c."""
+
+    def __init__(self, operands: Sequence[ast.expr]) -> None:
+        self._operands = operands
+
+    def visit_Name(self, e: ast.Name) -> Any:
+        return self._operands["abc".index(e.id)]
+
+
+class GraphText:
     """A graph as a Python function: ``names`` of its arguments, its ``lines``, its ``results``.
 
     Values in between are named ``prefix`` and a number.
@@ -73,12 +61,6 @@ class Text:
 
     def __str__(self) -> str:
         return "\n".join([*self.lines, f"return {', '.join(self.results)}"])
-
-    def as_function(self, name: str) -> str:
-        """The text of the whole function, which gives a tuple."""
-        comma = "," if len(self.results) == 1 else ""
-        body = [*self.lines, f"return ({', '.join(self.results)}{comma})"]
-        return "\n".join([f"def {name}({', '.join(self.names)}):", *(f"    {x}" for x in body), ""])
 
     def _line(self, i: int, made: ast.expr, depth: int) -> tuple[ast.expr, int]:
         """An expression, or the name of the line that it has for itself."""
@@ -110,26 +92,23 @@ class Text:
         if op == "select" and self._mixed:
             args = [call_of(node.kind, x) if isinstance(x, ast.Constant) else x for x in args]
         if op in _FORMS:
-            return _FORMS[op](*args)
+            form = ast.parse(_FORMS[op], mode="eval").body
+            return _Operands(args).visit(form)  # type: ignore[no-any-return]
         if op == "item":
             return ast.Subscript(args[0], ast.Constant(node.args[1]))
         if op == "gather":
             args = [ast.Name(table_name(node.args[0])), *args]
         elif op == "lane":
             args = [ast.Constant(node.args[0]), *args]
-        name = self._function(node.args[0]) if op == "opaque" else op
+        name = self.function_name(node.args[0]) if op == "opaque" else op
         name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, name)
         return call_of(name, *args)
 
-    def _function(self, function: Any) -> str:
+    def function_name(self, function: Any) -> str:
         """Name of an opaque function."""
         name = _identifier(getattr(function, "name", "opaque"))
         others = [f for f in self.functions if _identifier(getattr(f, "name", "opaque")) == name]
         return name if len(others) == 1 else f"{name}_{others.index(function)}"
-
-    def function_names(self) -> dict[str, Any]:
-        """The opaque functions by their names in the text."""
-        return {self._function(f): f for f in self.functions}
 
 
 def table_name(key: Any) -> str:
@@ -137,24 +116,20 @@ def table_name(key: Any) -> str:
     return f"table{getattr(key, 'digest', key)}"
 
 
-def function(
-    flat: Flat,
-    *,
-    tables: Mapping[int, Any] | None = None,
-    functions: Mapping[Any, Callable[..., Sequence[float]]] | None = None,
-) -> Callable[..., tuple[Any, ...]]:
+def function(flat: Flat, tables: Mapping[int, Any] | None = None) -> Callable[..., tuple[Any, ...]]:
     """The graph as a Python function of its inputs, in the order of ``flat.inputs()``.
 
     It takes floats or arrays that broadcast, of either precision, and computes in theirs as IEEE
-    754 has it: a division by 0 is no error. ``tables`` are the arrays that the graph looks up,
-    ``functions`` what its opaque ones stand for in Python, functions of floats that give a tuple.
+    754 has it: a division by 0 is no error. ``tables`` are the arrays that the graph reads; its
+    opaque functions are called with floats.
     """
-    made = Text(flat)
-    program = compile(made.as_function("flat"), "<flat>", "exec")
+    text = GraphText(flat)
+    comma = "," if len(text.results) == 1 else ""
+    body = "\n    ".join([*text.lines, f"return ({', '.join(text.results)}{comma})"])
+    program = compile(f"def flat({', '.join(text.names)}):\n    {body}\n", "<flat>", "exec")
     scope: dict[str, Any] = dict(SCOPE)
     scope |= {table_name(k): np.asarray(x) for k, x in (tables or {}).items()}
-    for name, opaque in made.function_names().items():
-        scope[name] = _each((functions or {}).get(opaque, opaque))
+    scope |= {text.function_name(opaque): _each(opaque) for opaque in text.functions}
     by_precision: dict[Any, Callable[..., Any]] = {}
 
     def call(*given: Any) -> tuple[Any, ...]:
@@ -170,7 +145,7 @@ def function(
         floats = all(isinstance(x, (float, int)) and not isinstance(x, np.generic) for x in given)
         if floats:
             return tuple(map(float, results))
-        # a constant is a float as it stands in the text
+        # a constant is a float as in the text
         return tuple(kind.type(x) if type(x) is float else x for x in results)
 
     return call

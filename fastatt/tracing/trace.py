@@ -1,18 +1,18 @@
-"""Functions as they stand, kernels and a user's own, made fit to be called with recorded numbers.
+"""Kernels and user-defined functions as formulas: called with recorded numbers, they leave a graph.
 
-What can be chosen or merged is rewritten so (``tracing.rewriting``). Where Python still asks
-whether a condition holds, the function is called again for each answer, and what the ways through
-it give is chosen from: early returns, loops that end early, whatever it does there. What a function
-refers to is replaced likewise: jitted functions by their Python ones, ``math``, ``numpy`` and
-Python's own functions by those that know recorded numbers. Its globals have the values of the
-moment when it is first made so, as with Numba.
+Choices are rewritten as operations (``tracing.rewriting``). Where Python still asks whether a
+condition holds, the function is called again for each answer, and its result is chosen from those
+of all execution paths: early returns, loops that end early. What a function refers to is replaced:
+jitted functions by their Python ones, ``math``, ``numpy`` and Python's own functions by those that
+know recorded numbers. Globals have the values of the moment when the formula is made, as with
+Numba.
 """
 
 from __future__ import annotations
 
 import math
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -21,21 +21,20 @@ from numba.core.registry import CPUDispatcher
 
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition
-from fastatt.tracing.mathematics import BUILTINS, Mathematics, kind_of, refused
-from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.recorded import Recorded
+from fastatt.tracing.mathematics import BUILTINS, Mathematics, refused
+from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.references import referred_to, snapshot
 from fastatt.tracing.rewriting import UNSET, located, name_of, rewritten
-from fastatt.tracing.standing import referred_to, standing
 
-LONGEST = 64  # answers on one way through a function
-WAYS = 256  # ways through it
+MAX_ANSWERS = 64  # on one execution path through a function
+MAX_PATHS = 256
 
 
 class _Unset:
-    """A name that has no value on this way."""
+    """A name that has no value on this execution path."""
 
     def __bool__(self) -> bool:
-        raise NotStraight("a name that has no value on one of the ways here")
+        raise TraceError("a name that has no value on one of the execution paths here")
 
     def __eq__(self, other: object) -> bool:
         return bool(self)
@@ -50,7 +49,7 @@ def _truth(x: Any) -> Any:
     return x != 0.0 if isinstance(x, Recorded) else x
 
 
-# what rewritten code calls
+# what rewritten code calls, by the names there
 
 
 def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
@@ -61,159 +60,92 @@ def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
 
 
 def _chosen(test: Condition, a: Any, b: Any) -> Any:
-    """``a if test else b``; of what can't be chosen from, each on its own way."""
+    """``a if test else b``; what can't be chosen from takes an execution path each."""
     try:
         return graph.choose(test, a, b)
-    except NotStraight:
+    except TraceError:
         return a if test else b
 
 
-def _all_of(*parts: Callable[[], Any]) -> Any:
-    """``a and b and ...``; what is no condition goes by Python's rule."""
-    result: Any = True
-    for k, part in enumerate(parts):
-        value = part()
-        if isinstance(value, (Condition, bool)):
-            result = graph.both(result, value)
-            if result is False:
-                return False
-        elif not value:
-            return value if result is True else False
-        elif k == len(parts) - 1:
-            return value if result is True or bool(result) else False
-    return result
+def _and(a: Any, b: Callable[[], Any]) -> Any:
+    """``a and b``."""
+    return _choose(a, b, lambda: a)
 
 
-def _any_of(*parts: Callable[[], Any]) -> Any:
-    """``a or b or ...``."""
-    result: Any = False
-    for k, part in enumerate(parts):
-        value = part()
-        if isinstance(value, (Condition, bool)):
-            result = graph.either(result, value)
-            if result is True:
-                return True
-        elif value or k == len(parts) - 1:
-            return True if result is not False and bool(result) else value
-    return result
+def _or(a: Any, b: Callable[[], Any]) -> Any:
+    """``a or b``."""
+    return _choose(a, lambda: a, b)
 
 
 def _negation(x: Any) -> Any:
     return x == 0.0 if isinstance(x, Recorded) else graph.negated(x)
 
 
-_COMPARE: dict[str, Callable[[Any, Any], Any]] = {
-    "Lt": lambda a, b: a < b,
-    "LtE": lambda a, b: a <= b,
-    "Gt": lambda a, b: a > b,
-    "GtE": lambda a, b: a >= b,
-    "Eq": lambda a, b: a == b,
-    "NotEq": lambda a, b: a != b,
-}
+def _branch(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
+    """Values of the names that an ``if`` assigns; an unknown condition runs both branches."""
+    test = _truth(test)
+    if not isinstance(test, Condition):
+        return yes() if test else no()
+    return tuple(_merged(test, a, b) for a, b in zip(yes(), no(), strict=True))
 
 
-def _chain(left: Any, *rest: Any) -> Any:
-    """``a < b < c``."""
-    result: Any = True
-    for name, later in zip(rest[::2], rest[1::2], strict=True):
-        right = later()
-        result = graph.both(result, _COMPARE[name](left, right))
-        if result is False:
-            return False
-        left = right
-    return result
+def _merged(test: Condition, a: Any, b: Any) -> Any:
+    # a name without a value in one branch can only be used after the other
+    if a is _UNSET or b is _UNSET:
+        return a if b is _UNSET else b
+    return a if a is b else _chosen(test, a, b)
 
 
-class _Branches:
-    """An ``if`` whose branches assign names: both are taken where the condition is not known."""
-
-    def __init__(self, test: Any, before: tuple[Any, ...]) -> None:
-        self.test = _truth(test)
-        self.unknown = isinstance(self.test, Condition)
-        self.yes = self.unknown or bool(self.test)
-        self.no = self.unknown or not self.yes
-        self.before = self.kept = before
-
-    def merged(self, after: tuple[Any, ...]) -> tuple[Any, ...]:
-        """The names' values behind both."""
-        if not self.unknown:
-            return after
-        return tuple(self._merged(a, b) for a, b in zip(self.kept, after, strict=True))
-
-    def _merged(self, a: Any, b: Any) -> Any:
-        # a name without a value on one way can only be used on the other
-        if a is _UNSET or b is _UNSET:
-            return a if b is _UNSET else b
-        return a if a is b else _chosen(self.test, a, b)
-
-
-_WORDS: dict[str, Any] = {
-    "__and": _all_of,
-    "__branches": _Branches,
+_CALLED: dict[str, Any] = {
+    "__and": _and,
+    "__branch": _branch,
     "__builtins__": BUILTINS,
-    "__chain": _chain,
     "__choose": _choose,
     "__not": _negation,
-    "__or": _any_of,
+    "__or": _or,
     UNSET: _UNSET,
 }
 
 
-# each way through a function
+def all_paths(run: Callable[[], Any]) -> Any:
+    """What a function gives, chosen from what each execution path gives.
 
-
-class _Way:
-    """One way through a function: the answers it starts with, then yes."""
-
-    def __init__(self, answers: Sequence[bool]) -> None:
-        self.given = answers
-        self.answers: dict[int, bool] = {}
-        self.conditions: list[Condition] = []
-
-    def decide(self, condition: Condition) -> bool:
-        """Whether a condition holds on this way: the same whenever it is asked."""
-        node = condition.graph.nodes[condition.at]
-        if node.op == "not":
-            return not self.decide(graph.negated(condition))
-        at = condition.at
-        if at not in self.answers:
-            k = len(self.answers)
-            if k == LONGEST:
-                raise NotStraight(
-                    f"a loop whose end is not known, or more than {LONGEST} branches in a row"
-                )
-            self.answers[at] = self.given[k] if k < len(self.given) else True
-            self.conditions.append(condition)
-        return self.answers[at]
-
-    def follow(self, run: Callable[[], Any]) -> Any:
-        """What the function gives on this way."""
-        outside = graph.deciding.by
-        graph.deciding.by = self.decide
-        try:
-            return run()
-        finally:
-            graph.deciding.by = outside
-
-
-def each_way(run: Callable[[], Any]) -> Any:
-    """What a function gives, chosen from what each way through it gives.
-
-    Raises ``NotStraight`` where there are more than a few hundred.
+    Raises ``TraceError`` where there are more than a few hundred.
     """
     count = 0
 
-    def below(answers: list[bool]) -> Any:
+    def below(known: list[bool]) -> Any:
+        """The result of the paths that begin with some answers; later ones are yes first."""
         nonlocal count
         count += 1
-        if count > WAYS:
-            raise NotStraight(f"more than {WAYS} ways through a function")
-        way = _Way(answers)
-        result = way.follow(run)
-        taken = list(way.answers.values())
-        for k in reversed(range(len(answers), len(taken))):
-            other = below([*taken[:k], False])
-            result = graph.choose(way.conditions[k], result, other)
+        if count > MAX_PATHS:
+            raise TraceError(f"more than {MAX_PATHS} execution paths through a function")
+        answers: dict[int, bool] = {}
+        conditions: list[Condition] = []
+
+        def decide(condition: Condition) -> bool:
+            """Whether a condition holds on this path: the same whenever it is asked."""
+            node, at = condition.graph.nodes[condition.at], condition.at
+            if node.op == "not":
+                return not decide(graph.negated(condition))
+            if at not in answers:
+                k = len(answers)
+                if k == MAX_ANSWERS:
+                    raise TraceError(
+                        f"a loop whose end is not known, or more than {k} branches in a row"
+                    )
+                answers[at] = known[k] if k < len(known) else True
+                conditions.append(condition)
+            return answers[at]
+
+        outside, graph.deciding.by = graph.deciding.by, decide
+        try:
+            result = run()
+        finally:
+            graph.deciding.by = outside
+        taken = list(answers.values())
+        for k in reversed(range(len(known), len(taken))):
+            result = graph.choose(conditions[k], result, below([*taken[:k], False]))
         return result
 
     return below([])
@@ -222,8 +154,8 @@ def each_way(run: Callable[[], Any]) -> Any:
 # functions
 
 
-class Standing:
-    """Stands for a module: what ``instead`` makes of each thing that it holds."""
+class ModuleProxy:
+    """Replaces a module: what ``instead`` makes of each thing that it holds."""
 
     def __init__(self, module: types.ModuleType, instead: Callable[[Any], Any]) -> None:
         self._module, self._instead = module, instead
@@ -240,7 +172,7 @@ def stand_in(value: Any) -> Any:
     if isinstance(value, CPUDispatcher):
         return _lazily(value)
     if isinstance(value, types.ModuleType):
-        return Standing(value, stand_in)
+        return ModuleProxy(value, stand_in)
     if (known := _mathematical(value)) is not None:
         return known
     if isinstance(value, types.FunctionType):
@@ -249,7 +181,7 @@ def stand_in(value: Any) -> Any:
 
 
 def _mathematical(value: Any) -> Any:
-    """Of a function of ``math`` or ``numpy``, or of Python's own, what stands for it; else None."""
+    """Of a function of ``math`` or ``numpy``, or of Python's own, what replaces it; else None."""
     name = getattr(value, "__name__", None)
     if not callable(value) or not isinstance(name, str):
         return None
@@ -286,7 +218,7 @@ def _lazily(function: Any) -> Callable[..., Any]:
     formula: Callable[..., Any] | None = None
 
     def call(*args: Any, **named: Any) -> Any:
-        # a list that was handed over would be changed once for each way through the function
+        # a list would be changed once for each execution path
         args = tuple(tuple(x) if isinstance(x, list) else x for x in args)
         nonlocal formula  # as it was when it was first called
         formula = formula or traceable(function)
@@ -300,15 +232,15 @@ _TRACED: WeakKeyDictionary[Any, tuple[Any, Callable[..., Any]]] = WeakKeyDiction
 
 
 def traceable(function: Any) -> Callable[..., Any]:
-    """The same function for recorded numbers.
+    """A function for recorded numbers.
 
-    Raises ``NotStraight``, from here or when it is called, where the function can't be recorded:
+    Raises ``TraceError``, from here or when it is called, where the function can't be recorded:
     it says what can't, and in which line of which file.
     """
     plain = getattr(function, "py_func", function)
     if not isinstance(plain, types.FunctionType):
-        raise NotStraight(f"{plain!r}, which is no Python function")
-    now = standing(plain)
+        raise TraceError(f"{plain!r}, which is no Python function")
+    now = snapshot(plain)
     before, found = _TRACED.get(plain, (None, None))
     if found is None or before != now:
         found = _traced(plain)
@@ -318,7 +250,7 @@ def traceable(function: Any) -> Callable[..., Any]:
 
 def _traced(plain: types.FunctionType) -> Callable[..., Any]:
     code = rewritten(plain.__code__)
-    scope = {name: stand_in(x) for name, x in referred_to(plain).items()} | _WORDS
+    scope = {name: stand_in(x) for name, x in referred_to(plain).items()} | _CALLED
     exec(code, scope)
     made = scope[name_of(plain.__code__)]
     if plain.__defaults__:
@@ -326,13 +258,13 @@ def _traced(plain: types.FunctionType) -> Callable[..., Any]:
     if plain.__kwdefaults__:
         made.__kwdefaults__ = {k: stand_in(x) for k, x in plain.__kwdefaults__.items()}
 
-    # what is kept for a function must not keep the function
+    # the kept formula must not keep the function
     place = plain.__code__.co_filename, plain.__code__.co_firstlineno
 
     def call(*args: Any, **named: Any) -> Any:
         try:
-            return each_way(lambda: made(*args, **named))
-        except NotStraight as error:
+            return all_paths(lambda: made(*args, **named))
+        except TraceError as error:
             if error.where:
                 raise
             raise _located(error, str(error), place) from error
@@ -343,7 +275,7 @@ def _traced(plain: types.FunctionType) -> Callable[..., Any]:
     return call
 
 
-def _located(error: Exception, message: str, at: tuple[str, int]) -> NotStraight:
+def _located(error: Exception, message: str, at: tuple[str, int]) -> TraceError:
     """The error in the innermost line of a traced function."""
     step = error.__traceback__
     while step is not None:
@@ -351,6 +283,3 @@ def _located(error: Exception, message: str, at: tuple[str, int]) -> NotStraight
             at = step.tb_frame.f_code.co_filename, step.tb_lineno
         step = step.tb_next
     return located(message, *at)
-
-
-__all__ = ["each_way", "kind_of", "stand_in", "traceable"]

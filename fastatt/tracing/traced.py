@@ -15,7 +15,8 @@ import numpy as np
 from fastatt.tracing.dual import Dual, mapped, value
 from fastatt.tracing.finished import Flat, resources_of
 from fastatt.tracing.graph import Condition, Graph, Number, choose, flattened
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
+from fastatt.tracing.source import function
 
 WIDEST = 64
 """Directions of dual numbers that go side by side."""
@@ -31,7 +32,7 @@ class Tuple(NamedTuple):
 class Recurrence:
     """A formula that does a step with each row of a table of constants, and is compiled as a loop.
 
-    ``begin(*args)`` gives (x, e): what moves, and what a step needs of it besides the arguments;
+    ``begin(*args)`` gives (x, e): what moves, and what a step needs in addition to the arguments;
     ``step(x, e, row, *args)`` the next x, and ``end(x, e, *args)`` the result. x and e are numbers
     in tuples, nested at will, dual ones too. Called with recorded numbers it writes all steps out.
     """
@@ -90,6 +91,11 @@ class Traced(NamedTuple):
     def resources(self) -> list[tuple[str, Any]]:
         """What its graphs find in memory."""
         return resources_of(*self.flats)
+
+    def spelled(self, resources: Sequence[tuple[str, Any]]) -> str:
+        """All that it computes, as text; tables and functions by their places."""
+        rest = None if self.loop is None else (sorted(self.loop.wide), self.loop.table)
+        return repr((self.lanes, rest, [flat.spelled(resources) for flat in self.flats]))
 
 
 def trace(
@@ -150,7 +156,7 @@ def _result(x: Any, constants: str, numbers: list[Any]) -> Any:
     if isinstance(x, (float, int, np.number)):
         numbers.append(float(x))
         return constants
-    raise NotStraight(f"a result of {type(x).__name__}")
+    raise TraceError(f"a result of {type(x).__name__}")
 
 
 def _lanes(flats: Sequence[Flat]) -> int:
@@ -187,7 +193,7 @@ def _recurring(formula: Recurrence, forms: Sequence[Any], constants: str, widest
         row = graph.inputs(constants, "row", size)
         after = flattened(formula.step(*given, row, *_arguments(graph, forms)))
         if len(after) != len(moving):
-            raise NotStraight(f"a step from {len(moving)} numbers to {len(after)}")
+            raise TraceError(f"a step from {len(moving)} numbers to {len(after)}")
         # a number may get its derivatives in the first step
         grown = [
             _Leaf(a.kind, max(a.slopes, _slopes(y))) for a, y in zip(moving, after, strict=True)
@@ -209,7 +215,7 @@ def _recurring(formula: Recurrence, forms: Sequence[Any], constants: str, widest
 def _kind(x: Any) -> str:
     """Precision of a number, "" of a known one."""
     if isinstance(x, Condition):
-        raise NotStraight("a truth value that goes from step to step")
+        raise TraceError("a truth value that goes from step to step")
     parts = (x.value, *x.slopes) if isinstance(x, Dual) else (x,)
     return next((y.kind for y in parts if isinstance(y, Number)), "")
 
@@ -251,8 +257,6 @@ def _apart(graph: Graph, values: Sequence[Any], leaves: Sequence[_Leaf]) -> Flat
 
 def plain(traced: Traced, tables: Mapping[int, Any]) -> Callable[[Sequence[Any]], list[Any]]:
     """The results from the arguments' numbers, floats or arrays; of one traced without lanes."""
-    from fastatt.tracing.source import function
-
     runs = [(function(flat, tables=tables), flat.inputs()) for flat in traced.flats]
 
     def call(numbers: Sequence[Any]) -> list[Any]:

@@ -1,7 +1,7 @@
-"""A user's rate, torque, force, potential or reducer: traced where it is straight, else called.
+"""A user's rate, torque, force, potential or reducer: traced where possible, else called.
 
 A traced function is compared with what Python gives at a few points before it is trusted. One that
-is no straight line is compiled by Numba and called for each body (``UserFunction.reason`` says
+can't be traced is compiled by Numba and called for each body (``UserFunction.reason`` says
 why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python.
 """
 
@@ -31,19 +31,18 @@ from fastatt.tracing.called import (
 )
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
-from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.recorded import Recorded
-from fastatt.tracing.standing import standing
+from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.references import snapshot
 from fastatt.tracing.trace import traceable
 
-# of a component beside its largest over the points; a wrong formula is off by far more
+# of a component, relative to its largest over the points; a wrong formula is off by far more
 _TOLERANCE = 1e-9
 
 
 class Signature(NamedTuple):
     """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
 
-    ``results`` 0 stands for as many as it has parameters.
+    ``results`` 0: as many as it has parameters.
     """
 
     call: str
@@ -75,19 +74,11 @@ def user_function(
     n_params: int,
     params: NDArray[np.float64] | None = None,
 ) -> UserFunction:
-    """A user's function, made once for a number of parameters and what its names stand for.
+    """A user's function, made once for a number of parameters and the values that it refers to.
 
-    Parameters
-    ----------
-    function : plain or jitted.
-    form : which of ``FORMS`` it is, "rate" of ``rate(t, p)``.
-    n_params : length of ``p``.
-    params : some that it will be called with, (P,) or (N, P): it is tried with them.
-
-    Raises
-    ------
-    TypeError
-        It is no function, does not compile, or gives something else than numbers as many as wanted.
+    ``form`` is a key of ``FORMS``. ``params``, (P,) or (N, P), are some that it will be called
+    with: it is tried with them. Raises ``TypeError`` where it is no function, does not compile, or
+    gives something else than as many numbers as it should.
     """
     if not isinstance(getattr(function, "py_func", function), FunctionType):
         raise TypeError(
@@ -95,7 +86,7 @@ def user_function(
             f"{FORMS[form].call}"
         )
     made = _KNOWN.setdefault(function, {})
-    key, now = (form, n_params), standing(function)
+    key, now = (form, n_params), snapshot(function)
     before, found = made.get(key, (None, None))
     if found is None or before != now:
         found = UserFunction(function, form, n_params, params)
@@ -106,7 +97,7 @@ def user_function(
 class UserFunction:
     """A user's function, for formulas that are recorded.
 
-    ``straight`` says whether it is traced, ``reason`` why it is not. One that is not stands in a
+    ``straight`` says whether it is traced, ``reason`` why it is not. One that is not is in a
     graph as ``("opaque", self, ...)`` and is called at ``address``, as ``void(double* arguments,
     double* results)``.
     """
@@ -124,14 +115,14 @@ class UserFunction:
         self.n_params = n_params
         self.name = getattr(function, "__name__", self.argument)
         self.reason = ""
-        #: arrays of the tables that it looks up, and times at which there is something in them
+        #: arrays of the tables that it reads, and times at which there is something in them
         self.tables: dict[Any, NDArray[np.float64]] = {}
         self.span = 0.0, 10.0
         self._formula: Callable[..., Any] | None = None
         self._compiled: Any = None
         try:
             self._formula = self._checked(function, params)
-        except NotStraight as error:
+        except TraceError as error:
             self.reason = str(error)
             opaque = called_back if config.DISABLE_JIT else compiled
             self._compiled = opaque(function, self)
@@ -171,11 +162,14 @@ class UserFunction:
         if self._formula is not None:
             try:
                 return self._formula(*args)
-            except NotStraight:
+            except TraceError:
                 if not isinstance(like, Number):
                     raise
                 # known numbers are folded in Python, which refuses 1/0 and the root of −1
-                made = [x if isinstance(x, Recorded) else _constant(x, like) for x in numbers]
+                made = [
+                    x if isinstance(x, Recorded) else graph.number(like.graph, x, like.kind)
+                    for x in numbers
+                ]
                 return self._formula(*nested(made, self.sizes))
         if like is None:
             found = self(*numbers)
@@ -184,7 +178,7 @@ class UserFunction:
         return found if self.form.results > 1 else found[0]
 
     def given(self, *args: Any) -> Any:
-        """The same of as much of what is there as it takes, parameters last."""
+        """``call`` with as many of the arguments as it takes, parameters last."""
         *before, p = args
         return self.call(*before[: len(self.form.before)], p)
 
@@ -198,7 +192,7 @@ class UserFunction:
     def _checked(
         self, function: Callable[..., Any], params: NDArray[np.float64] | None
     ) -> Callable[..., Any]:
-        """The function traced; raises ``NotStraight`` where it can't be, or can't be trusted."""
+        """The function traced; raises ``TraceError`` where it can't be, or can't be trusted."""
         formula = _strict(traceable(function))
         recorder = Graph()
         numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
@@ -208,7 +202,7 @@ class UserFunction:
         if isinstance(result, tuple) != (self.form.results > 1) or not are_numbers(
             values, self.form.results
         ):
-            raise NotStraight(f"what it gives is not {self.form.results} numbers")
+            raise TraceError(f"what it gives is not {self.form.results} numbers")
         flat = Flat(recorder, values, "double")
         found_in = {node.args[0]: None for node in flat.nodes if node.op == "gather"}
         if found_in:
@@ -228,9 +222,9 @@ class UserFunction:
                 continue
             found.append(traced(*(point[k] for k in places)))
         if not asked:
-            raise NotStraight("an error in Python at every point where it was tried")
+            raise TraceError("an error in Python at every point where it was tried")
         if not _agree(np.array(asked), np.array(found)):
-            raise NotStraight("other values in Python than as it was traced")
+            raise TraceError("other values in Python than as it was traced")
         return formula
 
 
@@ -251,21 +245,14 @@ def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def _constant(x: float, like: Number) -> Number:
-    return graph.number(like.graph, x, like.kind)
-
-
 def _agree(asked: NDArray[np.float64], found: NDArray[np.float64]) -> bool:
     """Whether values are the same but for rounding, (points, results)."""
     if ((np.isnan(asked) != np.isnan(found)) | (np.isinf(asked) != np.isinf(found))).any():
         return False
     size = np.abs(np.where(np.isfinite(asked), asked, 0.0)).max(axis=0)
-    # a component that is 0 but for rounding, beside others that are not
+    # a component that is 0 but for rounding, where others are not
     bound = _TOLERANCE * size + 16 * np.finfo(np.float64).eps * size.max()
     finite = np.isfinite(asked)
     gap = np.abs(np.where(finite, found, 0.0) - np.where(finite, asked, 0.0))
     same_side = finite | np.isnan(asked) | (asked == found)
     return bool(((gap <= bound) & same_side).all())
-
-
-__all__ = ["FORMS", "Signature", "UserFunction", "user_function"]

@@ -13,7 +13,7 @@ from each import each
 from fastatt.codegen import lanes
 from fastatt.codegen import rows as module
 from fastatt.codegen.processor import processor
-from fastatt.codegen.rows import Rows, rows
+from fastatt.codegen.rows import RowFunction, rows
 from fastatt.propagation import closed_form, closed_forms
 from fastatt.tracing import formulas, functions, graph
 
@@ -137,7 +137,7 @@ def test_one_row_does_not_harm_others(bad):
 
 def test_many_columns():
     """More of them than are copied one by one."""
-    made = Rows(lambda x, p: [a * x + 1.0 for a in p], {"x": None, "p": 40}, (33, 7))
+    made = RowFunction(lambda x, p: [a * x + 1.0 for a in p], {"x": None, "p": 40}, (33, 7))
     p = RNG.normal(size=(70, 40))
     first, second = made(3.0, p)
     assert np.allclose(np.concatenate([first, second], axis=1), 3.0 * p + 1.0, rtol=1e-15)
@@ -173,7 +173,7 @@ def test_opaque_functions_and_tables(compiler, monkeypatch):
         a, b = functions.opaque(swap, 2, (x[0], x[1]), x[0])
         return a, b, functions.gather(3, x[2], "double"), functions.gather(5, x[2], "double")
 
-    made = Rows(looked_up, {"x": 3}, (2, 2))
+    made = RowFunction(looked_up, {"x": 3}, (2, 2))
     tables = {5: np.arange(10)[::-1], 3: np.arange(10.0) ** 2}
     x = np.column_stack([RNG.normal(size=(21, 2)), np.arange(21) % 10])
     called, found = made(x, tables=tables)
@@ -210,7 +210,7 @@ def test_traced_and_compiled_once(monkeypatch):
         calls.append("t")
         return x * 0.5
 
-    made = Rows(half, {"x": None}, (None,))
+    made = RowFunction(half, {"x": None}, (None,))
     assert calls == []
     for n in (1, 5, 100):
         made(np.ones(n))
@@ -223,7 +223,7 @@ def test_the_module_does_not_depend_on_addresses(monkeypatch):
     monkeypatch.setattr(lanes, "generated", lambda text, *_: made.append((text, _[-1])))
     for swap in (Opaque(), Opaque()):
         called = functools.partial(functions.opaque, swap, 2)
-        made_now = Rows(lambda x, f=called: f((x[0], x[1]), x[0]), {"x": 2}, (2,))
+        made_now = RowFunction(lambda x, f=called: f((x[0], x[1]), x[0]), {"x": 2}, (2,))
         with pytest.raises(AttributeError, match="address"):
             made_now(np.ones(2))
     assert operator.eq(*made)

@@ -20,7 +20,7 @@ from fastatt.tracing import dual, functions, graph, nodes
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import axpy, quat, rigid, scale, so3
 from fastatt.tracing.graph import Graph
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.traced import Traced
 
 SINGLE = np.float32
@@ -416,11 +416,11 @@ def test_what_is_no_straight_line_is_refused():
     def user(x):
         return branching(x)
 
-    with pytest.raises(NotStraight, match="a branch on a condition"):
+    with pytest.raises(TraceError, match="a branch on a condition"):
         branching(1.0)
     with pytest.raises(TypingError, match="a branch on a condition"):
         user(1.0)
-    with pytest.raises(NotStraight, match="a result of str"):
+    with pytest.raises(TraceError, match="a result of str"):
         scalar_function(lambda x: "x")(1.0)
 
 

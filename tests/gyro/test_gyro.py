@@ -13,7 +13,7 @@ import pytest
 from numba.core.errors import TypingError
 
 import fastatt as fa
-from fastatt.codegen import lanes
+from fastatt.codegen import emitter
 from fastatt.codegen.processor import processor
 from fastatt.gyro import program
 from fastatt.gyro.loops import CHUNK, LANES
@@ -82,7 +82,7 @@ def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments,
     ]
     expected = [fa.integrate_rates(data, dt, **options) for data, dt in cases]
     other = processor()._replace(vector=vector)
-    for module in (lanes, program):
+    for module in (emitter, program):
         monkeypatch.setattr(module, "processor", lambda: other)
     program.program.cache_clear()
     for (data, dt), one in zip(cases, expected, strict=True):

@@ -6,7 +6,7 @@ from numba import config, njit
 from oracle import EPS
 from test_scalar import MACHINE, SINGLE, TABLE, looked_up
 
-from fastatt.codegen.rows import Fold, Rows
+from fastatt.codegen.rows import LogFunction, RowFunction
 from fastatt.codegen.scalar import scalar_function
 from fastatt.tracing import dual, functions, graph
 from fastatt.tracing.formulas import axpy, quat, scale
@@ -18,7 +18,7 @@ def normalised(t, x, p):
 
 
 def test_rows():
-    repeated = Rows(normalised, {"t": None, "x": 4, "p": 2}, (4, None))
+    repeated = RowFunction(normalised, {"t": None, "x": 4, "p": 2}, (4, None))
     n = 700
     x = np.random.default_rng(0).normal(size=(n, 4))
     t, p = np.linspace(0.0, 1.0, n), (2.0, 5.0)
@@ -31,7 +31,7 @@ def test_rows():
     back, _ = repeated(0.0, x[::-1], p)
     assert (back == q[::-1]).all()
     with pytest.raises(ValueError, match="function: gives 5 numbers; accepted: 4"):
-        Rows(normalised, {"t": None, "x": 4, "p": 2}, (4,))(t, x, p)
+        RowFunction(normalised, {"t": None, "x": 4, "p": 2}, (4,))(t, x, p)
     with pytest.raises(ValueError, match=r"x: has shape \(700,\); accepted: \(..., 4\)"):
         repeated(t, t, p)
 
@@ -43,7 +43,7 @@ def derived(x, p):
 
 def test_rows_of_derivatives():
     x = np.random.default_rng(1).normal(size=(2, 5, 3))
-    found = Rows(derived, {"x": 3, "p": 1}, (4, 12, None))(x, (2.0,))
+    found = RowFunction(derived, {"x": 3, "p": 1}, (4, 12, None))(x, (2.0,))
     single = scalar_function(derived)
     true = [[single(tuple(row), (2.0,)) for row in rows] for rows in x.tolist()]
     for a, b in zip(found, range(3), strict=True):
@@ -53,9 +53,9 @@ def test_rows_of_derivatives():
 def test_rows_without_a_compiler(monkeypatch):
     x = np.random.default_rng(1).normal(size=(5, 3))
     arguments = {"x": 3, "p": 1}, (4, 12, None)
-    compiled = Rows(derived, *arguments)(x, (2.0,))
+    compiled = RowFunction(derived, *arguments)(x, (2.0,))
     monkeypatch.setattr(config, "DISABLE_JIT", True)
-    for a, b in zip(Rows(derived, *arguments)(x, (2.0,)), compiled, strict=True):
+    for a, b in zip(RowFunction(derived, *arguments)(x, (2.0,)), compiled, strict=True):
         assert a.shape == b.shape
         assert np.abs(a - b).max() <= 8 * EPS
 
@@ -117,14 +117,14 @@ def test_a_recurrence_without_a_compiler_and_over_rows(monkeypatch):
     u = np.random.default_rng(2).normal(size=(3, 3))
     arguments = LOOPED, {"u": 3, "k": None, "start": 4}, (4, 12, None, None)
     given = u, *SPUN[1:]
-    rows = Rows(*arguments)(*given)
+    rows = RowFunction(*arguments)(*given)
     single = scalar_function(LOOPED)
     for i in range(3):
         assert [x[i].tolist() for x in rows[2:]] == [9.0, 2.0]
         one = single(tuple(u[i].tolist()), *SPUN[1:])
         assert [list(x[i]) for x in rows[:2]] == [list(x) for x in one[:2]]
     monkeypatch.setattr(config, "DISABLE_JIT", True)
-    for a, b in zip(Rows(*arguments)(*given), rows, strict=True):
+    for a, b in zip(RowFunction(*arguments)(*given), rows, strict=True):
         assert np.abs(a - b).max() <= 16 * EPS
     plain = scalar_function(LOOPED)(*SPUN)
     assert (
@@ -171,7 +171,7 @@ def turned(x, w, h, bias):
     return quat.mul(q, quat.exp(u)), t + h[0]
 
 
-FOLD = Fold(turned, 5, {"w": 3, "h": 1}, {"bias": 3})
+FOLD = LogFunction(turned, 5, {"w": 3, "h": 1}, {"bias": 3})
 
 
 def folded(n_logs, n_threads=1):
@@ -204,7 +204,9 @@ def test_a_fold_without_a_compiler(monkeypatch):
 
 def test_a_fold_refuses_a_step_to_another_state():
     with pytest.raises(ValueError, match="function: gives 1 numbers; accepted: 2"):
-        Fold(lambda x, w: x[0] * w[0], 2, {"w": 1}, {})(np.ones((1, 2)), (np.ones((1, 3, 1)),), ())
+        LogFunction(lambda x, w: x[0] * w[0], 2, {"w": 1}, {})(
+            np.ones((1, 2)), (np.ones((1, 3, 1)),), ()
+        )
 
 
 # arrays that stay where they are
@@ -224,7 +226,7 @@ def test_in_place(n, jit, monkeypatch):
         np.array([[3.0]]),
         np.ones(n),
     )
-    call = Rows(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k), (x, first))
+    call = RowFunction(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k), (x, first))
     start = x.copy()
     for i in range(1, 4):
         call()
@@ -234,4 +236,6 @@ def test_in_place(n, jit, monkeypatch):
     call()
     assert (x == start).all()
     with pytest.raises(ValueError, match="arrays: found float32; accepted: float64, C-contiguous"):
-        Rows(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound((x, y, k.astype(SINGLE)), (x,))
+        RowFunction(moved, {"x": 2, "y": 2, "k": 1}, (2, None)).bound(
+            (x, y, k.astype(SINGLE)), (x,)
+        )

@@ -15,8 +15,8 @@ from fastatt.kernels import quat
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, flattened
-from fastatt.tracing.nodes import NotStraight
-from fastatt.tracing.trace import LONGEST, traceable
+from fastatt.tracing.nodes import TraceError
+from fastatt.tracing.trace import MAX_ANSWERS, traceable
 
 GAIN = 2.5
 TABLE = np.array([[0.5, -1.0], [2.0, 4.0]])
@@ -590,7 +590,7 @@ REFUSED = [
     (changes_an_array, "ValueError: assignment destination is read-only", "TABLE[0, 1] = 5.0"),
     (hands_over_a_list, "TypeError: 'tuple' object does not support", "out[0] += x"),
     (counts, "the statement global", "global factor"),
-    (too_many_ways, "more than 256 ways through a function", "def too_many_ways"),
+    (too_many_ways, "more than 256 execution paths through a function", "def too_many_ways"),
 ]
 
 
@@ -599,7 +599,7 @@ REFUSED = [
 )
 def test_what_is_refused_is_named_with_its_line(function, what, line):
     graph = Graph()
-    with pytest.raises(NotStraight) as error:
+    with pytest.raises(TraceError) as error:
         traceable(function)(*graph.inputs("double", "x", 2))
     message = str(error.value)
     assert message.startswith(what)
@@ -613,9 +613,9 @@ def test_what_is_refused_is_named_with_its_line(function, what, line):
 def test_source_that_can_not_be_read():
     scope = {}
     exec("def function(x):\n    return x", scope)
-    with pytest.raises(NotStraight, match="function: its source can't be read"):
+    with pytest.raises(TraceError, match="function: its source can't be read"):
         traceable(scope["function"])
-    with pytest.raises(NotStraight, match="no Python function"):
+    with pytest.raises(TraceError, match="no Python function"):
         traceable(operator.add)
 
 
@@ -629,10 +629,10 @@ def test_a_long_table_is_refused_and_a_short_one_is_not():
 
         return function
 
-    run = by_trace(table(LONGEST))
+    run = by_trace(table(MAX_ANSWERS))
     assert [run(x, 2.0)[0] for x in (-1.0, 10.5, 62.5, 99.0)] == [0.0, 22.0, 126.0, 2.0]
-    with pytest.raises(NotStraight, match="more than 64 branches in a row"):
-        by_trace(table(LONGEST + 1))
+    with pytest.raises(TraceError, match="more than 64 branches in a row"):
+        by_trace(table(MAX_ANSWERS + 1))
 
 
 def test_a_name_without_a_value_on_one_way_is_that_of_the_other():

@@ -18,7 +18,7 @@ from fastatt.codegen.modules import generated
 from fastatt.tracing import called, source, user
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Double, Graph
-from fastatt.tracing.nodes import NotStraight
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.user import UserFunction, user_function
 
 P = (0.3, -0.7)
@@ -161,7 +161,7 @@ def test_called_from_machine_code(lanes):
             at = [("a", 0), ("b", 0), ("b", 1)].index(name) * lanes
             return code.vector(given, at, lanes), lanes > 1
 
-        for i, value in enumerate(Emitter(code, lanes, True, resources).wide(flat, load)):
+        for i, value in enumerate(Emitter(code, lanes, resources).wide(flat, load)):
             code.store_vector(results, i * lanes, value)
 
     pointer = types.CPointer(types.float64)
@@ -407,7 +407,7 @@ def test_wrong_functions_are_refused_each_time(function, argument, message):
     for _ in range(2):
         with pytest.raises(TypeError, match=f"^{argument}: .*{message}") as error:
             user_function(function, argument, 2)
-        assert not isinstance(error.value, NotStraight)
+        assert not isinstance(error.value, TraceError)
 
 
 def test_the_line_is_that_of_the_problem():

@@ -20,7 +20,7 @@ _COMPARED = (*_NUMBERS, np.ndarray, tuple, list)
 
 
 def names_of(plain: FunctionType) -> set[str]:
-    """Names of globals and of attributes that stand in a function."""
+    """Names of globals and of attributes in a function."""
     names: set[str] = set()
     todo = [plain.__code__]
     while todo:
@@ -36,7 +36,7 @@ def is_library(plain: FunctionType) -> bool:
 
 
 def referred_to(plain: FunctionType) -> dict[str, Any]:
-    """What a function's names stand for, apart from its own variables: globals, then closures."""
+    """Values of a function's names, apart from its own variables: globals, then closures."""
     names = names_of(plain)
     found = {name: plain.__globals__[name] for name in names if name in plain.__globals__}
     for name, cell in zip(plain.__code__.co_freevars, plain.__closure__ or (), strict=True):
@@ -47,28 +47,20 @@ def referred_to(plain: FunctionType) -> dict[str, Any]:
     return found
 
 
-class _Itself:
-    """An object that is compared by identity, and kept so that none takes its place."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.value is other.value
-
-    def __hash__(self) -> int:
-        return id(self.value)
+def _itself(value: Any) -> tuple[int, Any]:
+    """What is equal for the same object alone, which it keeps so that none takes its place."""
+    return id(value), value
 
 
-def standing(function: Any, seen: set[Any] | None = None) -> Any:
+def snapshot(function: Any, seen: set[Any] | None = None) -> Any:
     """Values to compare: numbers and arrays among globals and closures, of functions called too.
 
-    Of objects and modules those are the attributes whose names stand in the function.
+    Of objects and modules those are the attributes whose names are in the function.
     """
     plain = getattr(function, "py_func", function)
     seen = set() if seen is None else seen
     if not isinstance(plain, FunctionType):
-        return _Itself(function)
+        return _itself(function)
     if plain in seen or is_library(plain):
         return plain.__qualname__
     seen.add(plain)
@@ -84,10 +76,10 @@ def _value(value: Any, names: set[str], seen: set[Any]) -> Any:
     if isinstance(value, (tuple, list)):
         return type(value), [_value(x, names, seen) for x in value]
     if callable(value):
-        return standing(value, seen)
+        return snapshot(value, seen)
     held = {} if value in (math, np) else getattr(value, "__dict__", {})
     known = {k: held[k] for k in sorted(names & held.keys())}
-    return _Itself(value), [
+    return _itself(value), [
         (k, _value(x, set(), seen)) for k, x in known.items() if type(x) in _COMPARED
     ]
 
