@@ -17,7 +17,7 @@ DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
 # names of explicit Runge-Kutta methods in other libraries
 _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")
 # steps between two looks at the norm of a compensated state
-_RESTORE = 64
+_PROJECTED = 64
 
 
 def methods_for(
@@ -185,8 +185,8 @@ def chosen(
     record = method_of(scene, method, attitude, need=need, why=why)
     if compensated:
         attitude = _compensated(record, attitude)
-    restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    found = Choice(record, attitude, restore, normalise == "never", reducer, device)
+    projection = _PROJECTED if compensated and normalise == "output" else _projection(normalise)
+    found = Choice(record, attitude, projection, normalise == "never", reducer, device)
     if is_kept:
         scene.memo[key] = found
     return found
@@ -203,7 +203,7 @@ def _compensated(method: Method, attitude: Attitude) -> Attitude:
     return COMPENSATED
 
 
-def _restore(normalise: str | int) -> int:
+def _projection(normalise: str | int) -> int:
     """Steps between two returns to the group, 0 for none."""
     if isinstance(normalise, str) and normalise in ("output", "never"):
         return 0

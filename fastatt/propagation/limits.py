@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -17,6 +17,9 @@ from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.models import Packed
 from fastatt.scene.rates import bound, lengths
 from fastatt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from fastatt.propagation.plan import Plan
 
 # evaluations a step of one stage beside which a look at its turn is nothing
 _STAGES = 4
@@ -103,18 +106,11 @@ def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
         return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
 
 
-def warn(
-    turn: NDArray[Any],
-    damped: NDArray[np.float64],
-    limit: float,
-    method: Method,
-    h: Any,
-    kind: np.dtype[Any],
-    *,
-    compensated: bool,
-) -> bool:
-    """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
-    seen = np.asarray(turn)
+def warn(plan: Plan, angles: NDArray[Any]) -> bool:
+    """Warn, once, of steps that are too large or too small, by each body's rotation angle, rad."""
+    limit, damped, kind = plan.limit, plan.damped, plan.kind
+    method, h = plan.choice.method, plan.clock.steps
+    seen = np.asarray(angles)
     most = float(seen.max()) if seen.size else 0.0
     if not math.isfinite(most):
         seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
@@ -140,7 +136,7 @@ def warn(
             f"to {method.damping_limit:.3g}: take |dt| <= "
             f"{abs(h) * method.damping_limit / worst:.3g}"
         )
-    elif 0.0 < most < eps and not compensated:
+    elif 0.0 < most < eps and not plan.attitude.compensated:
         text = (
             f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
             f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"

@@ -64,9 +64,7 @@ class Trajectory:
     state: NDArray[Any]
     norm_error: NDArray[Any]
     status: NDArray[np.uint8]
-    method: str
-    representation: str
-    #: the step, s, or each body's own
+    #: the step size, s, or per-body step sizes
     dt: Any
     one_body: bool
     #: numbers of what acts, or the scene to find them from; none where w is carried
@@ -87,6 +85,16 @@ class Trajectory:
         if METHODS.get(record.name) is not record:  # one's own, of functions within functions
             record = replace(record, steps=None)
         return {**state, "packed": None, "record": record}
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.record.name
+
+    @property
+    def representation(self) -> str:
+        """Name of the representation."""
+        return self.attitude.name
 
     @cached_property
     def q(self) -> NDArray[Any]:

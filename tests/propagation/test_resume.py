@@ -243,9 +243,9 @@ KILLED = """
 import os, signal, sys, warnings
 import numpy as np
 import fastatt as fa
-from fastatt.propagation import resume, save_batches
+from fastatt.propagation import execute, resume
 
-save_batches._WRITTEN, save_batches._CHECKED = 0.0, 5 * 64  # always; body-steps
+execute._WRITTEN, execute._CHECKED = 0.0, 5 * 64  # always; body-steps
 folder = sys.argv[1]
 free = fa.Scene(inertia={body})
 rng = np.random.default_rng(7)
