@@ -336,6 +336,9 @@ class Evaluation:
         threads = 1 if size * n <= _SMALL else threads
         together = max(1, _PIECE // (made.shape.block * min(span, _STEPS)))
         together = max(1, min(together, blocks // threads))
+        if together >= blocks and span <= _STEPS:
+            run(0, blocks, 0, span)
+            return any(found)
         pieces = product(range(0, blocks, together), range(0, span, _STEPS))
         calls = [
             partial(run, i, min(i + together, blocks), k, min(k + _STEPS, span)) for i, k in pieces
@@ -389,7 +392,7 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
     kind, stored, form = plan.kind, plan.attitude.stored, form_of(plan.scene)
     since = plan.clock.since[saves]
     results = plan.results(len(since))
-    results.norm_error[...] = 0.0
+    results.norm_error[...] = results.status[...] = 0
     out = results.out
     evaluation = plan.evaluations.get(len(since))
     if evaluation is None:
@@ -399,10 +402,14 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
         times = since.astype(kind)
     split = (out[..., :stored], out[..., stored:])
     has_bad = evaluation.fill((given.q, given.y), times, split, threads)
-    angles = turned(np.atleast_2d(given.y), since, form.gain)
-    if text := rounding.of_angles(angles, kind):
-        rounding.warn(f"t: found turns of {text}")
-    results.status[...] = (angles > rounding.most_turned(kind)) * np.uint8(Status.STEP_TOO_LARGE)
+    # |w| and what it gains are below twice their largest component
+    largest = np.abs(given.y).max() + form.gain.max()
+    if not 2.0 * largest * np.abs(since).max(initial=0.0) <= rounding.most_turned(kind) ** 0.5:
+        angles = turned(np.atleast_2d(given.y), since, form.gain)
+        if text := rounding.of_angles(angles, kind):
+            rounding.warn(f"t: found turns of {text}")
+        far = angles > rounding.most_turned(kind)
+        results.status[...] = far * np.uint8(Status.STEP_TOO_LARGE)
     if has_bad:
         bad = ~np.isfinite(out).all(axis=(0, 2))
         results.status[...] |= bad * np.uint8(Status.NON_FINITE)

@@ -115,8 +115,7 @@ def _at_once(
 ) -> Trajectory:
     """All steps of an ensemble, of a large one a part of the bodies after the other."""
     n, device = plan.n_bodies, plan.choice.device
-    results, angles = plan.results(plan.clock.saves), np.empty(n, plan.kind)
-    order = np.arange(n) if plan.clock.order is None else plan.clock.order
+    results, angles = plan.results(plan.clock.saves), []
     size, largest = n if device or start else PART, 0.0
     warned = not plan.is_short and plan.warn_of_first(given)
     for a in range(0, n, size):
@@ -125,10 +124,10 @@ def _at_once(
         try:
             _advance(plan, run, plan.span, options.n_threads, done)
         except pool.InterruptedRun as stopped:
-            _leave_unfinished(plan, results, part, order, stopped.reached)
+            _leave_unfinished(plan, results, part, stopped.reached)
             stopped.trajectory = plan.trajectory(times, results, given.one_body)
             raise
-        angles[order[part]] = np.sqrt(run.diagnostics[0])
+        angles.append(np.sqrt(run.diagnostics[0]))
         largest = max(largest, run.largest_angle)
     end = plan.end(given, run, t0, plan.clock.end) if _keeps_end(plan, options) else None
     if not warned:
@@ -182,7 +181,7 @@ def _in_batches(
     final = 0 if is_over else new.stop - 1
     end = plan.end(given, run, t0, clock.end) if _keeps_end(plan, options) else None
     if not warned:
-        plan.warn_after(given, run.largest_angle, np.sqrt(run.diagnostics[0]))
+        plan.warn_after(given, run.largest_angle, [np.sqrt(run.diagnostics[0])])
     last_save = results.saves(slice(final, final + 1))
     return plan.trajectory(times[-1:], last_save, given.one_body, end)
 
@@ -215,12 +214,11 @@ def _started(
 
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:
     """Steps of a span, of a run's bodies; ``done`` is called with the number of body-steps."""
-    n = run.bodies[1]
-    if plan.choice.device is None:
-        size = (n, plan.job.width)
-        pool.run_ensemble(run.part, span, size, n_threads, done, calls=plan.calls)
+    n, width = run.bodies[1], plan.job.width
+    if plan.choice.device is None and not (n_threads == 1 and plan.is_short and not plan.calls):
+        pool.run_ensemble(run.part, span, (n, width), n_threads, done, calls=plan.calls)
         return
-    run.part(span, 0, 1)
+    run.part(span, 0, -(-n // width))
     if done is not None:
         done(n * (span.last - span.first))
 
@@ -229,14 +227,14 @@ def _leave_unfinished(
     plan: Plan,
     results: Results,
     part: slice,
-    order: NDArray[np.int64],
     reached: list[tuple[int, int, int]],
 ) -> None:
     """Flag bodies that did not reach the end, their saves NaN from where they stopped."""
     clock, span, width = plan.clock, plan.span, plan.job.width
-    saved = np.array(clock.saved)
+    saved, n = np.array(clock.saved), plan.n_bodies
+    order = np.arange(n) if clock.order is None else clock.order
     ends = [(part.start + a * width, part.start + b * width, done) for a, b, done in reached]
-    for a, b, done in [*ends, (part.stop, len(order), span.first)]:
+    for a, b, done in [*ends, (part.stop, n, span.first)]:
         if done < span.n_steps:
             rows = order[a : min(b, part.stop) if a < part.stop else b]
             has_saves = done > span.first and clock.order is None

@@ -143,7 +143,7 @@ class PerBodyClock(Clock):
 
     @cached_property
     def order(self) -> NDArray[np.int64] | None:  # type: ignore[override]
-        """Bodies with most steps first, which threads take first; None if all have one step size."""
+        """Bodies with most steps first; None if all have one step size."""
         if self.sizes.size == 1:
             return None
         return np.argsort(np.abs(self.sizes), kind="stable").astype(np.int64)

@@ -150,9 +150,9 @@ class Plan:
         return range(end - np.atleast_1d(np.asarray(self.scene.params)).shape[-1], end)
 
     def _shared_parameters(self) -> tuple[int, ...]:
-        """Numbers of the parameters that all bodies share, where others differ; no bit depends on it.
+        """Numbers of the parameters that all bodies share, but those that a call may replace.
 
-        Not those that a call may replace.
+        No bit depends on it.
         """
         params = self.packed.params
         if params.ndim == 1 or len(params) < _MANY or self.choice.device:
@@ -264,11 +264,16 @@ class Plan:
             angles = limits.first_step(self.scene, self.choice.method, w, self.clock.steps)
         return limits.warn(self, angles)
 
-    def warn_after(self, given: Given, largest: float, angles: NDArray[Any]) -> None:
-        """Warn of steps by their rotation angles, rad; of the first where that is the reason."""
+    def warn_after(self, given: Given, largest: float, angles: list[NDArray[Any]]) -> None:
+        """Warn of steps as they were; of the first, where that is the reason.
+
+        ``angles`` of a step, rad, are of bodies in the order in which they were run.
+        """
         least, most = self._silent_range
         if largest and self.clock.n_steps and not least <= largest <= most:
-            _ = self.warn_of_first(given) or limits.warn(self, angles)
+            seen, order = np.concatenate(angles), self.clock.order
+            seen = seen if order is None else seen[np.argsort(order)]
+            _ = self.warn_of_first(given) or limits.warn(self, seen)
 
     def end(self, given: Given, run: Run, t0: float, done: int) -> End:
         """The end of a run after so many steps, with a copy of its initial values."""

@@ -217,9 +217,9 @@ def plan(
     """A run to be made many times: all is checked and compiled now, once.
 
     ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some tens of
-    microseconds more than the steps take. ``position`` says that positions r0 will be given, of a scene
-    with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64. A plan
-    can be pickled and copied, and called by several threads at a time.
+    microseconds more than the steps take. ``position`` says that positions r0 will be given, of a
+    scene with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64.
+    A plan can be pickled and copied, and called by several threads at a time.
 
     Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
 
