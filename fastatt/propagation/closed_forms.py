@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _SIDE_BY_SIDE = 2  # vectors: while one waits for a root or a quotient the other goes on
 _TOGETHER = 64  # a few bodies go side by side at so many groups of times
-_PIECE = 1 << 20  # attitudes between two looks at Ctrl-C
+_PIECE = 1 << 20  # attitudes between two checks for Ctrl-C
 _STEPS = 1 << 12  # times that share one preparation of their bodies
 _SMALL = 1 << 14  # attitudes that are not worth a second thread
 
@@ -405,7 +405,7 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
     # |w| and what it gains are below twice their largest component
     largest = np.abs(given.y).max() + form.gain.max()
     if not 2.0 * largest * np.abs(since).max(initial=0.0) <= rounding.most_turned(kind) ** 0.5:
-        angles = turned(np.atleast_2d(given.y), since, form.gain)
+        angles = turned(given.y, since, form.gain)
         if text := rounding.of_angles(angles, kind):
             rounding.warn(f"t: found turns of {text}")
         far = angles > rounding.most_turned(kind)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from fastatt.propagation import closed_forms
 from fastatt.propagation.histories import History, check_memory
 from fastatt.propagation.initial import Given
 from fastatt.propagation.options import RING, PerBodyClock, RunOptions, save_batches
-from fastatt.propagation.resume import MOST, End, check, check_begin, loaded
+from fastatt.propagation.resume import MOST, check, check_begin, loaded
 from fastatt.propagation.trajectory import Results, Trajectory
 from fastatt.threads import progress_bar
 
@@ -53,6 +53,7 @@ def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Traject
         first = int(np.searchsorted(clock.saved, start.done, side="right"))
     if start is not None:
         check(start, plan)
+        options = options._replace(start=start)
     history = None
     if options.file is not None:
         history = History(options.file, shape, plan.kind, first)
@@ -71,11 +72,11 @@ def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Traject
             if plan.choice.method.is_exact:
                 run = _closed_form(plan, given, times, options, deliver if takers else None)
             elif takers:
-                run = _in_batches(plan, given, t0, times, options, start, deliver, None)
+                run = _in_batches(plan, given, t0, times, options, deliver, None)
             elif options.checkpoint is not None:
-                run = _in_batches(plan, given, t0, times, options, start, None, done)
+                run = _in_batches(plan, given, t0, times, options, None, done)
             else:
-                run = _at_once(plan, given, t0, times, options, start, done)
+                run = _at_once(plan, given, t0, times, options, done)
         except pool.InterruptedRun as stopped:
             if history is not None and history.array is not None:
                 saves, status = history.saves, np.full(shape[1], Status.UNFINISHED, np.uint8)
@@ -110,17 +111,17 @@ def _at_once(
     t0: float,
     times: Times,
     options: RunOptions,
-    start: End | None,
     done: Done,
 ) -> Trajectory:
     """All steps of an ensemble, of a large one a part of the bodies after the other."""
     n, device = plan.n_bodies, plan.choice.device
-    results, angles = plan.results(plan.clock.saves), []
-    size, largest = n if device or start else PART, 0.0
+    results = plan.results(plan.clock.saves)
+    angles: list[NDArray[Any]] = []
+    size, largest = n if device or options.start else PART, 0.0
     warned = not plan.is_short and plan.warn_of_first(given)
     for a in range(0, n, size):
         part = slice(a, min(a + size, n))
-        run = _started(plan, given, t0, results, start, (a, part.stop - a))
+        run = plan.started(given, t0, results, (a, part.stop - a), options.start)
         try:
             _advance(plan, run, plan.span, options.n_threads, done)
         except pool.InterruptedRun as stopped:
@@ -143,14 +144,13 @@ def _in_batches(
     t0: float,
     times: Times,
     options: RunOptions,
-    start: End | None,
     deliver: Deliver | None,
     done: Done | None,
 ) -> Trajectory:
     """A few saves at a time, each delivered once, or a few steps; the final states are returned."""
-    clock, span = plan.clock, plan.span
+    clock, span, start = plan.clock, plan.span, options.start
     results = plan.results(min(clock.saves, 1 + RING))
-    run = _started(plan, given, t0, results, start, (0, plan.n_bodies))
+    run = plan.started(given, t0, results, (0, plan.n_bodies), start)
     warned = not plan.is_short and plan.warn_of_first(given)
     begin, written = clock.done if start is None else start.done, perf_counter()
     batches = [(last, (0, 1)) for last in _checkpoints(plan)]
@@ -197,25 +197,12 @@ def _keeps_end(plan: Plan, options: RunOptions) -> bool:
     return options.keep_end and is_small and not isinstance(plan.clock, PerBodyClock)
 
 
-def _started(
-    plan: Plan,
-    given: Given,
-    t0: float,
-    results: Results,
-    start: End | None,
-    bodies: tuple[int, int],
-) -> Run:
-    """A run of (first body, how many), from initial values or from the end of another."""
-    run = plan.started(given, t0, results, bodies)
-    if start is not None:
-        run.states[...], run.diagnostics[...] = start.states, start.diagnostics
-    return run
-
-
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:
     """Steps of a span, of a run's bodies; ``done`` is called with the number of body-steps."""
     n, width = run.bodies[1], plan.job.width
-    if plan.choice.device is None and not (n_threads == 1 and plan.is_short and not plan.calls):
+    # a short run is over before Ctrl-C could be answered
+    is_brief = span is plan.span and n_threads == 1 and plan.is_short and not plan.calls
+    if plan.choice.device is None and not is_brief:
         pool.run_ensemble(run.part, span, (n, width), n_threads, done, calls=plan.calls)
         return
     run.part(span, 0, -(-n // width))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.propagation.trajectory import Results, Trajectory
 
-# bytes that need no look at what is free
+# bytes that need no check of the free memory
 _LITTLE = 1 << 30
 
 

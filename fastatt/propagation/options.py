@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.attitudes import Attitude
-from fastatt.device import Device
 from fastatt.engine.run import PerBody, Span
 from fastatt.methods.method import Method
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from fastatt.device.program import Device
     from fastatt.propagation.resume import End
 
 #: saves that are kept at a time where all of them are not

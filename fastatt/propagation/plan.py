@@ -188,13 +188,27 @@ class Plan:
             ),
         )
 
-    def started(self, given: Given, t0: float, results: Results, bodies: tuple[int, int]) -> Run:
-        """A run of (first body, how many) that writes into the arrays of the whole ensemble."""
+    def started(
+        self,
+        given: Given,
+        t0: float,
+        results: Results,
+        bodies: tuple[int, int],
+        start: End | None = None,
+    ) -> Run:
+        """A run of (first body, how many) that writes into the arrays of the whole ensemble.
+
+        With ``start`` it goes on from the end of another.
+        """
         clock, stages = self.clock, self.choice.method.stages
         share = 0.5 * float(stages[-1][1]) if stages else 0.0
         per_body = clock.per_body(self.n_bodies) if isinstance(clock, PerBodyClock) else None
         edge = share if per_body else share * clock.h
-        return Run(self._setup, bodies, given.rows, (t0, clock.h, edge), results, per_body)
+        times = (t0, clock.h, edge)
+        run = Run(self._setup, bodies, (given.q, given.y), times, results, per_body)
+        if start is not None:
+            run.states[...], run.diagnostics[...] = start.states, start.diagnostics
+        return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
         """Times of the saves, s; warns of times too late to distinguish steps.
@@ -260,8 +274,8 @@ class Plan:
         """Warn of each body's first step; of prescribed rates nothing is known beforehand."""
         angles = np.zeros(1)
         if self.scene.kind != "rate":
-            w = np.atleast_2d(given.y)[:, :3]
-            angles = limits.first_step(self.scene, self.choice.method, w, self.clock.steps)
+            w, steps = given.y[:, :3], self.clock.steps
+            angles = limits.first_step(self.scene, self.choice.method, w, steps)
         return limits.warn(self, angles)
 
     def warn_after(self, given: Given, largest: float, angles: list[NDArray[Any]]) -> None:

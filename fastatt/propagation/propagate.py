@@ -63,15 +63,15 @@ def propagate(
 
     Parameters
     ----------
-    scene : what acts.
+    scene : the bodies, with their rates, torques and forces.
     q0 : (4,) or (N, 4), initial attitudes, body to inertial, scalar first, of any length but zero.
     w0 : (3,) or (N, 3), initial angular velocities along body axes, rad/s; a rate scene takes none.
     v0, r0 : (3,) or (N, 3), of a scene with mass: initial velocities along body axes, m/s, and
         positions along inertial axes, m, which are carried if given.
     dt : step, s; negative runs backwards. Each body may have its own, (N,).
-    n_steps : number of steps, at least 0; with steps of each body's own (N,), so that all end at
+    n_steps : number of steps, at least 0; with per-body step sizes (N,), so that all end at
         one time, to rounding.
-    method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.runge_kutta``,
+    method : a name of ``fastatt.METHODS``, or a custom method (``fastatt.runge_kutta``,
         ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
         scene and the representation; the trajectory names it.
     representation : a name of ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or a custom
@@ -87,18 +87,18 @@ def propagate(
     compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
         grows with the square root of the number of steps; at 0.5 to 0.9 of the speed. Of
         quaternions, and of methods whose record says ``compensates``.
-    normalise : when the state is brought back to its group: "output" (in what is handed out only),
-        "never", or every so many steps, besides. The status looks at the departure from the group
-        before it is mended. A compensated state is mended every 64 steps unless said otherwise.
+    normalise : when the state is projected onto its group: "output" (saved values alone), "never",
+        or also every so many steps. The status is set by the norm error before a projection. A
+        compensated state is projected every 64 steps with "output".
     invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
-        the ensemble and flags those bodies, the others' results being what they are without them.
+        the ensemble and flags those bodies; the results of others do not depend on them.
     on_save : with ``save_every``, what takes the saves, so that the result holds the final states
         only: a function, which is called with 16 saves at a time (17 with the initial one) as a
         trajectory whose arrays are used again; a file, ``fa.to_file(path)``; or one of each.
-    reduce : a function of one's own that sees every step of every body (:func:`fastatt.reducer`);
+    reduce : a user-defined function that sees every step of every body (:func:`fastatt.reducer`);
         the trajectory's ``reduced`` is what it made. With methods whose record says ``reduces``.
     resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end``, where this
-        run goes on, to the same bits as without an end between; initial values, ``t0``, method and
+        run goes on, to the bits of one run; initial values, ``t0``, method and
         scene are its own, and saves are counted from there. Or ``fa.checkpoint(path)``: the run
         writes its end so far there every ten seconds, and the same call goes on from it.
     save_at : times within the run, s, in its order, at which states are kept instead: from the last

@@ -227,7 +227,7 @@ def test_what_can_not_go_on(tmp_path):
         fa.propagate(free, resume=3, dt=0.05, n_steps=1)
     assert not path.exists()
     with path.open("wb") as file:
-        np.savez(file, told=np.array('{"format": 0}'))
+        np.savez(file, header=np.array('{"format": 0}'))
     short = tmp_path / "short"
     short.write_bytes(path.read_bytes()[:50])
     text = tmp_path / "text"
