@@ -104,7 +104,7 @@ class _Writer:
         self._indent -= 4
 
     def _formulas(self, flat: Flat, prefix: str, *targets: str) -> list[str]:
-        """Write a graph; its first results get names, the others are handed back."""
+        """Write a graph; its first results get names, the others are returned."""
         text = _Text(flat, prefix, self.constants)
         self._add(*text.lines)
         n = len(targets)
@@ -181,7 +181,7 @@ class _Writer:
         self._add("if quiet and first == 0:", "    most = bound")
 
     def _save(self) -> None:
-        """Hand out the state after n steps, and how far it left what it keeps."""
+        """Save the state after n steps, and the errors of its invariants."""
         formulas = self.formulas
         size = formulas.handed_out
         self._add("span = product(double(n), step)", "t = t0 + span")
@@ -200,26 +200,26 @@ class _Writer:
         self._add(f"    watch[{row}, body] = value")
 
     def _block(self, state: list[str]) -> None:
-        """Steps [n, stop), again from their start in the careful form where the quick is not."""
+        """Steps [n, stop), repeated in the any-angle form where angles are large."""
         job, formulas = self.job, self.formulas
-        quick = (formulas.small_angle, job.monitored, "a")
+        small_angle = (formulas.small_angle, job.monitored, "a")
         if formulas.any_angle is None:
-            self._steps(state, *quick)
+            self._steps(state, *small_angle)
             return
-        careful = (formulas.any_angle, True, "f")
+        any_angle = (formulas.any_angle, True, "f")
         if job.known:
             with self._under("if quiet:"):
-                self._steps(state, *quick)
+                self._steps(state, *small_angle)
             with self._under("else:"):
-                self._steps(state, *careful)
+                self._steps(state, *any_angle)
             return
         start = ", ".join(self._names("start", formulas.size))
         names = ", ".join(state)
         self._add(f"{start}, = {names},")
-        self._steps(state, *quick)
+        self._steps(state, *small_angle)
         with self._under(f"if turn > {math.pi**2!r}:"):
             self._add(f"{names}, = {start},")
-            self._steps(state, *careful)
+            self._steps(state, *any_angle)
 
     def _steps(self, state: list[str], forms: Forms, noted: bool, prefix: str) -> None:
         job = self.job
@@ -250,8 +250,8 @@ class _Writer:
 def text(job: Job) -> tuple[str, dict[str, Any]]:
     """The kernel of a job as Python text, ``kernel(*ARGUMENTS, *tables)``, and its constants.
 
-    Raises ``ValueError`` for formulas that call a function which is no straight line, and for steps
-    of each body's own or saves at any times.
+    Raises ``ValueError`` for formulas that call a function which is not traced, and for per-body
+    step sizes or saves at any times.
     """
     if job.own_steps:
         raise ValueError(
@@ -280,7 +280,7 @@ def kernel_of(job: Job) -> Any:
 
 
 def _scope() -> dict[str, Any]:
-    """What names of the text stand for: Numba's functions of a device, NumPy's in its simulator."""
+    """The names in the text: Numba's functions of a device, NumPy's in its simulator."""
     named: dict[str, Any] = {"single": np.float32, "double": np.float64, "nan": math.nan}
     if config.ENABLE_CUDASIM:
         both = {"fma": _fma, "product": np.multiply, "rint": np.rint, "floor": np.floor}

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.device import Device
 from fastatt.device.kernel import kernel_of
 from fastatt.engine.program import Layout
 
@@ -21,6 +20,22 @@ if TYPE_CHECKING:
 _THREADS = 128  # of a block
 # of a launch, between two of which Ctrl-C is answered: about 0.1 s of many bodies, and of few
 _BODY_STEPS, _STEPS = 1_000_000_000, 65_536
+
+
+class Device:
+    """A GPU, for the runs of one call.
+
+    ``wrap`` makes the result's arrays of the device's; without it they are copied to the host.
+    """
+
+    def __init__(self, wrap: Callable[[Any], Any] | None = None) -> None:
+        self.wrap = wrap
+        #: the saves of the last run, where they were not copied
+        self.saves: Any = None
+
+    def program(self, job: Job) -> DeviceProgram:
+        """The program of a job. Raises ``ValueError`` for formulas that no kernel can run."""
+        return DeviceProgram(job, self)
 
 
 class DeviceProgram:
@@ -114,7 +129,7 @@ def _check_room(needed: int, free: float) -> None:
 def taken(device: object, given: Sequence[Any], *, stays: bool) -> tuple[Device, list[Any]]:
     """(the device, initial values in the host's memory).
 
-    Where one of the values lies on the device and ``stays``, what is handed out does too: as CuPy's
+    Where one of the values lies on the device and ``stays``, the saves stay there too: as CuPy's
     arrays if one is, else as Numba's.
 
     Raises ``ValueError`` for a device other than "cuda", and where there is none.

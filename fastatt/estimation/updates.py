@@ -274,6 +274,5 @@ def operation(name: str, numbers: int) -> RowFunction:
     """
     formula, own, shared, figures = _OPERATIONS[name]
     state = {"q": 4, "y": numbers, "P": (3 + numbers) ** 2}
-    return RowFunction(
-        formula, {**state, "own": own, "shared": shared}, (*state.values(), *figures)
-    )
+    inputs = {**state, "own": own, "shared": shared}
+    return RowFunction(formula, inputs, (*state.values(), *figures))

@@ -1,1 +1,1 @@
-"""A run from what a user asks to what he gets: checked, propagated, looked at."""
+"""Runs from arguments to trajectories: checked, planned, executed, evaluated."""

@@ -1,10 +1,11 @@
-"""Which method, in which representation: what fits a scene, and what was asked for."""
+"""The method and the representation of a run: which fit a scene, and which is taken."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
-from fastatt.device import Device
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.closed_forms import form_of
 from fastatt.propagation.options import Choice
@@ -12,12 +13,15 @@ from fastatt.propagation.reducer import Reducer
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.torque_record import Dependence
 
+if TYPE_CHECKING:
+    from fastatt.device.program import Device
+
 # in this order, the first that fits the scene and the representation
 DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
 # names of explicit Runge-Kutta methods in other libraries
 _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")
-# steps between two looks at the norm of a compensated state
-_RESTORE = 64
+# steps between two projections of a compensated state
+_PROJECTED = 64
 
 
 def methods_for(
@@ -25,7 +29,7 @@ def methods_for(
 ) -> list[str]:
     """Names of the methods that fit a scene and a representation, by name or one's own.
 
-    ``need`` is what a record has to say besides, such as "is_stepped".
+    ``need`` names a further property of the method, such as "is_stepped".
 
     Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
     """
@@ -183,27 +187,23 @@ def chosen(
     if compensated and method is None:
         need = "is_stepped"
     record = method_of(scene, method, attitude, need=need, why=why)
+    projection = _projection(normalise)
     if compensated:
-        attitude = _compensated(record, attitude)
-    restore = _RESTORE if compensated and normalise == "output" else _restore(normalise)
-    found = Choice(record, attitude, restore, normalise == "never", reducer, device)
+        if attitude is not QUATERNION:
+            raise ValueError(
+                f'compensated: found with representation "{attitude.name}"; accepted with "quat"'
+            )
+        if not record.compensates:
+            able = ", ".join(m.name for m in METHODS.values() if m.compensates)
+            raise ValueError(f"compensated: found with method {record.name}; accepted with {able}")
+        attitude, projection = COMPENSATED, _PROJECTED if normalise == "output" else projection
+    found = Choice(record, attitude, projection, normalise == "never", reducer, device)
     if is_kept:
         scene.memo[key] = found
     return found
 
 
-def _compensated(method: Method, attitude: Attitude) -> Attitude:
-    if attitude is not QUATERNION:
-        raise ValueError(
-            f'compensated: found with representation "{attitude.name}"; accepted with "quat"'
-        )
-    if not method.compensates:
-        able = ", ".join(m.name for m in METHODS.values() if m.compensates)
-        raise ValueError(f"compensated: found with method {method.name}; accepted with {able}")
-    return COMPENSATED
-
-
-def _restore(normalise: str | int) -> int:
+def _projection(normalise: str | int) -> int:
     """Steps between two returns to the group, 0 for none."""
     if isinstance(normalise, str) and normalise in ("output", "never"):
         return 0

@@ -120,7 +120,7 @@ def heavy_top(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Heavy symmetric tops, the torque of ``torques.HeavyTop``, at any times, in closed form.
 
-    Errors are at most 1e-15 (1 + W t) rad and as much in relation to W, beside what the motion
+    Errors are at most 1e-15 (1 + W t) rad and as much in relation to W, and what the motion
     makes of the rounding of q0 and w0; W² = |w0|² + 4 weight |arm|/A. Lagrange's top as Klein and
     Sommerfeld solve it, by a theta quotient for each Cayley-Klein parameter (*The Theory of the
     Top*, 1897-1910).

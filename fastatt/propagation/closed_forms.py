@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import functools
-import math
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import accumulate, product
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt._jit import address_loop
+from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.codegen.call import call_generated, reals, wholes
 from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_function
 from fastatt.codegen.memory import address_of
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of, without_compiler
+from fastatt.engine.status import Status
+from fastatt.propagation.initial import Given
+from fastatt.propagation.trajectory import Results
 from fastatt.scene import torques
 from fastatt.scene.inertia import Principal, about_arm
 from fastatt.scene.scene import Scene
@@ -30,11 +33,14 @@ from fastatt.tracing import formulas
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, flattened
 
+if TYPE_CHECKING:
+    from fastatt.propagation.plan import Plan
+
 _SIDE_BY_SIDE = 2  # vectors: while one waits for a root or a quotient the other goes on
 _TOGETHER = 64  # a few bodies go side by side at so many groups of times
-_PIECE = 1 << 20  # attitudes between two looks at Ctrl-C
+_PIECE = 1 << 20  # attitudes between two checks for Ctrl-C
 _STEPS = 1 << 12  # times that share one preparation of their bodies
-_SMALL = 1 << 14  # attitudes that are not worth a thread
+_SMALL = 1 << 14  # attitudes that are not worth a second thread
 
 # what a body is given by, with the numbers of each; axes are those of ``Principal``, if any
 _GIVEN = {"q": 4, "w": 3, "moments": 3, "axes": 4, "pull": 3}
@@ -141,18 +147,14 @@ def check_above_zero(body: Principal) -> None:
         )
 
 
-class _Traced(NamedTuple):
-    """The constants of a body, and attitude and angular velocity at a time."""
-
-    prepare: Flat
-    state: Flat
-
-
 @functools.cache
 def _traced(
     solution: Solution, kind: str, turned: bool, stored: Any = None, *, native: bool = False
-) -> _Traced:
-    """``turned``: the principal axes are not those of the body; ``stored`` as of ``Evaluation``."""
+) -> tuple[Flat, Flat]:
+    """The constants of a body, then attitude and angular velocity at a time.
+
+    ``turned``: the principal axes are not those of the body; ``stored`` as of ``Evaluation``.
+    """
     quat = formulas.quat
     graph = Graph(native=native)
     q, w, moments, axes, pull = (graph.inputs(kind, name, n) for name, n in _GIVEN.items())
@@ -168,7 +170,7 @@ def _traced(
     q, w = solution.state(given, moments, graph.input(kind, "t", 0))
     if turned:
         q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
-    return _Traced(prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind))
+    return prepare, Flat(graph, [*(stored(q) if stored else q), *w], kind)
 
 
 #: the formulas; the first of the rows of their inputs, of the time, of what is not zero where a
@@ -184,11 +186,11 @@ ENTRY, T, Q_OUT, W_OUT, Q_STRIDE, W_STRIDE, BODIES, TIMES, SPAN, TOTAL, INPUTS =
 
 
 def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
-    rates, finite, time, first = (x * lanes for x in (_FIRST["w"], FINITE, TIME, RESULTS))
+    finite, time, first = (x * lanes for x in (FINITE, TIME, RESULTS))
     row_of = (*_FIRST.values(), TIME)
 
     def run_closed_form(
-        numbers: int, memory: int, places: int, most: float,
+        numbers: int, memory: int, places: int,
         first_block: int, last_block: int, first_step: int, last_step: int,
     ) -> int:  # fmt: skip
         """Blocks of lanes and the times of each, from the address of the table.
@@ -196,8 +198,7 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
         Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many
         times fill vectors as well as many bodies do. A last block is filled up with the last lane,
         and times after the last are the last again. ``memory`` is the address of the rows, and
-        ``places`` that of 2 blocks of numbers. The result is 1 where a body starts with more than
-        |w|² = ``most``, or a result is not finite.
+        ``places`` that of 2 blocks of numbers. The result is 1 where a result is not finite.
         """
         table = wholes(numbers)
         entry, bodies, times = table[ENTRY], table[BODIES], table[TIMES]
@@ -205,7 +206,6 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
         rows, place, t = reals(memory, kind), wholes(places), reals(table[T], kind)
         q_out, w_out = reals(table[Q_OUT], kind), reals(table[W_OUT], kind)
         q_stride, w_stride = table[Q_STRIDE], table[W_STRIDE]
-        found = 0
         for j in range(lanes):
             rows[finite + j] = 0.0
         for block in range(first_block, last_block):
@@ -229,10 +229,6 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
                     if row_of[i + 1] - row_of[i] == 4:
                         for j in range(lanes):
                             rows[to + 3 * lanes + j] = source[place[j] * stride + 3]
-            for j in range(lanes):
-                x, y, z = rows[rates + j], rows[rates + lanes + j], rows[rates + 2 * lanes + j]
-                if x * x + y * y + z * z > most:
-                    found = 1
             call_generated(entry, PREPARE, (rows, place), (lanes,))
             for j in range(lanes):
                 rows[time + j] = t[min(place[lanes + j] + first_step, times - 1)]
@@ -249,18 +245,13 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
                         w_out[row * w_stride + k] = rows[first + (stored + k) * lanes + j]
         for j in range(lanes):
             if rows[finite + j] != 0.0:
-                found = 1
-        return found
+                return 1
+        return 0
 
     return run_closed_form
 
 
-_SIGNATURE = types.int64(*[types.int64] * 3, types.float64, *[types.int64] * 4)
-
-
-@functools.cache
-def _loop(kind: str, lanes: int, stored: int) -> Callable[..., int]:
-    return address_loop(_SIGNATURE, _run_closed_form(kind, lanes, stored))
+_SIGNATURE = types.int64(*[types.int64] * 7)
 
 
 class _Compiled(NamedTuple):
@@ -274,25 +265,24 @@ class _Compiled(NamedTuple):
 
 @functools.cache
 def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -> _Compiled:
-    traced = _traced(solution, kind, turned, stored, native=processor().fuses)
+    prepare, state = _traced(solution, kind, turned, stored, native=processor().fuses)
     lanes = _SIDE_BY_SIDE * processor().lanes(kind)
-    shape, results = Shape(kind, lanes, lanes), len(traced.state.results)
+    shape, results = Shape(kind, lanes, lanes), len(state.results)
     constants = RESULTS + results
-    n = constants + len(traced.prepare.results)
+    n = constants + len(prepare.results)
     inputs = {(name, i): Place(_FIRST[name] + i) for name, k in _GIVEN.items() for i in range(k)}
     kept = [Place(row) for row in range(constants, n)]
     inputs |= {("t", 0): Place(TIME)} | {("constant", k): x for k, x in enumerate(kept)}
-    prepare = LaneFormula(traced.prepare, inputs, kept)
     found = [Place(row) for row in range(RESULTS, constants)]
-    state = LaneFormula(traced.state, inputs, found, Place(FINITE))
-    made = lane_function(shape, (prepare, state))
-    return _Compiled(shape, Memory(shape, n, 2), made, _loop(kind, lanes, results - 3))
+    both = LaneFormula(prepare, inputs, kept), LaneFormula(state, inputs, found, Place(FINITE))
+    loop = address_loop(_SIGNATURE, _run_closed_form(kind, lanes, results - 3))
+    return _Compiled(shape, Memory(shape, n, 2), lane_function(shape, both), loop)
 
 
 class Evaluation:
-    """Evaluation of the motion of the same bodies from any start, at as many times: laid out once.
+    """Evaluation of the motion of the same bodies from any start, at as many times: prepared once.
 
-    ``stored`` makes what is handed out of quaternions, these themselves unless it is given.
+    ``stored`` gives the numbers of an attitude from a quaternion; None stores the quaternion.
     """
 
     def __init__(
@@ -307,14 +297,10 @@ class Evaluation:
         self._formulas = (form.solution, kind_of(kind), axes is not None, stored)
         given = {"moments": moments, "axes": axes, "pull": form.pull}
         self._bodies = {name: rows(x, kind) for name, x in given.items() if x is not None}
-        self._span = -(-size // max(1, min(size, _TOGETHER // n)))
-        lanes = n * -(-size // self._span)
-        self._lengths, self._small = (n, size, self._span, lanes), size * n <= _SMALL
-        #: whether there is no machine code
-        self.is_plain = without_compiler()
-        if not self.is_plain:
-            self._made = made = _compiled(*self._formulas)
-            self._entry, self._blocks = made.function.address, -(-lanes // made.shape.block)
+        span = -(-size // max(1, min(size, _TOGETHER // n)))
+        self._lengths = (n, size, span, n * -(-size // span))
+        if not without_compiler():
+            self._compiled = _compiled(*self._formulas)
             ordered = [self._bodies.get(name, self._bodies["moments"]) for name in given]
             self._last = [number for x in ordered for number in (address_of(x), _stride(x))]
 
@@ -324,57 +310,40 @@ class Evaluation:
         t: NDArray[Any],
         out: tuple[NDArray[Any], NDArray[Any]],
         threads: int,
-    ) -> None:
+    ) -> bool:
         """Attitudes (T, N, k) and w (T, N, 3), rows with gaps or not, at times (T,).
 
         All are in the same precision; q and w that bodies start with are (N, k), one row for all,
-        or (k,).
+        or (k,). Gives whether a result is not finite.
         """
-        if self.is_plain:
+        if without_compiler():
             self._in_python(start, t, out)
-            return
-        places = [(x.__array_interface__["data"][0], x.strides[1] // x.itemsize) for x in out]
-        self.write(start, t, places, threads)
-
-    def write(
-        self,
-        start: tuple[NDArray[Any], NDArray[Any]],
-        t: NDArray[Any],
-        places: Sequence[tuple[int, int]],
-        threads: int,
-        most: float = math.inf,
-    ) -> bool:
-        """The same in machine code: where rows lie, and how many numbers apart.
-
-        Gives whether results are not finite, or a body begins with more than |w|² = ``most``.
-        """
-        (q_out, q_stride), (w_out, w_stride) = places
-        q, w = start
+            return not all(np.isfinite(x).all() for x in out)
+        (q, w), (q_out, w_out), made = start, out, self._compiled
+        n, size, span, lanes = self._lengths
         numbers = [
-            self._entry, address_of(t), q_out, w_out, q_stride, w_stride, *self._lengths,
+            made.function.address, address_of(t), _address(q_out), _address(w_out),
+            *(x.strides[1] // x.itemsize for x in out), *self._lengths,
             address_of(q), _stride(q), address_of(w), _stride(w), *self._last,
         ]  # fmt: skip
-        table, made = array("q", numbers), self._made
-        found = []
+        table, found = array("q", numbers), []
 
         def run(*bounds: int) -> None:
             _held, *at = made.memory.made()
-            found.append(made.loop(table.buffer_info()[0], *at, most, *bounds))
+            found.append(made.loop(table.buffer_info()[0], *at, *bounds))
 
-        span, blocks = self._span, self._blocks
-        if self._small:
-            run(0, blocks, 0, span)
-            return any(found)
+        blocks = -(-lanes // made.shape.block)
+        threads = 1 if size * n <= _SMALL else threads
         together = max(1, _PIECE // (made.shape.block * min(span, _STEPS)))
         together = max(1, min(together, blocks // threads))
+        if together >= blocks and span <= _STEPS:
+            run(0, blocks, 0, span)
+            return any(found)
         pieces = product(range(0, blocks, together), range(0, span, _STEPS))
-        each_in_threads(
-            (
-                partial(run, i, min(i + together, blocks), k, min(k + _STEPS, span))
-                for i, k in pieces
-            ),
-            threads,
-        )
+        calls = [
+            partial(run, i, min(i + together, blocks), k, min(k + _STEPS, span)) for i, k in pieces
+        ]
+        each_in_threads(calls, threads)
         return any(found)
 
     def _in_python(
@@ -384,15 +353,20 @@ class Evaluation:
         out: tuple[NDArray[Any], NDArray[Any]],
     ) -> None:
         """Without a compiler, on one thread: a column a number of the formulas."""
-        traced = _traced(*self._formulas)
+        prepare, state = _traced(*self._formulas)
         bodies = {**self._bodies, **dict(zip("qw", map(np.atleast_2d, start), strict=True))}
         given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
-        constants = _plain(traced.prepare, given)
+        constants = _plain(prepare, given)
         given |= {("constant", i): x for i, x in enumerate(constants)}
         given["t", 0] = t[:, None]
         columns = [x[..., k] for x in out for k in range(x.shape[-1])]
-        for column, x in zip(columns, _plain(traced.state, given), strict=True):
+        for column, x in zip(columns, _plain(state, given), strict=True):
             column[...] = x
+
+
+def _address(x: NDArray[Any]) -> int:
+    """Where an array with gaps between its rows begins."""
+    return int(x.__array_interface__["data"][0])
 
 
 def _stride(x: NDArray[Any]) -> int:
@@ -405,6 +379,41 @@ def rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
     if x.dtype is not kind or not x.flags.carray:
         x = np.require(x, kind, ["C", "A"])
     return x if x.ndim == 2 else np.atleast_2d(x)
+
+
+@functools.cache
+def _stored_of(attitude: Attitude) -> Callable[[Any], Any] | None:
+    """What a trajectory holds in a representation, of a quaternion."""
+    return None if attitude is QUATERNION else lambda q: attitude.raw(attitude.start(q))
+
+
+def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
+    """A plan's states at some of its saves; warns of angles of which rounding leaves few digits."""
+    kind, stored, form = plan.kind, plan.attitude.stored, form_of(plan.scene)
+    since = plan.clock.since[saves]
+    results = plan.results(len(since))
+    results.norm_error[...] = results.status[...] = 0
+    out = results.out
+    evaluation = plan.evaluations.get(len(since))
+    if evaluation is None:
+        evaluation = Evaluation(form, kind, out.shape[:2], _stored_of(plan.attitude))
+        plan.evaluations[len(since)] = evaluation
+    with np.errstate(over="ignore"):
+        times = since.astype(kind)
+    split = (out[..., :stored], out[..., stored:])
+    has_bad = evaluation.fill((given.q, given.y), times, split, threads)
+    # |w| and what it gains are below twice their largest component
+    largest = np.abs(given.y).max() + form.gain.max()
+    if not 2.0 * largest * np.abs(since).max(initial=0.0) <= rounding.most_turned(kind) ** 0.5:
+        angles = turned(given.y, since, form.gain)
+        if text := rounding.of_angles(angles, kind):
+            rounding.warn(f"t: found turns of {text}")
+        far = angles > rounding.most_turned(kind)
+        results.status[...] = far * np.uint8(Status.STEP_TOO_LARGE)
+    if has_bad:
+        bad = ~np.isfinite(out).all(axis=(0, 2))
+        results.status[...] |= bad * np.uint8(Status.NON_FINITE)
+    return results
 
 
 def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,11 +23,11 @@ class Drift:
     """Departures from the invariants, each (S, N), or (S,) for one body.
 
     ``norm``: | |q| − 1 |; ``orthogonality``: ‖C Cᵀ − 1‖ (Frobenius); both of the propagated state,
-    before it was brought back to the group for output. ``energy``: kinetic and potential energy
-    less the first save's, over the largest kinetic energy saved, of what turns, and of what moves
-    too where the torque reads the position; None where the torque has no potential or the rate is
-    given. ``momentum``: length of what the angular momentum in space,
-    wheels included, has changed since the first save, over the largest saved; None under a torque.
+    before it was projected for output. ``energy``: kinetic and potential energy less the first
+    save's, over the largest kinetic energy saved, of the rotation, and of the translation too where
+    the torque reads the position; None where the torque has no potential or the rate is given.
+    ``momentum``: length of the change of the angular momentum in space, wheels included, since the
+    first save, over the largest saved; None under a torque.
     """
 
     norm: NDArray[Any]

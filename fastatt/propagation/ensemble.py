@@ -1,4 +1,4 @@
-"""Bodies with their initial states, and some of them with what acts on them."""
+"""A scene with initial states, and the choice of some of its bodies."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Ensemble:
         v0: ArrayLike | None = None,
         r0: ArrayLike | None = None,
     ) -> Ensemble:
-        """The same from whatever numbers a user gives.
+        """An ensemble from the arguments of ``propagate``.
 
         Raises ``TypeError`` for what is no scene, else as ``propagate`` does.
         """

@@ -1,158 +1,230 @@
-"""A run as it was asked for: planned, in one go, over parts of a large ensemble, or to files."""
+"""The steps of a planned run: all of them at once, or a few saves at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import Any
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fastatt.engine.pool import InterruptedRun
+from fastatt.engine import pool
+from fastatt.engine.run import Run, Span
 from fastatt.engine.status import Status
+from fastatt.propagation import closed_forms
 from fastatt.propagation.histories import History, check_memory
 from fastatt.propagation.initial import Given
-from fastatt.propagation.options import Choice, Clock, Handling, OwnClock
-from fastatt.propagation.plan import Plan
+from fastatt.propagation.options import RING, PerBodyClock, RunOptions, save_batches
 from fastatt.propagation.resume import MOST, check, check_begin, loaded
 from fastatt.propagation.trajectory import Results, Trajectory
-from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 
-# bodies of an ensemble that are run at a time: what a run needs besides is small beside the whole
+if TYPE_CHECKING:
+    from fastatt.propagation.plan import Plan
+
+#: bodies of an ensemble that are run at a time, so that working memory is a small share
 PART = 1 << 19
-# plans that are kept with a scene, and of how many bodies
-_KEPT, _FEW = 16, 1024
+# s between two checkpoints, and body-steps after which one may be due
+_WRITTEN, _CHECKED = 10.0, 200_000_000
+
+Times = NDArray[np.float64]
+Done = Callable[[int], object]
+Deliver = Callable[[Trajectory], None]
 
 
-def carry_out(
-    scene: Scene,
-    choice: Choice,
-    clock: Clock,
-    given: Given,
-    t0: float,
-    handling: Handling,
-    *,
-    position: bool = False,
-) -> Trajectory:
-    """The trajectory of a run.
+def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Trajectory:
+    """The trajectory of a plan from initial values that were checked.
 
-    Raises ``MemoryError`` for one whose saves will not fit, ``ValueError`` for one that does not
-    fit the end from which it goes on.
+    Raises ``MemoryError`` where saves will not fit, ``ValueError`` for a checkpoint of another run.
     """
-    kind = given.q.dtype
-    shape = (clock.saves, given.bodies, choice.attitude.stored + given.y.shape[-1])
-    if _is_in_parts(choice, clock, given.bodies, handling):
-        plan = Plan(scene, given.bodies, choice, clock, kind, position=position)
-        return _in_parts(plan, given, t0, handling, shape)
-    to_saves = handling.sink is not None or handling.file is not None
-    if not to_saves:
-        check_memory(shape, kind)
-    plan = _kept(scene, given.bodies, choice, clock, kind, position)
-    end, kept, device = handling.start, handling.checkpoint, choice.device
-    if not (to_saves or end or kept or device or handling.progress):
-        return plan.run(given, t0, handling)
-    goes_on = end is None and kept is not None and kept.exists()
-    if goes_on and kept is not None:
-        end = loaded(kept)
-        check_begin(end, given, t0, clock.end)
-    if end is not None:
-        check(end, plan)
+    clock, shape = plan.clock, (plan.clock.saves, plan.n_bodies, plan.width)
+    takers: list[Callable[[Trajectory], object]] = []
+    if options.on_save is not None:
+        takers.append(options.on_save)
+    elif options.file is None:
+        check_memory(shape, plan.kind)
+    times, start, first = plan.times(t0), options.start, 0
+    if options.checkpoint is not None and options.checkpoint.exists():
+        start = loaded(options.checkpoint)
+        check_begin(start, given, t0, clock.end)
+        first = int(np.searchsorted(clock.saved, start.done, side="right"))
+    if start is not None:
+        check(start, plan)
+        options = options._replace(start=start)
     history = None
-    if handling.file is not None:
-        first = 0
-        if goes_on and end is not None:
-            first = int(np.searchsorted(clock.saved, end.done, side="right"))
-        history = History(handling.file, shape, plan.kind, first)
-    total, unit = (shape[0], "save") if to_saves else (shape[1] * clock.n_steps, "step")
-    with progress_bar(handling.progress, total, unit) as done:
-        sinks = [x for x in (handling.sink, history) if x is not None]
-        handling = handling._replace(
-            done=done if handling.progress and not to_saves else None,
-            sink=partial(_deliver, sinks, done) if sinks else None,
-            start=end,
-        )
+    if options.file is not None:
+        history = History(options.file, shape, plan.kind, first)
+        takers.append(history)
+    total, unit = plan.n_bodies * (plan.span.last - plan.span.first), "step"
+    if takers:
+        total, unit = clock.saves, "save"
+    with progress_bar(options.progress, total, unit) as done:
+
+        def deliver(batch: Trajectory) -> None:
+            for take in takers:
+                take(batch)
+            done(batch.t.size)
+
         try:
-            run = plan.run(given, t0, handling)
-        except InterruptedRun as stopped:
+            if plan.choice.method.is_exact:
+                run = _closed_form(plan, given, times, options, deliver if takers else None)
+            elif takers:
+                run = _in_batches(plan, given, t0, times, options, deliver, None)
+            elif options.checkpoint is not None:
+                run = _in_batches(plan, given, t0, times, options, None, done)
+            else:
+                run = _at_once(plan, given, t0, times, options, done)
+        except pool.InterruptedRun as stopped:
             if history is not None and history.array is not None:
-                fields = {**plan.handed.common, **plan.handed.parts(history.array[: history.saves])}
-                fields["t"] = clock.times(t0)[: history.saves]
-                fields["status"] = np.full(shape[1], Status.UNFINISHED, np.uint8)
-                stopped.trajectory = Trajectory(**fields, one_body=given.one_body)
+                saves, status = history.saves, np.full(shape[1], Status.UNFINISHED, np.uint8)
+                results = history.results(saves, status)
+                stopped.trajectory = plan.trajectory(times[:saves], results, given.one_body)
             raise
-    if device is not None and device.saves is not None:
-        return replace(run, **plan.handed.parts(device.saves))
     if history is None or history.array is None:
         return run
-    return replace(run, t=clock.times(t0), **plan.handed.parts(history.array))
+    results = history.results(len(times), run.status)
+    return plan.trajectory(times, results, given.one_body, run.end)
 
 
-def holds_end(n: int, clock: Clock) -> bool:
-    """Whether the trajectory of n bodies holds its end: where that is small."""
-    return n <= min(MOST, PART) and not isinstance(clock, OwnClock)
-
-
-def _is_in_parts(choice: Choice, clock: Clock, n: int, handling: Handling) -> bool:
-    """Whether the ensemble is run a part at a time."""
-    to_files = handling.sink or handling.checkpoint or handling.file or handling.start
-    if to_files or choice.method.is_exact or choice.device:
-        return False
-    return n > PART or isinstance(clock, OwnClock)
-
-
-def _kept(
-    scene: Scene, n: int, choice: Choice, clock: Clock, kind: np.dtype[Any], position: bool
-) -> Plan:
-    """A plan, kept with the scene where it is small."""
-    memo, key = scene.memo, (n, choice, clock, kind, position)
-    is_small = n <= _FEW and not (clock.done or isinstance(clock, OwnClock) or choice.device)
-    found: Plan | None = memo.get(key) if is_small else None
-    if found is None:
-        found = Plan(scene, n, choice, clock, kind, position=position)
-        if is_small:
-            while len(memo) >= _KEPT:
-                memo.pop(next(iter(memo)), None)
-            memo[key] = found
-    return found
-
-
-def _deliver(
-    sinks: list[Callable[[Trajectory], object]], done: Callable[[int], object], piece: Trajectory
-) -> None:
-    for sink in sinks:
-        sink(piece)
-    done(piece.t.size)
-
-
-def _in_parts(
-    plan: Plan, given: Given, t0: float, handling: Handling, shape: tuple[int, int, int]
+def _closed_form(
+    plan: Plan, given: Given, times: Times, options: RunOptions, deliver: Deliver | None
 ) -> Trajectory:
-    """A large ensemble, or one with per-body steps, some of its bodies at a time."""
-    check_memory(shape, plan.kind)
-    clock, n = plan.clock, shape[1]
-    times = plan.times(t0)
-    order = clock.order if isinstance(clock, OwnClock) else None
-    results, angles = Results.empty(*shape, plan.kind), np.empty(n, plan.kind)
+    """The closed form at all saves, or at a few at a time; then the last is returned."""
 
-    def whole() -> Trajectory:
-        return Trajectory(**plan.handed.fields(times, results, given.one_body))
+    def at(saves: slice) -> Trajectory:
+        results = closed_forms.results_at(plan, given, saves, options.n_threads)
+        return plan.trajectory(times[saves], results, given.one_body)
 
-    with progress_bar(handling.progress, n * plan.span.last, "step") as done:
-        handling = handling._replace(done=done if handling.progress else None)
-        for a in range(0, n, PART):
-            m = min(PART, n - a)
-            try:
-                found = plan.fill(given, t0, handling, results, (a, m))
-            except InterruptedRun as stopped:
-                rest = slice(a, n) if order is None else order[a:]
-                results.out[:, rest] = results.norm_error[:, rest] = np.nan
-                results.status[rest] = Status.UNFINISHED
-                stopped.trajectory = whole()
-                raise
-            angles[slice(a, a + m) if order is None else order[a : a + m]] = found
-    least, most = plan.silent_range
-    if not (least <= angles.max() <= most and angles.min() >= least):
-        _ = plan.warn(plan.first_turns(given), plan.damped) or plan.warn(angles, plan.damped)
-    return whole()
+    if deliver is None:
+        return at(slice(None))
+    for batch in save_batches(len(times)):
+        deliver(at(slice(*batch)))
+    return at(slice(len(times) - 1, None))
+
+
+def _at_once(
+    plan: Plan,
+    given: Given,
+    t0: float,
+    times: Times,
+    options: RunOptions,
+    done: Done,
+) -> Trajectory:
+    """All steps of an ensemble, of a large one a part of the bodies after the other."""
+    n, device = plan.n_bodies, plan.choice.device
+    results = plan.results(plan.clock.saves)
+    angles: list[NDArray[Any]] = []
+    size, largest = n if device or options.start else PART, 0.0
+    warned = not plan.is_short and plan.warn_of_first(given)
+    for a in range(0, n, size):
+        part = slice(a, min(a + size, n))
+        run = plan.started(given, t0, results, (a, part.stop - a), options.start)
+        try:
+            _advance(plan, run, plan.span, options.n_threads, done)
+        except pool.InterruptedRun as stopped:
+            _leave_unfinished(plan, results, part, stopped.reached)
+            stopped.trajectory = plan.trajectory(times, results, given.one_body)
+            raise
+        angles.append(np.sqrt(run.diagnostics[0]))
+        largest = max(largest, run.largest_angle)
+    end = plan.end(given, run, t0, plan.clock.end) if _keeps_end(plan, options) else None
+    if not warned:
+        plan.warn_after(given, largest, angles)
+    if device is not None and device.saves is not None:
+        results = results._replace(out=device.saves)
+    return plan.trajectory(times, results, given.one_body, end)
+
+
+def _in_batches(
+    plan: Plan,
+    given: Given,
+    t0: float,
+    times: Times,
+    options: RunOptions,
+    deliver: Deliver | None,
+    done: Done | None,
+) -> Trajectory:
+    """A few saves at a time, each delivered once, or a few steps; the final states are returned."""
+    clock, span, start = plan.clock, plan.span, options.start
+    results = plan.results(min(clock.saves, 1 + RING))
+    run = plan.started(given, t0, results, (0, plan.n_bodies), start)
+    warned = not plan.is_short and plan.warn_of_first(given)
+    begin, written = clock.done if start is None else start.done, perf_counter()
+    batches = [(last, (0, 1)) for last in _checkpoints(plan)]
+    if deliver is not None:
+        batches = [(clock.saved[b - 1], (a, b)) for a, b in save_batches(clock.saves)]
+        if begin not in {span.origin, *(last for last, _ in batches)}:
+            raise ValueError(
+                f"resume: the checkpoint is of a run that saved after step {begin}, where this one "
+                "does not; accepted: the same call again, or no file"
+            )
+    is_over = span.origin < begin == span.n_steps
+    for last, (a, b) in batches:
+        if last <= begin and last < span.n_steps:
+            continue
+        # slot 0 keeps the initial save; of a run that is over it takes the last states
+        slot = span.slot if deliver is None else 2 - max(a, 1)
+        origin = last if is_over else span.origin
+        steps = replace(span, first=max(begin, span.origin), last=last, slot=slot, origin=origin)
+        _advance(plan, run, steps, options.n_threads, done)
+        begin, new = last, slice(min(a, 1), min(a, 1) + b - a)
+        if deliver is not None and not is_over:
+            batch = results.saves(new)._replace(status=results.status.copy())
+            deliver(plan.trajectory(times[a:b], batch, given.one_body))
+        due = last == span.n_steps or perf_counter() - written > _WRITTEN
+        if options.checkpoint is not None and due:
+            plan.end(given, run, t0, last).save(options.checkpoint)
+            written = perf_counter()
+    final = 0 if is_over else new.stop - 1
+    end = plan.end(given, run, t0, clock.end) if _keeps_end(plan, options) else None
+    if not warned:
+        plan.warn_after(given, run.largest_angle, [np.sqrt(run.diagnostics[0])])
+    last_save = results.saves(slice(final, final + 1))
+    return plan.trajectory(times[-1:], last_save, given.one_body, end)
+
+
+def _checkpoints(plan: Plan) -> list[int]:
+    """Steps after which a checkpoint may be written, in a run without saves on the way."""
+    span = plan.span
+    each = span.end_of_piece(0, _CHECKED // plan.n_bodies)
+    return [*range(span.end_of_piece(span.origin, each), span.n_steps, each), span.n_steps]
+
+
+def _keeps_end(plan: Plan, options: RunOptions) -> bool:
+    is_small = plan.n_bodies <= min(MOST, PART)
+    return options.keep_end and is_small and not isinstance(plan.clock, PerBodyClock)
+
+
+def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:
+    """Steps of a span, of a run's bodies; ``done`` is called with the number of body-steps."""
+    n, width = run.bodies[1], plan.job.width
+    # a short run is over before Ctrl-C could be answered
+    is_brief = span is plan.span and n_threads == 1 and plan.is_short and not plan.calls
+    if plan.choice.device is None and not is_brief:
+        pool.run_ensemble(run.part, span, (n, width), n_threads, done, calls=plan.calls)
+        return
+    run.part(span, 0, -(-n // width))
+    if done is not None:
+        done(n * (span.last - span.first))
+
+
+def _leave_unfinished(
+    plan: Plan,
+    results: Results,
+    part: slice,
+    reached: list[tuple[int, int, int]],
+) -> None:
+    """Flag bodies that did not reach the end, their saves NaN from where they stopped."""
+    clock, span, width = plan.clock, plan.span, plan.job.width
+    saved, n = np.array(clock.saved), plan.n_bodies
+    order = np.arange(n) if clock.order is None else clock.order
+    ends = [(part.start + a * width, part.start + b * width, done) for a, b, done in reached]
+    for a, b, done in [*ends, (part.stop, n, span.first)]:
+        if done < span.n_steps:
+            rows = order[a : min(b, part.stop) if a < part.stop else b]
+            has_saves = done > span.first and clock.order is None
+            late = np.flatnonzero(saved > done) if has_saves else np.arange(len(saved))
+            results.status[rows] = Status.UNFINISHED
+            results.out[late[:, None], rows] = results.norm_error[late[:, None], rows] = np.nan

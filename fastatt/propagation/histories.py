@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.propagation.trajectory import Trajectory
+from fastatt.propagation.trajectory import Results, Trajectory
 
-# bytes that need no look at what is free
+# bytes that need no check of the free memory
 _LITTLE = 1 << 30
 
 
@@ -111,6 +112,11 @@ class History:
         columns = [piece.state, *piece.carried.values(), piece.norm_error[..., None]]
         self._file[rows] = np.concatenate(columns, axis=-1)
         self.saves = rows.stop
+
+    def results(self, saves: int, status: NDArray[np.uint8]) -> Results:
+        """The first saves, of a file that is mapped into memory."""
+        assert self.array is not None
+        return Results(self.array[:saves, :, :-1], self.array[:saves, :, -1], status)
 
 
 def _mapped(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:

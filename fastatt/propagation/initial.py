@@ -1,4 +1,4 @@
-"""Initial states: what a user gives, looked at and laid out for the engine."""
+"""Initial states: a user's arrays, checked, and in the layout of the engine."""
 
 from __future__ import annotations
 
@@ -13,46 +13,41 @@ from fastatt.scene.scene import Scene
 
 
 class Given(NamedTuple):
-    """Initial states in a run's precision: attitudes, and what is carried beside them, by rows."""
+    """Initial states in a run's precision: attitudes (N, 4), and the rest of the state (N, k).
+
+    A single row is that of all bodies.
+    """
 
     q: NDArray[Any]
     y: NDArray[Any]
-    rows_q: int
-    rows_y: int
     one_body: bool
 
     @property
     def bodies(self) -> int:
         """How many there are."""
-        return max(self.rows_q, self.rows_y)
+        return max(len(self.q), len(self.y))
 
     @classmethod
-    def of(cls, start: NDArray[Any], beside: Mapping[str, NDArray[Any]], kind: Any) -> Given:
-        """The same from attitudes (4,) or (N, 4) and vectors (3,) or (N, 3)."""
-        values = list(beside.values())
+    def of(cls, start: NDArray[Any], carried: Mapping[str, NDArray[Any]], kind: Any) -> Given:
+        """From attitudes (4,) or (N, 4) and vectors (3,) or (N, 3)."""
+        values = list(carried.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
-        rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
         with np.errstate(over="ignore"):
+            q = np.atleast_2d(np.ascontiguousarray(start, dtype=kind))
             if len(values) == 1:
-                y = np.ascontiguousarray(values[0], dtype=kind)
-            else:
-                columns = [column for value in values for column in value.T]
-                y = np.empty((rows, len(columns)), dtype=kind)
-                for i, column in enumerate(columns):  # ten times as fast as whole rows
-                    y[:, i] = column
-            q = np.ascontiguousarray(start, dtype=kind)
-        return cls(q, y, 1 if q.ndim == 1 else len(q), rows, one_body)
-
-    @property
-    def rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Both with an axis of bodies, which is of length 1 where all share a row."""
-        return self.q.reshape(self.rows_q, -1), self.y.reshape(self.rows_y, self.y.shape[-1])
+                return cls(q, np.atleast_2d(np.ascontiguousarray(values[0], dtype=kind)), one_body)
+            rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
+            columns = [column for value in values for column in value.T]
+            y = np.empty((rows, len(columns)), dtype=kind)
+            for i, column in enumerate(columns):  # ten times as fast as whole rows
+                y[:, i] = column
+        return cls(q, y, one_body)
 
 
 def initial(
     scene: Scene, values: Sequence[Any], *, flag: bool
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
-    """Attitudes, and what is carried beside them in the order of the state.
+    """Attitudes, and the other initial values in the order of the state.
 
     ``values`` are (q0, w0, v0, r0); with ``flag`` numbers that are not finite pass.
 

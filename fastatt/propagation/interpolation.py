@@ -34,9 +34,8 @@ def interpolate(
     q : (S, 4) or (S, N, 4), attitudes there, body to inertial, scalar first, of either sign.
     w : (S, 3) or (S, N, 3), angular velocities there along body axes, rad/s.
     times : a number or (T,), in any order, none outside of ``t``.
-    invalid : "raise" refuses what is not finite, zero quaternions, and bodies that turn too far
-        between saves; "flag" gives NaN for what rests on those, and the other bodies as without
-        them.
+    invalid : "raise" refuses what is not finite, zero quaternions, and bodies that rotate too far
+        between saves; "flag" gives NaN where these enter, and does not affect other bodies.
 
     Returns
     -------
@@ -44,8 +43,8 @@ def interpolate(
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit; with "raise", a body whose rate turns it
-        by more than π from one save to the next: how often it went round is not known then.
+    ValueError, TypeError : an argument that does not fit; with "raise", a body whose rate is more
+        than π from one save to the next: the number of its revolutions is not known then.
 
     Warns
     -----
@@ -102,7 +101,7 @@ def _between(
     *,
     flag: bool,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The same of checked arguments, (T, N, 4) and (T, N, 3)."""
+    """Attitudes (T, N, 4) and angular velocities (T, N, 3), of checked arguments."""
     count, bodies, kind = t.size, q.shape[1], q.dtype
     way = np.sign(t[1] - t[0])
     left = np.clip(np.searchsorted(way * t, way * times, side="right") - 1, 0, count - 2)
@@ -156,7 +155,7 @@ def _between(
 def _far(
     t: NDArray[np.float64], w: NDArray[Any], used: NDArray[np.intp], *, flag: bool
 ) -> NDArray[np.bool_]:
-    """Which bodies turn by more than π over the intervals that are used, (N,); refused unless."""
+    """Bodies that rotate by more than π over an interval that is used, (N,); or refuse them."""
     size = np.sqrt((w.astype(np.float64) ** 2).sum(axis=-1))
     span = np.abs(t[used + 1] - t[used])[:, None]
     turn = np.fmax(size[used], size[used + 1]) * span

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -18,7 +18,10 @@ from fastatt.scene.models import Packed
 from fastatt.scene.rates import bound, lengths
 from fastatt.scene.scene import Scene
 
-# evaluations a step of one stage beside which a look at its turn is nothing
+if TYPE_CHECKING:
+    from fastatt.propagation.plan import Plan
+
+# evaluations a step beyond which monitoring the rotation angle costs next to nothing
 _STAGES = 4
 
 
@@ -33,7 +36,7 @@ def turn_limit(
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
-    """What the method's limit holds for, of the first step of each body, rad; w (3,) or (N, 3)."""
+    """The angle that the method limits, rad, of each body's first step; w (3,) or (N, 3)."""
     with np.errstate(over="ignore", invalid="ignore"):
         if method.measure == "turn":
             return np.asarray(lengths(_finite(w)) * abs(h))
@@ -57,7 +60,7 @@ def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
-    """|m|/I_min of each body, rad/s: a free one never turns faster."""
+    """|m|/I_min of each body, rad/s: a free body never rotates faster."""
     given = np.asarray(scene.inertia)
     least = scene.principal.moments.min(axis=-1)
     rates = _finite(w)
@@ -67,11 +70,10 @@ def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64] | float | None:
-    """Whether turns are known beforehand: rates (rad/s) of each body that they never exceed, or 0.
+    """Rates, rad/s, that each body never exceeds; None where they are not known beforehand.
 
-    0 of free bodies, whose own initial momentum says it; None where nothing does. Coordinates have
-    poles, a planet's gravity has a centre; beside many stages the look is not worth a second
-    program. ``choice`` is that of a run.
+    0 of free bodies, whose initial momentum bounds them. Coordinates have poles, a planet's gravity
+    has a centre; where a step has many stages, steps without monitoring save too little.
     """
     method: Method = choice.method
     if choice.attitude.has_poles or scene.needs_position:
@@ -86,7 +88,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
 
 
 def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
-    """Largest known turn, rad a step, of bodies whose steps need no look."""
+    """Largest known rotation angle of a step, rad, that needs no monitoring."""
     if scene.is_constant and method.exact_for_constant:
         return 3.0  # of exponentials good up to π
     if method.measure == "asymmetry":
@@ -103,18 +105,11 @@ def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
         return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
 
 
-def warn(
-    turn: NDArray[Any],
-    damped: NDArray[np.float64],
-    limit: float,
-    method: Method,
-    h: Any,
-    kind: np.dtype[Any],
-    *,
-    compensated: bool,
-) -> bool:
-    """Warn of steps that are too large or too small, once; ``turn`` is |w|h of each body, rad."""
-    seen = np.asarray(turn)
+def warn(plan: Plan, angles: NDArray[Any]) -> bool:
+    """Warn, once, of steps that are too large or too small, by each body's rotation angle, rad."""
+    limit, damped, kind = plan.limit, plan.damped, plan.kind
+    method, h = plan.choice.method, plan.clock.steps
+    seen = np.asarray(angles)
     most = float(seen.max()) if seen.size else 0.0
     if not math.isfinite(most):
         seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
@@ -140,7 +135,7 @@ def warn(
             f"to {method.damping_limit:.3g}: take |dt| <= "
             f"{abs(h) * method.damping_limit / worst:.3g}"
         )
-    elif 0.0 < most < eps and not compensated:
+    elif 0.0 < most < eps and not plan.attitude.compensated:
         text = (
             f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
             f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"

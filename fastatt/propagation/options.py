@@ -1,26 +1,27 @@
-"""What is asked of a run: by which method, which steps and saves, on how many threads."""
+"""The options of a run: its method, its steps and saves, its threads."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.attitudes import Attitude
-from fastatt.device import Device
 from fastatt.engine.run import PerBody, Span
 from fastatt.methods.method import Method
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from fastatt.device.program import Device
     from fastatt.propagation.resume import End
 
 #: saves that are kept at a time where all of them are not
@@ -32,11 +33,15 @@ _LEG = 4096
 
 @dataclass(frozen=True)
 class Choice:
-    """How a scene is propagated: by which method, in which representation, mended when."""
+    """How a scene is propagated: method, representation, and when the state is projected.
+
+    It is projected onto its group every ``projection`` steps, never if that is 0, and for output
+    unless ``raw``.
+    """
 
     method: Method
     attitude: Attitude
-    restore: int = 0
+    projection: int = 0
     raw: bool = False
     reducer: Reducer | None = None
     #: where it runs, if not on the processor
@@ -51,10 +56,12 @@ class Clock:
     n_steps: int
     every: int | None
     done: int = 0
+    #: the order in which bodies are run, if other than 0, 1, ...
+    order: ClassVar[NDArray[np.int64] | None] = None
 
     @classmethod
     def of(cls, dt: Any, n_steps: Any, save_every: Any, done: int = 0) -> Clock:
-        """The same from what a user gives.
+        """A clock from the arguments of ``propagate``.
 
         Raises ``ValueError`` or ``TypeError`` for what is no step and no number of steps.
         """
@@ -78,11 +85,9 @@ class Clock:
     @cached_property
     def saved(self) -> list[int]:
         """Numbers of the steps after which states are saved."""
-        return (
-            [self.end]
-            if self.every is None
-            else [*range(self.done, self.end, self.every), self.end]
-        )
+        if self.every is None:
+            return [self.end]
+        return [*range(self.done, self.end, self.every), self.end]
 
     @cached_property
     def since(self) -> NDArray[np.float64]:
@@ -103,44 +108,45 @@ class Clock:
 
     @property
     def steps(self) -> Any:
-        """The step, s, or each body's own."""
+        """The step size, s, or per-body step sizes (N,)."""
         return self.h
 
     def longest(self, begin: float) -> float:
         """Largest |t| of the run, s."""
         return max(abs(begin), abs(begin + self.end * self.h))
 
-    def span(self, restore: int) -> Span:
-        """All of it, for the engine."""
+    def span(self, projection: int) -> Span:
+        """All steps, for the engine."""
         every = self.every or max(self.n_steps, 1)
         slot = int(self.every is not None)
-        return Span(self.done, self.end, self.end, every, slot, restore, self.done)
+        return Span(self.done, self.end, self.end, every, slot, projection, self.done)
 
 
-@dataclass(frozen=True, eq=False)
-class OwnClock(Clock):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PerBodyClock(Clock):
     """Per-body step sizes, and saves at any times.
 
     ``h`` and ``n_steps`` of the base are those of the body with most steps.
     """
 
-    own: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    #: times of the saves, s; the same since the start, and the slack of their rounding
-    at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    since: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    slack: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    #: one step size, s, or one of each body
+    sizes: NDArray[np.float64]
+    #: times of the saves, s; times since the start, and the slack of their rounding
+    at: NDArray[np.float64]
+    since: NDArray[np.float64]
+    slack: NDArray[np.float64]
 
     @property
     def steps(self) -> NDArray[np.float64]:
-        """Each body's own step, s."""
-        return self.own
+        """Per-body step sizes, s."""
+        return self.sizes
 
     @cached_property
-    def order(self) -> NDArray[np.int64] | None:
-        """Bodies with most steps first, which threads take first; None if all have one step."""
-        if self.own.size == 1:
+    def order(self) -> NDArray[np.int64] | None:  # type: ignore[override]
+        """Bodies with most steps first; None if all have one step size."""
+        if self.sizes.size == 1:
             return None
-        return np.argsort(np.abs(self.own), kind="stable").astype(np.int64)
+        return np.argsort(np.abs(self.sizes), kind="stable").astype(np.int64)
 
     @cached_property
     def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -160,7 +166,7 @@ class OwnClock(Clock):
         stops, slots = self._stops
         order = np.arange(n) if self.order is None else self.order
         return PerBody(
-            order, np.repeat(self.own, n) if self.own.size == 1 else self.own, stops, slots
+            order, np.repeat(self.sizes, n) if self.sizes.size == 1 else self.sizes, stops, slots
         )
 
     @property
@@ -177,44 +183,41 @@ class OwnClock(Clock):
         """Times of the saves, s."""
         return self.at
 
-    def span(self, restore: int) -> Span:
-        """All of it, for the engine."""
+    def span(self, projection: int) -> Span:
+        """All steps, for the engine."""
         n = self._stops[1].size
-        return Span(0, n, n, 1, 0, restore)
+        return Span(0, n, n, 1, 0, projection)
 
 
-class Handling(NamedTuple):
-    """What has no effect on results: threads, a bar, where saves go; and what invalid bodies do."""
+class RunOptions(NamedTuple):
+    """What has no effect on results: threads, a bar, where saves go, where a run goes on."""
 
-    threads: int = 1
-    #: is told of body-steps
-    done: Callable[[int], object] | None = None
-    sink: Callable[[Trajectory], object] | None = None
-    invalid: str = "raise"
+    n_threads: int = 1
+    progress: bool = False
+    #: is called with a few saves at a time
+    on_save: Callable[[Trajectory], object] | None = None
+    #: that saves are written to
+    file: Path | None = None
     #: where the run's end is written, again and again
     checkpoint: Path | None = None
-    #: that saves go to
-    file: Path | None = None
-    progress: bool = False
     #: where the run goes on
     start: End | None = None
-    #: whether the trajectory holds its end
-    ends: bool = False
+    #: whether the trajectory holds its end, if that is small
+    keep_end: bool = False
 
 
-def few(saves: int) -> list[list[int]]:
-    """The initial save with each few that follow it."""
-    return [[0, *range(first, min(first + RING, saves))] for first in range(1, max(saves, 2), RING)]
+def save_batches(saves: int) -> list[tuple[int, int]]:
+    """(first, end) of each few saves; the initial one is with the first."""
+    return list(pairwise([0, *range(1 + RING, saves, RING), saves]))
 
 
 def clock_of(
-    dt: Any, n_steps: Any, saves: tuple[Any, Any], begin: float, bodies: int
-) -> Clock | OwnClock:
-    """The clock of a run; ``saves`` are ``save_every`` and ``save_at``.
+    dt: Any, n_steps: Any, save_every: Any, save_at: Any, begin: float, bodies: int
+) -> Clock:
+    """The clock of a run of so many bodies from time ``begin``.
 
     Raises ``ValueError`` and ``TypeError`` for what does not fit.
     """
-    save_every, save_at = saves
     if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
         return Clock.of(dt, n_steps, save_every)
     if save_every is not None:
@@ -244,7 +247,15 @@ def clock_of(
         at = _times(save_at, begin, begin + end)
         since, slack = at - begin, 16.0 * _EPS * (np.abs(at) + abs(begin))
     smallest = float(steps[np.abs(steps).argmin()])
-    return OwnClock(smallest, int(counts.max()), None, 0, steps, at, since, slack)
+    return PerBodyClock(
+        h=smallest,
+        n_steps=int(counts.max()),
+        every=None,
+        sizes=steps,
+        at=at,
+        since=since,
+        slack=slack,
+    )
 
 
 def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:

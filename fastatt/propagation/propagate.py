@@ -15,11 +15,11 @@ from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen, method_of
-from fastatt.propagation.execute import carry_out, holds_end
+from fastatt.propagation.execute import execute
 from fastatt.propagation.histories import ToFile, saving
 from fastatt.propagation.initial import Given, initial, same_number
-from fastatt.propagation.options import Choice, Clock, Handling, OwnClock, clock_of
-from fastatt.propagation.plan import LONG, Plan
+from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions, clock_of
+from fastatt.propagation.plan import Plan
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.resume import Checkpoint, end_of
 from fastatt.propagation.trajectory import Trajectory
@@ -30,6 +30,8 @@ from fastatt.threads import number_of
 OnSave = Callable[[Trajectory], object] | ToFile
 # body-steps, 2 ms of the slowest, that one thread takes no longer than several do
 _SHORT = 65_536
+# plans that are kept with a scene, and of how many bodies
+_KEPT, _FEW = 16, 1024
 
 
 def propagate(
@@ -61,15 +63,15 @@ def propagate(
 
     Parameters
     ----------
-    scene : what acts.
+    scene : the bodies, with their rates, torques and forces.
     q0 : (4,) or (N, 4), initial attitudes, body to inertial, scalar first, of any length but zero.
     w0 : (3,) or (N, 3), initial angular velocities along body axes, rad/s; a rate scene takes none.
     v0, r0 : (3,) or (N, 3), of a scene with mass: initial velocities along body axes, m/s, and
         positions along inertial axes, m, which are carried if given.
     dt : step, s; negative runs backwards. Each body may have its own, (N,).
-    n_steps : number of steps, at least 0; with steps of each body's own (N,), so that all end at
+    n_steps : number of steps, at least 0; with per-body step sizes (N,), so that all end at
         one time, to rounding.
-    method : a name of ``fastatt.METHODS``, or a method of one's own (``fastatt.runge_kutta``,
+    method : a name of ``fastatt.METHODS``, or a custom method (``fastatt.runge_kutta``,
         ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
         scene and the representation; the trajectory names it.
     representation : a name of ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or a custom
@@ -85,18 +87,18 @@ def propagate(
     compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
         grows with the square root of the number of steps; at 0.5 to 0.9 of the speed. Of
         quaternions, and of methods whose record says ``compensates``.
-    normalise : when the state is brought back to its group: "output" (in what is handed out only),
-        "never", or every so many steps, besides. The status looks at the departure from the group
-        before it is mended. A compensated state is mended every 64 steps unless said otherwise.
+    normalise : when the state is projected onto its group: "output" (saved values alone), "never",
+        or also every so many steps. The status is set by the norm error before a projection. A
+        compensated state is projected every 64 steps with "output".
     invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
-        the ensemble and flags those bodies, the others' results being what they are without them.
+        the ensemble and flags those bodies; the results of others do not depend on them.
     on_save : with ``save_every``, what takes the saves, so that the result holds the final states
         only: a function, which is called with 16 saves at a time (17 with the initial one) as a
         trajectory whose arrays are used again; a file, ``fa.to_file(path)``; or one of each.
-    reduce : a function of one's own that sees every step of every body (:func:`fastatt.reducer`);
+    reduce : a user-defined function that sees every step of every body (:func:`fastatt.reducer`);
         the trajectory's ``reduced`` is what it made. With methods whose record says ``reduces``.
     resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end``, where this
-        run goes on, to the same bits as without an end between; initial values, ``t0``, method and
+        run goes on, to the bits of one run; initial values, ``t0``, method and
         scene are its own, and saves are counted from there. Or ``fa.checkpoint(path)``: the run
         writes its end so far there every ten seconds, and the same call goes on from it.
     save_at : times within the run, s, in its order, at which states are kept instead: from the last
@@ -121,47 +123,45 @@ def propagate(
     On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
     """
     as_scene(scene)
-    sink, file = saving(on_save)
+    function, file = saving(on_save)
     checkpoint = resume.path if isinstance(resume, Checkpoint) else None
-    there = None
+    gpu = None
     if device is not None:
         from fastatt.device.program import taken
 
         stays = on_save is None and checkpoint is None
-        there, (q0, w0, v0, r0) = taken(device, (q0, w0, v0, r0), stays=stays)
+        gpu, (q0, w0, v0, r0) = taken(device, (q0, w0, v0, r0), stays=stays)
     end = None if resume is None or checkpoint is not None else end_of(resume)
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
-    choice = chosen(scene, method, representation, compensated, normalise, reduce, there)
+    choice = chosen(scene, method, representation, compensated, normalise, reduce, gpu)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     begin = checks.real("t0", t0)
-    values, position = (q0, w0, v0, r0), r0 is not None
     if end is None:
-        start, beside = initial(scene, values, flag=True)
+        values = (q0, w0, v0, r0)
+        start, carried = initial(scene, values, flag=flag)
         if reduce is not None:
-            beside["s0"] = reduce.start
-            same_number({**beside, "q0": start})
-        given = Given.of(start, beside, checks.precision(dtype, *values))
+            carried["s0"] = reduce.start
+            same_number({**carried, "q0": start})
+        given = Given.of(start, carried, checks.precision(dtype, *values))
+        clock = clock_of(dt, n_steps, save_every, save_at, begin, given.bodies)
+        position = r0 is not None
     else:
         # initial values come from there, and saves are counted from its end
-        given_too = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
-        _check_alone("resume; accepted: one of them", **given_too, save_at=save_at)
-        given, begin, position = end.given, end.t0, bool(end.about["r0"])
-        if dtype is not None and checks.precision(dtype) != given.q.dtype:
+        found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
+        _check_alone("resume; accepted: one of them", **found, save_at=save_at)
+        if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
             raise ValueError(
-                f"dtype: found {checks.brief(dtype)} with resume; accepted: {given.q.dtype}, with "
-                "which the run began, or None"
+                f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "
+                "with which the run began, or None"
             )
-    bodies = given.bodies
-    if end is None:
-        clock = clock_of(dt, n_steps, (save_every, save_at), begin, bodies)
-    else:
+        given, begin, position = end.given, end.t0, bool(end.about["r0"])
         clock = Clock.of(dt, n_steps, save_every, end.done)
-    if isinstance(clock, OwnClock):
-        # these go with one step for all bodies, counted from the begin, alone
+    if isinstance(clock, PerBodyClock):
+        # these go with one step size for all bodies, counted from the begin, alone
         _check_alone(
             "save_at or per-body step sizes; accepted: without", on_save=on_save,
-            resume=checkpoint, compensated=compensated, normalise=choice.restore or None,
+            resume=checkpoint, compensated=compensated, normalise=choice.projection or None,
         )  # fmt: skip
     if on_save is not None and clock.every is None:
         raise ValueError("on_save: found without save_every; accepted: with it")
@@ -170,25 +170,32 @@ def propagate(
             "resume: found a checkpoint and save_every; accepted: with on_save too, which has the "
             "saves so far, or without save_every"
         )
-    steps = bodies * clock.n_steps
-    # a look at the initial values only if a body is flagged
-    late = steps <= LONG and sink is None and end is None
-    if end is None and not (flag or late):
-        initial(scene, values, flag=False)
-    handling = Handling(
-        threads_of(n_threads, 1, steps),
-        sink=sink,
-        invalid=invalid,
-        checkpoint=checkpoint,
-        file=file,
+    options = RunOptions(
+        threads_of(n_threads, given.bodies, clock.n_steps),
         progress=progress,
+        on_save=function,
+        file=file,
+        checkpoint=checkpoint,
         start=end,
-        ends=holds_end(bodies, clock),
+        keep_end=True,
     )
-    result = carry_out(scene, choice, clock, given, begin, handling, position=position)
-    if late and not flag and result.has_flags:
-        initial(scene, values, flag=False)
-    return result
+    return execute(_plan_of(scene, choice, clock, given, position), given, begin, options)
+
+
+def _plan_of(scene: Scene, choice: Choice, clock: Clock, given: Given, position: bool) -> Plan:
+    """A plan, kept with the scene where it is small."""
+    n, kind = given.bodies, given.q.dtype
+    key = (n, choice, clock, kind, position)
+    plain = not (clock.done or isinstance(clock, PerBodyClock) or choice.device)
+    is_small = n <= _FEW and plain
+    found: Plan | None = scene.memo.get(key) if is_small else None
+    if found is None:
+        found = Plan(scene, n, choice, clock, kind, position=position)
+        if is_small:
+            while len(scene.memo) >= _KEPT:
+                scene.memo.pop(next(iter(scene.memo)), None)
+            scene.memo[key] = found
+    return found
 
 
 def plan(
@@ -207,12 +214,12 @@ def plan(
     invalid: str = "raise",
     position: bool = False,
 ) -> Plan:
-    """A run to be made many times: all is checked, laid out and compiled now, once.
+    """A run to be made many times: all is checked and compiled now, once.
 
     ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some tens of
-    microseconds besides the steps. ``position`` says that positions r0 will be given, of a scene
-    with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64. A plan
-    can be pickled and copied, and called by several threads at a time.
+    microseconds more than the steps take. ``position`` says that positions r0 will be given, of a
+    scene with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64.
+    A plan can be pickled and copied, and called by several threads at a time.
 
     Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
 
@@ -225,7 +232,7 @@ def plan(
     >>> run.t
     array([0.02])
     """
-    again = dict(locals())  # for one that was pickled
+    arguments = dict(locals())  # to make it again where it was pickled
     as_scene(scene)
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
@@ -234,7 +241,7 @@ def plan(
     clock = Clock.of(dt, n_steps, save_every)
     checks.choice("invalid", invalid, closed_form.INVALID)
     if METHODS.get(choice.method.name) is choice.method:
-        again["method"] = choice.method.name
+        arguments["method"] = choice.method.name
     return Plan(
         scene,
         bodies,
@@ -242,21 +249,22 @@ def plan(
         clock,
         checks.precision(dtype),
         position=position,
-        handling=Handling(threads_of(n_threads, bodies, clock.n_steps), invalid=invalid),
-        asked=(partial(plan, **again), ()),
+        n_threads=threads_of(n_threads, bodies, clock.n_steps),
+        invalid=invalid,
+        remake=partial(plan, **arguments),
     )
 
 
 def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
-    """Threads of a run: those asked for; else all, but one where starting more takes longer."""
+    """Threads of a run: the given number; else all, but one where starting more takes longer."""
     if n_threads is None and n_bodies * n_steps < _SHORT:
         return 1
     return number_of(n_threads)
 
 
-def _check_alone(why: str, **asked: Any) -> None:
-    """Refuse what does not go with something else."""
-    for name, value in asked.items():
+def _check_alone(why: str, **arguments: Any) -> None:
+    """Refuse arguments that do not go with something else."""
+    for name, value in arguments.items():
         if value is not None and value is not False:
             raise ValueError(f"{name}: found with {why}")
 
@@ -291,12 +299,7 @@ def propagate_directions(
         scene.packed(len(v))  # refuses another number of bodies
         scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
     given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
-    plan = Plan(
-        scene,
-        given.rows_q,
-        Choice(record, DIRECTION),
-        Clock.of(dt, n_steps, save_every),
-        given.q.dtype,
-    )
-    flat = plan.run(given, checks.real("t0", t0), Handling(number_of(n_threads)))
+    clock = Clock.of(dt, n_steps, save_every)
+    plan = Plan(scene, given.bodies, Choice(record, DIRECTION), clock, given.q.dtype)
+    flat = execute(plan, given, checks.real("t0", t0), RunOptions(number_of(n_threads)))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))

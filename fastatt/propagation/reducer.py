@@ -34,7 +34,7 @@ class Reducer:
 
 
 def reducer(function: Callable[..., Any], *, start: ArrayLike) -> Reducer:
-    """Numbers that a function of one's own gathers from every step of each body.
+    """Numbers that a user-defined function gathers from every step of each body.
 
     ``fastatt.propagate(..., reduce=...)`` takes it, and the trajectory's ``reduced`` is the last
     state. Functions are traced as rates and torques are, so that they are part of the loop.

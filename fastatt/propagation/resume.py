@@ -1,7 +1,7 @@
 """Where a run ended: what another needs to go on as if there had been no end, kept or in a file.
 
-A restart from an attitude and a rate that were handed out is another run: the state was brought
-back to its group, low parts are lost, invariants begin anew.
+A restart from an attitude and a rate that were saved is another run: the state was projected onto
+its group, low parts are lost, invariants begin anew.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fastatt.propagation.initial import Given
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_FORMAT = 2
+_FORMAT = 3
 #: bodies of which a trajectory holds its end at most
 MOST = 1 << 18
 
@@ -39,7 +39,7 @@ def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     """A file from which the same call goes on after a crash: ``resume=fa.checkpoint(path)``.
 
     The run writes its end so far to the file every ten seconds, whole or not at all. Where the file
-    exists the run goes on from there, to the same bits as without an interruption. With
+    exists the run goes on from there, to the bits of an uninterrupted run. With
     ``save_every`` the saves must go to ``on_save``, which has those so far; the saves since the
     last checkpoint may reach a function twice.
 
@@ -86,12 +86,12 @@ class End:
         """Write it to a file, whole or not at all."""
         target = Path(path)
         given = self.given
-        told = {
+        header = {
             "format": _FORMAT,
             "done": self.done,
             "t0": self.t0.hex(),
             "equations": self.equations,
-            "rows": [given.rows_q, given.rows_y, given.one_body],
+            "one_body": given.one_body,
             **self.about,
         }
         handle, name = tempfile.mkstemp(prefix=target.name, dir=target.parent)
@@ -99,7 +99,7 @@ class End:
             with os.fdopen(handle, "wb") as file:
                 np.savez(
                     file,
-                    told=np.array(json.dumps(told)),
+                    header=np.array(json.dumps(header)),
                     q=given.q,
                     y=given.y,
                     states=self.states,
@@ -121,22 +121,18 @@ def loaded(path: str | os.PathLike[str]) -> End:
     """
     try:
         with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            told = json.loads(str(file["told"]))
-            if told.pop("format") != _FORMAT:
+            about = json.loads(str(file["header"]))
+            if about.pop("format") != _FORMAT:
                 raise KeyError("format")
-            rows_q, rows_y, one_body = told.pop("rows")
-            given = Given(file["q"], file["y"], rows_q, rows_y, one_body)
-            done, t0 = told.pop("done"), float.fromhex(told.pop("t0"))
-            equations = told.pop("equations")
             return End(
-                given,
-                file["states"],
-                file["diagnostics"],
-                done,
-                t0,
-                told,
-                file["params"],
-                equations,
+                given=Given(file["q"], file["y"], about.pop("one_body")),
+                states=file["states"],
+                diagnostics=file["diagnostics"],
+                done=about.pop("done"),
+                t0=float.fromhex(about.pop("t0")),
+                equations=about.pop("equations"),
+                params=file["params"],
+                about=about,
             )
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
@@ -167,7 +163,7 @@ def end_of(resume: Any) -> End:
 
 
 def check(end: End, plan: Plan) -> None:
-    """Refuse to go on with anything else than what was begun."""
+    """Refuse to resume with other options, another scene or another method."""
     for name, value in plan.about.items():
         if end.about[name] != value:
             raise ValueError(
@@ -181,8 +177,8 @@ def check(end: End, plan: Plan) -> None:
 def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:
     """Refuse to go on with a run that began elsewhere, or got further."""
     begin = end.given
-    same = np.array_equal(begin.q, given.q, equal_nan=True)
-    if end.t0 != t0 or not (same and np.array_equal(begin.y, given.y, equal_nan=True)):
+    pairs = ((begin.q, given.q), (begin.y, given.y))
+    if end.t0 != t0 or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
         raise ValueError(
             "resume: the checkpoint is of a run from other initial values; accepted: the same call "
             "again, or no file"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Results(NamedTuple):
-    """What a run writes: (S, N, k) handed out, (S, N) departures from the group, (N,) flags."""
+    """What a run writes: saved values (S, N, k), norm errors (S, N), flags (N,)."""
 
     out: NDArray[Any]
     norm_error: NDArray[Any]
@@ -51,7 +51,7 @@ class Results(NamedTuple):
 class Trajectory:
     """Saved attitudes of one body or of an ensemble, time first.
 
-    At a prompt it prints its summary, in a notebook a table of the last save besides.
+    At a prompt it prints its summary, in a notebook also a table of the last save.
 
     ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
@@ -64,12 +64,10 @@ class Trajectory:
     state: NDArray[Any]
     norm_error: NDArray[Any]
     status: NDArray[np.uint8]
-    method: str
-    representation: str
-    #: the step, s, or each body's own
+    #: the step size, s, or per-body step sizes
     dt: Any
     one_body: bool
-    #: numbers of what acts, or the scene to find them from; none where w is carried
+    #: the model's numbers, or the scene that has them; None where w is carried
     packed: Packed | Scene | None = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
@@ -87,6 +85,16 @@ class Trajectory:
         if METHODS.get(record.name) is not record:  # one's own, of functions within functions
             record = replace(record, steps=None)
         return {**state, "packed": None, "record": record}
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.record.name
+
+    @property
+    def representation(self) -> str:
+        """Name of the representation."""
+        return self.attitude.name
 
     @cached_property
     def q(self) -> NDArray[Any]:
@@ -122,19 +130,15 @@ class Trajectory:
         assert packed is not None
         turning = packed.structure.turning
         assert isinstance(turning, PrescribedRate)
-        w = self._shaped(self._given(turning, packed))
-        if turning.inertial:
-            w = np.einsum("...ji,...j->...i", self.dcm, w)
-        with np.errstate(over="ignore"):
-            return w.astype(self.state.dtype, copy=False)
-
-    def _given(self, turning: PrescribedRate, packed: Packed) -> NDArray[np.float64]:
-        """w (S, N, 3) of a rate that is given, along the axes in which it is."""
         law = turning.law
         rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)
         params = packed.params[..., : law.count]
         (found,) = rates(self.t[:, None], params, tables=packed.tables)
-        return np.broadcast_to(found, (*self.state.shape[:2], 3))
+        w = self._shaped(np.broadcast_to(found, (*self.state.shape[:2], 3)))
+        if turning.inertial:
+            w = np.einsum("...ji,...j->...i", self.dcm, w)
+        with np.errstate(over="ignore"):
+            return w.astype(self.state.dtype, copy=False)
 
     @property
     def v(self) -> NDArray[Any]:

@@ -9,7 +9,7 @@ import pytest
 from machine_code import texts
 
 import fastatt as fa
-from fastatt.propagation import plan_inputs
+from fastatt.propagation import plan as plan_module
 
 N = 70
 FEW = [0, 33, N - 1]  # too few for what they have in common to be looked for
@@ -85,7 +85,7 @@ def test_what_is_alike_is_worked_on_once(monkeypatch):
     assert len(alike(SCENES["orbit"], "rk4")) == 7  # the orbit's rate and axes
     found = {}
     for many in (64, N + 1):
-        monkeypatch.setattr(plan_inputs, "_MANY", many)
+        monkeypatch.setattr(plan_module, "_MANY", many)
         found[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).job)
     (few, turns), (more, sines) = found[64], found[N + 1]
     assert few < more - 100  # a sine and a cosine, and what turns by them

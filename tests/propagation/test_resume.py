@@ -227,7 +227,7 @@ def test_what_can_not_go_on(tmp_path):
         fa.propagate(free, resume=3, dt=0.05, n_steps=1)
     assert not path.exists()
     with path.open("wb") as file:
-        np.savez(file, told=np.array('{"format": 0}'))
+        np.savez(file, header=np.array('{"format": 0}'))
     short = tmp_path / "short"
     short.write_bytes(path.read_bytes()[:50])
     text = tmp_path / "text"
@@ -243,9 +243,9 @@ KILLED = """
 import os, signal, sys, warnings
 import numpy as np
 import fastatt as fa
-from fastatt.propagation import resume, save_batches
+from fastatt.propagation import execute, resume
 
-save_batches._WRITTEN, save_batches._CHECKED = 0.0, 5 * 64  # always; body-steps
+execute._WRITTEN, execute._CHECKED = 0.0, 5 * 64  # always; body-steps
 folder = sys.argv[1]
 free = fa.Scene(inertia={body})
 rng = np.random.default_rng(7)
