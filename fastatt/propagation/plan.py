@@ -61,8 +61,8 @@ class Plan:
         carried = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
         beside = {name: 3 for name, is_carried in carried.items() if is_carried}
         if choice.reducer is not None:
-            self.packed = choice.reducer.watching(self.packed)
-            beside["s"] = choice.reducer.start.shape[-1]
+            self.packed = choice.reducer.watching(self.packed, kind)
+            beside["s"] = choice.reducer.columns(kind)
         self.limit = limits.turn_limit(scene, method, attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
         known = limits.known_turns(scene, choice, self.packed)
@@ -277,7 +277,7 @@ class Plan:
             "normalise": "never" if choice.raw else choice.restore,
             "dtype": self.kind.name,
             "r0": "r" in self.handed.beside,
-            "reduce": self.handed.beside.get("s", 0),
+            "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }
 
     @cached_property

@@ -138,10 +138,11 @@ def propagate(
     values, position = (q0, w0, v0, r0), r0 is not None
     if end is None:
         start, beside = initial(scene, values, flag=True)
+        kind = checks.precision(dtype, *values)
         if reduce is not None:
-            beside["s0"] = reduce.start
+            beside["s0"] = reduce.begin(kind)
             same_number({**beside, "q0": start})
-        given = Given.of(start, beside, checks.precision(dtype, *values))
+        given = Given.of(start, beside, kind)
     else:
         # initial values come from there, and saves are counted from its end
         given_too = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
