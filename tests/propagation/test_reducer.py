@@ -71,6 +71,18 @@ def test_bodies(representation):
     assert (wanted[:, 1] < 0).sum() > 5
 
 
+def test_the_attitude_that_it_sees_is_unit():
+    """Of a method whose steps leave the group."""
+
+    def far(t, q, w, s):
+        return max(s[0], abs(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2 - 1.0))
+
+    options = {"dt": 0.1, "n_steps": 20, "method": "rk4", "reduce": fa.reducer(far, start=0.0)}
+    run = fa.propagate(BODY, Q0, W0, **options)
+    assert np.abs(run.norm_error).max() > 1e-6
+    assert run.reduced.max() < 1e-9
+
+
 def test_a_rate_and_a_scene_with_mass():
     cone = fa.Scene(rate=fa.rates.Coning(RNG.uniform(0.1, 1.0, N), frequency=2.0), frame="inertial")
     moving = fa.Scene(inertia=(3.0, 2.0, 1.0), mass=2.0, force=(0.1, 0.0, 0.3))
