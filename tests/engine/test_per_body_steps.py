@@ -177,6 +177,11 @@ def test_times_to_rounding_are_those_of_steps():
         step = {"dt": 1.0 / counts[b], "n_steps": int(counts[b])}
         alone = fa.propagate(body, Q0[0], spins[b], **step, **options)
         assert (ends.state[-1, b] == alone.state[-1]).all()
+    for n in (49, 98, 103):  # whose end is an ulp before 1
+        assert n * (1.0 / n) < 1.0
+        one = fa.propagate(body, Q0[0], spins[0], dt=1.0 / n, n_steps=n, **at_one, **options)
+        whole = fa.propagate(body, Q0[0], spins[0], dt=1.0 / n, n_steps=n, **options)
+        assert (one.state == whole.state).all()
     grid = fa.propagate(body, Q0[0], spins[0], dt=0.01, n_steps=60, save_every=1, method="rk4")
     for t0 in (0.0, 0.7, 1.7e9):
         options = {"dt": 0.01, "n_steps": 60, "t0": t0, "method": "rk4"}
