@@ -87,6 +87,23 @@ def test_what_another_version_left_is_not_taken(cache, monkeypatch, of, name):
     assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 0, 2)
 
 
+@pytest.mark.parametrize("edited", ["codegen/emitter.py", "codegen/lanes.py", "tracing/nodes.py"])
+def test_what_other_sources_emitted_is_not_taken(cache, monkeypatch, tmp_path, edited):
+    """Those that write machine code, and those that say what operations there are."""
+    for folder in ("codegen", "tracing"):
+        shutil.copytree(ROOT / "fastatt" / folder, tmp_path / folder)
+    monkeypatch.setattr(store, "__file__", str(tmp_path / "codegen" / "modules.py"))
+    for _ in range(2):
+        store._surroundings.cache_clear()
+        answer(42)
+    assert (store.made, store.hits) == (1, 1)
+    with (tmp_path / edited).open("a", encoding="utf-8") as file:
+        file.write("\n")
+    store._surroundings.cache_clear()
+    answer(42)
+    assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 1, 2)
+
+
 @pytest.mark.parametrize(
     "other",
     [

@@ -126,6 +126,21 @@ def test_a_fit_tells_the_parts(true):
     assert_allclose(fit.deviation(tau), expected, rtol=1e-14)
 
 
+def test_the_deviations_of_a_fit_are_those_of_many_records():
+    """Of 600 of 512 white samples; a part that is not there stays within what is said of it."""
+    white = np.random.default_rng(5).normal(scale=1e-3, size=(512, 600))
+    fit = es.allan_deviation(white, H).fit()
+    scatter, said = fit.angle_noise.std(ddof=1), fit.deviations[0].mean()
+    assert abs(math.log(scatter / said)) < 0.25
+    for part, deviations in (
+        (fit.bias_instability, fit.deviations[1]),
+        (fit.bias_noise, fit.deviations[2]),
+    ):
+        assert (deviations > 0.0).all()
+        assert (part <= 3.0 * deviations).mean() > 0.95
+        assert (part == 0.0).mean() > 0.2
+
+
 @pytest.mark.parametrize("name", ["angle_noise", "bias_noise"])
 @pytest.mark.parametrize("value", [-1e-300, 1.01e150, math.inf, math.nan])
 def test_noise_whose_square_is_no_number_is_refused(name, value):

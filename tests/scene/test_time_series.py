@@ -333,7 +333,8 @@ def test_wheels_that_all_bodies_share_keep_momentum(bodies):
         uniform(9), 0.3 * np.stack([np.sin(uniform(9)), uniform(9), 1 + 0 * uniform(9)], 1)
     )
     scene = fa.Scene(inertia=INERTIA, torque=torques.Rotor(wheels))
-    q0, w0 = RNG.normal(size=(bodies, 4)), RNG.normal(size=(bodies, 3))
+    chance = np.random.default_rng(bodies)
+    q0, w0 = chance.normal(size=(bodies, 4)), chance.normal(size=(bodies, 3))
     run = fa.propagate(scene, q0, w0, t0=1.0, dt=0.02, n_steps=80, save_every=40, method="rk8")
     found = fa.drift(run, scene).momentum
     assert found.shape == (3, bodies)
