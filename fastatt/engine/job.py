@@ -12,6 +12,7 @@ import numpy as np
 
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
+from fastatt.engine import double_states
 from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import SAVED
 from fastatt.methods.method import Method
@@ -28,7 +29,7 @@ from fastatt.scene.rates import is_constant
 from fastatt.scene.translation import Coupled
 from fastatt.tracing.finished import Constants, Flat, resources_of
 from fastatt.tracing.formulas import Vector, as_like, dot, quat, scale
-from fastatt.tracing.graph import Graph, Number, both, choose
+from fastatt.tracing.graph import Double, Graph, Number, both, choose
 
 # a relative change is taken from invariants above this
 _TINY = 1e-37
@@ -316,13 +317,24 @@ class Scope:
         return (*y, *self._watched(t + h, y, auxiliary)), z
 
     def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
-        """What the user's function makes of a state and of what it made before."""
+        """What the user's function makes of a state and of what it made before.
+
+        It computes in double precision, whatever that of the run.
+        """
         structure = self.job.structure
         if structure.reducer is None:
             return ()
+        is_single = self.kind == "single"
         q, w = self.motion.pose(t, x)
-        made = structure.reducer.call(t, quat.renormalise(q), w, before)
-        return tuple(as_like(s, x[0]) for s in (made if isinstance(made, tuple) else (made,)))
+        pose = tuple(map(Double, quat.renormalise(q))), tuple(map(Double, w))
+        state = double_states.joined(before) if is_single else before
+        narrow, self.graph.narrow = self.graph.narrow, False
+        try:
+            made = structure.reducer.call(t, *pose, state)
+        finally:
+            self.graph.narrow = narrow
+        made = tuple(map(Double, made if isinstance(made, tuple) else (made,)))
+        return double_states.split(made) if is_single else made
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         """The state from an attitude as given and its auxiliary state."""

@@ -84,6 +84,6 @@ def job_of(
     choice = chosen(scene, method, representation, reducer=reduce)
     packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
     if reduce is not None:
-        packed = reduce.watching(packed)
+        packed = reduce.watching(packed, np.dtype(kind))
     shared = packed.params.ndim == 1
     return Job(choice.method, choice.attitude, packed.structure, kind_of(kind), shared=shared)

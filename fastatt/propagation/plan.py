@@ -64,8 +64,8 @@ class Plan:
         #: what is saved next to the attitude, with the numbers of each
         self.carried = {name: 3 for name, is_carried in carried.items() if is_carried}
         if choice.reducer is not None:
-            self.packed = choice.reducer.watching(self.packed)
-            self.carried["s"] = choice.reducer.start.shape[-1]
+            self.packed = choice.reducer.watching(self.packed, kind)
+            self.carried["s"] = choice.reducer.columns(kind)
         self.limit = limits.turn_limit(scene, method, self.attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
         self._rates = limits.known_turns(scene, choice, self.packed)
@@ -309,7 +309,7 @@ class Plan:
             "normalise": "never" if choice.raw else choice.projection,
             "dtype": self.kind.name,
             "r0": "r" in self.carried,
-            "reduce": self.carried.get("s", 0),
+            "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }
 
     @cached_property

@@ -140,10 +140,11 @@ def propagate(
     if end is None:
         values = (q0, w0, v0, r0)
         start, carried = initial(scene, values, flag=flag)
+        kind = checks.precision(dtype, *values)
         if reduce is not None:
-            carried["s0"] = reduce.start
+            carried["s0"] = reduce.begin(kind)
             same_number({**carried, "q0": start})
-        given = Given.of(start, carried, checks.precision(dtype, *values))
+        given = Given.of(start, carried, kind)
         clock = clock_of(dt, n_steps, save_every, save_at, begin, given.bodies)
         position = r0 is not None
     else:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.engine.double_states import PARTS, split_array
 from fastatt.scene.models import Packed, resources_of
 from fastatt.tracing.user import UserFunction, user_function
 
@@ -24,9 +25,17 @@ class Reducer:
     function: UserFunction
     start: NDArray[np.float64]
 
-    def watching(self, packed: Packed) -> Packed:
-        """What moves, with the reducer."""
-        fields = {"reducer": self.function, "reduced": self.start.shape[-1]}
+    def begin(self, kind: np.dtype[Any]) -> NDArray[Any]:
+        """The state that it starts from, as a run of a precision holds it."""
+        return self.start if kind == np.float64 else split_array(self.start)
+
+    def columns(self, kind: np.dtype[Any]) -> int:
+        """How many numbers of a run of a precision hold its state."""
+        return int(self.start.shape[-1]) * (1 if kind == np.float64 else PARTS)
+
+    def watching(self, packed: Packed, kind: np.dtype[Any]) -> Packed:
+        """What moves, with the reducer, in a run of a precision."""
+        fields = {"reducer": self.function, "reduced": self.columns(kind)}
         return packed._replace(
             structure=packed.structure._replace(**fields),
             resources={**packed.resources, **resources_of(self.function)},
@@ -46,8 +55,9 @@ def reducer(function: Callable[..., Any], *, start: ArrayLike) -> Reducer:
         that it gave before, tuples of numbers. It gives the next state: a tuple as long as
         ``start``, or a number where that is one.
     start : k numbers, (k,) for all bodies or (N, k): the state before the first step, in which a
-        body's own numbers may be passed on. In float32 they are of that precision. A state that
-        becomes infinite or no number flags the body ``NON_FINITE``.
+        body's own numbers may be passed on. The function computes in double precision in a float32
+        run too, which holds numbers up to float32's largest, 3.4e38. A state that becomes infinite
+        or no number flags the body ``NON_FINITE``.
 
     Raises
     ------

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fastatt import arrays
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
+from fastatt.engine.double_states import joined_array
 from fastatt.engine.status import Status
 from fastatt.methods import METHODS
 from fastatt.scene.equations import PrescribedRate
@@ -152,12 +153,13 @@ class Trajectory:
 
     @property
     def reduced(self) -> NDArray[Any]:
-        """What ``propagate``'s ``reduce`` made of every body, (N, k), or (k,) of one body."""
+        """What ``propagate``'s ``reduce`` made of every body, float64: (N, k), or (k,) of one."""
         if "s" not in self.carried:
             raise ValueError(
                 "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
             )
-        return np.asarray(self._shaped(self.carried["s"])[-1])
+        last = np.asarray(self._shaped(self.carried["s"])[-1])
+        return last if last.dtype == np.float64 else joined_array(last)
 
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
         if name not in self.carried:

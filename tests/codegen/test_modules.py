@@ -12,6 +12,8 @@ import sys
 import time
 from pathlib import Path
 
+import llvmlite
+import numba
 import pytest
 from numba import config, types
 from numba.core import caching
@@ -19,6 +21,7 @@ from numba.core import caching
 from fastatt import _jit
 from fastatt.cli import main
 from fastatt.codegen import modules as store
+from fastatt.codegen.processor import described
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = "def run(x): x[0] = {}.0\n"
@@ -66,9 +69,57 @@ def cache(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "made", 0)
     yield path
     store._found.cache_clear()
+    store._surroundings.cache_clear()
 
 
 # files
+
+
+@pytest.mark.parametrize(
+    ("of", "name"), [(numba, "__version__"), (llvmlite, "__version__"), (sys, "version")]
+)
+def test_what_another_version_left_is_not_taken(cache, monkeypatch, of, name):
+    """Of Numba, llvmlite or Python: its file has another name."""
+    assert answer(42) == 42
+    monkeypatch.setattr(of, name, getattr(of, name) + ".1")
+    store._surroundings.cache_clear()
+    assert answer(42) == 42
+    assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 0, 2)
+
+
+@pytest.mark.parametrize("edited", ["codegen/emitter.py", "codegen/lanes.py", "tracing/nodes.py"])
+def test_what_other_sources_emitted_is_not_taken(cache, monkeypatch, tmp_path, edited):
+    """Those that write machine code, and those that say what operations there are."""
+    for folder in ("codegen", "tracing"):
+        shutil.copytree(ROOT / "fastatt" / folder, tmp_path / folder)
+    monkeypatch.setattr(store, "__file__", str(tmp_path / "codegen" / "modules.py"))
+    for _ in range(2):
+        store._surroundings.cache_clear()
+        answer(42)
+    assert (store.made, store.hits) == (1, 1)
+    with (tmp_path / edited).open("a", encoding="utf-8") as file:
+        file.write("\n")
+    store._surroundings.cache_clear()
+    answer(42)
+    assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 1, 2)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ("x86_64-linux-gnu", "skylake", "+sse2,+avx,+avx2"),
+        ("x86_64-linux-gnu", "znver3", "+sse2,+avx"),
+        ("x86_64-apple-darwin", "skylake", "+sse2,+avx"),
+    ],
+    ids=["features", "name", "triple"],
+)
+def test_what_another_processor_compiled_is_not_taken(cache, monkeypatch, other):
+    """Of a folder that machines share: another one may lack what this one has."""
+    for target in (("x86_64-linux-gnu", "skylake", "+sse2,+avx"), other):
+        monkeypatch.setattr(store, "processor", lambda target=target: described(*target))
+        store._surroundings.cache_clear()
+        answer(42)
+    assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 0, 2)
 
 
 def test_a_program_is_made_once_and_found_then(cache):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import linecache
 import os
 import signal
@@ -21,6 +22,9 @@ OWN = fa.Scene(inertia=np.array([2.0, 1.5, 1.0]) * RNG.uniform(0.9, 1.1, (N, 1))
 SHARED = fa.Scene(inertia=(2.0, 1.5, 1.0))
 CONING = fa.Scene(rate=fa.rates.Coning(0.5, 1.0))
 FALLING = fa.Scene(inertia=(2.0, 1.5, 1.0), mass=2.0, force=fa.forces.Drag(0.2))
+LATE = fa.Scene(
+    inertia=(2.0, 1.5, 1.0), torque=lambda t, q, w, p: (p[0] * t, 0.0, 0.1 * t), params=(0.3,)
+)
 STEPS = {"dt": 0.02, "n_steps": 30}
 RK4 = {**STEPS, "method": "rk4"}
 RUNS = {
@@ -30,6 +34,10 @@ RUNS = {
     "one attitude for all": (OWN, (Q0[0], W0), RK4),
     "single precision, with mass": (FALLING, (Q0, W0, W0, W0[:1]), {**RK4, "dtype": "float32"}),
     "arrays of single precision": (SHARED, (Q0.astype("f4"), W0.astype("f4")), RK4),
+    "low parts": (SHARED, (Q0, W0), {**RK4, "compensated": True, "normalise": "never"}),
+    "with its norm error": (SHARED, (Q0, W0), {**RK4, "dt": 0.1, "normalise": "never"}),
+    "brought back every third step": (SHARED, (Q0, W0), {**RK4, "dt": 0.1, "normalise": 3}),
+    "from another time": (LATE, (Q0, W0), {**RK4, "t0": 7.0}),
     "closed form": (OWN, (Q0, W0), {**STEPS, "save_every": 30}),
 }
 NAMES = ("q0", "w0", "v0", "r0")
@@ -82,6 +90,7 @@ def test_bits_do_not_depend_on_chunks(name):
         assert isinstance(found, fa.Trajectory)
         assert found.summary() == whole.summary()
         assert same(found.t, whole.t)
+        assert same(lazy.t, whole.t)
         for part in ("q", "w", "status", "dcm", "norm_error", *(("v", "r") if scene.moves else ())):
             assert same(getattr(found, part), getattr(whole, part)), part
         for part, value in zip((whole.q, whole.dcm), parts, strict=True):
@@ -220,6 +229,27 @@ def test_drifts_of_all_bodies():
             assert one.percentile(50.0) == min(median, each.maximum.max())
 
 
+def test_drifts_of_what_moves_begins_later_or_is_lost():
+    """Initial velocities and times count, and flags of all chunks."""
+    lost = W0.copy()
+    lost[[3, 60, 61]] = np.nan
+    moving = {"v0": W0, "r0": W0[:1] + 20.0}
+    orbit = fa.Scene(inertia=(2.0, 1.5, 1.0), mass=2.0, force=fa.forces.CentralGravity(30.0))
+    spin = fa.Scene(rate=lambda t, p: (p[0] * t, 0.4 * t, 0.1), params=(0.3,))
+    for scene, w0, options in (
+        (orbit, W0, moving),
+        (spin, None, {"t0": 4.0}),
+        (SHARED, lost, {"invalid": "flag"}),
+    ):
+        given = {"every": 10, **RK4, "dt": 0.1, **options}
+        whole = fa.drift_statistics(scene, Q0, w0, **given)
+        found = fd.drift_statistics(scene, Q0, w0, chunks=33, **given).compute()
+        assert found.flags == whole.trajectory.status_counts()
+        most = np.where(np.isnan(whole.norm.maximum), np.inf, whole.norm.maximum).max()
+        assert found.norm.maximum == most
+    assert found.flags == {"NON_FINITE": 3}
+
+
 def test_drift_of_a_lost_body_is_infinite():
     a, b = Measure(2), Measure(1)
     a.add(np.array([[1e-9, np.nan], [1e-9, np.nan]]))
@@ -253,6 +283,33 @@ def test_work_precision_of_all_bodies():
         assert one.order == same_row.order
     assert found.reference == "the closed form"
     assert found.n_bodies == found.sampled == N
+
+
+def test_work_precision_counts_every_chunk(monkeypatch):
+    """Where the worst body, and the one that is flagged, are in the second of three."""
+    monkeypatch.setattr("fastatt.dask.statistics.perf_counter", itertools.count().__next__)
+    fast = W0 * 0.3
+    fast[40] *= 20.0
+    options = {"t_end": 2.0, "t0": 7.0, "runs": [("rk4", 20)]}
+    known = {"reference": ("rk8", 200)}
+    table = fd.work_precision(LATE, Q0, fast, chunks=(30, 30, 10), **options, **known).compute()
+    (row,) = table.rows
+    run = fa.propagate(LATE, Q0, fast, dt=0.1, n_steps=20, method="rk4", t0=7.0)
+    fine, half = (
+        fa.propagate(LATE, Q0, fast, dt=2.0 / n, n_steps=n, method="rk8", t0=7.0)
+        for n in (200, 100)
+    )
+    error = fa.angle_between(run.q[-1], fine.q[-1])
+    rate = np.linalg.norm(run.w[-1] - fine.w[-1], axis=-1)
+    assert error.argmax() == rate.argmax() == np.abs(run.norm_error[-1]).argmax() == 40
+    assert row.error_max == error.max()
+    assert row.rate_error_max == rate.max()
+    assert row.defect_max == np.abs(run.norm_error).max()
+    counts = run.status_counts()
+    assert counts
+    assert row.status == ", ".join(f"{name} {n}" for name, n in counts.items())
+    assert table.reference_error == fa.angle_between(fine.q[-1], half.q[-1]).max()
+    assert row.seconds_per_body * N == pytest.approx(3.0)  # one tick of the clock a chunk
 
 
 def test_one_bad_body():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from exact import EPS
@@ -86,6 +88,18 @@ def test_steps_that_are_too_small_to_register_are_said_so():
     exact = fa.propagate(scene, start.astype(float), dt=1e5, n_steps=1, method="magnus4")
     assert fa.angle_between(stalled.q[-1], start) == 0.0
     assert fa.angle_between(moved.q[-1], exact.q[-1]) < 3e-7
+
+
+def test_small_steps_of_a_long_run_are_said_so_before_it_unless_low_parts_are_carried():
+    """So many steps that the first is looked at beforehand."""
+    body = fa.Scene(inertia=(2.0, 1.0, 1.5))
+    options = {"dt": 1e-17, "n_steps": 1_000_001, "method": "rk4"}
+    with pytest.warns(fa.StepWarning, match="float64 does not register"):
+        fa.propagate(body, [1, 0, 0, 0], [0.0, 0.0, 1.0], **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", fa.StepWarning)
+        run = fa.propagate(body, [1, 0, 0, 0], [0.0, 0.0, 1.0], compensated=True, **options)
+    assert run.q[-1, 3] == pytest.approx(0.5e-17 * 1_000_001, rel=1e-3)
 
 
 @pytest.fixture(scope="module")

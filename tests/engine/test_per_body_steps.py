@@ -57,6 +57,10 @@ def test_a_body_is_what_it_is_alone(kind, method):
         assert (together.w[-1, b] == alone.w[-1]).all()
         between = run(kind, method, b, dt=STEPS[b], n_steps=int(COUNTS[b]), save_at=[0.4])
         assert (together.q[1, b] == between.q[0]).all()
+    # whose neighbours take a shorter step to that save
+    grid = run(kind, method, 33, dt=STEPS[33], n_steps=12)
+    assert (together.state[1, 33] == grid.state[-1]).all()
+    assert (together.w[1, 33] == grid.w[-1]).all()
     begin = run(kind, method, dt=0.1, n_steps=0)
     assert angle(together.q[0], begin.q[0]).max() < 2e-15  # to rounding
 
@@ -87,6 +91,40 @@ def test_saves_between_fall_with_the_order(h):
         for k in (h / 2, h / 4)
     ]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=1.0)
+
+
+@pytest.mark.parametrize("method", ["magnus4", "lie_midpoint"])
+def test_a_shorter_step_may_turn_past_half_a_turn(method):
+    """Of a constant rate one exponential is the answer, by 4 rad too."""
+    rate = np.array([1.0, 2.0, -3.7])
+    scene = fa.Scene(rate=fa.rates.Constant(rate))
+    counts = np.array([2, 3, 4])
+    options = {"dt": 3.0 / counts, "n_steps": counts, "save_at": [0.9, 2.5], "method": method}
+    found = fa.propagate(scene, Q0[:3], **options)
+    for k, t in enumerate(found.t):
+        turned = fa.quat_multiply(Q0[:3], fa.rotation_vector_to_quat(rate * t))
+        assert angle(found.q[k], turned).max() < 1e-14
+
+
+def test_one_rate_for_bodies_with_steps_of_their_own():
+    """What bodies share is computed once for those side by side only where their steps agree."""
+    cone = fa.rates.Coning(0.4, 1.3)
+    shared = fa.Scene(rate=cone)
+    own = fa.Scene(rate=fa.rates.Coning(np.full(N, 0.4), 1.3))
+    called = fa.Scene(rate=lambda t, p: (p[0] * round(10.0 * t), 0.2, np.cos(t)), params=(0.03,))
+    options = {"save_at": [0.4, END], "t0": 0.0, "method": "magnus4"}
+    some_alike = np.repeat(COUNTS[: N // 7], 7)
+    for counts in (COUNTS, some_alike, np.full(N, 40)):
+        steps = {"dt": END / counts, "n_steps": counts, **options}
+        together = fa.propagate(shared, Q0, **steps)
+        assert angle(together.q, fa.propagate(own, Q0, **steps).q).max() < 1e-14
+        for scene in (shared, called):
+            together = fa.propagate(scene, Q0, **steps)
+            for b in (0, 33, N - 1):
+                given = {"dt": END / counts[b], "n_steps": int(counts[b]), **options}
+                alone = fa.propagate(scene, Q0[b], **given)
+                assert (together.q[:, b] == alone.q).all()
+                assert (together.w[:, b] == alone.w).all()
 
 
 def test_representations_precisions_and_threads_agree():
@@ -122,6 +160,36 @@ def test_backwards_and_from_another_epoch():
     later = run("rate", "rk4", dt=STEPS, n_steps=COUNTS, t0=3.0, save_at=[3.4, 3.0 + END])
     one = run("rate", "rk4", 5, dt=STEPS[5], n_steps=int(COUNTS[5]), t0=3.0, save_at=[3.4])
     assert (later.q[0, 5] == one.q[0]).all()
+
+
+def test_times_to_rounding_are_those_of_steps():
+    """What a sum of steps, or the time since 1970, is off by takes no further step."""
+    body = fa.Scene(inertia=(2.0, 1.0, 1.5))
+    counts = np.arange(60, 200)
+    assert (counts * (1.0 / counts) != 1.0).any()
+    spins = np.tile([30.0, 20.0, 10.0], (counts.size, 1))
+    options = {"method": "rk4", "invalid": "flag"}
+    ends = fa.propagate(body, Q0[0], spins, dt=1.0 / counts, n_steps=counts, **options)
+    at_one = {"save_at": [1.0]}
+    saved = fa.propagate(body, Q0[0], spins, dt=1.0 / counts, n_steps=counts, **at_one, **options)
+    assert (saved.state == ends.state).all()
+    for b in (9, 48, 97, 106):
+        step = {"dt": 1.0 / counts[b], "n_steps": int(counts[b])}
+        alone = fa.propagate(body, Q0[0], spins[b], **step, **options)
+        assert (ends.state[-1, b] == alone.state[-1]).all()
+    for n in (49, 98, 103):  # whose end is an ulp before 1
+        assert n * (1.0 / n) < 1.0
+        one = fa.propagate(body, Q0[0], spins[0], dt=1.0 / n, n_steps=n, **at_one, **options)
+        whole = fa.propagate(body, Q0[0], spins[0], dt=1.0 / n, n_steps=n, **options)
+        assert (one.state == whole.state).all()
+    grid = fa.propagate(body, Q0[0], spins[0], dt=0.01, n_steps=60, save_every=1, method="rk4")
+    for t0 in (0.0, 0.7, 1.7e9):
+        options = {"dt": 0.01, "n_steps": 60, "t0": t0, "method": "rk4"}
+        late = fa.propagate(body, Q0[0], spins[0], save_at=t0 + 0.01 * np.arange(61), **options)
+        after = late.t - t0 >= grid.t  # to rounding; what comes before takes nearly a step more
+        assert after.sum() > 10
+        assert (late.state[after] == grid.state[after]).all()
+        assert angle(late.q, grid.q).max() < 40.0 * 2.0**-52 * max(1.0, t0)
 
 
 def test_a_free_body_does_not_know_when_it_is_nor_who_is_beside_it():
@@ -161,6 +229,20 @@ def test_steps_past_the_limit_are_the_bodys_own():
     with pytest.warns(fa.StepWarning, match=r"a step of body 4 is .*1 of 70 bodies"):
         found = fa.propagate(SCENES["free"], Q0, w0, dt=2.0 / counts, n_steps=counts, method="rk4")
     assert np.flatnonzero(found.status).tolist() == [4]
+
+
+def test_a_warning_after_the_run_names_the_body_with_the_largest_step():
+    """Of rates that are given nothing is said before it: angles are those of the bodies' order."""
+    rates = np.tile([0.0, 0.0, 1.0], (N, 1))
+    rates[60] *= 150.0
+    scene = fa.Scene(rate=lambda t, p: (p[0], p[1], p[2] * np.cos(t)), params=rates)
+    counts = 30 + np.arange(N)
+    told = (
+        r"a step of body 60 is 2\.5 rad, rk4's limit is 1\.7 \(1 of 70 bodies .*\|dt\| <= 0\.0113"
+    )
+    with pytest.warns(fa.StepWarning, match=told):
+        found = fa.propagate(scene, Q0, dt=END / counts, n_steps=counts, method="rk4")
+    assert np.flatnonzero(found.status).tolist() == [60]
 
 
 def test_a_body_that_waits_is_not_judged():

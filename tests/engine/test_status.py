@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import numpy as np
@@ -104,6 +105,17 @@ def test_turns_known_beforehand_are_judged_as_those_that_are_watched(method):
     assert fa.angle_between(known.q[-1], watched.q[-1])[good].max() < 1e-13
     alone = fa.propagate(fa.Scene(rate=fa.rates.Coning(*p[good].T)), Q0[good], **options)
     assert_array_equal(known.q[:, good], alone.q)
+
+
+def test_coordinates_near_their_pole_are_flagged_however_slow_the_known_rate():
+    """The body turns by 0.03 rad a step, Euler's angles by half a turn as it passes the pole."""
+    scene = fa.Scene(rate=fa.rates.Constant((0.6, 0.0, 0.1)))
+    near, far = (fa.rotation_vector_to_quat([-x, 0.0, 0.0]) for x in (0.31, -0.5))
+    run = fa.propagate(
+        scene, [near, far], dt=0.05, n_steps=20, method="rk4", representation="euler313",
+        invalid="flag",
+    )  # fmt: skip
+    assert run.status.tolist() == [fa.Status.SINGULAR, 0]
 
 
 @njit
@@ -343,6 +355,39 @@ def test_steps_past_the_limit_are_warned_of_with_a_step_that_is_not(method):
         warnings.simplefilter("error", fa.StepWarning)
         run = fa.propagate(FREE, [1, 0, 0, 0], w0, dt=enough, n_steps=2, method=method)
     assert not (run.status & (fa.Status.STEP_TOO_LARGE | fa.Status.NOT_CONVERGED)).any()
+
+
+def test_the_remedy_is_the_limit_itself():
+    """To the three digits that are shown, of turns, of damping, and of steps below rounding."""
+    start = {"q0": [1, 0, 0, 0], "n_steps": 1}
+    limit = fa.METHODS["rk4"].limit("quat")
+    with pytest.warns(fa.StepWarning) as found:
+        fa.propagate(FREE, w0=[[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], dt=1.0, method="rk4", **start)
+    shown = f"a step of body 1 is 8 rad, rk4's limit is {limit:.3g} (1 of 2 bodies"
+    assert shown in str(found[0].message)
+    assert remedy(str(found[0].message)) == pytest.approx(limit / 8.0, rel=5e-3)
+    damping = fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Damping(20.0))
+    with pytest.warns(fa.StepWarning, match="damping takes 20 of the rate a step") as found:
+        fa.propagate(damping, w0=[0.01, 0.0, 0.0], dt=1.0, method="rk4", **start)
+    most = fa.METHODS["rk4"].damping_limit
+    assert remedy(str(found[0].message)) == pytest.approx(most / 20.0, rel=5e-3)
+    with pytest.warns(fa.StepWarning, match=r"no step is more than 1e-17 rad") as found:
+        fa.propagate(FREE, w0=[0.0, 0.0, 1.0], dt=1e-17, method="rk4", **start)
+    least = float(re.search(r"\|dt\| >= ([\d.e-]+),", str(found[0].message))[1])
+    assert least == pytest.approx(1e3 * 2.0**-52, rel=5e-3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", fa.StepWarning)
+        fa.propagate(FREE, w0=[0.0, 0.0, 1.0], dt=least, method="rk4", **start)
+
+
+def test_the_remedy_of_per_body_steps_is_that_of_the_body_that_is_named():
+    with pytest.warns(fa.StepWarning, match="a step of body 1 is 4 rad") as found:
+        fa.propagate(
+            FREE, [1, 0, 0, 0], [[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], dt=[1.0, 0.5], n_steps=[1, 2],
+            method="rk4",
+        )  # fmt: skip
+    limit = fa.METHODS["rk4"].limit("quat")
+    assert remedy(str(found[0].message)) == pytest.approx(limit / 8.0, rel=5e-3)
 
 
 def test_strong_damping_is_warned_of():

@@ -361,6 +361,21 @@ def test_sigma_points_have_the_moments_of_the_error():
     assert np.array_equal(q[0, 0], f.q)
 
 
+@pytest.mark.parametrize("kappa", [0.0, 1.0, 2.0])
+def test_a_motion_that_is_not_linear_gives_the_weighted_moments(kappa):
+    """Of what is carried besides, squared: mean and covariance of the points by their weights."""
+    P = 1e-2 * some_covariance()[:5, :5]
+    f = es.UKF(START, (0.7, -0.4), P, kappa=kappa)
+    _, y = f.sigma_points()
+    weights = np.array([2.0 * kappa, *[1.0] * 10]) / (2.0 * (5.0 + kappa))
+    square = y[0] ** 2
+    mean = weights @ square
+    expected = ((square - mean).T * weights) @ (square - mean)
+    f.predict(lambda q, y: (q, y * y), np.zeros((5, 5)))
+    assert np.abs(f.y - mean).max() <= 1e-14
+    assert np.abs(f.covariance[3:, 3:] - expected).max() <= 1e-14 * np.abs(expected).max() + 1e-15
+
+
 def test_a_linear_motion_gives_kalmans_covariance():
     """With a small covariance the UKF's prediction is Φ P Φᵀ, to third order."""
     P = 1e-8 * some_covariance()

@@ -152,6 +152,19 @@ def test_of_a_direction_without_variance():
     assert (rounded.nees(START, [1.0, 2.0, 3.0]) >= 0.0).all()
 
 
+@pytest.mark.parametrize("sigma", [0.0, -1.0, 0.99e-150, 1.01e150])
+@pytest.mark.parametrize("kind", [es.MEKF, es.UKF])
+def test_deviations_whose_square_is_no_variance_are_refused(kind, sigma):
+    """Those at the bounds are taken."""
+    f = es.MEKF(START, P0, **NOISE) if kind is es.MEKF else es.UKF(START, np.zeros(3), P0)
+    before = f.covariance.copy()
+    with pytest.raises(ValueError, match=r"sigma: found .*; accepted: "):
+        f.update_vector(REFERENCE, REFERENCE, sigma)
+    assert np.array_equal(f.covariance, before)
+    f.update_vector(REFERENCE, REFERENCE, 1e150)
+    assert np.isfinite(f.covariance).all()
+
+
 def test_a_refused_noise_leaves_a_ukf_as_it_was():
     f, moved = es.UKF(START, np.zeros(3), P0), []
 

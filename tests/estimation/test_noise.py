@@ -35,6 +35,10 @@ COLUMNS = 24
         (60.0, "m/s/sqrt(h)", 1.0),
         (1000.0, "µg/√Hz", 9.80665e-3),
         (40.0, "mg", 0.392266),
+        (40.0, "mg/sqrt(Hz)", 0.392266),
+        (40.0, "mg/√Hz", 0.392266),
+        (40.0, "ug", 0.392266e-3),
+        (2.0, "g", 19.6133),
         (1.0, "m/s²/√Hz", 1.0),
     ],
 )
@@ -120,6 +124,36 @@ def test_a_fit_tells_the_parts(true):
         + parts[2] ** 2 * tau[:, None] / 3.0
     )
     assert_allclose(fit.deviation(tau), expected, rtol=1e-14)
+
+
+def test_the_deviations_of_a_fit_are_those_of_many_records():
+    """Of 600 of 4096 white samples; a part that is not there stays within what is said of it."""
+    white = np.random.default_rng(5).normal(scale=1e-3, size=(4096, 600))
+    fit = es.allan_deviation(white, H).fit()
+    scatter, said = fit.angle_noise.std(ddof=1), fit.deviations[0].mean()
+    assert abs(math.log(scatter / said)) < 0.18
+    for part, deviations in (
+        (fit.bias_instability, fit.deviations[1]),
+        (fit.bias_noise, fit.deviations[2]),
+    ):
+        assert (deviations > 0.0).all()
+        assert (part <= 3.0 * deviations).mean() > 0.95
+        assert (part == 0.0).mean() > 0.2
+
+
+@pytest.mark.parametrize("name", ["angle_noise", "bias_noise"])
+@pytest.mark.parametrize("value", [-1e-300, 1.01e150, math.inf, math.nan])
+def test_noise_whose_square_is_no_number_is_refused(name, value):
+    accepted = rf"{name}: found .*; accepted: (at least 0, up to 1e\+150|.*finite)"
+    P = np.eye(6)
+    for call in (
+        lambda noise: es.simulate_gyro(np.zeros((4, 3)), H, **noise),
+        lambda noise: es.MEKF([1, 0, 0, 0], P, **{"angle_noise": 1e-4, "bias_noise": 0.0, **noise}),
+    ):
+        with pytest.raises(ValueError, match=accepted):
+            call({name: value})
+        for good in (0.0, 1e-6):
+            call({name: good})
 
 
 def test_one_column_and_silence():

@@ -152,3 +152,25 @@ def test_the_ends_of_logs_side_by_side(increments, n_logs):
     for v, q in zip(data, together, strict=True):
         assert np.array_equal(fa.integrate_rates(v, 1.0, **options), q)
     assert np.abs(np.linalg.norm(together, axis=-1) - 1.0).max() <= 24 * EPS
+
+
+@pytest.mark.parametrize("n", [200, 2000])
+@pytest.mark.parametrize("speed", [1.3, 2.9])
+def test_summaries_say_which_method_is_the_nearest_on_smooth_logs(n, speed):
+    """Regular samples of 20 s without noise: coning2 before coning3, and picard before both."""
+    motion = fa.Scene(rate=smooth, params=(speed,))
+    t = np.linspace(0.0, 20.0, n)
+    rates = np.stack(smooth(t, (speed,)), axis=-1)
+    start = np.array([1.0, 0.0, 0.0, 0.0])
+    true = fa.propagate(motion, start, dt=t[1] / 16, n_steps=16 * (n - 1), method="magnus6").q[-1]
+    error = {
+        name: fa.angle_between(fa.integrate_rates(rates, t[1], start, method=name)[-1], true)
+        for name in ("coning2", "coning3", "picard")
+    }
+    assert 1.2 * error["coning2"] < error["coning3"]
+    assert 10.0 * error["picard"] < error["coning2"]
+    assert "coning2 has less error" in fa.METHODS["coning3"].summary
+
+
+def smooth(t, p):
+    return 0.8 * np.sin(p[0] * t), 0.5 * np.cos(0.7 * p[0] * t) + 0.2, 0.4 * np.sin(1.4 * p[0] * t)

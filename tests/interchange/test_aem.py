@@ -121,6 +121,28 @@ def test_orders_and_directions():
     assert np.abs(np.radians(lines("1.0", OLD | RATE)[4:]) - W[1]).max() <= EPS
 
 
+@pytest.mark.parametrize(
+    ("version", "metadata"),
+    [
+        ("2.0", NEW | DERIVATIVE),
+        ("2.0", NEW | ANGVEL | {"ANGVEL_FRAME": "REF_FRAME_A"}),
+        ("1.0", OLD | DERIVATIVE),
+        ("1.0", OLD | RATE | {"RATE_FRAME": "REF_FRAME_A"}),
+    ],
+)
+def test_quaternions_of_a_few_digits_turn_no_rate(version, metadata, tmp_path):
+    """Their length, 1 to those digits, is none of the rates, as read or as written."""
+    short = 1.004 * Q
+    sent = message(version, metadata, q=short)
+    segment = read(sent.text(), tmp_path).segments[0]
+    assert np.array_equal(segment.q, short)
+    assert np.abs(segment.w - W).max() <= 8 * EPS
+    if metadata["ATTITUDE_TYPE"] != "QUATERNION/DERIVATIVE":
+        unit = np.array(message(version, metadata).text().split("DATA_START\n")[1].split()[5:8])
+        same = np.array(sent.text().split("DATA_START\n")[1].split()[5:8])
+        assert np.abs(unit.astype(float) - same.astype(float)).max() <= 1e-12
+
+
 EXAMPLE = """\
 CCSDS_AEM_VERS = 2.0
 CREATION_DATE = 2002-11-04T17:22:31

@@ -118,6 +118,43 @@ def test_a_bias_is_that_of_a_start_at_rest(size):
         fa.read_gyro_log(text(rows + "4,0,0,0\n"), bias_seconds=3.5)
 
 
+@pytest.mark.parametrize(
+    ("hertz", "wave", "is_at_rest"),
+    [
+        # rad/s, and s of half a period: 0.1 rad there and back, 0.01 rad, and noise of samples
+        (100.0, (0.1, 1.0), False),
+        (100.0, (0.1, 0.1), True),
+        (100.0, (0.19, 0.01), True),
+        (10.0, (0.19, 0.1), True),
+    ],
+)
+def test_a_start_that_turns_about_its_mean_is_not_at_rest(size, hertz, wave, is_at_rest):
+    """By the angle from the start, however small the mean rate is."""
+    speed, half = wave
+    t = np.arange(round(4.0 * hertz) + 2) / hertz
+    w = 0.02 + speed * np.where((t / half + 0.01) % 2.0 < 1.0, 1.0, -1.0)
+    rows = "".join(f"{a!r},{b!r},0.0,0.0\n" for a, b in zip(t.tolist(), w.tolist(), strict=True))
+    if is_at_rest:
+        log = fa.read_gyro_log(text(rows), bias_seconds=4.0)
+        assert np.abs(log.rates[:, 0]).max() < 1.1 * speed
+    else:
+        with pytest.raises(GyroLogError, match=r"rotation about it 0\.\d+ rad"):
+            fa.read_gyro_log(text(rows), bias_seconds=4.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"), [("m/s^2", 1.0), ("g", 9.80665), ("mg", 9.80665e-3), ("mG", 9.80665e-3)]
+)
+def test_an_accelerometer_is_in_si(unit, scale):
+    """By the unit that its columns are named with, whatever their size."""
+    names = [f"gyro_{a} (rad/s)" for a in "xyz"], [f"acc_{a} ({unit})" for a in "xyz"]
+    table = {"t": [0.0, 0.01, 0.02], **dict.fromkeys(names[0], [0.1] * 3)}
+    table |= dict(zip(names[1], ([1.0, 2.0, 3.0], [0.0] * 3, [4.0] * 3), strict=True))
+    log = fa.read_gyro_log(table)
+    wanted = np.array([[1.0, 0.0, 4.0], [2.0, 0.0, 4.0], [3.0, 0.0, 4.0]])
+    assert np.allclose(log.accel, scale * wanted, rtol=4e-16, atol=0)
+
+
 CONTENT = "".join(f"{0.01 * k!r},{0.1 * k!r},{-0.2 * k!r},0.5\n" for k in range(40))
 PLAIN = fa.read_gyro_log(text(CONTENT))
 
@@ -243,6 +280,22 @@ def test_a_reference_is_aligned_in_time_and_frames():
         # attitudes between two samples 5 ms apart: the angle of w' h²/8, w' below 2 rad/s²
         assert found.angle.max() < 2.0 * 0.005**2 / 8 + 1e-5 * 3.0
         assert len(found.t) == np.count_nonzero((when >= 0.0) & (when <= t[-1]))
+
+
+def test_clocks_that_say_the_same_time_are_not_shifted_by_a_period():
+    """Of a motion that repeats itself all shifts by periods fit: the least of them is meant."""
+    t, when = np.arange(0.0, 30.0, 0.01), np.arange(8.0, 20.0, 0.02)
+
+    def swings(t):
+        angle = 0.5 * np.sin(2.0 * np.pi * t / 3.0) + 0.2 * np.sin(4.0 * np.pi * t / 3.0)
+        return fa.rotation_vector_to_quat(np.outer(angle, [0.0, 0.6, 0.8]))
+
+    noise = np.random.default_rng(3).normal(scale=1e-3, size=(len(when), 3))
+    q = fa.quat_multiply(swings(when), fa.rotation_vector_to_quat(noise))
+    for ahead in (-0.6, 0.0, 0.4):
+        found = against_reference(t, swings(t), Reference(when - when[0], q, when[0] + ahead))
+        assert found.aligned[0]
+        assert found.shift == pytest.approx(ahead, abs=0.01)
 
 
 def test_what_the_motion_does_not_align_stays():

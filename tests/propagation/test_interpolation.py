@@ -111,6 +111,27 @@ def test_motion_that_saves_do_not_show_warns():
         fa.interpolate(t, np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)), w, 2.5)
 
 
+def test_motion_that_saves_do_not_show_is_noticed_among_many_times():
+    """More than are gathered at a time: the first of them alone is in doubt."""
+    t = np.arange(12.0)
+    w = np.zeros((12, 2, 3))
+    w[:4, 1, 0] = [3.0, -3.0, 3.0, -3.0]
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (12, 2, 1))
+    times = np.concatenate([[1.5], np.full(70_000, 9.5)])
+    told = r"saves of 1 of 2 bodies are too far apart .* up to 0\.\d+ rad .*\(body 1\)"
+    for order in (times, times[::-1]):
+        with pytest.warns(fa.StepWarning, match=told):
+            fa.interpolate(t, still, w, order)
+
+
+def test_what_is_refused_says_how_near_saves_have_to_be():
+    """3.2 rad between saves 2 s apart: π rad take 1.96 s."""
+    t = np.linspace(0.0, 8.0, 5)
+    q, w = motion(t, [*BODIES[2:], (0.0, 1.6, 0.0, 0.0)])
+    with pytest.raises(ValueError, match=r"\(1 of 2 bodies\); .* saves 1\.96 s apart"):
+        fa.interpolate(t, q, w, 1.0)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -157,6 +157,18 @@ def test_other_steps_trace_nothing(monkeypatch, kind):
     assert run.t[-1] == 1.1
 
 
+def test_runs_with_and_without_positions_are_apart():
+    """Of one scene, one after the other: what is kept of the first is not for the second."""
+    scene = fa.Scene(inertia=BODY, mass=2.0, force=(0.1, 0.2, 0.3))
+    options = {"v0": W0, "dt": 0.05, "n_steps": 3, "method": "rk4"}
+    for _ in range(2):
+        moved = fa.propagate(scene, Q0, W0, r0=W0 + 1.0, **options)
+        plain = fa.propagate(scene, Q0, W0, **options)
+        assert moved.r.shape == (1, N, 3)
+        assert "r" not in plain.carried
+        assert plain.v.tobytes() == moved.v.tobytes()
+
+
 def test_a_scene_keeps_few_plans():
     scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
     for k in range(30):
@@ -168,6 +180,10 @@ def test_a_scene_keeps_few_plans():
 def test_numbers_beyond_the_precision_are_flagged():
     plan = fa.plan(OWN, N, dt=0.05, n_steps=1, method="rk4", dtype=np.float32)
     assert (plan(Q0, W0, params=(1e39, 0.0)).status & fa.Status.NON_FINITE).all()
+    assert not plan(Q0, W0).status.any()
+    unread = replace(OWN, torque=lambda t, q, w, p: (0.1 * t, 0.0, 0.0))
+    plan = fa.plan(unread, N, dt=0.05, n_steps=1, method="rk4", dtype=np.float32)
+    assert (plan(Q0, W0, params=(1e39, 0.0)).status == fa.Status.NON_FINITE).all()
     assert not plan(Q0, W0).status.any()
 
 

@@ -71,6 +71,18 @@ def test_bodies(representation):
     assert (wanted[:, 1] < 0).sum() > 5
 
 
+def test_the_attitude_that_it_sees_is_unit():
+    """Of a method whose steps leave the group."""
+
+    def far(t, q, w, s):
+        return max(s[0], abs(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2 - 1.0))
+
+    options = {"dt": 0.1, "n_steps": 20, "method": "rk4", "reduce": fa.reducer(far, start=0.0)}
+    run = fa.propagate(BODY, Q0, W0, **options)
+    assert np.abs(run.norm_error).max() > 1e-6
+    assert run.reduced.max() < 1e-9
+
+
 def test_a_rate_and_a_scene_with_mass():
     cone = fa.Scene(rate=fa.rates.Coning(RNG.uniform(0.1, 1.0, N), frequency=2.0), frame="inertial")
     moving = fa.Scene(inertia=(3.0, 2.0, 1.0), mass=2.0, force=(0.1, 0.0, 0.3))
@@ -157,9 +169,52 @@ def test_its_operations_are_counted_among_those_of_the_step():
 def test_float32():
     run = fa.propagate(BODY, Q0, W0, reduce=WATCH, dtype=np.float32, **STEP)
     full = fa.propagate(BODY, Q0, W0, dtype=np.float32, save_every=1, **STEP)
-    assert run.reduced.dtype == np.float32
+    assert run.reduced.dtype == np.float64
     wanted = by_saves(full, watch, (0.0, -1.0, 0.0))
     agree(run.reduced[:, 0], wanted[:, 0], eps=2.0**-23)
+
+
+def clock(t, q, w, s):
+    """The time; steps so far beside a large number; the sum of a thousandth of each component."""
+    return t, s[1] + 1.0, s[2] + 1e-3 * q[0]
+
+
+@pytest.mark.parametrize("options", [{}, {"n_threads": 2, "save_every": 7}], ids=str)
+def test_states_are_of_double_precision_in_a_float32_run(options, tmp_path):
+    """A time in seconds since 1970, and a count that float32 would round to 16."""
+    start = np.tile([0.0, 1.7e9, 0.0], (N, 1))
+    start[3, 1] = 1.0 / 3.0
+    reduce = fa.reducer(clock, start=start)
+    given = {"dtype": np.float32, "t0": 1.7e9, **STEP, **options}
+    run = fa.propagate(BODY, Q0, W0, reduce=reduce, **given)
+    assert run.q.dtype == np.float32
+    assert run.reduced.dtype == np.float64
+    assert np.abs(run.reduced[:, 0] - (1.7e9 + 3.0)).max() < 1e-6
+    counted = start[:, 1]
+    for _ in range(60):
+        counted = counted + 1.0
+    assert np.array_equal(run.reduced[:, 1], counted)
+    options = {**given, "save_every": 1}
+    q = fa.propagate(BODY, Q0, W0, **options).q[1:, :, 0].astype(np.float64)
+    assert np.abs(run.reduced[:, 2] - 1e-3 * q.sum(axis=0)).max() < 60 * 1e-3 * 2.0**-23
+
+    half = {**given, "n_steps": 30}
+    begun = fa.propagate(BODY, Q0, W0, reduce=reduce, **half)
+    begun.save_end(tmp_path / "end")
+    with pytest.raises(ValueError, match="reduce: found 0; accepted: 3, with which the run began"):
+        fa.propagate(BODY, resume=begun, dt=0.05, n_steps=30)
+    rest = fa.propagate(BODY, resume=tmp_path / "end", reduce=reduce, dt=0.05, n_steps=30)
+    assert np.array_equal(rest.reduced, run.reduced)
+
+
+def test_states_of_a_called_function_in_a_float32_run():
+    """One that is compiled for itself gets doubles and gives them, bodies in steps of their own."""
+    reduce = fa.reducer(looped, start=(0.0, 1.7e9))
+    assert not reduce.function.straight
+    counts = RNG.integers(5, 40, size=N)
+    options = {"dt": 2.0 / counts, "n_steps": counts, "method": "rk4", "dtype": np.float32}
+    run = fa.propagate(BODY, Q0, W0, reduce=reduce, **options)
+    assert np.array_equal(run.reduced[:, 1], 1.7e9 + counts)
 
 
 def test_what_is_no_number_flags_the_body_alone():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import os
 import pickle
@@ -144,6 +145,22 @@ def test_saves_go_on():
     assert [piece.t.size for piece in found] == [4]
 
 
+@pytest.mark.parametrize("first", [3, 262])
+def test_saves_are_counted_from_where_the_run_goes_on(first):
+    """After a number of steps that is none of the saves of a run from the begin."""
+    scene = SCENES["torqued"]
+    every = fa.propagate(scene, Q0, W0, n_steps=first + 9, save_every=1, **RK4)
+    begun = fa.propagate(scene, Q0, W0, n_steps=first, **RK4)
+    options = {"n_steps": 9, "dt": 0.05, "save_every": 4}
+    wanted = first + np.array([0, 4, 8, 9])
+    rest = fa.propagate(scene, resume=begun, **options)
+    pieces = []
+    fa.propagate(scene, resume=begun, on_save=pieces.append, **options)
+    for t, q in ((rest.t, rest.q), (pieces[0].t, pieces[0].q)):
+        assert t.tolist() == every.t[wanted].tolist()
+        assert q.tobytes() == every.q[wanted].tobytes()
+
+
 def test_from_a_file(tmp_path):
     """Two more times, the second to the same file."""
     scene = SCENES["torqued"]
@@ -181,7 +198,12 @@ def other_swing(t, q, w, p):
     return (p[0] * np.cos(t), p[1] * w[1], 0.0)
 
 
-BEGUN = {"own": OWN, "free": SCENES["free"]}
+def thrust(size):
+    pulse = fa.TimeSeries([0.0, 1.0, 2.0], [[0.0] * 3, [size, 0.0, 0.0], [0.0] * 3])
+    return fa.Scene(inertia=BODY, torque=fa.torques.Constant(pulse))
+
+
+BEGUN = {"own": OWN, "free": SCENES["free"], "thrust": thrust(0.1)}
 
 
 @pytest.mark.parametrize("stored", [False, True])
@@ -192,6 +214,7 @@ BEGUN = {"own": OWN, "free": SCENES["free"]}
         ("free", fa.Scene(inertia=(3.0, 2.0, 1.5)), {}, "scene: differs"),
         ("own", fa.Scene(inertia=BODY, torque=other_swing, params=(0.3, -0.1)), {}, "scene: diff"),
         ("own", fa.Scene(inertia=BODY, torque=swing, params=(0.3, -0.2)), {}, "scene: differs"),
+        ("thrust", thrust(0.2), {}, "scene: differs"),
         ("free", None, {"dt": 0.1}, r"dt: found 0\.1; accepted: 0\.05"),
         ("free", None, {"method": "rkmk4"}, "method: found rkmk4; accepted: rk4"),
         ("free", None, {"representation": "dcm"}, "representation: found dcm; accepted: quat"),
@@ -207,6 +230,36 @@ def test_another_run_is_refused(begun, scene, options, message, stored, tmp_path
         end = as_file(end, tmp_path)
     with pytest.raises(ValueError, match=message):
         fa.propagate(scene or BEGUN[begun], resume=end, **{"dt": 0.05, "n_steps": 1, **options})
+
+
+@pytest.mark.parametrize(
+    ("begun", "now", "message"),
+    [
+        ("never", "output", "normalise: found 0; accepted: never, with which the run began"),
+        ("output", "never", "normalise: found never; accepted: 0, with which the run began"),
+        (3, 4, "normalise: found 4; accepted: 3, with which the run began"),
+    ],
+)
+def test_a_state_goes_on_as_it_was_brought_back(begun, now, message):
+    end = fa.propagate(SCENES["free"], Q0, W0, n_steps=2, normalise=begun, **RK4)
+    with pytest.raises(ValueError, match=message):
+        fa.propagate(SCENES["free"], resume=end, dt=0.05, n_steps=1, normalise=now)
+
+
+def test_a_file_of_another_format_is_refused(tmp_path):
+    """One that this version would misread; with its own number the same contents go on."""
+    path = as_file(fa.propagate(SCENES["free"], Q0, W0, n_steps=2, **RK4), tmp_path)
+    with np.load(path) as file:
+        kept = dict(file)
+    about = json.loads(str(kept["told"]))
+    for number in (about["format"] - 1, about["format"], about["format"] + 1):
+        with path.open("wb") as file:
+            np.savez(file, **{**kept, "told": np.array(json.dumps({**about, "format": number}))})
+        if number == about["format"]:
+            fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
+            continue
+        with pytest.raises(ValueError, match="is no file of a run's end"):
+            fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
 
 
 def test_what_can_not_go_on(tmp_path):
@@ -570,6 +623,24 @@ def test_ctrl_c_in_parts(monkeypatch, small_parts):
     assert (run.status == UNFINISHED).tolist() == [False] * 128 + [True] * 72
     assert run.q[:, :128].tobytes() == whole.q[:, :128].tobytes()
     assert np.isnan(run.w[:, 128:]).all()
+    assert run.norm_error[:, :128].tobytes() == whole.norm_error[:, :128].tobytes()
+    assert np.isnan(run.norm_error[:, 128:]).all()
+
+
+def test_ctrl_c_with_per_body_step_sizes(monkeypatch, small_parts):
+    """Bodies with most steps come first: those of the parts that were done are whole."""
+    counts = RNG.permutation(np.arange(100, 100 + MANY))
+    options = {"dt": 10.0 / counts, "n_steps": counts, "method": "rk4", "n_threads": 1}
+    whole = fa.propagate(SCENES["free"], Q, W, **options)
+    interrupted(monkeypatch, 3, stop)
+    with pytest.raises(InterruptedRun) as stopped:
+        fa.propagate(SCENES["free"], Q, W, **options)
+    run = stopped.value.trajectory
+    done = counts > 99 + MANY - 128
+    assert (run.status == UNFINISHED).tolist() == (~done).tolist()
+    assert run.q[:, done].tobytes() == whole.q[:, done].tobytes()
+    assert np.isnan(run.q[:, ~done]).all()
+    assert np.isnan(run.norm_error[:, ~done]).all()
 
 
 def test_ctrl_c_with_a_file(monkeypatch, tmp_path):

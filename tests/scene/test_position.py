@@ -180,6 +180,20 @@ def test_a_step_too_large_at_periapsis_is_flagged():
     assert np.array_equal(one.r[-1], traj.r[-1, 1])
 
 
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_centre_among_several_forces_limits_steps(place):
+    """As one alone does, wherever it stands in the sum."""
+    terms = [fa.forces.Constant((0.0, 0.0, 0.0)), fa.forces.Drag(0.0)]
+    terms.insert(place, fa.forces.CentralGravity(1.0))
+    given = {"r0": [[0.05, 0, 0], [1, 0, 0]], "v0": [[0, 20.0**0.5, 0], [0, 1, 0]]}
+    for force in (fa.forces.CentralGravity(1.0), fa.forces.Sum(tuple(terms))):
+        body = fa.Scene(inertia=INERTIA, mass=MASS, force=force)
+        traj = fa.propagate(
+            body, [[1, 0, 0, 0]] * 2, [1e-3, 0, 0], **given, dt=0.05, n_steps=20, method="rk8"
+        )
+        assert traj.status.tolist() == [fa.Status.STEP_TOO_LARGE, 0]
+
+
 def test_given_rate():
     """A circular orbit of a body that turns as it is told, along inertial axes."""
     scene = fa.Scene(

@@ -325,6 +325,25 @@ def test_wheels_and_body_keep_their_momentum():
     assert np.array_equal(second.q[-1], run.q[-1, 1:])
 
 
+@pytest.mark.parametrize("bodies", [1, 2, 3, 5])
+def test_wheels_that_all_bodies_share_keep_momentum(bodies):
+    """One table for them, of as many saves as there are bodies too."""
+    wheels = fa.TimeSeries(
+        uniform(9), 0.3 * np.stack([np.sin(uniform(9)), uniform(9), 1 + 0 * uniform(9)], 1)
+    )
+    scene = fa.Scene(inertia=INERTIA, torque=torques.Rotor(wheels))
+    chance = np.random.default_rng(bodies)
+    q0, w0 = chance.normal(size=(bodies, 4)), chance.normal(size=(bodies, 3))
+    run = fa.propagate(scene, q0, w0, t0=1.0, dt=0.02, n_steps=80, save_every=40, method="rk8")
+    found = fa.drift(run, scene).momentum
+    assert found.shape == (3, bodies)
+    assert found.max() < 1e-9
+    for k in range(bodies):
+        options = {"t0": 1.0, "dt": 0.02, "n_steps": 80, "save_every": 40, "method": "rk8"}
+        one = fa.drift(fa.propagate(scene, q0[k], w0[k], **options), scene).momentum
+        assert np.abs(one - found[:, k]).max() < 1e-14
+
+
 def test_a_controller_takes_the_rate_of_its_target_off():
     """On the target, at the target's rate, it asks for nothing; beside it for what Wie has."""
     axis, speed = np.array([0.6, 0.0, 0.8]), 0.7

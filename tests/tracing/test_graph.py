@@ -247,6 +247,17 @@ def test_equal_operations_are_one_and_known_numbers_drop_out():
     assert source.function(flat)(3.0, 5.0) == (30.0, 0.0, 0.0)
 
 
+def test_the_sign_of_zero_counts():
+    """0.0 and −0.0 are two constants, whichever comes first."""
+    graph, x, y = numbers()
+    graph.strict = True
+    up, down = 1.0 / (x * 0.0), 1.0 / (y * -0.0)
+    assert value(graph, up, 3.0) == math.inf
+    assert value(graph, down, 3.0) == -math.inf
+    flat = Flat(graph, [up, down], "double")
+    assert source.function(flat)(3.0, 5.0) == (math.inf, -math.inf)
+
+
 def test_a_product_used_twice_is_not_fused():
     graph, x, y = numbers()
     z = x * y

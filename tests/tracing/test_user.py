@@ -528,7 +528,36 @@ def gain_of_a_jitted_helper_while(t, p):  # no straight line
     return x, 0.0, 0.0
 
 
+class Listed:
+    def __init__(self):
+        self.gains = [1.0]
+
+
+def gain_of_a_list(t, p):
+    return GAIN_LIST[0] * p[0], 0.0, 0.0
+
+
+def gain_of_a_list_of_an_object(t, p):
+    return LISTED.gains[0] * p[0], 0.0, 0.0
+
+
+def doubled(x):
+    return 1.0 * x
+
+
+def gain_of_a_helper(t, p):
+    return doubled(p[0]), 0.0, 0.0
+
+
+def other_helper():
+    def doubled(x):
+        return 2.0 * x
+
+    return doubled
+
+
 GAIN, GAINS, SETTINGS = 1.0, np.ones(1), Settings()
+GAIN_LIST, LISTED = [1.0], Listed()
 
 
 @pytest.mark.parametrize(
@@ -537,6 +566,9 @@ GAIN, GAINS, SETTINGS = 1.0, np.ones(1), Settings()
         gain_of_a_global,
         gain_of_an_array,
         gain_of_an_object,
+        gain_of_a_list,
+        gain_of_a_list_of_an_object,
+        gain_of_a_helper,
         gain_of_another,
         gain_while,
         gain_of_a_jitted_helper,
@@ -550,12 +582,14 @@ def test_a_new_scene_sees_new_globals(rate, monkeypatch):
         run = fa.propagate(scene, [1, 0, 0, 0], dt=0.1, n_steps=10, method="lie_euler")
         return 2.0 * math.atan2(run.q[-1, 1], run.q[-1, 0])
 
-    GAINS[0] = 1.0
+    GAINS[0] = GAIN_LIST[0] = LISTED.gains[0] = 1.0
     before = fa.Scene(rate=rate, params=(0.5,))
     assert turned(before) == pytest.approx(0.5, abs=1e-14)
     monkeypatch.setitem(globals(), "GAIN", 2.0)
     GAINS[0] = 2.0
     monkeypatch.setattr(SETTINGS, "gain", 2.0)
+    GAIN_LIST[0] = LISTED.gains[0] = 2.0
+    monkeypatch.setitem(globals(), "doubled", other_helper())
     assert turned(fa.Scene(rate=rate, params=(0.5,))) == pytest.approx(1.0, abs=1e-14)
     assert turned(before) == pytest.approx(0.5, abs=1e-14)
     assert user_function(rate, "rate", 1) is user_function(rate, "rate", 1)
