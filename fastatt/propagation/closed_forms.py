@@ -403,8 +403,10 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
     split = (out[..., :stored], out[..., stored:])
     has_bad = evaluation.fill((given.q, given.y), times, split, threads)
     # |w| and what it gains are below twice their largest component
-    largest = np.abs(given.y).max() + form.gain.max()
-    if not 2.0 * largest * np.abs(since).max(initial=0.0) <= rounding.most_turned(kind) ** 0.5:
+    with np.errstate(over="ignore", invalid="ignore"):
+        largest = np.abs(given.y).max() + form.gain.max()
+        most = 2.0 * largest * np.abs(since).max(initial=0.0)
+    if not most <= rounding.most_turned(kind) ** 0.5:
         angles = turned(given.y, since, form.gain)
         if text := rounding.of_angles(angles, kind):
             rounding.warn(f"t: found turns of {text}")

@@ -34,7 +34,7 @@ DOUBLE = {"dtypes": ["float64"]}
 
 
 def coning_at(t, bodies=slice(None)):
-    angle, frequency = (x[bodies] for x in CONING.rate)
+    angle, frequency = CONING.rate.angle[bodies], CONING.rate.frequency[bodies]
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     phase = frequency * np.atleast_1d(t)[:, None]
     path = np.stack([c + 0 * phase, s * np.cos(phase), s * np.sin(phase), 0 * phase], axis=-1)
@@ -223,7 +223,7 @@ def test_a_method_of_ones_own_is_recommended():
     """Alone, and beside a name that it cannot beat."""
     heun = fa.runge_kutta("heun", order=2, c=(0, 1), a=((1,),), b=(0.5, 0.5))
     bodies = slice(0, 40)
-    scene = fa.Scene(rate=fa.rates.Coning(*(x[bodies] for x in CONING.rate)))
+    scene = CONING[bodies]
     alone = fa.recommend(scene, Q0[bodies], t_end=T_END, tol=1e-4, methods=[heun], **DOUBLE)
     assert alone.method == "heun"
     assert str(alone).startswith("heun (quat, float64): ")
