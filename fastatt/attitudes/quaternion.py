@@ -45,8 +45,8 @@ def low_finish(x: Vector) -> Any:
 
 def low_restore(x: Vector) -> Any:
     _, d = low_finish(x)
-    # of 16 ulps and more: less is rounding of d, and mended would turn the attitude one way,
-    # 3e-20 rad at a time
+    # of 16 ulps and more: less is rounding of d, whose renormalisation would rotate the attitude
+    # one way, 3e-20 rad at a time
     m = choose(0.03125 * abs(d) + 1.0 > 1.0, -d, 0.0)
     return compensated.add_quat(x, (m * x[0], m * x[1], m * x[2], m * x[3])), d
 

@@ -1,4 +1,4 @@
-"""Rotation vector from the reference attitude, three numbers, singular at whole turns (Bortz)."""
+"""Rotation vector from the reference attitude, singular at multiples of 2π (Bortz)."""
 
 from fastatt import arrays
 from fastatt.attitudes.attitude import Attitude, coordinate_speed

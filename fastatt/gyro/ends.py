@@ -78,7 +78,7 @@ def rest(
     fine = np.repeat(gaps[-count:] / parts, parts)
     nodes = np.concatenate([[0.0], np.cumsum(gaps)])
     at = nodes[-1 - count] + np.concatenate([[0.0], np.cumsum(fine)])
-    with np.errstate(over="ignore", invalid="ignore"):  # looked at in the result
+    with np.errstate(over="ignore", invalid="ignore"):  # checked in the result
         table = _interpolation(nodes, at, increments)
         values = table @ np.array(data[:, data.shape[1] - near :], dtype=np.float64, order="C")
         samples = values.astype(data.dtype)

@@ -191,7 +191,7 @@ def finish(
 
 
 def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:
-    """What logs are carried from: p, unit quaternions (4,) or (N, 4), and no turn, r."""
+    """Where logs start: unit quaternions p, (4,) or (N, 4), and the identity rotation r."""
     q = np.repeat(_AT_REST[precision], n_logs, axis=0) if n_logs > 1 else _AT_REST[precision].copy()
     if unit is not NO_TURN:
         q[:, :4] = unit

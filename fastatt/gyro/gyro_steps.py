@@ -128,8 +128,8 @@ def coning3_optimal_increments(q, u0, u1, u2):
 class SampleStepper:
     """One window of gyro samples, made by :func:`sample_step`.
 
-    The window covers ``span`` intervals and looks ``history`` intervals back; it holds ``samples``
-    rates at the ends of all these intervals, rad/s, or increments over them, rad.
+    The window covers ``span`` intervals and reads ``history`` intervals before it; it holds
+    ``samples`` rates at the ends of all these intervals, rad/s, or increments over them, rad.
 
     ``step(q, v, h)`` gives the ``span`` attitudes after q, flat: v are the samples and h the
     intervals (s), flat tuples, the oldest first.

@@ -57,7 +57,7 @@ def integrate_rates(
 
     Warns
     -----
-    StepWarning : an interval in which the body turns further than the method can follow.
+    StepWarning : an interval whose rotation angle exceeds the method's limit.
     """
     record = method_of(method, increments)
     name = "rates (increments)" if increments else "rates"
@@ -132,7 +132,7 @@ def warn_of_turns(
     *,
     first: int = 0,
 ) -> None:
-    """Say where an interval turns further than the method can follow.
+    """Warn of an interval whose rotation angle exceeds the method's limit.
 
     ``seen`` is the largest component of an angle, of the samples or of more; ``first`` what the
     first interval is called.

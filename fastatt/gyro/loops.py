@@ -7,7 +7,7 @@ or of one, and the chain of p goes through them: a log's bits are the same whate
 however it is cut, on any number of threads.
 
 The windows for any rotation angle are compiled when a chunk first needs them: a loop then returns
-the number of that tile, to be called again from there.
+the number of that tile, from which the next call goes on.
 """
 
 from __future__ import annotations

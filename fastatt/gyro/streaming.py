@@ -99,7 +99,7 @@ class GyroIntegrator:
 
         Warns
         -----
-        StepWarning : an interval in which the body turns further than the method can follow.
+        StepWarning : an interval whose rotation angle exceeds the method's limit.
         """
         self._check_open()
         n_logs, increments = len(self._start), self._increments
@@ -117,7 +117,7 @@ class GyroIntegrator:
         window = METHODS[self._method].window
         known = samples.shape[1] - self._lead - (not increments)
         count = known - known % window.span
-        # the first window looks back on what the first samples say
+        # the history of the first window is extrapolated from the first samples
         if not self._done and window.history and samples.shape[1] < window.samples(increments):
             count = 0
         return self._advanced(samples, spans, q, count)

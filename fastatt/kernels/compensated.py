@@ -1,6 +1,6 @@
-"""Sums that carry what rounding loses: a value and a low part beside it, added to step by step.
+"""Sums that carry what rounding loses: a value with a low part, added to step by step.
 
-x = (x1, …, xk, e1, …, ek) stands for xi + ei. Quaternions turn by q∘(exp(u/2) − 1), whose terms are
+x = (x1, …, xk, e1, …, ek) is xi + ei. Quaternions rotate by q∘(exp(u/2) − 1), whose terms are
 as small as the step, and u/2 itself is exact. Møller, BIT 5 (1965) 37; Knuth, *The Art of Computer
 Programming* 2, §4.2.2; of integrators Hairer, McLachlan, Razakarivony, BIT 48 (2008) 231.
 """
@@ -78,7 +78,7 @@ def turn_short(x, u):
 
 @kernel
 def turn_parts(x, u, s, c, f):
-    """x∘(c, s u); f is s − ½, so that a small turn's s u is the exact u/2 and little more."""
+    """x∘(c, s u); f is s − ½, so that s u of a small rotation is the exact u/2 and little more."""
     F = type(c)
     q = x[:4]
     a = mul_vector(q, scale(F(0.5), u))

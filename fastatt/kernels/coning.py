@@ -24,7 +24,7 @@ def rotation_vector_linear(a, b, t):
 
 @kernel
 def rotation_vector_quadratic(a, b, c, t):
-    """The same of w = a + b t + c t²: adds t³/3 c + t⁴/12 a×c + t⁵/60 b×c.
+    """Rotation vector of w = a + b t + c t²: adds t³/3 c + t⁴/12 a×c + t⁵/60 b×c.
 
     All products of three vectors are one: t³/12 (a − t²/5 c)×(b + t c).
     """
@@ -37,7 +37,7 @@ def rotation_vector_quadratic(a, b, c, t):
 
 @kernel
 def rotation_vector(a, b, c, d, t):
-    """The same of w = a + b t + c t² + d t³.
+    """Rotation vector of w = a + b t + c t² + d t³.
 
     Adds t⁴/4 d + 3t⁵/40 a×d + t⁶/48 b×d + t⁷/168 c×d. All products of four vectors are two:
     t³/12 (a − t²/5 c − t³/4 d)×(b + t c + 9t²/10 d) + t⁷/8400 c×d.

@@ -151,7 +151,7 @@ def log(c):
 
 @kernel
 def derivative_row(r, w):
-    """ṙ = r×w: a fixed inertial direction r seen from a body that turns at w (body axes, rad/s)."""
+    """ṙ = r×w: a fixed inertial direction r seen from a body with rate w (body axes, rad/s)."""
     return cross(r, w)
 
 

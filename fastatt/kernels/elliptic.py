@@ -74,7 +74,7 @@ def landen_step(u, v, a, b, turns):
     """One descending Landen transformation of the integral ``first_kind_pair``, all doubled.
 
     Bulirsch, "Numerical calculation of elliptic integrals", Numer. Math. 7 (1965), el1, without his
-    division: u/v is the cotangent of the amplitude, a times; ``turns`` counts its half turns.
+    division: u/v is the cotangent of the amplitude, a times; ``turns`` counts its multiples of π.
     """
     F = type(u)
     product = u * v
@@ -118,7 +118,7 @@ def first_kind_pair(y, kc, yc, k):
     a3 = a2 + c2
     c3 = F(2.0) * math.sqrt(a2 * c2)
     a4 = a3 + c3
-    # what is left of b by rounding would be too much beside the least y
+    # what is left of b by rounding would be too much next to the least y
     seen = b0 * b0 > (F(1e-15) if double else F(1e-7))
     b1 = F(1.0) - c0 if seen else F(0.0)
     b2 = a1 - c1 if seen else F(0.0)

@@ -23,9 +23,9 @@ from fastatt.kernels.vec3 import dot
 
 @kernel
 def transition(u, h):
-    """(Φ11, Φ12) = (exp −[u], −h Jr(u)) of a step h (s) at a constant rate that turns by u (rad).
+    """(Φ11, Φ12) = (exp −[u], −h Jr(u)) of h s at a constant rate, of rotation vector u (rad).
 
-    Of a step that turns by exp(u) in another way Φ11 is right too.
+    Φ11 also holds for any other path to the same rotation exp(u).
     """
     b, c = so3.jacobian_coefficients(dot(u, u))
     turned = dcm.from_quat(quat.conj(quat.exp(u)))
@@ -36,7 +36,7 @@ def transition(u, h):
 def noise_at_rest(h, angle_variance, bias_variance):
     """``noise`` for ω = 0 (Farrenkopf): σ_v² h + σ_u² h³/3, −σ_u² h²/2, σ_u² h.
 
-    Short by a share θ²/20 of Q11's bias part and θ/3 of Q12 in a body that turns by θ in the step.
+    Short by a share θ²/20 of Q11's bias part and θ/3 of Q12 for a rotation by θ in the step.
     """
     F = type(h)
     o = F(0.0)
@@ -52,7 +52,7 @@ def noise_at_rest(h, angle_variance, bias_variance):
 
 @kernel
 def noise(u, h, angle_variance, bias_variance):
-    """(Q11, Q12, Q22) of white noise over a step h (s) that turns by u (rad): exact for constant ω.
+    """(Q11, Q12, Q22) of white noise over h s of rotation vector u (rad): exact for constant ω.
 
     ``angle_variance`` is σ_v² (rad²/s), ``bias_variance`` σ_u² (rad²/s³), each for all axes. With
     θ = |u|, Q11 = σ_v² h + σ_u² h³ (1/3 + (θ³/3 − 2θ + 2 sin θ)/θ⁵ [u]²), Q12 = −σ_u² h² (1/2 −

@@ -1,6 +1,6 @@
 """3-1-3 Euler angles (φ, θ, ψ), rad: C = Rz(φ) Rx(θ) Rz(ψ).
 
-Singular at θ = 0 and π, where φ and ψ turn about one axis. Goldstein, *Classical Mechanics*,
+Singular at θ = 0 and π, where φ and ψ rotate about one axis. Goldstein, *Classical Mechanics*,
 §4.4 and §4.9; Whittaker, *Analytical Dynamics* (1937), §10.
 """
 

@@ -250,7 +250,7 @@ def begin(q, m, low, inertia, size, f):
     weight = above / below
     weight = zero if rest else weight
 
-    # the phase turns by (2T + L m3/I3)/(L + m3); what the pair does not carry is the same at any
+    # the phase advances by (2T + L m3/I3)/(L + m3); what the pair does not carry is the same at any
     # time, so it is taken where u = 0
     i = (one / J[0], one / J[1], one / J[2])
     rate = g[16] * a[2] * math.sqrt((J[2] - J[1]) * (J[2] - J[0]) * i[0] * i[1]) * i[2]

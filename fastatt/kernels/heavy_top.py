@@ -73,7 +73,7 @@ def slope(p, x):
 
 @kernel
 def upright(v):
-    """A quaternion that turns the third axis to a vector v; of 0, none."""
+    """A quaternion that rotates the third axis to a vector v; the identity for v = 0."""
     F = type(v[0])
     s, unit = scale(largest(v))
     x = s * v[0]
@@ -165,7 +165,7 @@ def ratio(a, b):
 
 @kernel
 def middle(series):
-    """Size of a series of cosines at 0, and how fast its phase turns there."""
+    """Size of a series of cosines at 0, and the rate of its phase there."""
     F = type(series[0])
     size = cubic(series[0:4], F(1.0))
     return size, cubic(series[4:8], F(1.0)) / size
@@ -358,7 +358,7 @@ def evaluate(constants, t):
     """Attitude q and angular velocity w (body axes) at the time t after the start, of any sign.
 
     Error at most 1e-15 (1 + W t) of q, and of w in relation to W (float64), W² = |w|² + 4 |pull|/A
-    of the start, beside what the motion itself magnifies of a rounding of q and w.
+    of the start, in addition to what the motion itself magnifies of a rounding of q and w.
     """
     g = constants
     P, Q, W = parts(g[14:36], g[8:13], t)

@@ -14,7 +14,7 @@ from fastatt.kernels.vec3 import cross
 @kernel
 def mul(p, q):
     """Hamilton product p∘q; of attitudes: first q, then p."""
-    # what a small turn q adds comes first: fused, each number is then rounded once at its size
+    # what a small rotation q adds comes first: fused, each number is then rounded once at its size
     return (
         p[0] * q[0] - (p[1] * q[1] + p[2] * q[2] + p[3] * q[3]),
         p[1] * q[0] + (p[0] * q[1] + p[2] * q[3] - p[3] * q[2]),
@@ -79,7 +79,7 @@ def exp(u):
     """Unit quaternion of the rotation vector u (rad), any angle: (cos θ/2, sin(θ/2) u/θ), θ = |u|.
 
     Error at most 4e-16 as a 4-vector and in relation to the vector part (float64) for θ ≤ π;
-    beyond, that of θ moved by 1.5 ulps, of length 1 to 5e-16: where an ulp exceeds a turn, some
+    beyond, that of θ moved by 1.5 ulps, of length 1 to 5e-16: where an ulp exceeds 2π, some
     rotation about the right axis.
     """
     F = type(u[0])

@@ -141,8 +141,8 @@ def kepler_direction(mean_anomaly, eccentricity, periapsis, along):
 def quaternion_feedback(e, w, stiffness, damping):
     """τ = −k sgn(e0) (e1, e2, e3) − c w, e the attitude relative to the target's.
 
-    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3; k in N·m, c in N·m·s. Turns the shorter
-    way.
+    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3; k in N·m, c in N·m·s. Rotates the
+    shorter way.
     """
     k = stiffness if e[0] < type(e[0])(0.0) else -stiffness
     return k * e[1] - damping * w[0], k * e[2] - damping * w[1], k * e[3] - damping * w[2]

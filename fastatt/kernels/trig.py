@@ -4,7 +4,7 @@ Numba has no vector sine on a plain install, so one call of ``math.sin`` makes a
 scalar. Polynomials are near-minimax fits in the squared argument (Chebyshev nodes, 50 digits);
 the first coefficients are exact, so that tiny arguments lose nothing. Every reduction subtracts
 2π in three parts, the first two short enough (8 and 11 bits) for an exact product with the
-number of turns in float64 and in float32 (Cody and Waite, 1980).
+multiples of 2π in float64 and in float32 (Cody and Waite, 1980).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ LN_2_LOW = 1.4286068203094173e-06
 
 @kernel
 def reduce_turns(x):
-    """The angle x less whole turns, in [−π, π] give or take ulps of x, and the turns as a float.
+    """The angle x less multiples of 2π, in [−π, π] to ulps of x, and their number as a float.
 
     Absolute error at most 2.5e-16 (float64) for |x| ≤ 1e6 rad, about 1 ulp of x beyond; where an
-    ulp of x exceeds a turn the result is arbitrary but at most 3.15. A non-finite x gives NaN.
+    ulp of x exceeds 2π the result is arbitrary but at most 3.15. A non-finite x gives NaN.
     """
     F = type(x)
     k = np.rint(x * F(0.5 / math.pi))
@@ -63,8 +63,8 @@ def sincos(x):
 def sincos_bounded(x):
     """``sincos`` of |x| ≤ 1e13 (float32: 1e4) in two operations less, for the steps of methods.
 
-    Up to 1e15 (1e6) off by that of x moved by an ulp. A turn by a larger angle changes lengths, so
-    that it shows.
+    Up to 1e15 (1e6) off by that of x moved by an ulp. A rotation by a larger angle changes
+    lengths, so that it shows.
     """
     r, k = reduce_quarters(x)
     return sincos_short(r, k)
@@ -72,7 +72,7 @@ def sincos_bounded(x):
 
 @kernel
 def reduce_quarters(x):
-    """The angle x less whole quarter turns, in ±π/4 give or take ulps of x, and the quarters."""
+    """The angle x less multiples of π/2, in ±π/4 give or take ulps of x, and the quarters."""
     F = type(x)
     k = np.rint(x * F(2.0 / math.pi))
     r = x - k * F(0.25 * TWO_PI_1)
@@ -91,14 +91,14 @@ def sincos_short(r, k):
 
 @kernel
 def quarter_turns(k):
-    """(cos, sin) of a whole number (a float) of quarter turns, exactly."""
+    """(cos, sin) of a whole number (a float) times π/2, exactly."""
     F = type(k)
     return within_a_turn(k - F(4.0) * np.rint(F(0.25) * k))
 
 
 @kernel
 def within_a_turn(k):
-    """(cos, sin) of k quarter turns, k = −2, −1, 0, 1 or 2."""
+    """(cos, sin) of k π/2, k = −2, −1, 0, 1 or 2."""
     F = type(k)
     size = abs(k)
     return F(1.0) - size, k * (F(2.0) - size)
@@ -341,7 +341,7 @@ def octaves(a, b):
 def log_ratio(a, b, over, under):
     """ln(a/b), a ≥ b > 0, where over/under is (a − b)/(a + b): exactly, and not of rounded a and b.
 
-    Relative error at most 5e-16 (float64) beside that of ``over`` and ``under``.
+    Relative error at most 5e-16 (float64) in addition to that of ``over`` and ``under``.
     """
     F = type(a)
     n, b = octaves(a, b)

@@ -1,4 +1,4 @@
-"""The single list of methods; each lives in a file of its own with its step and its record."""
+"""The single list of methods; each has one file, with its step and its record."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ CG3 = _method(
     "cg3",
     3,
     ((13.0 / 51.0, 0.0), (-2.0 / 3.0, 0.75), (24.0 / 17.0, 17.0 / 24.0)),
-    limit=1.8,  # of the last turn, 24/17 |w|h
+    limit=1.8,  # of the last rotation, 24/17 |w|h
     summary="exponentials of frozen rates, the historical alternative; magnus4 beats it in both",
     source="Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1",
 )

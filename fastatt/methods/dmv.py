@@ -1,8 +1,8 @@
 """DMV: the discrete Moser-Veselov step with modified inertia, to orders 2 to 10, for free bodies.
 
 What is stepped is not m but u = h m/(2K), K the modified moments, which a free body keeps. The step
-is implicit in c, the tangent of half the turn: c1 = (1 + |c|²) u1 + κ1 c2 c3, cyclic, κ1 =
-(K2 − K3)/K1; then q∘(1, c)/√(1 + |c|²) and u1 + 2 κ1 c2 c3/(1 + |c|²). No trigonometry; keeps |m|,
+is implicit in c, the tangent of half the rotation angle: c1 = (1 + |c|²) u1 + κ1 c2 c3, cyclic,
+κ1 = (K2 − K3)/K1; then q∘(1, c)/√(1 + |c|²) and u1 + 2 κ1 c2 c3/(1 + |c|²). No trigonometry; keeps |m|,
 the energy and the momentum in space.
 """
 
@@ -66,7 +66,7 @@ def modified(level: int, h: Any, m: Vector, scaled: Any, k: Vector) -> Any:
 def squared_turn(motion: Any, h: Any, m: Vector) -> Any:
     """(|m| h/I_min)²: what the series of the modified moments are in, of a needle far beyond |w| h.
 
-    Not the turn that is solved for: near π the modified moments make it small again.
+    Not the rotation that is solved for: near π the modified moments make it small again.
     """
     a, b, c = motion.half_inverse
     most = choose(a > b, a, b)

@@ -18,7 +18,7 @@ from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
 from fastatt.tracing.functions import larger
 
 _NODES = 6
-#: terms beside the first; of an odd number the next one cancels too
+#: terms after the first; of an odd number the next one cancels too
 _TERMS = 2 * _NODES - 1
 
 

@@ -5,7 +5,7 @@ of their lengths, seven terms of which a weighted sum of the results takes away.
 substep, of one slope: a Runge-Kutta method of high order combines a dozen slopes, which takes
 longer than most torques do. Gragg, SIAM J. Numer. Anal. 2 (1965) 384.
 
-In place of the momentum m a column steps v = (h/n) I⁻¹ m, half of what the body turns in two of its
+In place of the momentum m a column steps v = (h/n) I⁻¹ m, half of the body's rotation in two of its
 n substeps: neither their length nor a moment of inertia is left to multiply by in each of them.
 """
 
@@ -53,7 +53,7 @@ def _state(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) ->
 
 
 def _angles(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) -> Any:
-    """The same of a body, which is stepped by v; slopes only where the attitude has poles."""
+    """Columns of a body, which is stepped by v; slopes only where the attitude has poles."""
     size = motion.plain.size
     frequency = 1.0 / choose(h == 0.0, 1.0, h)
     span = (h + h) / n

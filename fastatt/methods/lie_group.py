@@ -1,6 +1,6 @@
 """Lie-group methods for a given rate: a method is its exponents.
 
-Every such method's state only ever turns, q∘exp(u1)∘exp(u2)…, so that it stays on the group by
+Every such method only rotates its state, q∘exp(u1)∘exp(u2)…, so that it stays on the group by
 construction. Iserles, Munthe-Kaas, Nørsett and Zanna, Acta Numerica 9 (2000) 215.
 """
 
@@ -61,7 +61,7 @@ def _fits(n: int) -> tuple[Any, Any, Any]:
 
 
 def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
-    """Squared turn of a method of one exponential or of equal ones.
+    """Squared rotation angle of a method of one exponential or of equal ones.
 
     The exponents alone shrink again where a series fails; the first rate that was asked for does
     not.
@@ -102,7 +102,7 @@ def lie_method(
     exact_for_constant: bool = True,
     **fields: Any,
 ) -> Method:
-    """Record of a method that turns the state by its exponents, a body's by a step of its own."""
+    """Record of a method that rotates the state by its exponents, with another step for bodies."""
     steps = Steps(
         rate=lie_step(exponents, turns),
         constant=one_exponential if exact_for_constant else None,
@@ -125,7 +125,7 @@ def lie_method(
 def lie_group(
     name: str, *, order: int, exponents: Callable[..., Any], limit: float = 1.0
 ) -> Method:
-    """A Lie-group method of one's own for given rates, wherever a method's name is taken.
+    """A custom Lie-group method for prescribed rates, accepted wherever a method's name is.
 
     Parameters
     ----------
@@ -175,8 +175,8 @@ def lie_group(
 def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
     """How often exponents ask for the rate, and how many there are.
 
-    Raises ``ValueError`` where what is given is no tuple of exponents, or where at a constant rate
-    they do not add up to the turn of a step: no method is of order 1 else.
+    Raises ``ValueError`` where the function returns no tuple of exponents, or where at a constant
+    rate they do not add up to the rotation of a step, which order 1 requires.
     """
     graph = Graph()
     asked = 0

@@ -23,14 +23,14 @@ class Steps:
     """The formulas of a method: plain functions on recorded numbers.
 
     ``rate(motion, t, h, x)`` and ``body(motion, t, h, x)`` give (x(t + h), z) of a
-    ``scene.equations.Turning`` and a ``Body``, z the squared angle (rad²) that the step turns at a
-    time, infinite where an iteration did not converge. ``constant`` is ``rate`` of a rate that
+    ``scene.equations.Turning`` and a ``Body``, z the squared angle (rad²) of the step's largest
+    rotation, infinite where an iteration did not converge. ``constant`` is ``rate`` of a rate that
     never changes, where that is another one.
 
     A splitting has ``stage(motion, t, h, k, x, e)`` instead: h s of free motion, then k s of the
     other flow. ``prepare(motion, h, x)`` gives the numbers e that a run with step h needs of a body
-    besides its parameters, from its initial state; ``enter`` and ``leave`` change between the state
-    and the one that is stepped: ``f(motion, t, s, k, x, e)`` at time t, s after the start.
+    in addition to its parameters, from its initial state; ``enter`` and ``leave`` change between
+    the state and the one that is stepped: ``f(motion, t, s, k, x, e)`` at time t, s after the start.
     """
 
     rate: Callable[..., Any] | None = None

@@ -20,7 +20,7 @@ from fastatt.methods.lie_group import named
 from fastatt.methods.method import BODIES, Method, Steps
 from fastatt.tracing.formulas import Vector, axpy, largest, scale, weighted
 
-# of trees beyond, 719 of order 10 and more, the conditions are not looked at
+# of trees beyond, 719 of order 10 and more, the conditions are not checked
 _CHECKED = 9
 _CLOSE = 1e-12
 # what w is multiplied by on the right: −i/2 times Pauli's matrices, and [e_k×]
@@ -202,7 +202,7 @@ def runge_kutta(
     a: Sequence[Sequence[float]],
     b: Sequence[float],
 ) -> Method:
-    """An explicit Runge-Kutta method of one's own, wherever a method's name is taken.
+    """A custom explicit Runge-Kutta method, accepted wherever a method's name is.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def _growth(tableau: Tableau, z: complex) -> complex:
 
 
 def _trusted(tableau: Tableau, k: float) -> float:
-    """Largest turn (rad) at a constant rate whose angle is right to 5 % and whose size to 20 %."""
+    """Largest angle (rad) at a constant rate that is right to 5 %, with its size to 20 %."""
     for theta in np.arange(0.05, 6.0, 0.05):
         factor = _growth(tableau, 1j * k * theta)
         angle = math.atan2(factor.imag, factor.real) / k
@@ -267,9 +267,9 @@ def _trusted(tableau: Tableau, k: float) -> float:
 
 
 def _of_cones(tableau: Tableau, generators: Any) -> float:
-    """Largest turn (rad) about a cone of half angle 1/2 whose angle is right to 10 %.
+    """Largest rotation angle (rad) about a cone of half angle 1/2 whose angle is right to 10 %.
 
-    There w turns twice as fast as the body. Ẋ = X Σ w_k G_k, whose X(1) is
+    There w rotates twice as fast as the body. Ẋ = X Σ w_k G_k, whose X(1) is
     exp(w(0) + Ω e3) exp(−Ω e3), is what quaternions obey or matrices, as ``generators`` G say.
     """
     theta = np.arange(0.05, 6.01, 0.05)
@@ -295,7 +295,7 @@ def _of_cones(tableau: Tableau, generators: Any) -> float:
     spin = frequency[:, None, None] * generators[2]
     true = exponential(turned(0.0) + spin) @ exponential(-spin)
     trace = np.einsum("nij,nij->n", true.conj(), u @ v).real
-    # that of a turn by φ is 2 cos φ/2 or 1 + 2 cos φ
+    # that of a rotation by φ is 2 cos φ/2 or 1 + 2 cos φ
     half = 0.5 * (trace if size == 2 else np.sqrt(np.maximum(trace + 1.0, 0.0)))
     wrong = 2.0 * np.arccos(np.clip(half, 0.0, 1.0)) > 0.1 * theta
     return float(theta[max(0, int(wrong.argmax()) - 1)]) if wrong.any() else 6.0

@@ -1,16 +1,16 @@
 """Rotations about two principal axes, and their compositions of higher order.
 
 With the Casimir |m|²/(2 I2) taken out, I2 the intermediate moment, the kinetic energy is that of
-two rotors, ½ m1² (1/I1 − 1/I2) + ½ m3² (1/I3 − 1/I2), each of which turns body and momentum about
+two rotors, ½ m1² (1/I1 − 1/I2) + ½ m3² (1/I3 − 1/I2), each of which rotates body and momentum about
 its axis at a constant rate; what was taken out is one rotation about the momentum. Explicit, stable
 at any step, reversible; |m| and the momentum in space stay what they were.
 
 What is stepped lies half a rotation about axis 1 ahead of the state: two rotations a stage, not
 three. Under a torque a stage is all of the free motion and a kick, and half a kick ahead.
 
-A torque is sampled once a stage, however symmetric the body: what turns with it must not turn far
-between two samples. Its limit is of |w|h, where the stages give the impulse of a torque with two
-periods a turn, as a gravity gradient has, to 0.3 of it, and that of a dipole to 0.1.
+A torque is sampled once a stage, however symmetric the body, which must not rotate far between two
+samples. Its limit is of |w|h, where the stages give the impulse of a torque with two
+periods a revolution, as a gravity gradient has, to 0.3 of it, and that of a dipole to 0.1.
 """
 
 from __future__ import annotations
@@ -138,8 +138,8 @@ def _method(
         exponentials=0,
         measure="asymmetry",
         limits=dict.fromkeys(FAMILIES, limit) | {TORQUED: torqued_limit},
-        # strang2 turns the body with the rate of the middle, which a strong damping makes wrong; a
-        # stage backwards undoes damping, and makes e^x of what the gyroscopic coupling left there
+        # strang2 rotates the body with the rate of the middle, which a strong damping makes wrong;
+        # a stage backwards undoes damping, and makes e^x of what the gyroscopic coupling left
         damping_limit=damping_limit,
         summary=summary,
         source=source,

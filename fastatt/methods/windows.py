@@ -1,6 +1,6 @@
-"""What a method for gyro samples is: a window of them in, its turns out.
+"""What a method for gyro samples is: it maps a window of them to the window's rotations.
 
-A window covers ``span`` intervals and looks ``history`` intervals back. Of rates it holds the
+A window covers ``span`` intervals and reads ``history`` intervals before it. Of rates it holds the
 samples at the ends of all these intervals, of increments the angles over them. Beyond the ends of a
 log it holds samples extrapolated by the polynomial that the method fits, which makes the first and
 last fit that of the nearest whole window.
@@ -55,7 +55,7 @@ class Iteration:
     def again(self, state: Any) -> Any:
         """The next, and whether it moves on: not after a pass that moved it by 8 ulps of 1 at most.
 
-        Each window so has as many passes as it needs, whatever others beside it do. One that is far
+        Each window so has as many passes as it needs, independently of the others. One that is far
         off, which no limit of a method allows, stays too.
         """
         *before, moving = state
@@ -96,7 +96,7 @@ class Window:
 
     @property
     def near(self) -> float:
-        """Angle (rad) of the largest component over an interval below which no turn passes π."""
+        """Largest component (rad) over an interval below which no rotation passes π."""
         # a polynomial through samples stays below 4 times the largest where it is used
         return 3.0 / (8.0 * self.intervals)
 
