@@ -2,8 +2,8 @@
 
 What is stepped is not m but u = h m/(2K), K the modified moments, which a free body keeps. The step
 is implicit in c, the tangent of half the rotation angle: c1 = (1 + |c|²) u1 + κ1 c2 c3, cyclic,
-κ1 = (K2 − K3)/K1; then q∘(1, c)/√(1 + |c|²) and u1 + 2 κ1 c2 c3/(1 + |c|²). No trigonometry; keeps |m|,
-the energy and the momentum in space.
+κ1 = (K2 − K3)/K1; then q∘(1, c)/√(1 + |c|²) and u1 + 2 κ1 c2 c3/(1 + |c|²). No trigonometry;
+keeps |m|, the energy and the momentum in space.
 """
 
 from __future__ import annotations

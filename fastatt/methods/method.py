@@ -30,7 +30,7 @@ class Steps:
     A splitting has ``stage(motion, t, h, k, x, e)`` instead: h s of free motion, then k s of the
     other flow. ``prepare(motion, h, x)`` gives the numbers e that a run with step h needs of a body
     in addition to its parameters, from its initial state; ``enter`` and ``leave`` change between
-    the state and the one that is stepped: ``f(motion, t, s, k, x, e)`` at time t, s after the start.
+    the state and the one that is stepped: ``f(motion, t, s, k, x, e)``, s after the start t.
     """
 
     rate: Callable[..., Any] | None = None
