@@ -18,7 +18,8 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 # bytecode too: else each of the tests' processes would compile all that it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv test trade bench leaderboard extremes cases scale hostile bench-smoke lint format types layers docs readme clean
+.PHONY: help venv test pythons commands trade bench leaderboard extremes cases scale hostile bench-smoke lint \
+	format types layers docs readme clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -51,6 +52,12 @@ test: $(VENV)/.test  ## the tests, the README's examples among them
 	@# to rewrite all assertions takes ten seconds: what fails runs again, and tells its values
 	$(BIN)/pytest -n auto --dist worksteal -p no:benchmark --assert=plain \
 		|| { $(BIN)/pytest --last-failed --last-failed-no-failures none -p no:benchmark; exit 1; }
+
+pythons: $(VENV)/.test  ## a part of the tests with other Pythons, and with the lowest Numba and NumPy
+	.ci/pythons
+
+commands: $(VENV)/.test  ## every command that a page names, small, some minutes
+	$(BIN)/python .ci/commands.py
 
 readme: $(VENV)/.test  ## the README's examples only
 	$(BIN)/pytest tests/test_readme.py
