@@ -72,8 +72,8 @@ class Study:
     def _of_samples(self, case: Case, n: int, repeats: int) -> Row:
         """What a method makes of samples of the coning rates at both ends of n intervals."""
         e, t_end = self.problem.ensemble, self.problem.t_end
-        angle, frequency = e.scene.rate
-        data = coning_rates(angle, frequency, np.linspace(0.0, t_end, n + 1))
+        rate: Any = e.scene.rate
+        data = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, t_end, n + 1))
         with noted() as said:
             seconds, q = best_time(
                 lambda: integrate_rates(data, t_end / n, e.q0, method=case.name), repeats
