@@ -33,7 +33,7 @@ _PIECE = 4096
 _Done = Callable[[int], object] | None
 
 
-class Run:
+class GyroRun:
     """A stretch of logs and a method's window: ``n`` intervals to be turned into attitudes.
 
     ``data`` (N, lead + m, 3) are samples, ``lead`` of them before the stretch's first interval,
@@ -185,7 +185,8 @@ def finish(
     count = out.shape[1] - 1
     samples, apart, places = ends.rest(data, spans, count, window, increments)
     turns = np.empty((len(out), window.span + 1, 4), dtype=out.dtype)
-    Run(window, increments, samples, apart, turns).carry(beginning(NO_TURN, len(out), out.dtype))
+    run = GyroRun(window, increments, samples, apart, turns)
+    run.carry(beginning(NO_TURN, len(out), out.dtype))
     out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
 
 

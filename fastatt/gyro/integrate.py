@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks, rounding
 from fastatt.arrays import normalised
-from fastatt.gyro.engine import NO_TURN, Run, beginning, finish
+from fastatt.gyro.engine import NO_TURN, GyroRun, beginning, finish
 from fastatt.methods import METHODS, Method
 from fastatt.threads import number_of, progress_bar
 
@@ -83,7 +83,7 @@ def integrate_rates(
         out[:, 0] = q[:, :4]
         return result
     window = record.window
-    run = Run(window, increments, data, spans, out)
+    run = GyroRun(window, increments, data, spans, out)
     if progress:
         with progress_bar(progress, n_logs * count, "sample") as done:
             seen = run.carry(q, n_threads=threads, done=done)

@@ -36,7 +36,7 @@ _CALL = "{name}(samples, spans, attitudes, state, {offsets})"
 _Formulas = dict[str, LaneFormula]
 
 
-class Program(TwoForms):
+class GyroProgram(TwoForms):
     """The function of a method's window in its two forms.
 
     ``uneven`` intervals are rows, equal ones are one number.
@@ -172,4 +172,4 @@ def _passes(iteration: Iteration, at: str, row: int, lanes: int) -> Iterator[str
 
 
 #: the program of a window, made once a process
-program = functools.cache(Program)
+program = functools.cache(GyroProgram)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
-from fastatt.gyro.engine import Run, beginning, finish
+from fastatt.gyro.engine import GyroRun, beginning, finish
 from fastatt.gyro.integrate import (
     check_intervals,
     intervals,
@@ -173,7 +173,7 @@ class GyroIntegrator:
                 seen = math.inf
                 finish(window, increments, samples, spans, out)
         else:
-            run = Run(window, increments, samples, spans, out, lead)
+            run = GyroRun(window, increments, samples, spans, out, lead)
             seen = run.carry(q, phase=self._done % CHUNK, n_threads=self._threads)
         if not checks.all_finite(out[:, -1]):
             raise overflow("rates", samples.dtype)

@@ -31,7 +31,7 @@ _LINE = 0.1  # of the rotation about other axes than one, from which on it align
 
 
 @dataclass(frozen=True)
-class Reference:
+class RecordedAttitudes:
     """Attitudes (n, 4) at times (n,), s from the first, whose clock says ``start``, s."""
 
     t: Floats
@@ -69,7 +69,7 @@ class Comparison:
         )
 
 
-def read_attitudes(source: Any) -> Reference:
+def read_attitudes(source: Any) -> RecordedAttitudes:
     """A table of time stamps and attitudes: of EuRoC, TUM, motion capture, or fastatt itself."""
     with opened(source) as (name, stream):
         table = Text(name, stream, None)
@@ -88,11 +88,11 @@ def read_attitudes(source: Any) -> Reference:
     t, start = times(table, clock, raw, None)
     samples = in_order(table, table.column(clock[0]), t, q, "refuse", math.inf)
     checks.attitudes(name, q)
-    return Reference(samples.t, normalised(q), start)
+    return RecordedAttitudes(samples.t, normalised(q), start)
 
 
 def against_reference(
-    t: ArrayLike, q: ArrayLike, reference: Reference, start: float = 0.0
+    t: ArrayLike, q: ArrayLike, reference: RecordedAttitudes, start: float = 0.0
 ) -> Comparison:
     """The angle between attitudes and a reference's, whose clock and frames may be others.
 

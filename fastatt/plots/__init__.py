@@ -4,7 +4,7 @@ from fastatt.plots.animated import animation
 from fastatt.plots.runs import history, polhode
 from fastatt.plots.study import (
     Departures,
-    Ladder,
+    MethodCurve,
     Panel,
     Polhode,
     polhodes,
@@ -13,6 +13,6 @@ from fastatt.plots.study import (
 )
 
 __all__ = [
-    "Departures", "Ladder", "Panel", "Polhode", "animation",
+    "Departures", "MethodCurve", "Panel", "Polhode", "animation",
     "history", "polhode", "polhodes", "recordings", "work_precision",
 ]  # fmt: skip

@@ -28,7 +28,7 @@ _ENTRY = 1.2  # inches, the width of a legend's entry below the panels
 
 
 @dataclass(frozen=True)
-class Ladder:
+class MethodCurve:
     """One method's errors (rad) against its times per body (s) over a ladder of steps."""
 
     method: str
@@ -43,8 +43,8 @@ class Panel:
 
     title: str
     t_end: float
-    ladders: Sequence[Ladder]
-    frontier: Ladder
+    ladders: Sequence[MethodCurve]
+    frontier: MethodCurve
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,8 @@ def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None
     """Steps of a span, of a run's bodies; ``done`` is called with the number of body-steps."""
     n, width = run.bodies[1], plan.job.width
     # a short run is over before Ctrl-C could be answered
-    is_brief = span is plan.span and n_threads == 1 and plan.is_short and not plan.calls
+    is_whole = span is plan.span and n == plan.n_bodies
+    is_brief = is_whole and n_threads == 1 and plan.is_short and not plan.calls
     if plan.choice.device is None and not is_brief:
         pool.run_ensemble(run.part, span, (n, width), n_threads, done, calls=plan.calls)
         return

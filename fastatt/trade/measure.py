@@ -338,7 +338,7 @@ def panel(
             drawn.setdefault((row.method, kind), []).append(row)
     drawn["", ""] = frontier(row for curve in drawn.values() for row in curve)
     *curves, best = (
-        plots.Ladder(
+        plots.MethodCurve(
             method, kind, [r.seconds_per_body for r in curve], [r.error_median for r in curve]
         )
         for (method, kind), curve in drawn.items()

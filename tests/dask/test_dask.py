@@ -291,24 +291,19 @@ def test_work_precision_counts_every_chunk(monkeypatch):
     fast = W0 * 0.3
     fast[40] *= 20.0
     options = {"t_end": 2.0, "t0": 7.0, "runs": [("rk4", 20)]}
-    known = {"reference": ("rk8", 200)}
-    table = fd.work_precision(LATE, Q0, fast, chunks=(30, 30, 10), **options, **known).compute()
+    table = fd.work_precision(LATE, Q0, fast, chunks=(30, 30, 10), **options).compute()
     (row,) = table.rows
     run = fa.propagate(LATE, Q0, fast, dt=0.1, n_steps=20, method="rk4", t0=7.0)
-    fine, half = (
-        fa.propagate(LATE, Q0, fast, dt=2.0 / n, n_steps=n, method="rk8", t0=7.0)
-        for n in (200, 100)
-    )
+    fine = fa.propagate(LATE, Q0, fast, dt=0.005, n_steps=400, method="rk8", t0=7.0)
     error = fa.angle_between(run.q[-1], fine.q[-1])
     rate = np.linalg.norm(run.w[-1] - fine.w[-1], axis=-1)
     assert error.argmax() == rate.argmax() == np.abs(run.norm_error[-1]).argmax() == 40
-    assert row.error_max == error.max()
-    assert row.rate_error_max == rate.max()
+    assert row.error_max == pytest.approx(error.max(), rel=1e-6)
+    assert row.rate_error_max == pytest.approx(rate.max(), rel=1e-6)
     assert row.defect_max == np.abs(run.norm_error).max()
     counts = run.status_counts()
     assert counts
     assert row.status == ", ".join(f"{name} {n}" for name, n in counts.items())
-    assert table.reference_error == fa.angle_between(fine.q[-1], half.q[-1]).max()
     assert row.seconds_per_body * N == pytest.approx(3.0)  # one tick of the clock a chunk
 
 

@@ -91,13 +91,13 @@ def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments,
 
 def forms_made(monkeypatch):
     """Whether they are for small rotation angles, of the forms that are compiled from now on."""
-    made, compiled = [], program.Program._compiled
+    made, compiled = [], program.GyroProgram._compiled
 
     def compile_form(self, *, small_angle):
         made.append(small_angle)
         return compiled(self, small_angle=small_angle)
 
-    monkeypatch.setattr(program.Program, "_compiled", compile_form)
+    monkeypatch.setattr(program.GyroProgram, "_compiled", compile_form)
     return made
 
 

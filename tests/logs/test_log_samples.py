@@ -15,7 +15,7 @@ import fastatt as fa
 from fastatt.cli import main
 from fastatt.logs import GyroLogError
 from fastatt.logs import text as texts
-from fastatt.logs.reference import Reference, against_reference, read_attitudes
+from fastatt.logs.reference import RecordedAttitudes, against_reference, read_attitudes
 
 # bad rows are more than a hundredth of what is written here
 pytestmark = pytest.mark.filterwarnings("ignore:.* rows are left out:fastatt.GyroLogWarning")
@@ -273,7 +273,7 @@ def test_a_reference_is_aligned_in_time_and_frames():
     t, when = np.arange(0.0, 10.0, 0.005), np.arange(-1.0, 9.0, 0.02)
     q = fa.quat_multiply(WORLD, fa.quat_multiply(motion(when), BODY))
     for start, ahead in ((0.0, SHIFT), (1000.0, SHIFT), (0.0, 500.0 + SHIFT)):
-        reference = Reference(when - when[0], q, start + when[0] + ahead)
+        reference = RecordedAttitudes(when - when[0], q, start + when[0] + ahead)
         found = against_reference(t, motion(t), reference, start)
         assert found.aligned == (True, True)
         assert found.shift == pytest.approx(ahead, abs=1e-5)
@@ -293,7 +293,8 @@ def test_clocks_that_say_the_same_time_are_not_shifted_by_a_period():
     noise = np.random.default_rng(3).normal(scale=1e-3, size=(len(when), 3))
     q = fa.quat_multiply(swings(when), fa.rotation_vector_to_quat(noise))
     for ahead in (-0.6, 0.0, 0.4):
-        found = against_reference(t, swings(t), Reference(when - when[0], q, when[0] + ahead))
+        recorded = RecordedAttitudes(when - when[0], q, when[0] + ahead)
+        found = against_reference(t, swings(t), recorded)
         assert found.aligned[0]
         assert found.shift == pytest.approx(ahead, abs=0.01)
 
@@ -302,13 +303,13 @@ def test_what_the_motion_does_not_align_stays():
     """A constant rotation aligns neither the clocks nor the axes across it."""
     t = np.arange(0.0, 5.0, 0.01)
     q = fa.rotation_vector_to_quat(np.outer(t, [0.0, 0.0, 1.0]))
-    found = against_reference(t, q, Reference(t, q), 0.0)
+    found = against_reference(t, q, RecordedAttitudes(t, q), 0.0)
     assert (found.aligned, found.shift) == ((False, False), 0.0)
     assert found.angle.max() < 1e-7
     with pytest.raises(GyroLogError, match="no time in common"):
-        against_reference(t, q, Reference(t, q, 100.0))
+        against_reference(t, q, RecordedAttitudes(t, q, 100.0))
     with pytest.raises(GyroLogError, match="reference: 1 attitudes within the log's time"):
-        against_reference(t, q, Reference(t, q, t[-1] - 0.005))
+        against_reference(t, q, RecordedAttitudes(t, q, t[-1] - 0.005))
 
 
 @pytest.mark.parametrize(

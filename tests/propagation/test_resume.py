@@ -251,10 +251,10 @@ def test_a_file_of_another_format_is_refused(tmp_path):
     path = as_file(fa.propagate(SCENES["free"], Q0, W0, n_steps=2, **RK4), tmp_path)
     with np.load(path) as file:
         kept = dict(file)
-    about = json.loads(str(kept["told"]))
+    about = json.loads(str(kept["header"]))
     for number in (about["format"] - 1, about["format"], about["format"] + 1):
         with path.open("wb") as file:
-            np.savez(file, **{**kept, "told": np.array(json.dumps({**about, "format": number}))})
+            np.savez(file, **{**kept, "header": np.array(json.dumps({**about, "format": number}))})
         if number == about["format"]:
             fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
             continue
