@@ -108,7 +108,7 @@ def test_the_error_is_the_true_one():
     dt, n = 0.05, 100
     check = fa.check_convergence(CONING, Q40, dt=dt, n_steps=n, method="rk4")
     end = fa.propagate(CONING, Q40, dt=dt, n_steps=n, method="rk4").q[-1]
-    angle, speed = CONING.rate
+    angle, speed = CONING.rate.angle, CONING.rate.frequency
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     cone = [
         np.stack([c, s * np.cos(speed * t), s * np.sin(speed * t), 0 * c], axis=1)

@@ -34,7 +34,8 @@ DOUBLE = {"dtypes": ["float64"]}
 
 
 def coning_at(t, bodies=slice(None)):
-    angle, frequency = (x[bodies] for x in CONING.rate)
+    rate = CONING.rate
+    angle, frequency = rate.angle[bodies], rate.frequency[bodies]
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     phase = frequency * np.atleast_1d(t)[:, None]
     path = np.stack([c + 0 * phase, s * np.cos(phase), s * np.sin(phase), 0 * phase], axis=-1)
@@ -223,7 +224,9 @@ def test_a_method_of_ones_own_is_recommended():
     """Alone, and beside a name that it cannot beat."""
     heun = fa.runge_kutta("heun", order=2, c=(0, 1), a=((1,),), b=(0.5, 0.5))
     bodies = slice(0, 40)
-    scene = fa.Scene(rate=fa.rates.Coning(*(x[bodies] for x in CONING.rate)))
+    rate = CONING.rate
+    cones = fa.rates.Coning(rate.angle[bodies], rate.frequency[bodies])
+    scene = fa.Scene(rate=cones)
     alone = fa.recommend(scene, Q0[bodies], t_end=T_END, tol=1e-4, methods=[heun], **DOUBLE)
     assert alone.method == "heun"
     assert str(alone).startswith("heun (quat, float64): ")
