@@ -17,7 +17,7 @@ from fastatt.trade.forcing import forcing
 from fastatt.trade.ladder import Ladder
 from fastatt.trade.measure import Case, Problem
 from fastatt.trade.recommendation import Point
-from fastatt.trade.reference import _own_error, reference
+from fastatt.trade.reference import _own_error, intervals, reference
 
 RNG = np.random.default_rng(6)
 N = 700
@@ -174,7 +174,13 @@ def test_the_closed_form_needs_no_steps():
 
 def test_a_budget_is_kept_and_used(monkeypatch):
     # by a clock of its own: 0.1 ms a call and 5 µs a step, whatever else runs here
-    monkeypatch.setattr(sample.Sample, "_run_steps", lambda self, case, dt, n: 1e-4 + 5e-6 * n)
+    timed = []
+
+    def seconds(self, case, dt, n):
+        timed.append(n)
+        return 1e-4 + 5e-6 * n
+
+    monkeypatch.setattr(sample.Sample, "_run_steps", seconds)
     monkeypatch.setattr(search.Search, "_clock", lambda self, look, n: look.seconds(n))
     # of order 2, which no time here brings down to round-off
     small, middle = (
@@ -182,6 +188,8 @@ def test_a_budget_is_kept_and_used(monkeypatch):
         for t in (5e-3, 0.1)
     )
     assert middle.expected_error < small.expected_error
+    # runs are timed from 2 ms on, which 1024 steps take, and with four times the steps
+    assert set(timed) == {16, 64, 256, 1024, 4096}
     large = fa.recommend(CONING, Q0, t_end=T_END, budget=0.1, methods=RATES, **DOUBLE)
     assert large.expected_seconds <= 0.1
     assert large.expected_error < middle.expected_error
@@ -404,3 +412,12 @@ def test_a_reference_is_trusted_where_its_error_falls_as_it_should(changes, own,
     found, enough, doubt = _own_error(Falling(*changes), 8, 1e-9)
     assert found == pytest.approx([own])
     assert (enough, bool(doubt)) == (settled, doubted)
+
+
+@pytest.mark.parametrize(("t_end", "number"), [(4.0, 8), (4.0 * (1.0 + 1e-12), 8), (3.8, 1)])
+def test_steps_end_where_samples_of_a_torque_do_if_the_run_does(t_end, number):
+    sampled = fa.torques.Sampled(np.ones((20, 3)), 0.5)
+    both = fa.torques.Sum((fa.torques.Constant((0.1, 0.0, 0.0)), sampled))
+    scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=both)
+    problem = Problem(Ensemble(scene, Q0[:2], W0[:2]), t_end)
+    assert intervals(problem) == number
