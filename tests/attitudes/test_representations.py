@@ -190,3 +190,20 @@ def test_a_rate_fixed_in_inertial_axes_is_its_conjugate_in_the_body(representati
     assert angle(inertial.q[-1], mul(exp(N * H * w), START)).max() < 4 * EPS * N
     assert angle(inertial.q[-1], body.q[-1]).max() < 4 * EPS * N
     assert np.abs(inertial.w[-1] - body.w[-1]).max() < 4 * EPS * N
+
+
+TENSOR = fa.Scene(inertia=[[2.0, 0.2, 0.1], [0.2, 1.5, -0.1], [0.1, -0.1, 1.0]])
+CONE = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
+
+
+@pytest.mark.parametrize("representation", fa.METHODS["rk8"].representations)
+@pytest.mark.parametrize(
+    ("scene", "w0", "method"), [(CONE, None, "gauss12"), (TENSOR, (0.3, 0.2, 0.5), "rk8")]
+)
+def test_rotations_are_composed_in_the_order_of_quaternions(scene, w0, method, representation):
+    """After the attitude: a step of gauss12, and principal axes of a full tensor."""
+    q0 = [0.8, 0.3, 0.4, -0.2]
+    given = {"dt": 0.05, "n_steps": 20, "method": method}
+    found = fa.propagate(scene, q0, w0, representation=representation, **given)
+    expected = fa.propagate(scene, q0, w0, **given)
+    assert fa.angle_between(found.q[-1], expected.q[-1]) < 1e-13
