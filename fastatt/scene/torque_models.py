@@ -373,7 +373,7 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
             try:
                 values.append(function.call(t, q, v, *rest))
             except TraceError:  # an error in Python at these numbers
-                values.append((np.nan,) * 3)
+                values.append((np.nan,) * function.form.results)
         turning, still = np.array(values)
         size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)
         if not np.allclose(turning, still, rtol=0.0, atol=1e-9 * size, equal_nan=True):
