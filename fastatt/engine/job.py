@@ -16,6 +16,7 @@ from fastatt.engine import double_states
 from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import SAVED
 from fastatt.methods.method import Method
+from fastatt.scene.coupled import Coupled
 from fastatt.scene.equations import (
     Body,
     EquationsOfMotion,
@@ -26,7 +27,6 @@ from fastatt.scene.equations import (
     motion_of,
 )
 from fastatt.scene.rates import is_constant
-from fastatt.scene.translation import Coupled
 from fastatt.tracing.finished import Constants, Flat, resources_of
 from fastatt.tracing.formulas import Vector, as_like, dot, quat, scale
 from fastatt.tracing.graph import Double, Graph, Number, both, choose
@@ -265,7 +265,7 @@ class Scope:
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
         self.motion: EquationsOfMotion
-        if structure.force is None:
+        if not structure.beside:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:
             self.motion = Coupled(self.attitude, structure, p, like)
@@ -306,7 +306,7 @@ class Scope:
         own, auxiliary = self.parts(x)
         if steps.stage is not None:
             y, z = steps.stage(self.motion, t, h, k, own, e)
-        elif isinstance(turning := self.job.structure.turning, RigidBody):
+        elif isinstance(turning := self.job.structure.turning, RigidBody) or turning.law.states:
             assert steps.body is not None
             y, z = steps.body(self.motion, t, h, own)
         else:

@@ -60,12 +60,11 @@ class Plan:
         method = choice.method
         position = position or scene.needs_position
         self.packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
-        carried = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
         #: what is saved next to the attitude, with the numbers of each
-        self.carried = {name: 3 for name, is_carried in carried.items() if is_carried}
+        self.carried = scene.carried(position=position)
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed, kind)
-            self.carried["s"] = choice.reducer.columns(kind)
+            self.carried["reduced"] = choice.reducer.columns(kind)
         self.limit = limits.turn_limit(scene, method, self.attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
         self._rates = limits.known_turns(scene, choice, self.packed)
@@ -105,6 +104,7 @@ class Plan:
         *,
         v0: Any = None,
         r0: Any = None,
+        s0: Any = None,
         t0: float = 0.0,
         params: Any = None,
     ) -> Trajectory:
@@ -116,7 +116,8 @@ class Plan:
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
         """
         begin = checks.real("t0", t0)
-        start, carried = initial(self.scene, (q0, w0, v0, r0), flag=self._invalid == "flag")
+        values = (q0, w0, v0, r0, s0)
+        start, carried = initial(self.scene, values, flag=self._invalid == "flag")
         given = Given.of(start, carried, self.kind)
         if given.bodies not in (1, self.n_bodies):
             raise ValueError(

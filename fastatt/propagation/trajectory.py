@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from fastatt.engine.double_states import joined_array
 from fastatt.engine.status import Status
 from fastatt.methods import METHODS
 from fastatt.scene.equations import PrescribedRate
-from fastatt.scene.models import Packed
+from fastatt.scene.models import Law, Packed
 from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ class Trajectory:
 
     ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
-    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``norm_error``
-    (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
-    ‖C Cᵀ − 1‖ of a matrix.
+    ``r`` (S, N, 3) m in inertial axes; of one with n states ``s`` (S, N, n); ``status`` (N,), one
+    :class:`Status` a body; ``norm_error`` (S, N), how far the state had left its group before
+    it was brought back for output: |q| − 1, or ‖C Cᵀ − 1‖ of a matrix.
     """
 
     t: NDArray[np.float64]
@@ -72,7 +72,7 @@ class Trajectory:
     packed: Packed | Scene | None = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
-    #: w, v and r where the scene carries them, each (S, N, 3)
+    #: w, v and r where the scene carries them, each (S, N, 3), states s (S, N, n)
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     #: where another run may go on
     end: End | None = field(default=None, repr=False)
@@ -132,9 +132,10 @@ class Trajectory:
         turning = packed.structure.turning
         assert isinstance(turning, PrescribedRate)
         law = turning.law
-        rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)
-        params = packed.params[..., : law.count]
-        (found,) = rates(self.t[:, None], params, tables=packed.tables)
+        n, params = law.states, packed.params[..., : law.count]
+        rates = rows(_rate_of(law), {"t": None, "s": n, "p": law.count}, (3,), key=law)
+        states = self.carried["s"] if n else np.zeros(0)
+        (found,) = rates(self.t[:, None], states, params, tables=packed.tables)
         w = self._shaped(np.broadcast_to(found, (*self.state.shape[:2], 3)))
         if turning.inertial:
             w = np.einsum("...ji,...j->...i", self.dcm, w)
@@ -152,13 +153,18 @@ class Trajectory:
         return self._shaped(self._carried("r", "mass, propagated from an r0"))
 
     @property
+    def s(self) -> NDArray[Any]:
+        """States of a scene that has some, as their function orders them."""
+        return self._shaped(self._carried("s", "states"))
+
+    @property
     def reduced(self) -> NDArray[Any]:
         """What ``propagate``'s ``reduce`` made of every body, float64: (N, k), or (k,) of one."""
-        if "s" not in self.carried:
+        if "reduced" not in self.carried:
             raise ValueError(
                 "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
             )
-        last = np.asarray(self._shaped(self.carried["s"])[-1])
+        last = np.asarray(self._shaped(self.carried["reduced"])[-1])
         return last if last.dtype == np.float64 else joined_array(last)
 
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
@@ -167,7 +173,7 @@ class Trajectory:
         return self.carried[name]
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, ``status``.
+        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, s, ``status``.
 
         See :func:`fastatt.interchange.write_csv`.
         """
@@ -256,3 +262,8 @@ class Trajectory:
 
     def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
         return value[:, 0] if self.one_body else value
+
+
+def _rate_of(law: Law) -> Callable[..., Any]:
+    """The angular velocity of a law, (t, states, parameters)."""
+    return lambda t, s, p: (law.formula(t, p, states=s)[:3],)

@@ -24,7 +24,7 @@ from fastatt.tracing.references import is_library, referred_to
 from fastatt.tracing.trace import ModuleProxy
 
 if TYPE_CHECKING:
-    from fastatt.tracing.user import UserFunction
+    from fastatt.tracing.user import Signature, UserFunction
 
 POINTS = 8
 
@@ -45,6 +45,17 @@ def are_numbers(values: tuple[Any, ...], n: int) -> bool:
     return len(values) == n and all(
         isinstance(x, (Recorded, float, int, np.number)) and not isinstance(x, bool) for x in values
     )
+
+
+def in_a_row(result: Any, states: int) -> Any:
+    """What a function gives, one with states in one tuple; () where it does not give two."""
+    if not states:
+        return result
+    if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], tuple)):
+        return ()
+    acting, slopes = result
+    slopes = slopes if isinstance(slopes, tuple) else (slopes,)
+    return (*acting, *slopes) if len(slopes) == states else ()
 
 
 def floats(result: Any) -> list[float]:
@@ -133,14 +144,15 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     failed: Exception | None = None
     for point in points(sizes, None):
         try:
-            result = function(*nested(point, sizes))
+            given = function(*nested(point, sizes))
         except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
             failed = error
             continue
+        result = in_a_row(given, user.form.states)
         if isinstance(result, tuple) != (n > 1) or not are_numbers(
             result if isinstance(result, tuple) else (result,), n
         ):
-            raise _wrong(user, checks.brief(result))
+            raise _wrong(user, checks.brief(given))
         break
     else:
         raise TypeError(
@@ -150,7 +162,8 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
 
     def entry(given: Any, made: Any) -> None:
         try:
-            values = floats(function(*nested(given[:n_numbers], sizes)))
+            result = function(*nested(given[:n_numbers], sizes))
+            values = floats(in_a_row(result, user.form.states))
         except Exception:  # noqa: BLE001  # as of a compiled one
             values = [math.nan] * n
         for k, x in enumerate(values):
@@ -178,30 +191,42 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
             f"{_words_of(error)}"
         ) from error
     returned = inner.overloads[signature].signature.return_type
-    n = user.form.results
-    if n == 1:
-        fits = isinstance(returned, _REAL)
-    else:
-        fits = isinstance(returned, types.BaseTuple) and len(returned) == n
-        fits = fits and all(isinstance(t, _REAL) for t in returned)
-    if not fits:
+    items = _items(returned, user.form)
+    if not items:
         raise _wrong(user, str(returned))
     pointer = types.CPointer(f8)
     scope = {"inner": inner, "nan": math.nan}
-    exec(_wrapper(user), scope)
+    exec(_wrapper(user, items), scope)
     return cfunc(types.void(pointer, pointer))(scope["entry"])
 
 
-def _wrapper(user: UserFunction) -> str:
-    """Text of what calls ``inner`` with numbers from memory."""
-    n = user.form.results
+def _items(returned: Any, form: Signature) -> list[str]:
+    """How the numbers of a ``result`` of a type are read, in order; none if it is another form."""
+
+    def numbers(kind: Any, n: int, name: str) -> list[str]:
+        if n == 1 and isinstance(kind, _REAL):
+            return [name]
+        fits = isinstance(kind, types.BaseTuple) and len(kind) == n and (n > 1 or form.states)
+        fits = fits and all(isinstance(t, _REAL) for t in kind)
+        return [f"{name}[{k}]" for k in range(n)] if fits else []
+
+    if not form.states:
+        return numbers(returned, form.results, "result")
+    if not (isinstance(returned, types.BaseTuple) and len(returned) == 2):
+        return []
+    acting = numbers(returned[0], form.results - form.states, "result[0]")
+    slopes = numbers(returned[1], form.states, "result[1]")
+    return acting + slopes if acting and slopes else []
+
+
+def _wrapper(user: UserFunction, items: Sequence[str]) -> str:
+    """Text of what calls ``inner`` with numbers from memory, and keeps the items of its result."""
     count = sum(max(k, 1) for k in user.form.before) + user.n_params
     numbers = [f"given[{k}]" for k in range(count)]
     args = [
         f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
         for part in nested(numbers, user.sizes)
     ]
-    items = ["result"] if n == 1 else [f"result[{k}]" for k in range(n)]
     lines = [
         "def entry(given, made):",
         "    try:",
@@ -209,17 +234,19 @@ def _wrapper(user: UserFunction) -> str:
         *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
         # no error may leave what the loop calls: the body's status says it
         "    except Exception:",
-        *(f"        made[{k}] = nan" for k in range(n)),
+        *(f"        made[{k}] = nan" for k in range(len(items))),
     ]
     return "\n".join(lines)
 
 
 def _wrong(user: UserFunction, found: str) -> TypeError:
-    n = user.form.results
+    states = user.form.states
+    n = user.form.results - states
     accepted = "a float" if n == 1 else f"a tuple of {'three' if n == 3 else n} floats"
+    more = f", and a tuple of {states}, the time derivatives of s" if states else ""
     return TypeError(
         f"{user.argument}: {user.described} returns {found}; accepted is {accepted}, "
-        f"{user.form.unit}"
+        f"{user.form.unit}{more}"
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
 from fastatt.scene.equations import Body, PrescribedRate, Structure
+from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
@@ -50,6 +51,7 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     q[1:] *= np.cumprod(signs, axis=0)
     t = np.broadcast_to(run.t[:, None, None], (*q.shape[:2], 1))
     carried = [run.carried.get(name, 0.0 * q[..., 1:]) for name in ("w", "v", "r")]
+    carried.append(run.carried.get("s", q[..., :0]))
     path = np.concatenate([t, q, *carried], axis=-1)
     with np.errstate(all="ignore"):
         steps, jump = 1, ""
@@ -90,36 +92,37 @@ def _examined(
 
 
 def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Rates, or accelerations by torques and forces, (S, N, 3), at t, q, w, v, r (S, N, 14)."""
+    """Rates, or accelerations by torques and forces, (S, N, 3), at t, q, w, v, r, s (S, N, k)."""
     packed = problem.ensemble.scene.packed(problem.ensemble.size)
     structure = packed.structure
     names = ["rate" if isinstance(structure.turning, PrescribedRate) else "torque"]
     names += [] if structure.force is None else ["force"]
-    inputs = {"t": None, "q": 4, "w": 3, "v": 3, "r": 3, "p": structure.n_params}
+    n = structure.turning.law.states
+    inputs = {"t": None, "q": 4, "w": 3, "v": 3, "r": 3, "s": n, "p": structure.n_params}
     formula = rows(
         partial(_formula, structure), inputs, (3,) * len(names), key=(_formula, structure)
     )
-    states = np.split(path[..., 1:], (4, 7, 10), axis=-1)
+    states = np.split(path[..., 1:], (4, 7, 10, 13), axis=-1)
     p = packed.params[..., : structure.n_params]
     found = formula(path[..., 0], *states, p, tables=packed.tables)
     return dict(zip(names, found, strict=True))
 
 
-def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, p: Any) -> Any:
+def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: Any, p: Any) -> Any:
     turning, n = structure.turning, structure.turning.n_params
-    place = () if structure.force is None else (v, r if structure.position else ())
+    r = r if structure.position else ()
     own, q = p[:n], quat.normalise(q)
     found = []
     if isinstance(turning, PrescribedRate):
-        found.append(turning.law.formula(t, own))
+        found.append(turning.law.formula(t, own, states=s)[:3])
     else:
         motion, attitude, rate = Body(QUATERNION, turning, own, q[0]), q, w
         if motion.axes is not None:
             attitude, rate = quat.mul(q, motion.axes), quat.rotate_inverse(motion.axes, w)
-        torque = motion.torque(t, attitude, rate, place)
-        inverse = zip(motion.half_inverse, torque, strict=True)
+        torque = motion.torque(t, attitude, rate, Beside(v, r, s))
+        inverse = zip(motion.half_inverse, torque[:3], strict=True)
         found.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
-        force = structure.force.formula(t, q, w, *place, p[n + 1 :])
+        force = structure.force.formula(t, q, w, v, r, p[n + 1 :])
         found.append(scale(p[n], tuple(force)))
     return tuple(found)
