@@ -26,6 +26,7 @@ from fastatt.tracing.formulas import (
     quat,
     rigid,
 )
+from fastatt.tracing.graph import choose
 from fastatt.tracing.user import UserFunction
 
 
@@ -116,9 +117,24 @@ class EquationsOfMotion:
     """What a method's step needs of a scene in a representation."""
 
     attitude: Attitude
+    _between: tuple[Any, Any] | None = None
 
     def __init__(self, attitude: Attitude) -> None:
         self.attitude = attitude
+
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        """Evaluate rates, torques and forces at these times at the least and at the most.
+
+        They are those next to two breakpoints: a step that ends at one does not see its far side.
+        """
+        self._between = low, high
+
+    def instant(self, t: Any) -> Any:
+        """The time at which rates, torques and forces are evaluated for the time t."""
+        if self._between is None:
+            return t
+        low, high = self._between
+        return choose(t < low, low, choose(t > high, high, t))
 
     @cached_property
     def plain(self) -> Attitude:
@@ -175,7 +191,7 @@ class Turning(EquationsOfMotion):
 
     def rate(self, t: Any) -> Vector:
         """w(t), rad/s, along the body axes of the state that is stepped, in its precision."""
-        w = self.structure.law.formula(t, self.p)
+        w = self.structure.law.formula(self.instant(t), self.p)
         w = opposite(w) if self.structure.inertial else w
         return tuple(as_like(x, self._like) for x in w)
 
@@ -241,7 +257,7 @@ class Body(EquationsOfMotion):
         ``place`` is (velocity, position) where something reads them.
         """
         pose = Pose(self.plain, a, w, self.moments, place, self.axes_given)
-        torque = self.structure.law.formula(t, pose, self.torque_numbers)
+        torque = self.structure.law.formula(self.instant(t), pose, self.torque_numbers)
         return tuple(as_like(x, a[0]) for x in torque)
 
     def momentum_rate(self, t: Any, a: Vector, m: Vector, place: Vector = ()) -> Vector:

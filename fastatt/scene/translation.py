@@ -31,6 +31,11 @@ class Coupled(EquationsOfMotion):
         #: squares of the rates of falling at the stages of the step that is being recorded
         self._squares: list[Any] = []
 
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        super().evaluate_between(low, high)
+        self.inner.evaluate_between(low, high)
+        self._stage.evaluate_between(low, high)
+
     def _split(self, x: Vector) -> tuple[Vector, Vector]:
         """State of the rotation; velocity and, where it is carried, position."""
         n = len(x) - self._moved
@@ -38,7 +43,7 @@ class Coupled(EquationsOfMotion):
 
     def _acceleration(self, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Vector:
         """F/μ along body axes."""
-        force = self._force.formula(t, q, w, v, r, self._numbers)
+        force = self._force.formula(self.instant(t), q, w, v, r, self._numbers)
         return scale(self._inverse_mass, as_like(tuple(force), v[0]))
 
     def at(self, t: Any) -> Any:
