@@ -39,9 +39,8 @@ BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER = range(6)
 
 #: ``arrays``: the program's numbers; initial attitudes and what is carried with them, parameters,
 #: known rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,);
-#: states and diagnostics of the part, and the largest angle of a step, rad; of per-body steps the
-#: order of the bodies, their step sizes, the stops, and the slots of those that are saves, else −1;
-#: parts of steps of one size for all, and the steps that they are of; then the memory of a tile
+#: states and diagnostics of the part, largest angle of a step, rad; of per-body steps the order of
+#: bodies, step sizes, stops, their slots or −1; parts of steps, and of which; memory of a tile
 (
     NUMBERS, WHOLE, Q0, Y0, PARAMS, KNOWN_ANGLES, FLAGS, OUT, ERRORS, STATUS, STATES,
     DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, PARTS, PART_STEPS, ROWS, WIDE, KEPT,
@@ -250,10 +249,9 @@ def _step_to_stop(settings, tile, copied, left, time, slack):
     rows, wide, _, _ = tile
     copy, wide_copy, _, _ = copied
     width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
-    n_rows, n_wide = settings[N_ROWS], settings[N_WIDE]
-    for i in range(n_rows * width):
+    for i in range(settings[N_ROWS] * width):
         copy[i] = rows[i]
-    for i in range(n_wide * width):
+    for i in range(settings[N_WIDE] * width):
         wide_copy[i] = wide[i]
     partial = False
     for j in range(width):
@@ -277,9 +275,9 @@ def _step_to_stop(settings, tile, copied, left, time, slack):
     for j in range(width):
         wide_copy[(clock + BEFORE) * width + j] = 1.0
         if left[j] == 0:
-            for i in range(n_rows):
+            for i in range(settings[N_ROWS]):
                 copy[i * width + j] = rows[i * width + j]
-            for i in range(n_wide):
+            for i in range(settings[N_WIDE]):
                 wide_copy[i * width + j] = wide[i * width + j]
     return True
 
@@ -325,7 +323,6 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
             _load(q0, settings[Q0_LENGTH], attitude, body_of, rows, io_row, width)
             _load(y0, settings[Y0_LENGTH], carried, body_of, rows, io_row + attitude, width)
             _load(params, settings[PARAMS_LENGTH], settings[N_PARAMS], body_of, wide, 0, width)
-            # a part of a step that is taken counts as a step, until its whole step ends
             part, ahead = settings[PART], 0
             if per_body:
                 _load(step_sizes, settings[ENSEMBLE], 1, body_of, wide, clock, width)

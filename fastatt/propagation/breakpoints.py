@@ -100,14 +100,15 @@ def parts_of(
         part(n, since, k - 1, False)
         reached = since
     last = found.since.size - 1
-    if divided < 0 and end is not None:
+    if end is not None and divided < n_steps - 1:
+        if divided >= 0:
+            part(divided, (divided + 1) * h, last, True)
+            resumes = divided + 1
         if 0 <= resumes < n_steps - 1:
             whole_steps(resumes, last)
         divided, reached, resumes = n_steps - 1, (n_steps - 1) * h, -1
     if divided >= 0:
-        is_end = end is not None and divided == n_steps - 1
-        until = end if end is not None and is_end else (divided + 1) * h
-        part(divided, until, last, True)
+        part(divided, (divided + 1) * h if end is None else end, last, True)
         resumes = divided + 1
     if 0 <= resumes < n_steps:
         whole_steps(resumes, last)

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt import angle_between as angle
+from fastatt.propagation.breakpoints import parts_of
 
 J = np.array((2.0, 1.0, 2.0 / 3.0))
 W0 = np.array((0.1, 0.2, 0.3))
@@ -237,6 +238,34 @@ def test_threads_parts_and_projection(options):
     np.testing.assert_array_equal(runs[0].q[:, 7], some.q)
     fine = fa.propagate(OPEN, q0, w0, dt=0.005, n_steps=1000, method="rk9")
     assert angle(runs[0].q[-1], fine.q[-1]).max() < 1e-11
+
+
+def test_parts_cover_the_run():
+    """Each second once, in order, and none on both sides of a breakpoint; of random runs."""
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        h = float(rng.choice([0.25, 0.1, 0.3]) * rng.choice([1, -1]))
+        n, t0 = int(rng.integers(1, 12)), float(rng.choice([0.0, 7.0, -1.0]))
+        on_grid = rng.integers(0, 14, 4) * h
+        breaks = t0 + np.where(rng.random(4) < 0.5, on_grid, rng.random(4) * h * n)
+        end = None if rng.random() < 0.5 else float((n - rng.uniform(0.1, 0.9)) * h)
+        clocks, steps = parts_of(tuple(np.unique(breaks).tolist()), t0, h, n, end)
+        at, t, i, clock = 0, t0, 1, clocks[0]
+        while at < n:
+            begin, is_part = clock[2] + (clock[1] + at) * clock[0], False
+            if i < len(steps) and steps[i] == at:
+                clock, i = clocks[i], i + 1
+                if not clock[5]:
+                    continue
+                begin, is_part = clock[2], True
+            stop = begin + clock[0]
+            assert begin == pytest.approx(t, abs=1e-12)
+            assert clock[3] - 1e-12 <= min(begin, stop)
+            assert max(begin, stop) <= clock[4] + 1e-12
+            t = stop
+            at += int(clock[6]) if is_part else 1
+        assert t == pytest.approx(t0 + (n * h if end is None else end), abs=1e-12)
+        assert i == len(steps)
 
 
 def test_plan_of_any_begin():
