@@ -326,10 +326,13 @@ def test_a_pulse_between_breakpoints_is_accepted(end):
     fine = fa.propagate(scene, *bodies, dt=1e-2, n_steps=1000, method="rk9")
     chosen = fa.recommend(scene, *bodies, t_end=10.0, tol=1e-9, methods=["rk4", "rk8"], **DOUBLE)
     run = fa.propagate(scene, *bodies, **chosen.arguments)
-    assert fa.angle_between(run.q[-1], fine.q[-1]).max() <= chosen.expected_error <= 1e-9
+    rounding = 1e-13  # of the finer run
+    error = fa.angle_between(run.q[-1], fine.q[-1]).max()
+    assert error - rounding <= chosen.expected_error <= 1e-9
     steps = fa.per_body_steps(scene, *bodies, t_end=10.0, tol=1e-9)
     run = fa.propagate(scene, *bodies, **steps.arguments)
-    assert fa.angle_between(run.q[-1], fine.q[-1]).max() <= steps.expected_error <= 1e-9
+    error = fa.angle_between(run.q[-1], fine.q[-1]).max()
+    assert error - rounding <= steps.expected_error <= 1e-9
     half = fa.Scene(**options, breakpoints=5.0)
     with pytest.raises(ValueError, match=r"the torque jumps near t = 5"):
         fa.recommend(half, *bodies, t_end=10.0, tol=1e-4, methods=["rk8"])
