@@ -124,7 +124,8 @@ def propagate(
     r0: Any = None,
     s0: Any = None,
     dt: float,
-    n_steps: int,
+    n_steps: int | None = None,
+    t_end: float | None = None,
     chunks: int | Sequence[int] | None = None,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
@@ -143,7 +144,7 @@ def propagate(
     q0, w0, v0, r0, s0 : as of :func:`fastatt.propagate`, numpy or Dask arrays, one of them with a
         row for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
-    dt, n_steps : numbers, the same for all bodies.
+    dt, n_steps, t_end : numbers, the same for all bodies.
     method, representation, save_every, dtype, t0, compensated, normalise, invalid : as of
         :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
         fails its chunk, and the error has a note of which bodies those are.
@@ -169,16 +170,16 @@ def propagate(
     (1, 5, 4)
     """
     record, named = sent(scene, method, representation, compensated, normalise)
-    clock = Clock.of(dt, n_steps, save_every)
+    clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
     begin = checks.real("t0", t0)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     given = (q0, w0, v0, r0, s0)
     bodies = Bodies.of(scene, given, chunks, flag=flag)
     kind = checks.precision(dtype, *map(like, given))
     options = {
-        "dt": dt, "n_steps": n_steps, "save_every": save_every, "method": named, "dtype": kind,
-        "representation": representation, "compensated": compensated, "normalise": normalise,
-        "invalid": invalid, "t0": begin,
+        "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "method": named,
+        "dtype": kind, "representation": representation, "compensated": compensated,
+        "normalise": normalise, "invalid": invalid, "t0": begin,
     }  # fmt: skip
     runs = bodies.mapped(partial(_propagated, options=options))
     return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind)

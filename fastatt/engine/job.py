@@ -57,8 +57,10 @@ class Job:
     known: bool = False
     raw: bool = False
     projects: bool = False
-    #: each body has a step of its own, and saves are at any times
+    #: step size and time are numbers of a tile's lanes: per-body ones, or those of a shorter step
     own_steps: bool = False
+    #: rates, torques and forces are evaluated between two breakpoints, which lanes know
+    windowed: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
     width: int = WIDTH
 
@@ -195,20 +197,32 @@ class Formulas:
         measures = {"norm": norm_error, "invariant": relative_change(before, scope.invariants(x))}
         return scope.finished((*y, *(measures[name] for name in SAVED)))
 
-    @cached_property
-    def regrid(self) -> Flat | None:
-        """The state, and what is prepared, for a step ("k",) from those for another; None if same.
-
-        ("other",) is the edge of the new step.
-        """
+    @property
+    def _regrids(self) -> bool:
+        """Whether what is stepped depends on the step size."""
         steps = self.job.method.steps
-        if steps is None or not (steps.prepare or steps.enter or steps.leave):
+        return steps is not None and bool(steps.prepare or steps.enter or steps.leave)
+
+    @cached_property
+    def leave(self) -> Flat | None:
+        """The state from the one that is stepped; None if they are the same."""
+        if not self._regrids:
             return None
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
-        x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        e = scope.prepared(scope.number("k"), x)
-        return scope.finished((*scope.entered(t, scope.number("other"), x, e), *e))
+        return scope.finished(
+            scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
+        )
+
+    @cached_property
+    def enter(self) -> Flat | None:
+        """What is stepped, and what is prepared, from the state; None if they are the same."""
+        if not self._regrids:
+            return None
+        scope = self.scope()
+        x = scope.state()
+        e = scope.prepared(scope.number("h"), x)
+        return scope.finished((*scope.entered(scope.time(), scope.number("edge"), x, e), *e))
 
     @cached_property
     def project(self) -> Flat | None:
@@ -269,6 +283,9 @@ class Scope:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:
             self.motion = Coupled(self.attitude, structure, p, like)
+        if self.job.windowed:
+            low, high = (self.graph.time(self.graph.input("double", x)) for x in ("low", "high"))
+            self.motion.evaluate_between(low, high)
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Numbers of the state's precision."""

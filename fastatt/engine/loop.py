@@ -14,7 +14,9 @@ never a bit. Bodies whose rotation angles are known beforehand are not monitored
 
 With per-body step sizes, bodies step together, each by its own step size, to the last of its steps
 before a save, and one that is there waits. The saved state is one shorter step of the same method
-from there, on a copy: the steps of a body depend neither on its neighbours nor on the saves.
+from there, on a copy: the steps of a body depend neither on its neighbours nor on the saves. At a
+breakpoint this shorter step is kept, and the steps of all bodies are counted from there. With one
+step size for all, a step in which breakpoints lie is taken in parts, which end there.
 """
 
 from __future__ import annotations
@@ -33,30 +35,29 @@ from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
 WIDTH = 64
 
 #: parts of a program's function
-BEGIN, ADVANCE, SAVE, PROJECT, REGRID = range(5)
+BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER = range(6)
 
 #: ``arrays``: the program's numbers; initial attitudes and what is carried with them, parameters,
 #: known rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,);
-#: states and diagnostics of the part, and the largest angle of a step, rad; of per-body steps the
-#: order of the bodies, their step sizes, the stops as (time since the start, slack), and the slots
-#: of those that are saves, else −1; then the memory of a tile
+#: states and diagnostics of the part, largest angle of a step, rad; of per-body steps the order of
+#: bodies, step sizes, stops, their slots or −1; parts of steps, and of which; memory of a tile
 (
     NUMBERS, WHOLE, Q0, Y0, PARAMS, KNOWN_ANGLES, FLAGS, OUT, ERRORS, STATUS, STATES,
-    DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, ROWS, WIDE, KEPT, MARKS, BODY_OF,
-    WAITING, LEFT, COPY, WIDE_COPY,
-) = range(26)  # fmt: skip
+    DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, PARTS, PART_STEPS, ROWS, WIDE, KEPT,
+    MARKS, BODY_OF, WAITING, LEFT, COPY, WIDE_COPY,
+) = range(28)  # fmt: skip
 
 #: ``settings``: the functions for small angles and for any, or 0; steps (of per-body steps: stops)
 #: [first, last) of a run of ``n_steps``; saves every so many steps from ``origin`` on, the first in
-#: slot ``slot``; steps between two projections, 0 of none; steps of a block; bodies of the part,
-#: the first of them, and of the ensemble; the lengths of what a run starts from; the layout of a
-#: tile
+#: slot ``slot``; steps between two projections, 0 of none; steps of a block; the first of the parts
+#: of steps and how many there are; bodies of the part, the first of them, and of the ensemble; the
+#: lengths of what a run starts from; the layout of a tile
 (
-    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BLOCK, BODIES, BODY,
-    ENSEMBLE, Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH, TILE_WIDTH, N_ROWS,
-    N_WIDE, SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW, IO_ROW, CLOCK_ROW,
-    MONITOR, DIAGNOSTICS, FLAG_CODES,
-) = range(33)  # fmt: skip
+    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BLOCK, PART, N_PARTS, BODIES,
+    BODY, ENSEMBLE, Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH,
+    TILE_WIDTH, N_ROWS, N_WIDE, SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW,
+    IO_ROW, CLOCK_ROW, MONITOR, DIAGNOSTICS, FLAG_CODES,
+) = range(35)  # fmt: skip
 
 #: how rotation angles are monitored: no other form for large ones, every step, known beforehand
 #: from an array, or from a row of the tile
@@ -66,8 +67,13 @@ ANGLE, NORM = range(2)
 #: ``limits``: the angle up to which known ones are not monitored; then bounds of the diagnostics
 QUIET, BOUNDS = range(2)
 NON_FINITE = 1
-#: per-body clocks, rows of ``wide`` from ``CLOCK_ROW`` on
-DT, BEFORE, BEGUN, OTHER = range(4)
+#: clocks of lanes, rows of ``wide`` from ``CLOCK_ROW`` on
+DT, BEFORE, BEGUN, LOW, HIGH = range(5)
+#: a part of a step is a clock, how many steps are taken by it, and whether a whole step ends so
+TAKEN, ENDS, PART_SIZE = range(5, 8)
+#: a stop: its time since the start, s, and the slack of its rounding; whether it is a breakpoint;
+#: the time since the start from which steps to it are counted; then the clock of these, from BEFORE
+TIME, SLACK, BREAKS, COUNTED_FROM, COUNT, _, _, _, STOP_SIZE = range(9)
 
 PI_SQUARED = math.pi * math.pi
 EPS = 2.0**-52
@@ -214,6 +220,15 @@ def _set_status(states, diagnostics, arrays, settings, limits, first, count):
 
 
 @loop_part
+def _set_clock(settings, wide, first, values, at):
+    """Set the clocks of all lanes, from the row ``first`` on, to the values from ``at`` on."""
+    width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
+    for i in range(first, HIGH + 1):
+        for j in range(width):
+            wide[(clock + i) * width + j] = values[at + i - first]
+
+
+@loop_part
 def _count_steps(settings, tile, waiting, left, time, slack):
     """Steps of each lane to its last before a stop; a lane without any waits. The most of them."""
     rows, wide, _, _ = tile
@@ -229,43 +244,53 @@ def _count_steps(settings, tile, waiting, left, time, slack):
 
 
 @loop_part
-def _step_to_save(settings, tile, copied, left, time, slack):
-    """Step a copy of a tile to a save; whether the form that it takes was there."""
+def _step_to_stop(settings, tile, copied, left, time, slack):
+    """Step a copy of a tile to a stop; whether the form that it takes was there."""
     rows, wide, _, _ = tile
     copy, wide_copy, _, _ = copied
     width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
-    n_rows, n_wide = settings[N_ROWS], settings[N_WIDE]
-    for i in range(n_rows * width):
+    for i in range(settings[N_ROWS] * width):
         copy[i] = rows[i]
-    for i in range(n_wide * width):
+    for i in range(settings[N_WIDE] * width):
         wide_copy[i] = wide[i]
     partial = False
     for j in range(width):
         _, rest = _on_grid(time, slack, wide[(clock + DT) * width + j])
         left[j] = 1 if rest != 0.0 else 0
-        wide_copy[(clock + OTHER) * width + j] = rest
         partial = partial or rest != 0.0
     if not partial:
         return True
     form = settings[SMALL] if settings[MONITOR] == NEVER else settings[ANY]
     if form == 0:
         return False
-    call_generated(settings[SMALL], REGRID, copied, (0, 0))
+    call_generated(settings[SMALL], LEAVE, copied, (0, 0))
     for j in range(width):
         before, step = (clock + BEFORE) * width + j, (clock + DT) * width + j
         # the time where the shorter step begins, by those before it
         wide_copy[(clock + BEGUN) * width + j] += wide[before] * wide[step]
         wide_copy[before] = 0.0
-        wide_copy[step] = wide_copy[(clock + OTHER) * width + j]
+        _, wide_copy[step] = _on_grid(time, slack, wide[step])
+    call_generated(settings[SMALL], ENTER, copied, (0, 0))
     call_generated(form, ADVANCE, copied, (0, 1))
     for j in range(width):
         wide_copy[(clock + BEFORE) * width + j] = 1.0
         if left[j] == 0:
-            for i in range(n_rows):
+            for i in range(settings[N_ROWS]):
                 copy[i * width + j] = rows[i * width + j]
-            for i in range(n_wide):
+            for i in range(settings[N_WIDE]):
                 wide_copy[i * width + j] = wide[i * width + j]
     return True
+
+
+@loop_part
+def _count_from_stop(settings, tile, copied, stops, row):
+    """Go on from a copy of the tile at a breakpoint, where steps to the next stop are counted."""
+    rows, wide, _, _ = tile
+    call_generated(settings[SMALL], LEAVE, copied, (0, 0))
+    for i in range(settings[SIZE] * settings[TILE_WIDTH]):
+        rows[i] = copied[0][i]
+    _set_clock(settings, wide, BEFORE, stops, row + COUNT)
+    call_generated(settings[SMALL], ENTER, tile, (0, 0))
 
 
 def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
@@ -285,6 +310,7 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
         params, known = doubles(arrays[PARAMS]), doubles(arrays[KNOWN_ANGLES])
         step_sizes, stops = doubles(arrays[STEP_SIZES]), doubles(arrays[STOPS])
         order, slots = wholes(arrays[ORDER]), wholes(arrays[SLOTS])
+        parts, part_steps = doubles(arrays[PARTS]), wholes(arrays[PART_STEPS])
         tile = rows, wide, numbers, whole
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
         for number in range(first_tile, last_tile):
@@ -297,16 +323,19 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
             _load(q0, settings[Q0_LENGTH], attitude, body_of, rows, io_row, width)
             _load(y0, settings[Y0_LENGTH], carried, body_of, rows, io_row + attitude, width)
             _load(params, settings[PARAMS_LENGTH], settings[N_PARAMS], body_of, wide, 0, width)
+            part, ahead = settings[PART], 0
             if per_body:
                 _load(step_sizes, settings[ENSEMBLE], 1, body_of, wide, clock, width)
-                for j in range(width):
-                    before = 0.0
-                    if settings[FIRST] > 0:
-                        stop = 2 * (settings[FIRST] - 1)
-                        step = wide[(clock + DT) * width + j]
-                        before, _ = _on_grid(stops[stop], stops[stop + 1], step)
-                    wide[(clock + BEFORE) * width + j] = before
-                    wide[(clock + BEGUN) * width + j] = numbers[0]
+                row = settings[FIRST] * STOP_SIZE
+                _set_clock(settings, wide, BEFORE, stops, row + COUNT)
+                if settings[FIRST] > 0:
+                    slack = stops[row - STOP_SIZE + SLACK]
+                    time = stops[row - STOP_SIZE + TIME] - stops[row + COUNTED_FROM]
+                    for j in range(width):
+                        before, _ = _on_grid(time, slack, wide[(clock + DT) * width + j])
+                        wide[(clock + BEFORE) * width + j] = before
+            elif part > 0:
+                _set_clock(settings, wide, DT, parts, (part - 1) * PART_SIZE)
             watched, saved = (states, diagnostics, base), (out, errors, diagnostics, base)
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
             at, slot = settings[FIRST], -1
@@ -314,19 +343,32 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
             while True:
                 if slot >= 0:
-                    _save(settings, copied if per_body else tile, body_of, saved, slot, at)
+                    _save(settings, tile, body_of, saved, slot, at)
                 if at >= settings[LAST]:
                     break
                 # up to the next save or projection, or the steps of each lane to the next stop
+                stays, slot = False, -1
                 if per_body:
-                    time, slack = stops[2 * at], stops[2 * at + 1]
+                    row = at * STOP_SIZE
+                    time, slack = stops[row + TIME] - stops[row + COUNTED_FROM], stops[row + SLACK]
                     begin, end = 0, _count_steps(settings, tile, waiting, left, time, slack)
+                elif part < settings[N_PARTS] and part_steps[part] == at:
+                    call_generated(settings[SMALL], LEAVE, tile, (at + ahead, 0))
+                    row = part * PART_SIZE
+                    _set_clock(settings, wide, DT, parts, row)
+                    call_generated(settings[SMALL], ENTER, tile, (at, 0))
+                    begin, end = at, at + int(parts[row + TAKEN])
+                    stays = parts[row + ENDS] == 0.0
+                    ahead = end - at if stays else 0
+                    part += 1
                 else:
                     begin, every = at, settings[EVERY]
                     end = ((at - settings[ORIGIN]) // every + 1) * every + settings[ORIGIN]
                     end = min(end, settings[LAST])
                     if settings[PROJECTION] > 0:
                         end = min(end, (at // settings[PROJECTION] + 1) * settings[PROJECTION])
+                    if part < settings[N_PARTS]:
+                        end = min(end, part_steps[part])
                 while begin < end:
                     # at multiples of a block, wherever a call begins: bits do not depend on it
                     stop = min((begin // settings[BLOCK] + 1) * settings[BLOCK], end)
@@ -351,12 +393,20 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                         rows[i] = waiting[i]
                     for j in range(width):
                         wide[(clock + BEFORE) * width + j] += max(left[j], 0)
-                    slot = slots[at]
-                    if slot >= 0 and not _step_to_save(settings, tile, copied, left, time, slack):
+                    is_break = stops[row + BREAKS] != 0.0
+                    is_met = slots[at] >= 0 or is_break
+                    if is_met and not _step_to_stop(settings, tile, copied, left, time, slack):
                         return number
+                    if slots[at] >= 0:
+                        _save(settings, copied, body_of, saved, slots[at], 0)
+                    if is_break:
+                        for j in range(count):
+                            angle = copied[0][angle_row * width + j] if left[j] != 0 else 0.0
+                            _raise(diagnostics, ANGLE * n + base + j, angle)
+                        _count_from_stop(settings, tile, copied, stops, row + STOP_SIZE)
                     at += 1
-                else:
-                    at, slot = end, -1
+                elif not stays:
+                    at = end
                     if settings[PROJECTION] > 0 and at % settings[PROJECTION] == 0:
                         call_generated(settings[SMALL], PROJECT, tile, (0, 0))
                         for j in range(count):

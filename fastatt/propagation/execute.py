@@ -194,7 +194,9 @@ def _checkpoints(plan: Plan) -> list[int]:
 
 def _keeps_end(plan: Plan, options: RunOptions) -> bool:
     is_small = plan.n_bodies <= min(MOST, PART)
-    return options.keep_end and is_small and not isinstance(plan.clock, PerBodyClock)
+    clock = plan.clock
+    ends_on_step = clock.ends is None and not isinstance(clock, PerBodyClock)
+    return options.keep_end and is_small and ends_on_step
 
 
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:

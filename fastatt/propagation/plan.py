@@ -69,6 +69,7 @@ class Plan:
         self.damped = limits.decay(scene, clock.steps)
         self._rates = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))
+        divides = bool(scene.breakpoints) or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,
@@ -79,7 +80,8 @@ class Plan:
             known=self._rates is not None,
             raw=choice.raw,
             projects=choice.projection > 0,
-            own_steps=isinstance(clock, PerBodyClock),
+            own_steps=isinstance(clock, PerBodyClock) or divides,
+            windowed=bool(scene.breakpoints),
             width=n_bodies if choice.device else width_for(n_bodies, lanes),
         )
         if not method.is_exact:
@@ -203,10 +205,13 @@ class Plan:
         """
         clock, stages = self.clock, self.choice.method.stages
         share = 0.5 * float(stages[-1][1]) if stages else 0.0
-        per_body = clock.per_body(self.n_bodies) if isinstance(clock, PerBodyClock) else None
-        edge = share if per_body else share * clock.h
+        per_body, parts, edge = None, None, share * clock.h
+        if isinstance(clock, PerBodyClock):
+            per_body, edge = clock.per_body(self.n_bodies), share
+        elif self.job.own_steps:
+            parts, edge = clock.parts(t0, self.scene.breakpoints), share
         times = (t0, clock.h, edge)
-        run = Run(self._setup, bodies, (given.q, given.y), times, results, per_body)
+        run = Run(self._setup, bodies, (given.q, given.y), times, results, per_body, parts)
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
         return run
@@ -309,6 +314,8 @@ class Plan:
             "compensated": self.attitude.compensated,
             "normalise": "never" if choice.raw else choice.projection,
             "dtype": self.kind.name,
+            "t_end": self.clock.ends,
+            "breakpoints": list(self.scene.breakpoints),
             "r0": "r" in self.carried,
             "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }

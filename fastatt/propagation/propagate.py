@@ -43,7 +43,8 @@ def propagate(
     r0: ArrayLike | None = None,
     s0: ArrayLike | None = None,
     dt: float | ArrayLike,
-    n_steps: int | ArrayLike,
+    n_steps: int | ArrayLike | None = None,
+    t_end: float | None = None,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
     save_every: int | None = None,
@@ -73,6 +74,8 @@ def propagate(
     dt : step, s; negative runs backwards. Each body may have its own, (N,).
     n_steps : number of steps, at least 0; with per-body step sizes (N,), so that all end at
         one time, to rounding.
+    t_end : duration of the run, s, from ``t0`` on and of the sign of ``dt``, in place of
+        ``n_steps``. Where it is no whole number of steps, the last step is shorter.
     method : a name of ``fastatt.METHODS``, or a custom method (``fastatt.runge_kutta``,
         ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
         scene and the representation; the trajectory names it.
@@ -147,12 +150,15 @@ def propagate(
             carried["reduced"] = reduce.begin(kind)
             same_number({**carried, "q0": start})
         given = Given.of(start, carried, kind)
-        clock = clock_of(dt, n_steps, save_every, save_at, begin, given.bodies)
+        clock = clock_of(
+            dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene.breakpoints
+        )
         position = r0 is not None
     else:
         # initial values come from there, and saves are counted from its end
         found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "s0": s0, "t0": begin or None}
         _check_alone("resume; accepted: one of them", **found, save_at=save_at)
+        _check_alone("resume; accepted: n_steps", t_end=t_end)
         if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
             raise ValueError(
                 f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "
@@ -206,7 +212,8 @@ def plan(
     n_bodies: int,
     *,
     dt: float,
-    n_steps: int,
+    n_steps: int | None = None,
+    t_end: float | None = None,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
     save_every: int | None = None,
@@ -241,7 +248,7 @@ def plan(
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
     choice = chosen(scene, method, representation, compensated, normalise)
-    clock = Clock.of(dt, n_steps, save_every)
+    clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
     checks.choice("invalid", invalid, closed_form.INVALID)
     if METHODS.get(choice.method.name) is choice.method:
         arguments["method"] = choice.method.name

@@ -35,6 +35,11 @@ class Coupled(EquationsOfMotion):
         #: squares of the rates of falling at the stages of the step that is being recorded
         self._squares: list[Any] = []
 
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        super().evaluate_between(low, high)
+        self.inner.evaluate_between(low, high)
+        self._stage.evaluate_between(low, high)
+
     def _split(self, x: Vector) -> tuple[Vector, Vector]:
         """State of the rotation; velocity, position and states, as far as they are carried."""
         n = len(x) - self._beside
@@ -50,7 +55,7 @@ class Coupled(EquationsOfMotion):
         v, r = beside.velocity, beside.position
         q, w = self._stage.pose(t, a, beside)
         q = quat.renormalise(q)
-        acting = force.formula(t, q, w, v, r, self._numbers[1:])
+        acting = force.formula(self.instant(t), q, w, v, r, self._numbers[1:])
         push = scale(self._numbers[0], as_like(tuple(acting), v[0]))
         if r:
             self._squares += squares_of_rates(force, r, self._numbers[1:])

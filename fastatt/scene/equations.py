@@ -26,6 +26,7 @@ from fastatt.tracing.formulas import (
     quat,
     rigid,
 )
+from fastatt.tracing.graph import choose
 from fastatt.tracing.user import UserFunction
 
 
@@ -118,9 +119,24 @@ class EquationsOfMotion:
     """What a method's step needs of a scene in a representation."""
 
     attitude: Attitude
+    _between: tuple[Any, Any] | None = None
 
     def __init__(self, attitude: Attitude) -> None:
         self.attitude = attitude
+
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        """Evaluate rates, torques and forces at these times at the least and at the most.
+
+        They are those next to two breakpoints: a step that ends at one does not see its far side.
+        """
+        self._between = low, high
+
+    def instant(self, t: Any) -> Any:
+        """The time at which rates, torques and forces are evaluated for the time t."""
+        if self._between is None:
+            return t
+        low, high = self._between
+        return choose(t < low, low, choose(t > high, high, t))
 
     @cached_property
     def plain(self) -> Attitude:
@@ -180,7 +196,7 @@ class Turning(EquationsOfMotion):
 
         The time derivatives of the law's states follow.
         """
-        found = self.structure.law.formula(t, self.p, states=states)
+        found = self.structure.law.formula(self.instant(t), self.p, states=states)
         w = opposite(found[:3]) if self.structure.inertial else found[:3]
         return tuple(as_like(x, self._like) for x in (*w, *found[3:]))
 
@@ -253,7 +269,7 @@ class Body(EquationsOfMotion):
         """
         pose = Pose(self.plain, a, w, self.moments, beside, self.axes_given)
         law = self.structure.law
-        found = law.formula(t, pose, self.torque_numbers, states=beside.states)
+        found = law.formula(self.instant(t), pose, self.torque_numbers, states=beside.states)
         return tuple(as_like(x, a[0]) for x in found)
 
     def momentum_rate(self, t: Any, a: Vector, m: Vector, beside: Beside = ALONE) -> Vector:

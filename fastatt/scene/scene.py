@@ -54,6 +54,11 @@ class Scene:
     of 3 and of n numbers. They are stepped with the attitude as one system, to the method's order,
     by methods whose record says ``couples``. ``propagate`` takes their initial values as ``s0``.
 
+    ``breakpoints`` are times, s, on the clock of ``t0``, at which a rate, torque or force jumps or
+    has a corner. Steps end there: a step in which one lies is taken in parts, by the same method,
+    which so keeps its order. What ends at a breakpoint is evaluated before it and what begins there
+    after it, whether a function says ``<`` or ``<=``.
+
     A scene keeps read-only copies of its numbers: a change to the arrays that it was given does not
     reach it, ``dataclasses.replace`` makes another. Scenes of equal numbers are equal.
     ``scene[bodies]``, an index, a slice or an array, is the scene of these alone; numbers that all
@@ -72,6 +77,7 @@ class Scene:
     mass: ArrayLike | None = None
     force: Any = None
     states: int = 0
+    breakpoints: Any = ()
     #: how many bodies have numbers of their own; None where all share theirs
     rows: ClassVar[int | None] = None
     #: whether a torque or a force reads the position, which is then carried
@@ -97,6 +103,11 @@ class Scene:
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
         checks.whole("states", self.states, 0)
+        object.__setattr__(self, "breakpoints", _breakpoints(self.breakpoints))
+        if self.breakpoints and self._acting is None and self.mass is None:
+            raise ValueError(
+                "breakpoints: found for a free body; accepted: with a rate, torque or force"
+            )
         structure, params, _ = self.packed(None)
         if self.mass is None and structure.turning.law.reads_position:
             raise ValueError(
@@ -360,6 +371,13 @@ def as_scene(scene: object) -> Scene:
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
     return scene
+
+
+def _breakpoints(value: Any) -> tuple[float, ...]:
+    found = np.atleast_1d(numbers("breakpoints", () if value is None else value))
+    if found.ndim > 1:
+        raise ValueError(f"breakpoints: {checks.shape(found)}; accepted: times (B,), s")
+    return tuple(np.unique(found).tolist())
 
 
 def _masses(value: ArrayLike) -> NDArray[np.float64]:

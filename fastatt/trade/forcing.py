@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
+from fastatt.propagation.breakpoints import breaks_of
 from fastatt.scene.equations import Body, PrescribedRate, Structure
 from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
@@ -44,8 +45,11 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     size = few.size
     count = int(np.clip(_SAMPLES // size, 1024, 16384))
     chance = np.random.default_rng(0).uniform(size=count)
-    times = (np.arange(count) + chance) * (problem.t_end / count)
-    run = problem.run(case, n_steps, save_at=problem.t0 + times)
+    times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
+    # both sides of each breakpoint, where a jump is known
+    breaks = breaks_of(problem.ensemble.scene.breakpoints, problem.t0, problem.t_end)
+    times = np.sort(np.concatenate([times, breaks.high[:-1], breaks.low[1:]]))
+    run = problem.run(case, n_steps, save_at=times)
     signs = np.where((run.q[1:] * run.q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     q = run.q.copy()
     q[1:] *= np.cumprod(signs, axis=0)
@@ -70,9 +74,11 @@ def _examined(
     ranges = np.ptp(f, axis=0).max(axis=-1)
     varies = ranges > _CONSTANT * np.abs(f).max(axis=(0, 2))
     changes = np.abs(np.diff(f, axis=0)).max(axis=-1)
+    crossing = np.diff(path[:, 0, 0]) <= 2.0 * np.spacing(np.abs(path[1:, 0, 0]))
+    changes[crossing] = 0.0
     if not (varies & np.isfinite(ranges)).any():
         return 1, None
-    slopes = (changes / np.diff(path[..., 0], axis=0)).max(axis=0)
+    slopes = (changes / np.diff(path[..., 0], axis=0))[~crossing].max(axis=0)
     steps = _STEPS * problem.t_end * np.max(slopes[varies] / ranges[varies])
     suspects = np.argsort(changes, axis=0)[-_SUSPECTS:, :, None]
     low, high = (np.take_along_axis(path, suspects + k, axis=0) for k in (0, 1))
