@@ -5,6 +5,7 @@ Also what tries a function in Python: its arguments at a few points, and its hel
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 import re
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt._jit import recompile, with_options_of
+from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.nodes import Recorded
-from fastatt.tracing.references import is_library, referred_to
+from fastatt.tracing.references import is_library, opened, referred_to
 from fastatt.tracing.trace import ModuleProxy
 
 if TYPE_CHECKING:
@@ -48,7 +50,8 @@ def are_numbers(values: tuple[Any, ...], n: int) -> bool:
 
 
 def floats(result: Any) -> list[float]:
-    """A function's result, a number or a tuple, as a list."""
+    """A function's result, a number, a tuple, a list or an array, as a list."""
+    result = numbers_of(result)
     return [float(x) for x in (result if isinstance(result, tuple) else (result,))]
 
 
@@ -76,6 +79,10 @@ def points(
 
 def interpreted(function: Any) -> Callable[..., Any]:
     """A function as Python runs it, what it calls that is jitted included: nothing is compiled."""
+    inner, first, named = opened(function)
+    if inner is not function:
+        plain = interpreted(inner)
+        return lambda *args: plain(*first, *args, **named)
     plain = getattr(function, "py_func", function)
     return _with(plain, {name: _in_python(x) for name, x in referred_to(plain).items()})
 
@@ -133,7 +140,7 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     failed: Exception | None = None
     for point in points(sizes, None):
         try:
-            result = function(*nested(point, sizes))
+            result = numbers_of(function(*nested(point, sizes)))
         except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
             failed = error
             continue
@@ -166,8 +173,11 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     f8 = types.float64
     *before, last = user.sizes
     signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))
-    plain: Any = getattr(function, "py_func", function)
-    inner = recompile(_renewed(function))
+    outer, first, named = opened(function)
+    plain: Any = getattr(outer, "py_func", outer)
+    inner = recompile(_renewed(outer))
+    if outer is not function:
+        inner = recompile(_with_constants(inner, len(before) + 1, first, named))
     try:
         inner.compile(signature)
     except Exception as error:
@@ -184,12 +194,41 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     else:
         fits = isinstance(returned, types.BaseTuple) and len(returned) == n
         fits = fits and all(isinstance(t, _REAL) for t in returned)
+        fits = fits or (_is_row(returned) and _lengths(inner, user) == {n})
     if not fits:
         raise _wrong(user, str(returned))
     pointer = types.CPointer(f8)
     scope = {"inner": inner, "nan": math.nan}
     exec(_wrapper(user), scope)
     return cfunc(types.void(pointer, pointer))(scope["entry"])
+
+
+def _with_constants(
+    inner: Any, n: int, first: tuple[Any, ...], named: dict[str, Any]
+) -> FunctionType:
+    """The function of its last n arguments, the others constants."""
+    scope = {"inner": inner} | {f"c{k}": x for k, x in enumerate((*first, *named.values()))}
+    free = [f"x{k}" for k in range(n)]
+    fixed = [f"c{k}" for k in range(len(first))]
+    options = [f"{name}=c{len(first) + k}" for k, name in enumerate(named)]
+    exec(f"def call({', '.join(free)}): return inner({', '.join(fixed + free + options)})", scope)
+    return scope["call"]  # type: ignore[no-any-return]
+
+
+def _is_row(returned: Any) -> bool:
+    """Whether it is a list or an array of one axis, of numbers."""
+    if isinstance(returned, types.Array) and returned.ndim != 1:
+        return False
+    return isinstance(returned, (types.Array, types.List)) and isinstance(returned.dtype, _REAL)
+
+
+def _lengths(inner: Any, user: UserFunction) -> set[int]:
+    """How many numbers it gives where it is tried and does not raise."""
+    found = set()
+    for point in points(user.sizes, None):
+        with contextlib.suppress(Exception):
+            found.add(len(inner(*nested(point, user.sizes))))
+    return found
 
 
 def _wrapper(user: UserFunction) -> str:
@@ -206,6 +245,7 @@ def _wrapper(user: UserFunction) -> str:
         "def entry(given, made):",
         "    try:",
         f"        result = inner({', '.join(args)})",
+        *([] if n == 1 else [f"        if len(result) != {n}: raise ValueError"]),
         *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
         # no error may leave what the loop calls: the body's status says it
         "    except Exception:",
