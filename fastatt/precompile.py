@@ -131,6 +131,7 @@ def _functions(dtype: str) -> None:
     arrays.dcm_to_quat(arrays.quat_to_dcm(q))
     arrays.euler313_to_quat(arrays.quat_to_euler313(q))
     arrays.rotation_vector_to_quat(arrays.quat_to_rotation_vector(q))
+    arrays.mrp_to_quat(arrays.quat_to_mrp(q))
     arrays.quat_rotate(q, v)
     arrays.quat_rotate_inverse(q, v)
     for moments in (_MOMENTS, np.multiply.outer(_OWN, _MOMENTS)):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import arrays
+from fastatt import arrays, checks
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
 from fastatt.engine.double_states import joined_array
@@ -171,6 +171,91 @@ class Trajectory:
         if name not in self.carried:
             raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
         return self.carried[name]
+
+    def pointing_error(self, target: Any) -> NDArray[Any]:
+        """Angle between the attitude and a target, rad in [0, π]: (S, N), or (S,) of one body.
+
+        Parameters
+        ----------
+        target : array_like or Trajectory
+            Quaternions that broadcast against ``q``: (4,) for all times and bodies, (N, 4) of each
+            body, (S, 1, 4) at each save, (S, N, 4), and of one body (S, 4). Of rotation matrices
+            the same with (3, 3) in place of (4,). A run with the same saved times stands for its
+            attitudes.
+
+        Raises
+        ------
+        ValueError
+            For shapes that do not broadcast, other saved times and matrices of no rotation.
+        """
+        return np.asarray(arrays.angle_between(self.q, self._reference("target", target)))
+
+    def rotation_vector_to(self, reference: Any) -> NDArray[Any]:
+        """Rotation vector u, rad, body axes, from the attitude to a reference: q∘exp(u).
+
+        Its length is ``pointing_error``, at most π; its components are the errors about each body
+        axis, as feedback takes them.
+
+        Parameters
+        ----------
+        reference : array_like or Trajectory
+            As ``pointing_error``'s target.
+
+        Returns
+        -------
+        ndarray
+            (S, N, 3), or (S, 3) of one body.
+
+        Raises
+        ------
+        ValueError
+            As ``pointing_error``.
+        """
+        wanted = self._reference("reference", reference)
+        between = arrays.quat_multiply(self.q * np.array([1, -1, -1, -1], self.q.dtype), wanted)
+        return arrays.quat_to_rotation_vector(between)
+
+    def body_axis(self, axis: Any) -> NDArray[Any]:
+        """Direction of a body axis at the saved times, a unit vector along inertial axes.
+
+        Parameters
+        ----------
+        axis : array_like
+            A vector along body axes, of any length but zero: (3,), or (N, 3) of each body.
+
+        Returns
+        -------
+        ndarray
+            (S, N, 3), or (S, 3) of one body.
+
+        Raises
+        ------
+        ValueError
+            For another shape, and for vectors that are 0 or not finite.
+        """
+        given = arrays.floats("axis", axis, (3,)).astype(self.q.dtype)
+        size = np.linalg.norm(given, axis=-1, keepdims=True)
+        checks.refuse("axis: its length", size, ~((size > 0.0) & np.isfinite(size)), "above 0")
+        return arrays.quat_rotate(self.q, given / size)
+
+    def _reference(self, name: str, value: Any) -> NDArray[Any]:
+        """Quaternions of a target that broadcast against q, in its precision."""
+        if isinstance(value, Trajectory):
+            if not np.array_equal(value.t, self.t):
+                raise ValueError(
+                    f"{name}: found a run with other saved times; accepted: the same times, or "
+                    "attitudes of fa.interpolate at run.t"
+                )
+            q = value.q[:, None] if value.one_body and not self.one_body else value.q
+        else:
+            q = arrays.as_quat(name, value)
+        shapes = zip(q.shape[::-1], self.q.shape[::-1], strict=False)
+        if q.ndim > self.q.ndim or any(a not in (1, b) for a, b in shapes):
+            raise ValueError(
+                f"{name}: has shape {q.shape}, q {self.q.shape}; accepted: shapes that broadcast "
+                "to that of q"
+            )
+        return q.astype(self.q.dtype, copy=False)
 
     def to_csv(self, path: str | Path) -> None:
         """Write a row for each save and body: ``t``, ``body``, q, w, v, r, s, ``status``.

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.tracing import functions, graph, source
+from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.called import (
     ENTRY,
     are_numbers,
@@ -33,7 +34,7 @@ from fastatt.tracing.called import (
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.nodes import Recorded, TraceError
-from fastatt.tracing.references import snapshot
+from fastatt.tracing.references import opened, snapshot
 from fastatt.tracing.trace import traceable
 
 # of a component, relative to its largest over the points; a wrong formula is off by far more
@@ -96,12 +97,16 @@ def user_function(
     with: it is tried with them; ``states`` is how many states it takes. Raises ``TypeError`` where
     it is no function, does not compile, or gives something else than as many numbers as it should.
     """
-    if not isinstance(getattr(function, "py_func", function), FunctionType):
+    inner = opened(function)[0]
+    if not isinstance(getattr(inner, "py_func", inner), FunctionType):
         raise TypeError(
             f"{form.partition(' ')[0]}: found {checks.brief(function)}; accepted: a function "
             f"{FORMS[form].with_states(states).call}"
         )
-    made = _KNOWN.setdefault(function, {})
+    try:
+        made = _KNOWN.setdefault(function, {})
+    except TypeError:  # an object that has no hash or no weak reference
+        made = {}
     key, now = (form, n_params, states), snapshot(function)
     before, found = made.get(key, (None, None))
     if found is None or before != now:
@@ -130,7 +135,8 @@ class UserFunction:
         self.form = own if own.results else own._replace(results=n_params)
         self.argument = form.partition(" ")[0]
         self.n_params = n_params
-        self.name = getattr(function, "__name__", self.argument)
+        inner = opened(function)[0]
+        self.name = getattr(function, "__name__", getattr(inner, "__name__", self.argument))
         self.reason = ""
         #: arrays of the tables that it reads, and times at which there is something in them
         self.tables: dict[Any, NDArray[np.float64]] = {}
@@ -220,7 +226,7 @@ class UserFunction:
         recorder = Graph()
         numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
         p = recorder.inputs("double", "p", self.n_params)
-        result = formula(*nested((*numbers, *p), self.sizes))
+        result = numbers_of(formula(*nested((*numbers, *p), self.sizes)))
         values = result if isinstance(result, tuple) else (result,)
         if isinstance(result, tuple) != (self.form.results > 1) or not are_numbers(
             values, self.form.results
@@ -259,10 +265,10 @@ def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:
         found = (x.graph for x in graph.flattened(list(args)) if isinstance(x, Number))
         recorder = next(found, None)
         if recorder is None or recorder.strict:
-            return formula(*args)
+            return numbers_of(formula(*args))
         recorder.strict = True
         try:
-            return formula(*args)
+            return numbers_of(formula(*args))
         finally:
             recorder.strict = False
 
