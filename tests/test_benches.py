@@ -122,12 +122,14 @@ def test_advice_is_compared_with_a_sweep():
 
 
 def test_promises_are_compared_where_what_acts_jumps():
-    """Pulses, jumps and ramps; a promise that is too small is found out."""
+    """Pulses, jumps and ramps, refused but with breakpoints; a promise too small is found out."""
     lines = hostile.report(3, 2, seed=1)[2:]
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-    assert [c[1] for c in cells] == ["pulse", "jump", "ramp", "pulse", "jump"]
-    assert [c[6] for c in cells] == ["0"] * 5
-    assert [c[3] for c in cells[:2]] == ["1", "1"]
+    three, two = ["pulse", "jump", "ramp"], ["pulse", "jump"]
+    assert [c[1] for c in cells] == [*three, *three, *two, *two]
+    assert [c[6] for c in cells] == ["0"] * 10
+    assert [c[3] for c in cells if c[1] in two] == ["1", "1", "0", "0", "1", "1", "0", "0"]
+    assert [c[2] for c in cells if "breakpoints" in c[0]] == ["1"] * 5
     case = hostile.draw(1, 2, 3)
     arguments = {"dt": case.t_end / 40, "n_steps": 40, "method": "rk4", "t0": case.t0}
     for promise, found in ((1e-9, "broken"), (1.0, "kept")):

@@ -216,7 +216,7 @@ def one_number(t, p):
 
 @njit
 def an_array(t, p):
-    return np.array([t, t, t])
+    return np.array([t, t])
 
 
 @njit
@@ -244,7 +244,7 @@ def needs_three(t, p):
     [
         (two_numbers, "returns UniTuple(float64 x 2); accepted is a tuple of three floats"),
         (one_number, "returns float64; accepted"),
-        (an_array, "returns array(float64, 1d, C); accepted"),
+        (an_array, "returns array(float64, 1d, C); accepted is a tuple of three"),
         (words, "returns Tuple("),
         (no_such_name, "does not compile for floats, with p a tuple of 2 floats"),
         (one_argument, "does not compile"),

@@ -311,7 +311,7 @@ def propagate_directions(
         scene.packed(len(v))  # refuses another number of bodies
         scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
     given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
-    clock = Clock.of(dt, n_steps, save_every)
+    clock = Clock.of(dt, checks.whole("n_steps", n_steps, 0), save_every)
     plan = Plan(scene, given.bodies, Choice(record, DIRECTION), clock, given.q.dtype)
     flat = execute(plan, given, checks.real("t0", t0), RunOptions(number_of(n_threads)))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))

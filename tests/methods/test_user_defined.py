@@ -301,7 +301,7 @@ def of_two(w, t):
 
 
 def unknown(w, t, h):
-    return (np.linalg.norm(w(t)),)
+    return (np.linalg.det(w(t)),)
 
 
 FEW = "exponents: found a function that gives no tuple of exponents made from w(t); accepted: f(w, "
@@ -520,7 +520,7 @@ WRONG_ATTITUDES = [
     ({"finish": lambda x: x}, ValueError, "finish: gives 3 numbers; accepted: 4"),
     ({"stored": 2, "finish": lambda x: ((x[0], x[1]), 0.0)}, ValueError, "stored: found 2 numbers"),
     ({"derivative": 3}, TypeError, "derivative: 3, which is no Python function; accepted"),
-    ({"derivative": lambda x, w: np.linalg.norm(x)}, TypeError, "derivative: "),
+    ({"derivative": lambda x, w: np.linalg.det(x)}, TypeError, "derivative: "),
     ({"start": lambda q, p: q}, TypeError, "start: "),
     ({"start": lambda q: q[1:]}, ValueError, "start, quaternion: of q = (0.969531,"),
     ({"quaternion": lambda x: (1.0, 0.0, 0.0, 0.0)}, ValueError, "start, quaternion: of q"),
