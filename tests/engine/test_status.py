@@ -396,7 +396,7 @@ def test_strong_damping_is_warned_of():
     call = {"n_steps": 10, "q0": [1, 0, 0, 0], "w0": [0.01, 0.01, 0.01]}
     with pytest.warns(fa.StepWarning, match=r"damping takes 3 of the rate a step; rk4") as found:
         run = fa.propagate(scene, dt=1.0, method="rk4", **call)
-    assert run.status[0] & fa.Status.STEP_TOO_LARGE
+    assert int(run.status[0]) & fa.Status.STEP_TOO_LARGE
     fine = fa.propagate(scene, dt=0.99 * remedy(str(found[0].message)), method="rk4", **call)
     assert fine.status[0] == 0
     damped = fa.propagate(scene, dt=1.0, method="strang2", **call)
@@ -480,3 +480,13 @@ def test_rates_of_any_size_are_right_or_flagged(method):
             assert not run.has_flags
     still = fa.propagate(scene, q0, w * 1e-200, dt=0.1, n_steps=40, method=method)
     assert not still.has_flags
+
+
+@pytest.mark.parametrize("method", ["rk4", "rkmk4", "cf4", "strang2", "rk8"])
+def test_a_body_spun_up_from_rest_is_monitored(method):
+    """The momentum that it has at first says nothing of the rotation angles of later steps."""
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Constant((0.0, 0.0, 1.0)))
+    with pytest.warns(fa.StepWarning):
+        run = fa.propagate(scene, Q0[0], np.zeros(3), dt=0.25, n_steps=100, method=method)
+    assert run.w[-1, 2] * 0.25 > 5.0
+    assert int(run.status[0]) & fa.Status.STEP_TOO_LARGE
