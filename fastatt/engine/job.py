@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
 from fastatt.engine import double_states
+from fastatt.engine.events import Watch, after_step, values
 from fastatt.engine.loop import WIDTH
 from fastatt.engine.status import SAVED
 from fastatt.methods.method import Method
@@ -59,13 +61,20 @@ class Job:
     projects: bool = False
     #: each body has a step of its own, and saves are at any times
     own_steps: bool = False
+    #: what is watched at the end of each step
+    events: tuple[Watch, ...] = ()
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
     width: int = WIDTH
 
     @cached_property
     def formulas(self) -> Formulas:
-        """Its formulas, traced when they are asked for; a tile's width is no matter of theirs."""
-        return _formulas(replace(self, width=WIDTH))
+        """Its formulas, traced when they are asked for; not a matter of tiles and of clocks."""
+        return _formulas(replace(self, width=WIDTH, own_steps=False))
+
+    @property
+    def is_searched(self) -> bool:
+        """Whether it takes the shorter steps by which events are located."""
+        return self.own_steps and bool(self.events)
 
     @property
     def has_any_angle_form(self) -> bool:
@@ -224,9 +233,21 @@ class Formulas:
         return scope.finished((*a, *x[n:], abs(d)))
 
     @cached_property
+    def events(self) -> Flat:
+        """The values of the functions that are watched."""
+        scope = self.scope()
+        return scope.finished(values(scope))
+
+    @cached_property
+    def watch(self) -> Flat:
+        """What is kept of the functions that are watched, after another step."""
+        scope = self.scope()
+        return scope.finished(after_step(scope))
+
+    @cached_property
     def resources(self) -> list[Any]:
         """Tables and opaque functions that the formulas call, in the order of their arrays."""
-        return resources_of(self.small_angle.monitored, self.begin, self.save)
+        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events)
 
     @cached_property
     def is_timed(self) -> bool:
@@ -321,20 +342,24 @@ class Scope:
 
         It computes in double precision, whatever that of the run.
         """
-        structure = self.job.structure
-        if structure.reducer is None:
+        reducer = self.job.structure.reducer
+        if reducer is None:
             return ()
         is_single = self.kind == "single"
-        q, w = self.motion.pose(t, x)
-        pose = tuple(map(Double, quat.renormalise(q))), tuple(map(Double, w))
         state = double_states.joined(before) if is_single else before
-        narrow, self.graph.narrow = self.graph.narrow, False
-        try:
-            made = structure.reducer.call(t, *pose, state)
-        finally:
-            self.graph.narrow = narrow
+        made = self.called(reducer.call, t, x, state)
         made = tuple(map(Double, made if isinstance(made, tuple) else (made,)))
         return double_states.split(made) if is_single else made
+
+    def called(self, function: Callable[..., Any], t: Any, x: Vector, *rest: Vector) -> Any:
+        """A user's function of time, attitude, angular velocity, and more, in double precision."""
+        q, w = self.motion.pose(t, x)
+        pose = tuple(map(Double, quat.renormalise(q))), tuple(map(Double, w))
+        narrow, self.graph.narrow = self.graph.narrow, False
+        try:
+            return function(t, *pose, *rest)
+        finally:
+            self.graph.narrow = narrow
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         """The state from an attitude as given and its auxiliary state."""

@@ -22,12 +22,33 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from numba import types
 
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
+from fastatt.engine import event_search
+from fastatt.engine.event_search import (
+    BEGUN_AT,
+    BRACKETS,
+    FINAL,
+    HISTORY,
+    QUEUE,
+    SEARCH,
+    SEARCH_ROWS,
+    SEARCH_WIDE,
+    STOPPED,
+    TIMES,
+    TRIAL_ROWS,
+    TRIAL_WIDE,
+    begin_events,
+    end_search,
+    save_stopped,
+    search_block,
+    shorter_step,
+)
 
 #: bodies side by side in a tile at most; few bodies take one vector
 WIDTH = 64
@@ -250,16 +271,8 @@ def _step_to_save(settings, tile, copied, left, time, slack):
     form = settings[SMALL] if settings[MONITOR] == NEVER else settings[ANY]
     if form == 0:
         return False
-    call_generated(settings[SMALL], REGRID, copied, (0, 0))
+    shorter_step(form, settings[SMALL], copied, width, clock)
     for j in range(width):
-        before, step = (clock + BEFORE) * width + j, (clock + DT) * width + j
-        # the time where the shorter step begins, by those before it
-        wide_copy[(clock + BEGUN) * width + j] += wide[before] * wide[step]
-        wide_copy[before] = 0.0
-        wide_copy[step] = wide_copy[(clock + OTHER) * width + j]
-    call_generated(form, ADVANCE, copied, (0, 1))
-    for j in range(width):
-        wide_copy[(clock + BEFORE) * width + j] = 1.0
         if left[j] == 0:
             for i in range(n_rows):
                 copy[i * width + j] = rows[i * width + j]
@@ -268,8 +281,10 @@ def _step_to_save(settings, tile, copied, left, time, slack):
     return True
 
 
-def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
-    """The loop for a precision, and for one step size for all or per-body ones."""
+def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
+    """The loop for a precision, for one step size for all or per-body ones, and with events."""
+    # of a point in a step: a step's time and the state are not known better
+    tolerance = 2.0**-50 if kind == "double" else 2.0**-22
 
     def run_tiles(arrays, settings, limits, first_tile, last_tile):
         """Steps of a span on tiles; the tile at which the form for any angle was missing."""
@@ -287,6 +302,20 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
         order, slots = wholes(arrays[ORDER]), wholes(arrays[SLOTS])
         tile = rows, wide, numbers, whole
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
+        if events:
+            begun_at, search = reals(arrays[BEGUN_AT], kind), wholes(arrays[SEARCH])
+            history = reals(arrays[HISTORY], kind)
+            times, stopped = doubles(arrays[TIMES]), doubles(arrays[STOPPED])
+            final = reals(arrays[FINAL], kind)
+            searched_rows, searched_wide = arrays[SEARCH_ROWS], arrays[SEARCH_WIDE]
+            searched = reals(searched_rows, kind), doubles(searched_wide), numbers, whole
+            trial_rows, trial_wide = arrays[TRIAL_ROWS], arrays[TRIAL_WIDE]
+            trial = reals(trial_rows, kind), doubles(trial_wide), numbers, whole
+            brackets, queue = doubles(arrays[BRACKETS]), wholes(arrays[QUEUE])
+            tiles = searched, trial
+            found = times, stopped, final, diagnostics, tolerance
+            shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
+            io = io_row, settings[SAVED]
         for number in range(first_tile, last_tile):
             base = number * width
             count = min(n - base, width)
@@ -309,12 +338,18 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                     wide[(clock + BEGUN) * width + j] = numbers[0]
             watched, saved = (states, diagnostics, base), (out, errors, diagnostics, base)
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
+            if events:
+                since = settings[FIRST] - settings[ORIGIN]
+                begin_events(settings[SMALL], tile, shape, search, history, base, count, since)
             at, slot = settings[FIRST], -1
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
             while True:
                 if slot >= 0:
                     _save(settings, copied if per_body else tile, body_of, saved, slot, at)
+                    if events:
+                        save = slot * settings[ENSEMBLE]
+                        save_stopped(found, body_of, out, errors, save, count, settings[SAVED])
                 if at >= settings[LAST]:
                     break
                 # up to the next save or projection, or the steps of each lane to the next stop
@@ -333,11 +368,24 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                     if per_body:
                         for j in range(width):
                             stop = min(stop, left[j]) if left[j] > begin else stop
+                    if events:
+                        # a parabola needs three values: the first step is searched in any case
+                        stop = begin + 1 if begin == settings[ORIGIN] else stop
+                        for i in range(angle_row * width):
+                            begun_at[i] = rows[i]
                     if not _advance(settings, tile, kept, marks, unbounded, begin, stop):
                         return number
+                    if events:
+                        block = base, count, begin, stop
+                        search_block(
+                            tile, begun_at, body_of, tiles, shape, search, found, queue, brackets,
+                            io, block,
+                        )  # fmt: skip
                     for j in range(count):
                         angle = float(rows[angle_row * width + j])
                         reached = left[j] >= stop if per_body else True
+                        if events:
+                            reached = stopped[body_of[j]] != stopped[body_of[j]]
                         if reached and angle > diagnostics[ANGLE * n + base + j]:
                             diagnostics[ANGLE * n + base + j] = angle
                     if per_body:
@@ -364,6 +412,10 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                     since = at - settings[ORIGIN]
                     if since % settings[EVERY] == 0 or at == settings[N_STEPS]:
                         slot = (since - 1) // settings[EVERY] + settings[SLOT]
+            if events:
+                end_search(
+                    rows, tiles, shape, search, history, found, queue, brackets, io, base, count
+                )
             for i in range(size):
                 for j in range(count):
                     states[(base + j) * size + i] = rows[i * width + j]
@@ -384,14 +436,16 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
     return set_all_status
 
 
+#: the loop is compiled anew where the search changes
+_SEARCH = Path(event_search.__file__).read_bytes()
 _POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
 _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 
 
 @functools.cache
-def tile_loop(kind: str, *, per_body: bool) -> Callable[..., int]:
+def tile_loop(kind: str, *, per_body: bool, events: bool) -> Callable[..., int]:
     """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
-    return address_loop(_SIGNATURE, _run_tiles(kind, per_body))
+    return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _SEARCH)
 
 
 @functools.cache

@@ -17,6 +17,7 @@ from fastatt import checks
 from fastatt.attitudes import Attitude
 from fastatt.engine.run import PerBody, Span
 from fastatt.methods.method import Method
+from fastatt.propagation.event import Event
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
 
@@ -44,6 +45,7 @@ class Choice:
     projection: int = 0
     raw: bool = False
     reducer: Reducer | None = None
+    events: tuple[Event, ...] = ()
     #: where it runs, if not on the processor
     device: Device | None = None
 
