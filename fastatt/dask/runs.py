@@ -17,6 +17,7 @@ from fastatt.dask.chunks import Bodies, like
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
+from fastatt.propagation.event import Event, events_of
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
 from fastatt.propagation.trajectory import Trajectory
@@ -53,6 +54,8 @@ class LazyTrajectory:
     runs: Any = field(repr=False)
     bodies: Bodies = field(repr=False)
     dtype: Any
+    #: how many events were looked for
+    events: int = 0
 
     def __getattr__(self, name: str) -> Any:
         # Dask's protocol of collections: that of the array of chunks
@@ -71,6 +74,16 @@ class LazyTrajectory:
     def status(self) -> Any:
         """A flag of each body, (N,)."""
         return self.bodies.array(self.runs, "status", (), np.uint8, ())
+
+    @property
+    def event_times(self) -> Any:
+        """Times of events, s, (N, E), of a run with some."""
+        return self.runs.map_blocks(
+            lambda run: run.event_times,
+            chunks=(self.bodies.sizes, (self.events,)),
+            new_axis=1,
+            meta=np.empty((0, 0)),
+        )
 
     def compute(self, **options: Any) -> Trajectory:
         """The run's trajectory; ``options`` are those of ``dask.compute``."""
@@ -101,6 +114,7 @@ def _joined(runs: Sequence[Trajectory]) -> Trajectory:
         norm_error=all_of("norm_error"),
         status=status,
         carried=carried,
+        found=None if runs[0].found is None else np.concatenate([run.found for run in runs]),
     )
 
 
@@ -128,6 +142,7 @@ def propagate(
     compensated: bool = False,
     normalise: str | int = "output",
     invalid: str = "raise",
+    events: Event | Sequence[Event] = (),
 ) -> LazyTrajectory:
     """Propagate an ensemble in chunks of bodies, when it is computed.
 
@@ -138,7 +153,7 @@ def propagate(
         for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
     dt, n_steps : numbers, the same for all bodies.
-    method, representation, save_every, dtype, t0, compensated, normalise, invalid : as of
+    method, representation, save_every, dtype, t0, compensated, normalise, invalid, events : as of
         :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
         fails its chunk, and the error has a note of which bodies those are.
 
@@ -162,7 +177,8 @@ def propagate(
     >>> lazy.compute().q.shape
     (1, 5, 4)
     """
-    record, named = sent(scene, method, representation, compensated, normalise)
+    watched = events_of(events)
+    record, named = sent(scene, method, representation, compensated, normalise, watched)
     clock = Clock.of(dt, n_steps, save_every)
     begin = checks.real("t0", t0)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
@@ -171,10 +187,10 @@ def propagate(
     options = {
         "dt": dt, "n_steps": n_steps, "save_every": save_every, "method": named, "dtype": kind,
         "representation": representation, "compensated": compensated, "normalise": normalise,
-        "invalid": invalid, "t0": begin,
+        "invalid": invalid, "t0": begin, "events": watched,
     }  # fmt: skip
     runs = bodies.mapped(partial(_propagated, options=options))
-    return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind)
+    return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind, len(watched))
 
 
 def sent(
@@ -183,9 +199,12 @@ def sent(
     representation: str | Attitude,
     compensated: bool = False,
     normalise: str | int = "output",
+    events: tuple[Event, ...] = (),
 ) -> tuple[Method, str | Method]:
     """A method that fits the whole ensemble, and how it is sent."""
-    record = chosen(as_scene(scene), method, representation, compensated, normalise).method
+    record = chosen(
+        as_scene(scene), method, representation, compensated, normalise, events=events
+    ).method
     return record, record.name if METHODS.get(record.name) is record else record
 
 

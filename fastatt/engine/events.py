@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from fastatt.engine.event_search import crosses, turns
+from fastatt.engine.crossings import crosses, turns
+from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import Double, choose
 from fastatt.tracing.user import UserFunction
@@ -24,6 +25,8 @@ class Watch(NamedTuple):
 
 def values(scope: Scope) -> Vector:
     """The functions that are watched, at the state after so many steps."""
+    if not scope.job.events:
+        return ()
     t, since = scope.time(), scope.number("since")
     x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
     own, structure = scope.parts(x)[0], scope.job.structure
@@ -37,7 +40,7 @@ def values(scope: Scope) -> Vector:
     return tuple(found)
 
 
-def after_step(scope: Scope) -> Vector:
+def after_step(scope: Scope) -> Flat:
     """Of each function its value, that of the step before, and whether it may have crossed zero.
 
     The inputs ("event", i) are the same after the step before.
@@ -51,4 +54,4 @@ def after_step(scope: Scope) -> Vector:
         c = type(b)(x)
         test = crosses(b, c, watch.direction) | turns(a, b, c)
         marked.append(choose(test, 1.0, mark))
-    return (*found, *last, *marked)
+    return scope.finished((*found, *last, *marked))

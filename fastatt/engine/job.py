@@ -68,7 +68,7 @@ class Job:
 
     @cached_property
     def formulas(self) -> Formulas:
-        """Its formulas, traced when they are asked for; not a matter of tiles and of clocks."""
+        """Its formulas, traced when they are asked for; neither tiles nor clocks matter to them."""
         return _formulas(replace(self, width=WIDTH, own_steps=False))
 
     @property
@@ -241,8 +241,7 @@ class Formulas:
     @cached_property
     def watch(self) -> Flat:
         """What is kept of the functions that are watched, after another step."""
-        scope = self.scope()
-        return scope.finished(after_step(scope))
+        return after_step(self.scope())
 
     @cached_property
     def resources(self) -> list[Any]:

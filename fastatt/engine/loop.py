@@ -29,26 +29,7 @@ from numba import types
 
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
-from fastatt.engine import event_search
-from fastatt.engine.event_search import (
-    BEGUN_AT,
-    BRACKETS,
-    FINAL,
-    HISTORY,
-    QUEUE,
-    SEARCH,
-    SEARCH_ROWS,
-    SEARCH_WIDE,
-    STOPPED,
-    TIMES,
-    TRIAL_ROWS,
-    TRIAL_WIDE,
-    begin_events,
-    end_search,
-    save_stopped,
-    search_block,
-    shorter_step,
-)
+from fastatt.engine import crossings
 
 #: bodies side by side in a tile at most; few bodies take one vector
 WIDTH = 64
@@ -271,7 +252,7 @@ def _step_to_save(settings, tile, copied, left, time, slack):
     form = settings[SMALL] if settings[MONITOR] == NEVER else settings[ANY]
     if form == 0:
         return False
-    shorter_step(form, settings[SMALL], copied, width, clock)
+    crossings.shorter_step(form, settings[SMALL], copied, width, clock)
     for j in range(width):
         if left[j] == 0:
             for i in range(n_rows):
@@ -303,15 +284,16 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
         tile = rows, wide, numbers, whole
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
         if events:
-            begun_at, search = reals(arrays[BEGUN_AT], kind), wholes(arrays[SEARCH])
-            history = reals(arrays[HISTORY], kind)
-            times, stopped = doubles(arrays[TIMES]), doubles(arrays[STOPPED])
-            final = reals(arrays[FINAL], kind)
-            searched_rows, searched_wide = arrays[SEARCH_ROWS], arrays[SEARCH_WIDE]
+            begun_at = reals(arrays[crossings.BEGUN_AT], kind)
+            search = wholes(arrays[crossings.SEARCH])
+            history = reals(arrays[crossings.HISTORY], kind)
+            times, stopped = doubles(arrays[crossings.TIMES]), doubles(arrays[crossings.STOPPED])
+            final = reals(arrays[crossings.FINAL], kind)
+            searched_rows, trial_rows = arrays[crossings.SEARCH_ROWS], arrays[crossings.TRIAL_ROWS]
+            searched_wide, trial_wide = arrays[crossings.SEARCH_WIDE], arrays[crossings.TRIAL_WIDE]
             searched = reals(searched_rows, kind), doubles(searched_wide), numbers, whole
-            trial_rows, trial_wide = arrays[TRIAL_ROWS], arrays[TRIAL_WIDE]
             trial = reals(trial_rows, kind), doubles(trial_wide), numbers, whole
-            brackets, queue = doubles(arrays[BRACKETS]), wholes(arrays[QUEUE])
+            brackets, queue = doubles(arrays[crossings.BRACKETS]), wholes(arrays[crossings.QUEUE])
             tiles = searched, trial
             found = times, stopped, final, diagnostics, tolerance
             shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
@@ -340,7 +322,9 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
             if events:
                 since = settings[FIRST] - settings[ORIGIN]
-                begin_events(settings[SMALL], tile, shape, search, history, base, count, since)
+                crossings.begin_events(
+                    settings[SMALL], tile, shape, search, history, base, count, since
+                )
             at, slot = settings[FIRST], -1
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
@@ -349,7 +333,9 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     _save(settings, copied if per_body else tile, body_of, saved, slot, at)
                     if events:
                         save = slot * settings[ENSEMBLE]
-                        save_stopped(found, body_of, out, errors, save, count, settings[SAVED])
+                        crossings.save_stopped(
+                            found, body_of, out, errors, save, count, settings[SAVED]
+                        )
                 if at >= settings[LAST]:
                     break
                 # up to the next save or projection, or the steps of each lane to the next stop
@@ -377,7 +363,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                         return number
                     if events:
                         block = base, count, begin, stop
-                        search_block(
+                        crossings.search_block(
                             tile, begun_at, body_of, tiles, shape, search, found, queue, brackets,
                             io, block,
                         )  # fmt: skip
@@ -413,7 +399,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     if since % settings[EVERY] == 0 or at == settings[N_STEPS]:
                         slot = (since - 1) // settings[EVERY] + settings[SLOT]
             if events:
-                end_search(
+                crossings.end_search(
                     rows, tiles, shape, search, history, found, queue, brackets, io, base, count
                 )
             for i in range(size):
@@ -437,13 +423,13 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
 
 
 #: the loop is compiled anew where the search changes
-_SEARCH = Path(event_search.__file__).read_bytes()
+_SEARCH = Path(crossings.__file__).read_bytes()
 _POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
 _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 
 
 @functools.cache
-def tile_loop(kind: str, *, per_body: bool, events: bool) -> Callable[..., int]:
+def tile_loop(kind: str, *, per_body: bool, events: bool = False) -> Callable[..., int]:
     """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
     return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _SEARCH)
 

@@ -18,7 +18,7 @@ from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTi
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.engine.event_search import EVENT_ROWS, WATCH
+from fastatt.engine.crossings import EVENT_ROWS, WATCH
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.loop import ADVANCE, BEGIN, PROJECT, REGRID, SAVE
 from fastatt.engine.status import SAVED
@@ -103,7 +103,7 @@ class Program(TwoForms):
             rows(n_rows, kind), rows(n_wide, double), rows(carried, kind), rows(1, whole),
             rows(1, whole), rows(size * copies, kind), rows(1, whole), rows(n_rows * copies, kind),
             rows(n_wide * copies, double),
-            *([rows(9, double), rows(9, whole)] if job.is_searched else []),
+            *([rows(11, double), rows(9, whole)] if job.is_searched else []),
             *([rows(carried - 1, kind)] if job.events and not job.is_searched else []),
         ]  # fmt: skip
 

@@ -16,7 +16,7 @@ from fastatt.codegen.call import call_loop
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.codegen.processor import processor
 from fastatt.engine import loop
-from fastatt.engine.event_search import EVENT_ROWS
+from fastatt.engine.crossings import EVENT_ROWS
 from fastatt.engine.job import Job
 from fastatt.engine.program import Program
 from fastatt.engine.status import DIAGNOSTICS

@@ -104,18 +104,18 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
 
     Examples
     --------
-    The time at which the third axis of a coning body sinks below 60° of elevation:
+    The time at which the third axis of a coning body comes down to a height of 0.9:
 
     >>> import fastatt as fa
     >>> def height(t, q, w, p):
-    ...     return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]) - 0.75**0.5
+    ...     return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]) - 0.9
     >>> body = fa.Scene(inertia=(1.0, 1.0, 2.0))
     >>> run = fa.propagate(
     ...     body, [1, 0, 0, 0], [0.5, 0, 1], dt=0.1, n_steps=100, method="rk8",
     ...     events=[fa.event(height, direction=-1)],
     ... )
     >>> run.event_times.round(6)
-    array([1.127654])
+    array([1.138071])
     """
     if not callable(g):
         raise TypeError(f"g: found {checks.brief(g)}; accepted: a function g(t, q, w, p)")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fastatt import checks, rounding
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
-from fastatt.engine.event_search import SEARCH_BLOCK
+from fastatt.engine.crossings import SEARCH_BLOCK
 from fastatt.engine.job import Job
 from fastatt.engine.run import Fixed, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status

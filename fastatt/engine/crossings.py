@@ -33,9 +33,10 @@ WATCH = 5
 #: direction and whether it is terminal
 FUNCTION, EVENTS, LANES, OF_EACH = range(4)
 
-#: rows of brackets: ends and the values there, a point between them and its value, the next point,
-#: the radius of the bisection, the largest squared rotation angle
-LOW, HIGH, AT_LOW, AT_HIGH, INNER, AT_INNER, POINT, RADIUS, ROTATED = range(9)
+#: rows of brackets: ends and the values there, a point between them and its value, the next point
+#: and its value, the radius of the bisection, the width that ends it, the largest squared rotation
+#: angle of a step
+LOW, HIGH, AT_LOW, AT_HIGH, INNER, AT_INNER, POINT, AT_POINT, RADIUS, LEAST, ROTATED = range(11)
 #: rows of the queue: lane, body, position, event, steps before the block and up to its end, what
 #: is done with the lane, evaluations; its length comes after them
 LANE, BODY, POSITION, EVENT, FIRST, END, DOING, TRIALS, LENGTH = range(9)
@@ -137,7 +138,7 @@ def _copy(searched, trial, shape, lanes):
 
 
 @loop_part
-def _march(searched, trial, shape, search, queue, brackets, k, is_stepped):
+def _march(searched, trial, shape, search, queue, brackets, k, is_stepped, tolerance):
     """What to do with a lane after another step of it."""
     rows, wide, _, _ = searched
     stepped, _, _, _ = trial
@@ -146,11 +147,15 @@ def _march(searched, trial, shape, search, queue, brackets, k, is_stepped):
     event = queue[EVENT * lanes + k]
     last, before = (size + event) * lanes + k, (size + n + event) * lanes + k
     a, b, c = rows[before], rows[last], stepped[last]
-    rotated = float(stepped[angle_row * lanes + k])
+    rotated = stepped[angle_row * lanes + k]
     brackets[ROTATED * lanes + k] = max(brackets[ROTATED * lanes + k], rotated)
     brackets[LOW * lanes + k], brackets[HIGH * lanes + k] = 0.0, 1.0
-    brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k] = float(b), float(c)
+    brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k] = b, c
     brackets[RADIUS * lanes + k] = 1.0
+    # a time is not known better
+    step, steps = wide[clock * lanes + k], wide[(clock + 1) * lanes + k]
+    latest = abs(wide[(clock + 2) * lanes + k] / step + steps)
+    brackets[LEAST * lanes + k] = max(tolerance, latest * 2.0**-52)
     queue[TRIALS * lanes + k] = 0
     if not is_stepped:
         if _crosses(b, c, search[OF_EACH + 2 * event]):
@@ -165,7 +170,7 @@ def _march(searched, trial, shape, search, queue, brackets, k, is_stepped):
 
 
 @loop_part
-def _next_point(brackets, lanes, k, tolerance):
+def _next_point(brackets, lanes, k):
     """Where a bracket is halved: Oliveira and Takahashi, ACM Trans. Math. Softw. 47 (2020) 5."""
     low, high = brackets[LOW * lanes + k], brackets[HIGH * lanes + k]
     a, b = brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k]
@@ -174,13 +179,13 @@ def _next_point(brackets, lanes, k, tolerance):
     slack = max(radius - 0.5 * (high - low), 0.0)
     point = low - a * ((high - low) / (b - a))
     side = 1.0 if middle >= point else -1.0
-    away = max(0.2 * (high - low) ** 2, tolerance)
+    away = max(0.2 * (high - low) ** 2, brackets[LEAST * lanes + k])
     point = point + side * away if away <= abs(middle - point) else middle
     return point if abs(point - middle) <= slack else middle - side * slack
 
 
 @loop_part
-def _narrow(brackets, lanes, k, x, value, tolerance):
+def _narrow(brackets, lanes, k, x, value):
     """Take the value at a point into a bracket; what to do next."""
     low, high = LOW * lanes + k, HIGH * lanes + k
     if math.isnan(value):
@@ -189,7 +194,8 @@ def _narrow(brackets, lanes, k, x, value, tolerance):
         brackets[low], brackets[AT_LOW * lanes + k] = x, value
     else:
         brackets[high], brackets[AT_HIGH * lanes + k] = x, value
-    return BRACKET if value != 0.0 and brackets[high] - brackets[low] > 4.0 * tolerance else FOUND
+    is_wide = brackets[high] - brackets[low] > 4.0 * brackets[LEAST * lanes + k]
+    return BRACKET if value != 0.0 and is_wide else FOUND
 
 
 @loop_part
@@ -232,7 +238,7 @@ def _extremum(brackets, lanes, k, x, value, direction, trials):
 
 
 @loop_part
-def _choose_points(search, queue, brackets, tolerance):
+def _choose_points(search, queue, brackets):
     """The next point of each lane in which something is searched; whether there is one."""
     lanes, is_any = search[LANES], False
     for k in range(queue[LENGTH * lanes]):
@@ -242,7 +248,7 @@ def _choose_points(search, queue, brackets, tolerance):
             if at_low == 0.0 or at_high == 0.0 or queue[TRIALS * lanes + k] >= _MOST:
                 queue[DOING * lanes + k] = FOUND
                 continue
-            brackets[point] = _next_point(brackets, lanes, k, tolerance)
+            brackets[point] = _next_point(brackets, lanes, k)
         elif doing == EXTREMUM and queue[TRIALS * lanes + k] == 0:
             brackets[point] = 0.5
         if doing in (BRACKET, EXTREMUM):
@@ -290,18 +296,22 @@ def _locate(searched, trial, shape, search, queue, brackets, tolerance):
             call_generated(function, 1, trial, (0, 1))
             for k in range(lanes):
                 wide[(clock + 1) * lanes + k] += 1.0
-        elif _choose_points(search, queue, brackets, tolerance):
+        elif _choose_points(search, queue, brackets):
             _step_to_points(searched, trial, shape, search, brackets)
         else:
             break
         call_generated(function, WATCH, trial, (0, 0))
         for k in range(n):
             doing, event = queue[DOING * lanes + k], queue[EVENT * lanes + k]
-            point, value = brackets[POINT * lanes + k], float(values[(size + event) * lanes + k])
+            point = brackets[POINT * lanes + k]
+            brackets[AT_POINT * lanes + k] = values[(size + event) * lanes + k]
+            value = brackets[AT_POINT * lanes + k]
             if marching and doing <= PASS:
-                doing = _march(searched, trial, shape, search, queue, brackets, k, doing == PASS)
+                doing = _march(
+                    searched, trial, shape, search, queue, brackets, k, doing == PASS, tolerance
+                )
             elif not marching and doing == BRACKET:
-                doing = _narrow(brackets, lanes, k, point, value, tolerance)
+                doing = _narrow(brackets, lanes, k, point, value)
             elif not marching and doing == EXTREMUM:
                 direction, trials = search[OF_EACH + 2 * event], queue[TRIALS * lanes + k]
                 doing = _extremum(brackets, lanes, k, point, value, direction, trials)
@@ -330,11 +340,8 @@ def _flush(tiles, shape, search, found, queue, brackets, io):
     times, stopped, final, diagnostics, tolerance = found
     _, _, _, _, _, clock = shape
     lanes, events = search[LANES], search[EVENTS]
-    n, latest = queue[LENGTH * lanes], 0.0
-    for k in range(n):
-        latest = max(latest, abs(numbers[0] / numbers[1] + queue[END * lanes + k]))
-    least = max(tolerance, latest * 2.0**-52)
-    _locate(searched, trial, shape, search, queue, brackets, least)
+    n = queue[LENGTH * lanes]
+    _locate(searched, trial, shape, search, queue, brackets, tolerance)
     queue[LENGTH * lanes] = 0
     stops = False
     for k in range(n):
