@@ -44,6 +44,8 @@ class LazyTrajectory:
         mass.
     status : dask.array.Array
         (N,), a flag of each body.
+    event_times : dask.array.Array
+        (N, E), s, of a run with events.
     method : str
         The method's name.
     """
@@ -78,12 +80,7 @@ class LazyTrajectory:
     @property
     def event_times(self) -> Any:
         """Times of events, s, (N, E), of a run with some."""
-        return self.runs.map_blocks(
-            lambda run: run.event_times,
-            chunks=(self.bodies.sizes, (self.events,)),
-            new_axis=1,
-            meta=np.empty((0, 0)),
-        )
+        return self.bodies.array(self.runs, "event_times", (), np.float64, (self.events,))
 
     def compute(self, **options: Any) -> Trajectory:
         """The run's trajectory; ``options`` are those of ``dask.compute``."""

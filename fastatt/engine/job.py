@@ -68,8 +68,8 @@ class Job:
 
     @cached_property
     def formulas(self) -> Formulas:
-        """Its formulas, traced when they are asked for; neither tiles nor clocks matter to them."""
-        return _formulas(replace(self, width=WIDTH, own_steps=False))
+        """Its formulas, traced when they are asked for; a tile's width is no matter of theirs."""
+        return _formulas(replace(self, width=WIDTH, own_steps=self.own_steps and not self.events))
 
     @property
     def is_searched(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fastatt import checks
-from fastatt.engine.job import Watch
+from fastatt.engine.events import Watch
 from fastatt.scene.models import Packed, resources_of
 from fastatt.scene.scene import Scene
 from fastatt.tracing.user import FORMS, user_function
