@@ -1,8 +1,8 @@
 """A job's formulas over the lanes of a tile, in one generated function.
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
-tile begins, a block of steps, what a save holds, the projection onto the group, and the change to
-another step size. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
+tile begins, a block of steps, what a save holds, the projection onto the group, the change to
+another step size, and the values of the functions that are watched for events. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations

@@ -165,9 +165,9 @@ class Run:
     """A run over some bodies of an ensemble: (first body, how many).
 
     ``q`` and ``y``, attitudes and what is carried with them, are (1, k) or (N, k); ``times`` are
-    (t0, h, edge); ``results`` saved values (S, N, k), norm errors (S, N) and status (N,). The
-    ``states`` (n, k) and ``diagnostics`` (3, n) are those of the part; ``largest_angle`` of a step,
-    rad, is what calls found since ``reset``.
+    (t0, h, share of h by which a splitting is ahead); ``results`` saved values (S, N, k), norm
+    errors (S, N) and status (N,). The ``states`` (n, k) and ``diagnostics`` (3, n) are those of the
+    part; ``largest_angle`` of a step, rad, is what calls found since ``reset``.
     """
 
     def __init__(
