@@ -2,7 +2,8 @@
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
 tile begins, a block of steps, what a save holds, the projection onto the group, the change to
-another step size, and the values of the functions that are watched for events. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
+another step size, and the values of the functions that are watched for events. ``Layout`` says
+where in ``rows`` and ``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations
