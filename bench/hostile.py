@@ -4,7 +4,7 @@ Scenes are drawn at random: thruster pulses, jumps, ramps, smooth pulses and dra
 or as a rate, and the tolerance and the duration with them. What is recommended is run on all bodies
 and compared with a run of rk8 whose steps end at each jump and corner, which a run of half as many
 steps confirms. Printed are how many promises were kept and broken, and how many cases were refused,
-warned of, or beyond what the comparison knows.
+warned of, or beyond what the comparison knows; of scenes that declare their breakpoints as well.
 
     python bench/hostile.py                       # 300 scenes, 2000 runs
     python bench/hostile.py --scenes 8 --runs 16
@@ -17,6 +17,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -97,8 +98,10 @@ class Case(NamedTuple):
     breaks: list[float]
 
 
-def draw(seed: int, number: int, bodies: int, *, rates: bool = True) -> Case:
-    """A case of one kind after another."""
+def draw(
+    seed: int, number: int, bodies: int, *, rates: bool = True, declared: bool = False
+) -> Case:
+    """A case of one kind after another; its scene has breakpoints where they are ``declared``."""
     rng = np.random.default_rng((seed, number))
     kinds = [k for k, (_, is_rate, _) in KINDS.items() if rates or not is_rate]
     kind = kinds[number % len(kinds)]
@@ -109,11 +112,12 @@ def draw(seed: int, number: int, bodies: int, *, rates: bool = True) -> Case:
     if rng.random() < 0.3:  # even times, on which steps may end by chance
         begin, width = t0 + t_end * rng.integers(1, 8) / 8, t_end / 2.0 ** rng.integers(4, 9)
     p = (10.0 ** rng.uniform(-1.0, 0.5), begin, begin + width)
+    breakpoints = p[1 : 1 + breaks] if declared else ()
     if is_rate:
-        scene = fa.Scene(rate=function, params=p)
+        scene = fa.Scene(rate=function, params=p, breakpoints=breakpoints)
     else:
         a = rng.uniform(0.5, 2.0, 3)
-        scene = fa.Scene(inertia=a.sum() - a, torque=function, params=p)
+        scene = fa.Scene(inertia=a.sum() - a, torque=function, params=p, breakpoints=breakpoints)
     q0 = rng.normal(size=(bodies, 4))
     w0 = None if is_rate else rng.normal(size=(bodies, 3)) * 10.0 ** rng.uniform(-1.0, 0.3)
     tol = 10.0 ** rng.uniform(-10.0, -2.0)
@@ -166,9 +170,9 @@ def outcome(case: Case, chosen: Any) -> tuple[str, float]:
     return "kept" if kept else "broken", error / chosen.expected_error
 
 
-def advised(seed: int, number: int) -> tuple[str, str, float]:
+def advised(seed: int, number: int, *, declared: bool = False) -> tuple[str, str, float]:
     """What ``recommend`` does with one case."""
-    case = draw(seed, number, 12)
+    case = draw(seed, number, 12, declared=declared)
     try:
         chosen = fa.recommend(
             case.scene, case.q0, case.w0, t_end=case.t_end, t0=case.t0, tol=case.tol,
@@ -181,9 +185,9 @@ def advised(seed: int, number: int) -> tuple[str, str, float]:
     return case.kind, *outcome(case, chosen)
 
 
-def stepped(seed: int, number: int) -> tuple[str, str, float]:
+def stepped(seed: int, number: int, *, declared: bool = False) -> tuple[str, str, float]:
     """What per-body steps do with one case."""
-    case = draw(seed, number, 24, rates=False)
+    case = draw(seed, number, 24, rates=False, declared=declared)
     method = ("rk8", "rk4", "rk9", "gbs16")[number // 5 % 4]
     try:
         chosen = fa.per_body_steps(
@@ -215,7 +219,12 @@ def report(scenes: int, runs: int, seed: int, seconds: float = float("inf")) -> 
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     begin = perf_counter()
-    parts = (("recommend", advised, scenes, 0.4), ("per-body steps", stepped, runs, 1.0))
+    parts = (
+        ("recommend", advised, scenes, 0.2),
+        ("recommend with breakpoints", partial(advised, declared=True), scenes, 0.5),
+        ("per-body steps", stepped, runs, 0.7),
+        ("per-body steps with breakpoints", partial(stepped, declared=True), runs, 1.0),
+    )
     for name, trial, count, share in parts:
         found = []
         for number in range(count):

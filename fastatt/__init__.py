@@ -27,14 +27,14 @@ __all__ = [
     "PerBodySteps", "Plan", "Recommendation", "Reducer", "Scene", "Status", "StepWarning",
     "TimeSeries", "Trajectory", "WorkPrecision", "angle_between", "angular_momentum",
     "angular_velocity", "check_convergence", "checkpoint", "closed_form", "dcm_to_quat", "drift",
-    "drift_statistics", "error_budget", "estimation", "euler313_to_quat", "event", "forces",
-    "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange", "interpolate",
-    "kernels", "kinetic_energy", "lie_group", "mean_attitude", "methods_for", "per_body_steps",
-    "plan", "plots", "potential_energy", "propagate", "propagate_directions", "quat_multiply",
-    "quat_rotate", "quat_rotate_inverse", "quat_to_dcm", "quat_to_euler313",
-    "quat_to_rotation_vector", "rates", "read_gyro_log", "recommend", "reducer",
-    "rotation_vector_to_quat", "runge_kutta", "single_step", "to_file", "to_scipy", "torques",
-    "work_precision",
+    "drift_statistics", "error_budget", "estimation", "euler313_to_quat", "euler_to_quat", "event",
+    "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
+    "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude", "methods_for",
+    "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy", "propagate",
+    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
+    "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector", "rates",
+    "read_gyro_log", "recommend", "reducer", "rotation_vector_to_quat", "runge_kutta",
+    "single_step", "to_file", "to_scipy", "torques", "work_precision",
 ]  # fmt: skip
 
 # imported when it is first asked for, so that a process pays for what it uses
@@ -44,11 +44,13 @@ if TYPE_CHECKING:
         angle_between,
         dcm_to_quat,
         euler313_to_quat,
+        mrp_to_quat,
         quat_multiply,
         quat_rotate,
         quat_rotate_inverse,
         quat_to_dcm,
         quat_to_euler313,
+        quat_to_mrp,
         quat_to_rotation_vector,
         rotation_vector_to_quat,
     )
@@ -56,6 +58,7 @@ if TYPE_CHECKING:
     from fastatt.engine.status import Status
     from fastatt.estimation.filters import mean_attitude
     from fastatt.estimation.single_steps import single_step
+    from fastatt.euler import euler_to_quat, quat_to_euler
     from fastatt.gyro import gyro_steps
     from fastatt.gyro.integrate import integrate_rates
     from fastatt.gyro.streaming import GyroIntegrator

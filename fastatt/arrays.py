@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.codegen.rows import kind_of, rows
-from fastatt.tracing.formulas import dcm, euler313, quat
+from fastatt.tracing.formulas import dcm, euler313, mrp, quat
 
 # by how much an element of CᵀC may be off
 _NOT_ORTHOGONAL = 0.01
 
 
-def _on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:
+def on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:
     """A formula on rows (..., n) that broadcast: (..., after), or (...) where it gives a number."""
     inputs = {f"x{k}": x.shape[-1] for k, x in enumerate(given)}
     kind = kind_of(np.result_type(*given))
@@ -40,7 +40,7 @@ def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
     """Direction cosine matrices (..., 3, 3) of quaternions (..., 4), of any length but zero."""
-    found = _on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
+    found = on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
     return found.reshape((*found.shape[:-1], 3, 3))
 
 
@@ -71,12 +71,12 @@ def _rotations(name: str, C: Any) -> NDArray[Any]:
 
 def quaternions_of(found: NDArray[Any]) -> NDArray[Any]:
     """Unit quaternions of matrices that propagation may have left without orthogonality."""
-    return _on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
+    return on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
 
 
 def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) of 3-1-3 angles (φ, θ, ψ), rad, (..., 3)."""
-    return _on_rows(euler313.to_quat, floats("angles", angles, (3,)), after=4)
+    return on_rows(euler313.to_quat, floats("angles", angles, (3,)), after=4)
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
@@ -84,17 +84,30 @@ def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
 
     Quaternions are normalised first: their length does not count.
     """
-    return _on_rows(_of_unit(euler313.from_quat), floats("q", q, (4,)), after=3)
+    return on_rows(_of_unit(euler313.from_quat), floats("q", q, (4,)), after=3)
 
 
 def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     """Unit quaternions (..., 4) of rotation vectors (..., 3), rad, any angle."""
-    return _on_rows(quat.exp, floats("u", u, (3,)), after=4)
+    return on_rows(quat.exp, floats("u", u, (3,)), after=4)
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
     """Rotation vectors (..., 3), rad, of at most π, of quaternions (..., 4)."""
-    return _on_rows(quat.log, floats("q", q, (4,)), after=3)
+    return on_rows(quat.log, floats("q", q, (4,)), after=3)
+
+
+def mrp_to_quat(sigma: ArrayLike) -> NDArray[Any]:
+    """Unit quaternions (..., 4) of modified Rodrigues parameters (..., 3) of any length."""
+    return on_rows(mrp.to_quat, floats("sigma", sigma, (3,)), after=4)
+
+
+def quat_to_mrp(q: ArrayLike) -> NDArray[Any]:
+    """Modified Rodrigues parameters e tan(φ/4), |σ| ≤ 1, (..., 3), of quaternions (..., 4) not 0.
+
+    At exactly half a turn, |σ| = 1, the axis keeps the sign of the vector part.
+    """
+    return on_rows(_of_unit(mrp.from_quat), floats("q", q, (4,)), after=3)
 
 
 def normalised(q: NDArray[Any]) -> NDArray[Any]:
@@ -123,7 +136,7 @@ def _product(
 ) -> NDArray[Any]:
     left, right = floats(p_name, p, (4,)), floats(name, value, (length,))
     _check_broadcast(p_name, left, name, right)
-    return _on_rows(formula, left, right, after=length)
+    return on_rows(formula, left, right, after=length)
 
 
 def _check_broadcast(p_name: str, left: NDArray[Any], name: str, right: NDArray[Any]) -> None:
@@ -147,9 +160,9 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
     Raises ``ValueError`` for other shapes and for matrices of no rotation, ``TypeError`` for other
     things than numbers.
     """
-    p, q = _as_quat("a", a), _as_quat("b", b)
+    p, q = as_quat("a", a), as_quat("b", b)
     _check_broadcast("a", p, "b", q)
-    found = _on_rows(_angle, p, q, after=None)
+    found = on_rows(_angle, p, q, after=None)
     return found if found.ndim else float(found)
 
 
@@ -157,7 +170,8 @@ def _angle(p: Any, q: Any) -> Any:
     return quat.angle(quat.normalise(p), quat.normalise(q))
 
 
-def _as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
+def as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
+    """Quaternions (..., 4) of quaternions or of rotations (..., 3, 3)."""
     found = checks.numbers(name, value, "real numbers")
     if found.shape[-2:] == (3, 3):
         return quaternions_of(_rotations(name, found))

@@ -89,6 +89,8 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     q = np.tile(_TILTED, (n, 1))
     w = None if scene.kind == "rate" else np.tile([0.1, 0.2, 0.3], (n, 1))
     carried: dict[str, Any] = {"v0": np.zeros((n, 3))} if scene.moves else {}
+    if scene.states:
+        carried["s0"] = np.zeros((n, scene.states))
     placed: dict[str, Any] = {"r0": np.ones((n, 3))}
     if scene.needs_position:
         carried |= placed
@@ -96,7 +98,7 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
         propagate, scene, q, w, n_steps=_STEPS, method=task.method, dtype=task.dtype,
         representation=task.representation, **carried,
     )  # fmt: skip
-    if carried and not scene.needs_position and task.representation in _USUAL:
+    if scene.moves and not scene.needs_position and task.representation in _USUAL:
         run(dt=0.01, **placed)
     found = run(dt=0.01)
     # conversions of the states
@@ -129,6 +131,7 @@ def _functions(dtype: str) -> None:
     arrays.dcm_to_quat(arrays.quat_to_dcm(q))
     arrays.euler313_to_quat(arrays.quat_to_euler313(q))
     arrays.rotation_vector_to_quat(arrays.quat_to_rotation_vector(q))
+    arrays.mrp_to_quat(arrays.quat_to_mrp(q))
     arrays.quat_rotate(q, v)
     arrays.quat_rotate_inverse(q, v)
     for moments in (_MOMENTS, np.multiply.outer(_OWN, _MOMENTS)):

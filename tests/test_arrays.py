@@ -32,6 +32,7 @@ def mp_angle(p, q):
         (fa.quat_to_dcm, fa.dcm_to_quat, (3, 3)),
         (fa.quat_to_euler313, fa.euler313_to_quat, (3,)),
         (fa.quat_to_rotation_vector, fa.rotation_vector_to_quat, (3,)),
+        (fa.quat_to_mrp, fa.mrp_to_quat, (3,)),
     ],
 )
 @each("lead", [(), (1,), (50,), (5, 10), (5, 2, 5), (0,)])
@@ -73,7 +74,8 @@ def test_matrix_and_vector_at_their_hard_places(turn):
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize(
-    "name", ["quat_to_dcm", "quat_to_euler313", "quat_rotate", "quat_rotate_inverse"]
+    "name",
+    ["quat_to_dcm", "quat_to_euler313", "quat_to_mrp", "quat_rotate", "quat_rotate_inverse"],
 )
 def test_length_of_a_quaternion_says_nothing(name, dtype):
     v = () if name.startswith("quat_to") else (np.array([1.0, -2.0, 3.0], dtype),)

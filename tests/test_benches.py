@@ -22,6 +22,7 @@ import consistency
 import hostile
 import long_runs
 import method_table
+import mutations
 import per_body_steps
 import polhodes
 import recordings
@@ -212,3 +213,54 @@ def test_consistency_of_filters(capsys, monkeypatch):
     found = np.array([[float(x.replace(",", "")) for x in row] for row in rows])
     assert np.abs(found[:, 0] - 6.0).max() < 1.5
     assert (found[2, 2:] > 50.0).all()
+
+
+# mutations
+
+
+def test_mutations_are_small_changes_of_what_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(mutations, "ROOT", tmp_path)
+    file = tmp_path / "code.py"
+    file.write_text(
+        """def f(x: int = 3) -> list[1]:
+    '''Not 4.'''
+    if x < y and not z:
+        raise ValueError(f"{x + 1}")
+    return g(x, -y, sorted=True, strict=True)
+"""
+    )
+    found = {(m.lines[0], m.old, m.new) for m in mutations.mutations(file)}
+    call = "g(x, -y, sorted=True, strict=True)"
+    assert found == {
+        (1, "3", "(4)"), (1, "3", "(2)"),
+        (3, "x < y and not z", "(not (x < y and (not z)))"),
+        (3, "x < y and not z", "(x < y or not z)"),
+        (3, "x < y", "(x <= y)"), (3, "not z", "(z)"),
+        (4, 'raise ValueError(f"{x + 1}")', "pass"),
+        (5, call, "(g(-y, x, sorted=True, strict=True))"), (5, call, "(g(x, -y, strict=True))"),
+        (5, "-y", "(y)"), (5, "True", "(False)"),
+    }  # fmt: skip
+
+
+def test_mutations_are_noticed_or_survive(tmp_path, monkeypatch, capsys):
+    """Of a package with two numbers, one of which no test looks at."""
+    root = tmp_path / "checkout"
+    (root / "fastatt").mkdir(parents=True)
+    (root / "tests").mkdir()
+    (root / "fastatt/__init__.py").touch()
+    (root / "fastatt/code.py").write_text("seen = 1\nunseen = 5\n")
+    test = "from fastatt.code import seen\n\ndef test_seen():\n    assert seen == 1\n"
+    (root / "tests/test_code.py").write_text(test)
+    monkeypatch.setattr(mutations, "ROOT", root)
+    monkeypatch.setattr(
+        sys, "argv", ["mutations.py", "--count", "4", "--folder", f"{tmp_path}/run"]
+    )
+    mutations.main()
+    lines = capsys.readouterr().out.splitlines()
+    outcomes = dict(zip(lines[:-1:2], lines[1:-1:2], strict=True))
+    assert len(outcomes) == 4
+    for mutation, outcome in outcomes.items():
+        noticed = outcome.strip().startswith("noticed: FAILED tests/test_code.py::test_seen")
+        assert noticed == (":1 (byte 7): '1'" in mutation)
+        assert noticed or outcome.strip() == "survived"
+    assert lines[-1] == "Counter({'noticed': 2, 'survived': 2})"

@@ -314,6 +314,15 @@ def test_errors_without_a_file_are_a_line(capsys, monkeypatch, error, line):
     assert capsys.readouterr().err == f"fastatt: {line}\n"
 
 
+def test_ctrl_c_in_a_command_is_a_line(capsys, monkeypatch):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fastatt.cli.precompile.where", interrupted)
+    assert main(["cache"]) == 130
+    assert capsys.readouterr().err == "fastatt: stopped\n"
+
+
 def test_ctrl_c_while_modules_are_imported_is_a_line(capsys, monkeypatch):
     known = builtins.__import__
 

@@ -9,11 +9,12 @@ from fastatt.attitudes.angles import ANGLES
 from fastatt.attitudes.attitude import Attitude
 from fastatt.attitudes.direction import DIRECTION
 from fastatt.attitudes.matrix import MATRIX
+from fastatt.attitudes.mrp import MRP
 from fastatt.attitudes.quaternion import COMPENSATED, QUATERNION
 from fastatt.attitudes.rotation_vector import ROTATION_VECTOR
 from fastatt.attitudes.rows import ROWS
 
-_ALL = (QUATERNION, MATRIX, ROWS, ANGLES, ROTATION_VECTOR)
+_ALL = (QUATERNION, MATRIX, MRP, ROWS, ANGLES, ROTATION_VECTOR)
 ATTITUDES: Mapping[str, Attitude] = MappingProxyType({a.name: a for a in _ALL})
 
 #: all that the library has; the names of some are those of others

@@ -24,7 +24,7 @@ _FORMULAS = (
 
 
 #: what limits of steps are given for
-FAMILIES = ("quaternion", "matrix", "coordinates")
+FAMILIES = ("quaternion", "matrix", "mrp", "coordinates")
 # a step, s, of a derivative that is compared; numbers of the same meaning are so near
 _SMALL, _ALIKE = 1e-4, 1e-9
 
@@ -131,7 +131,8 @@ class Attitude:
     #: square of the rate that limits an explicit step
     speed_squared: Formula = body_speed
     #: which steps' limits hold, of ``FAMILIES``: as of quaternions, whose numbers turn at half the
-    #: body's rate, of matrices, at its rate, or of coordinates with poles; "" the least of all
+    #: body's rate, of matrices, at its rate, of modified Rodrigues parameters, or of coordinates
+    #: with poles; "" the least of all
     family: str = ""
     #: the attitude without low parts, of one that carries what rounding loses
     uncompensated: Attitude | None = None

@@ -18,7 +18,7 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
-from fastatt.propagation.initial import initial
+from fastatt.propagation.initial import INITIAL, initial
 from fastatt.scene.scene import Scene, as_scene
 
 # bodies of a chunk: 0.5 s of a thousand steps, 6 MB of states
@@ -83,8 +83,7 @@ class Bodies:
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
         """
         as_scene(scene)
-        names = ("q0", "w0", "v0", "r0")
-        lazy = {k: x for k, x in zip(names, values, strict=True) if isinstance(x, da.Array)}
+        lazy = {k: x for k, x in zip(INITIAL, values, strict=True) if isinstance(x, da.Array)}
         for name, x in lazy.items():
             if any(math.isnan(size) for size in x.shape):
                 raise ValueError(
@@ -98,7 +97,7 @@ class Bodies:
         n = max(rows)
         scene.packed(n)  # which refuses other numbers of bodies
         sizes = _sizes(chunks, n, [x for x in lazy.values() if x.ndim == 2 and len(x) == n])
-        given = tuple(_chunked(known[k], n, sizes) if k in known else None for k in names)
+        given = tuple(_chunked(known[k], n, sizes) if k in known else None for k in INITIAL)
         return cls(scene, given, sizes)
 
     def mapped(self, function: Callable[..., Any]) -> Any:

@@ -17,7 +17,8 @@ from fastatt.dask.chunks import Bodies, like
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
-from fastatt.propagation.event import Event, events_of
+from fastatt.propagation.event import Event, check_steps, events_of
+from fastatt.propagation.initial import INITIAL
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
 from fastatt.propagation.trajectory import Trajectory
@@ -42,6 +43,8 @@ class LazyTrajectory:
     v, r : dask.array.Array
         (S, N, 3), m/s along body axes and, of a run with r0, m along inertial axes; of a scene with
         mass.
+    s : dask.array.Array
+        (S, N, n), of a scene with n states.
     status : dask.array.Array
         (N,), a flag of each body.
     event_times : dask.array.Array
@@ -66,8 +69,10 @@ class LazyTrajectory:
         tails = {"q": (4,), "w": (3,), "dcm": (3, 3)}
         if self.bodies.scene.moves:
             tails["v"] = (3,)
-        if self.bodies.given[-1] is not None:
+        if self.bodies.given[INITIAL.index("r0")] is not None:
             tails["r"] = (3,)
+        if self.bodies.scene.states:
+            tails["s"] = (self.bodies.scene.states,)
         if name not in tails:
             raise AttributeError(f"{name}: found none; accepted: {', '.join(tails)}, status, t")
         return self.bodies.array(self.runs, name, (self.t.size,), self.dtype, tails[name])
@@ -128,8 +133,10 @@ def propagate(
     *,
     v0: Any = None,
     r0: Any = None,
+    s0: Any = None,
     dt: float,
-    n_steps: int,
+    n_steps: int | None = None,
+    t_end: float | None = None,
     chunks: int | Sequence[int] | None = None,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
@@ -146,10 +153,10 @@ def propagate(
     Parameters
     ----------
     scene : the scene; of one with numbers per body each chunk is sent its part.
-    q0, w0, v0, r0 : as of :func:`fastatt.propagate`, numpy or Dask arrays, one of them with a row
-        for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
+    q0, w0, v0, r0, s0 : as of :func:`fastatt.propagate`, numpy or Dask arrays, one of them with a
+        row for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
-    dt, n_steps : numbers, the same for all bodies.
+    dt, n_steps, t_end : numbers, the same for all bodies.
     method, representation, save_every, dtype, t0, compensated, normalise, invalid, events : as of
         :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
         fails its chunk, and the error has a note of which bodies those are.
@@ -176,15 +183,17 @@ def propagate(
     """
     watched = events_of(events)
     record, named = sent(scene, method, representation, compensated, normalise, watched)
-    clock = Clock.of(dt, n_steps, save_every)
+    clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
+    check_steps(watched, as_scene(scene), clock.ends)
     begin = checks.real("t0", t0)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
-    bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=flag)
-    kind = checks.precision(dtype, *map(like, (q0, w0, v0, r0)))
+    given = (q0, w0, v0, r0, s0)
+    bodies = Bodies.of(scene, given, chunks, flag=flag)
+    kind = checks.precision(dtype, *map(like, given))
     options = {
-        "dt": dt, "n_steps": n_steps, "save_every": save_every, "method": named, "dtype": kind,
-        "representation": representation, "compensated": compensated, "normalise": normalise,
-        "invalid": invalid, "t0": begin, "events": watched,
+        "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "method": named,
+        "dtype": kind, "representation": representation, "compensated": compensated,
+        "normalise": normalise, "invalid": invalid, "t0": begin, "events": watched,
     }  # fmt: skip
     runs = bodies.mapped(partial(_propagated, options=options))
     return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind, len(watched))
@@ -207,6 +216,5 @@ def sent(
 
 def _propagated(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Trajectory:
     """The trajectory of a chunk, which says its rates without the scene."""
-    q0, w0, v0, r0 = states
-    run = run_chunk(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
+    run = run_chunk(scene, **dict(zip(INITIAL, states, strict=True)), n_threads=1, **options)
     return replace(run, carried={"w": run.w, **run.carried}, packed=None, end=None)

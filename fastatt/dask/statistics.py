@@ -20,6 +20,7 @@ from fastatt.methods import Method
 from fastatt.propagation.drift_statistics import Measure
 from fastatt.propagation.drift_statistics import drift_statistics as chunk_statistics
 from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.initial import INITIAL
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.measure import Case, Problem, Row, counted, last_state, row_of, with_orders
 from fastatt.trade.reference import reference
@@ -56,6 +57,7 @@ def drift_statistics(
     every: int,
     v0: Any = None,
     r0: Any = None,
+    s0: Any = None,
     chunks: int | Sequence[int] | None = None,
     **options: Any,
 ) -> Any:
@@ -70,7 +72,7 @@ def drift_statistics(
     if wrong := sorted(options.keys() - _OPTIONS):
         raise TypeError(f"{wrong[0]}: found; accepted: {', '.join(_OPTIONS)}")
     flag = options.get("invalid") == "flag"
-    bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=flag)
+    bodies = Bodies.of(scene, (q0, w0, v0, r0, s0), chunks, flag=flag)
     options["method"] = sent(scene, options.get("method"), options.get("representation", "quat"))[1]
     return bodies.merged(_joined, partial(_statistics, options={**options, "every": every}))
 
@@ -84,6 +86,7 @@ def work_precision(
     runs: Sequence[tuple[str | Method, int]],
     v0: Any = None,
     r0: Any = None,
+    s0: Any = None,
     t0: float = 0.0,
     chunks: int | Sequence[int] | None = None,
     representation: str | Attitude = "quat",
@@ -93,7 +96,7 @@ def work_precision(
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, t0, chunks : as of :func:`propagate`.
+    scene, q0, w0, v0, r0, s0, t0, chunks : as of :func:`propagate`.
     t_end : duration, s, above 0.
     runs : (method, number of steps) of each row.
     representation, dtype : in which the runs are made.
@@ -121,7 +124,7 @@ def work_precision(
             raise TypeError(f"runs: found {checks.brief(run)}; accepted: (method, number of steps)")
         method = sent(scene, run[0], representation)[1]
         cases.append((Case(method, representation, kind), checks.whole("runs", run[1], 1)))
-    bodies = Bodies.of(scene, (q0, w0, v0, r0), chunks, flag=False)
+    bodies = Bodies.of(scene, (q0, w0, v0, r0, s0), chunks, flag=False)
     seconds, begin = duration(t_end), checks.real("t0", t0)
     work = partial(_measured, cases=cases, t_end=seconds, t0=begin)
     return bodies.merged(partial(_table, kind=scene.kind, cases=cases, t_end=seconds), work)
@@ -129,8 +132,8 @@ def work_precision(
 
 def _statistics(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Drifts:
     """Drifts of a chunk."""
-    q0, w0, v0, r0 = states
-    seen = chunk_statistics(scene, q0, w0, v0=v0, r0=r0, n_threads=1, **options)
+    given = dict(zip(INITIAL, states, strict=True))
+    seen = chunk_statistics(scene, **given, n_threads=1, **options)
     run = seen.trajectory
     return _of_parts([seen], seen.saves, run.status.size, run.status_counts())
 

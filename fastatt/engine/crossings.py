@@ -13,13 +13,21 @@ from typing import Any
 
 from fastatt._jit import loop_part
 from fastatt.codegen.call import call_generated
+from fastatt.engine.stops import (
+    ADVANCE,
+    DT,
+    SAVE,
+    WATCH,
+    copy_lane,
+    copy_tile,
+    leave_steps,
+    shorter_step,
+)
 
 #: steps of a block in which events are looked for
 SEARCH_BLOCK = 16
 #: what a lane keeps of each event: the values after the last two steps, whether it is marked
 EVENT_ROWS = 3
-#: the part of a program's function that gives the values of all events
-WATCH = 5
 
 #: ``arrays`` after those of the loop: memory for the state at the begin of a block; numbers of the
 #: search; rows of the events of the part, found times (N, E), when a body stopped, s, and what is
@@ -27,7 +35,7 @@ WATCH = 5
 (
     BEGUN_AT, SEARCH, HISTORY, TIMES, STOPPED, FINAL, SEARCH_ROWS, SEARCH_WIDE, _, _, _, _, _,
     TRIAL_ROWS, TRIAL_WIDE, BRACKETS, QUEUE,
-) = range(26, 43)  # fmt: skip
+) = range(28, 45)  # fmt: skip
 
 #: numbers of the search: its function; how many events; lanes of its tile; then of each event its
 #: direction and whether it is terminal
@@ -72,22 +80,6 @@ _crosses, _turns = loop_part(crosses), loop_part(turns)
 
 
 @loop_part
-def shorter_step(function, regrid, tile, lanes, clock):
-    """A step of the size in the row OTHER of each lane's clock, from the times of its steps."""
-    _, wide, _, _ = tile
-    dt, before, begun, other = clock, clock + 1, clock + 2, clock + 3
-    call_generated(regrid, 4, tile, (0, 0))
-    for j in range(lanes):
-        # the time where the shorter step begins, by those before it
-        wide[begun * lanes + j] += wide[before * lanes + j] * wide[dt * lanes + j]
-        wide[before * lanes + j] = 0.0
-        wide[dt * lanes + j] = wide[other * lanes + j]
-    call_generated(function, 1, tile, (0, 1))
-    for j in range(lanes):
-        wide[before * lanes + j] = 1.0
-
-
-@loop_part
 def begin_events(function, tile, shape, search, history, base, count, step):
     """Rows of the events of a tile: of the initial state, or as they were after so many steps."""
     rows, _, _, _ = tile
@@ -123,18 +115,6 @@ def _join_queue(tile, begun_at, shape, search, queue, entry, searched):
     wide_to[clock * lanes + k] = numbers[1]
     wide_to[(clock + 1) * lanes + k] = float(entry[FIRST])
     wide_to[(clock + 2) * lanes + k] = numbers[0]
-
-
-@loop_part
-def _copy(searched, trial, shape, lanes):
-    """The lanes of the search, for a trial."""
-    rows, wide, _, _ = searched
-    to, wide_to, _, _ = trial
-    _, _, n_rows, n_wide, _, _ = shape
-    for i in range(n_rows * lanes):
-        to[i] = rows[i]
-    for i in range(n_wide * lanes):
-        wide_to[i] = wide[i]
 
 
 @loop_part
@@ -260,21 +240,19 @@ def _choose_points(search, queue, brackets):
 @loop_part
 def _step_to_points(searched, trial, shape, search, brackets):
     """Shorter steps of all lanes to their points."""
-    rows, wide, _, _ = searched
-    to, wide_to, _, _ = trial
-    _, _, n_rows, n_wide, _, clock = shape
-    lanes, function = search[LANES], search[FUNCTION]
-    _copy(searched, trial, shape, lanes)
+    _, wide, _, _ = searched
+    _, wide_to, _, _ = trial
+    lanes, _, _, _, _, clock = shape
+    function = search[FUNCTION]
+    copy_tile(searched, trial, shape)
+    leave_steps(function, trial, shape)
     for k in range(lanes):
-        x = brackets[POINT * lanes + k] * wide[clock * lanes + k]
-        wide_to[(clock + 3) * lanes + k] = x
-    shorter_step(function, function, trial, lanes, clock)
+        step = (clock + DT) * lanes + k
+        wide_to[step] = brackets[POINT * lanes + k] * wide[step]
+    shorter_step(function, function, trial, shape)
     for k in range(lanes):
         if brackets[POINT * lanes + k] == 0.0:
-            for i in range(n_rows):
-                to[i * lanes + k] = rows[i * lanes + k]
-            for i in range(n_wide):
-                wide_to[i * lanes + k] = wide[i * lanes + k]
+            copy_lane(searched, trial, shape, k)
 
 
 @loop_part
@@ -292,8 +270,8 @@ def _locate(searched, trial, shape, search, queue, brackets, tolerance):
         for k in range(n):
             marching = marching or queue[DOING * lanes + k] <= PASS
         if marching:
-            _copy(searched, trial, shape, lanes)
-            call_generated(function, 1, trial, (0, 1))
+            copy_tile(searched, trial, shape)
+            call_generated(function, ADVANCE, trial, (0, 1))
             for k in range(lanes):
                 wide[(clock + 1) * lanes + k] += 1.0
         elif _choose_points(search, queue, brackets):
@@ -338,10 +316,11 @@ def _flush(tiles, shape, search, found, queue, brackets, io):
     _, wide, numbers, _ = searched
     rows, _, _, _ = trial
     times, stopped, final, diagnostics, tolerance = found
-    _, _, _, _, _, clock = shape
+    _, size, n_rows, n_wide, angle_row, clock = shape
     lanes, events = search[LANES], search[EVENTS]
+    narrow = lanes, size, n_rows, n_wide, angle_row, clock
     n = queue[LENGTH * lanes]
-    _locate(searched, trial, shape, search, queue, brackets, tolerance)
+    _locate(searched, trial, narrow, search, queue, brackets, tolerance)
     queue[LENGTH * lanes] = 0
     stops = False
     for k in range(n):
@@ -352,8 +331,8 @@ def _flush(tiles, shape, search, found, queue, brackets, io):
             stops = stops or search[OF_EACH + 2 * event + 1] != 0
     forward, (io_row, saved) = (1.0 if numbers[1] > 0.0 else -1.0), io
     if stops:
-        _step_to_points(searched, trial, shape, search, brackets)
-        call_generated(search[FUNCTION], 2, trial, (0, 0))
+        _step_to_points(searched, trial, narrow, search, brackets)
+        call_generated(search[FUNCTION], SAVE, trial, (0, 0))
     for k in range(n):
         body, event = queue[BODY * lanes + k], queue[EVENT * lanes + k]
         time = times[body * events + event]

@@ -30,7 +30,9 @@ def values(scope: Scope) -> Vector:
     t, since = scope.time(), scope.number("since")
     x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
     own, structure = scope.parts(x)[0], scope.job.structure
-    moved = tuple(map(Double, own[len(own) - structure.moved :]))
+    # velocity and position come before the states of the scene
+    end = len(own) - structure.turning.law.states
+    moved = tuple(map(Double, own[len(own) - structure.beside : end]))
     p = scope.graph.inputs("double", "p", structure.turning.n_params)
     found = []
     for watch in scope.job.events:

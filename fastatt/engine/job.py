@@ -16,8 +16,9 @@ from fastatt.codegen.memory import DTYPES
 from fastatt.engine import double_states
 from fastatt.engine.events import Watch, after_step, values
 from fastatt.engine.loop import WIDTH
-from fastatt.engine.status import SAVED
+from fastatt.engine.status import SAVED, relative_change
 from fastatt.methods.method import Method
+from fastatt.scene.coupled import Coupled
 from fastatt.scene.equations import (
     Body,
     EquationsOfMotion,
@@ -28,13 +29,10 @@ from fastatt.scene.equations import (
     motion_of,
 )
 from fastatt.scene.rates import is_constant
-from fastatt.scene.translation import Coupled
 from fastatt.tracing.finished import Constants, Flat, resources_of
-from fastatt.tracing.formulas import Vector, as_like, dot, quat, scale
+from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import Double, Graph, Number, both, choose
 
-# a relative change is taken from invariants above this
-_TINY = 1e-37
 # |m|² below which products of rates lose digits
 _LOST = {"double": 1e-305, "single": 1e-36}
 
@@ -59,10 +57,12 @@ class Job:
     known: bool = False
     raw: bool = False
     projects: bool = False
-    #: each body has a step of its own, and saves are at any times
+    #: step size and time are numbers of a tile's lanes: per-body ones, or those of a shorter step
     own_steps: bool = False
     #: what is watched at the end of each step
     events: tuple[Watch, ...] = ()
+    #: rates, torques and forces are evaluated between two breakpoints, which lanes know
+    windowed: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
     width: int = WIDTH
 
@@ -204,20 +204,31 @@ class Formulas:
         measures = {"norm": norm_error, "invariant": relative_change(before, scope.invariants(x))}
         return scope.finished((*y, *(measures[name] for name in SAVED)))
 
-    @cached_property
-    def regrid(self) -> Flat | None:
-        """The state, and what is prepared, for a step ("k",) from those for another; None if same.
-
-        ("other",) is the edge of the new step.
-        """
+    @property
+    def _regrids(self) -> bool:
+        """Whether what is stepped depends on the step size."""
         steps = self.job.method.steps
-        if steps is None or not (steps.prepare or steps.enter or steps.leave):
+        return steps is not None and bool(steps.prepare or steps.enter or steps.leave)
+
+    @cached_property
+    def leave(self) -> Flat | None:
+        """The state from the one that is stepped; None if they are the same."""
+        if not self._regrids:
             return None
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
         x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        e = scope.prepared(scope.number("k"), x)
-        return scope.finished((*scope.entered(t, scope.number("other"), x, e), *e))
+        return scope.finished(x)
+
+    @cached_property
+    def enter(self) -> Flat | None:
+        """What is stepped, and what is prepared, from the state; None if they are the same."""
+        if not self._regrids:
+            return None
+        scope = self.scope()
+        x = scope.state()
+        e = scope.prepared(scope.number("h"), x)
+        return scope.finished((*scope.entered(scope.time(), scope.number("edge"), x, e), *e))
 
     @cached_property
     def project(self) -> Flat | None:
@@ -285,10 +296,13 @@ class Scope:
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
         self.motion: EquationsOfMotion
-        if structure.force is None:
+        if not structure.beside:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:
             self.motion = Coupled(self.attitude, structure, p, like)
+        if self.job.windowed:
+            low, high = (self.graph.time(self.graph.input("double", x)) for x in ("low", "high"))
+            self.motion.evaluate_between(low, high)
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Numbers of the state's precision."""
@@ -326,7 +340,7 @@ class Scope:
         own, auxiliary = self.parts(x)
         if steps.stage is not None:
             y, z = steps.stage(self.motion, t, h, k, own, e)
-        elif isinstance(turning := self.job.structure.turning, RigidBody):
+        elif isinstance(turning := self.job.structure.turning, RigidBody) or turning.law.states:
             assert steps.body is not None
             y, z = steps.body(self.motion, t, h, own)
         else:
@@ -428,20 +442,6 @@ class Scope:
         seen = dot(turn, turn) > float(np.finfo(DTYPES[self.kind]).eps)
         lost = both(dot(m, m) < _LOST[self.kind], seen)
         return tuple(choose(lost, math.nan, each) for each in kept)
-
-
-def relative_change(a: Vector, b: Vector) -> Any:
-    """Largest relative change from the invariants a to b, 0 where there are none."""
-    changes = []
-    for x, y in zip(a, b, strict=True):
-        there = x > _TINY
-        change = abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0))
-        # beyond the largest number nothing is known of it, while the state itself is finite
-        changes.append(choose(x < math.inf, change, choose(x > 0.0, 0.0, x)))
-    if not changes:
-        return 0.0
-    x, y = changes
-    return choose(x > y, x, y)
 
 
 @lru_cache(maxsize=64)

@@ -14,7 +14,9 @@ never a bit. Bodies whose rotation angles are known beforehand are not monitored
 
 With per-body step sizes, bodies step together, each by its own step size, to the last of its steps
 before a save, and one that is there waits. The saved state is one shorter step of the same method
-from there, on a copy: the steps of a body depend neither on its neighbours nor on the saves.
+from there, on a copy: the steps of a body depend neither on its neighbours nor on the saves. At a
+breakpoint this shorter step is kept, and the steps of all bodies are counted from there. With one
+step size for all, a step in which breakpoints lie is taken in parts, which end there.
 """
 
 from __future__ import annotations
@@ -30,35 +32,55 @@ from numba import types
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
 from fastatt.engine import crossings
+from fastatt.engine.stops import (
+    ADVANCE,
+    BEFORE,
+    BEGIN,
+    BREAKS,
+    COUNT,
+    COUNTED_FROM,
+    DT,
+    ENDS,
+    ENTER,
+    LEAVE,
+    PART_SIZE,
+    PROJECT,
+    SAVE,
+    SLACK,
+    STOP_SIZE,
+    TAKEN,
+    TIME,
+    count_from_stop,
+    count_steps,
+    on_grid,
+    set_clock,
+    step_to_stop,
+)
 
 #: bodies side by side in a tile at most; few bodies take one vector
 WIDTH = 64
 
-#: parts of a program's function
-BEGIN, ADVANCE, SAVE, PROJECT, REGRID = range(5)
-
 #: ``arrays``: the program's numbers; initial attitudes and what is carried with them, parameters,
 #: known rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,);
-#: states and diagnostics of the part, and the largest angle of a step, rad; of per-body steps the
-#: order of the bodies, their step sizes, the stops as (time since the start, slack), and the slots
-#: of those that are saves, else −1; then the memory of a tile
+#: states and diagnostics of the part, largest angle of a step, rad; of per-body steps the order of
+#: bodies, step sizes, stops, their slots or −1; parts of steps, and of which; memory of a tile
 (
     NUMBERS, WHOLE, Q0, Y0, PARAMS, KNOWN_ANGLES, FLAGS, OUT, ERRORS, STATUS, STATES,
-    DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, ROWS, WIDE, KEPT, MARKS, BODY_OF,
-    WAITING, LEFT, COPY, WIDE_COPY,
-) = range(26)  # fmt: skip
+    DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, PARTS, PART_STEPS, ROWS, WIDE, KEPT,
+    MARKS, BODY_OF, WAITING, LEFT, COPY, WIDE_COPY,
+) = range(28)  # fmt: skip
 
 #: ``settings``: the functions for small angles and for any, or 0; steps (of per-body steps: stops)
 #: [first, last) of a run of ``n_steps``; saves every so many steps from ``origin`` on, the first in
-#: slot ``slot``; steps between two projections, 0 of none; steps of a block; bodies of the part,
-#: the first of them, and of the ensemble; the lengths of what a run starts from; the layout of a
-#: tile
+#: slot ``slot``; steps between two projections, 0 of none; steps of a block; the first of the parts
+#: of steps and how many there are; bodies of the part, the first of them, and of the ensemble; the
+#: lengths of what a run starts from; the layout of a tile
 (
-    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BLOCK, BODIES, BODY,
-    ENSEMBLE, Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH, TILE_WIDTH, N_ROWS,
-    N_WIDE, SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW, IO_ROW, CLOCK_ROW,
-    MONITOR, DIAGNOSTICS, FLAG_CODES,
-) = range(33)  # fmt: skip
+    SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BLOCK, PART, N_PARTS, BODIES,
+    BODY, ENSEMBLE, Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH,
+    TILE_WIDTH, N_ROWS, N_WIDE, SIZE, SAVED, COORDINATES, CARRIED, N_PARAMS, ANGLE_ROW, BOUND_ROW,
+    IO_ROW, CLOCK_ROW, MONITOR, DIAGNOSTICS, FLAG_CODES,
+) = range(35)  # fmt: skip
 
 #: how rotation angles are monitored: no other form for large ones, every step, known beforehand
 #: from an array, or from a row of the tile
@@ -68,11 +90,8 @@ ANGLE, NORM = range(2)
 #: ``limits``: the angle up to which known ones are not monitored; then bounds of the diagnostics
 QUIET, BOUNDS = range(2)
 NON_FINITE = 1
-#: per-body clocks, rows of ``wide`` from ``CLOCK_ROW`` on
-DT, BEFORE, BEGUN, OTHER = range(4)
 
 PI_SQUARED = math.pi * math.pi
-EPS = 2.0**-52
 
 
 @loop_part
@@ -89,14 +108,6 @@ def _raise(values, at, value):
     """Keep the larger of two numbers, or NaN."""
     if not (values[at] >= value or values[at] != values[at]):
         values[at] = value
-
-
-@loop_part
-def _on_grid(time, slack, step):
-    """(whole steps to a time since the start, what remains); rounding leaves nothing."""
-    count = math.floor(time / step * (1.0 + 4.0 * EPS))
-    rest = time - count * step
-    return count, rest if abs(rest) > slack else 0.0
 
 
 @loop_part
@@ -215,53 +226,6 @@ def _set_status(states, diagnostics, arrays, settings, limits, first, count):
         status[body] = found
 
 
-@loop_part
-def _count_steps(settings, tile, waiting, left, time, slack):
-    """Steps of each lane to its last before a stop; a lane without any waits. The most of them."""
-    rows, wide, _, _ = tile
-    width, clock, most = settings[TILE_WIDTH], settings[CLOCK_ROW], 0
-    for j in range(width):
-        count, _ = _on_grid(time, slack, wide[(clock + DT) * width + j])
-        left[j] = int(count - wide[(clock + BEFORE) * width + j])
-        most = max(most, left[j])
-        if left[j] <= 0:
-            for i in range(settings[SIZE]):
-                waiting[i * width + j] = rows[i * width + j]
-    return most
-
-
-@loop_part
-def _step_to_save(settings, tile, copied, left, time, slack):
-    """Step a copy of a tile to a save; whether the form that it takes was there."""
-    rows, wide, _, _ = tile
-    copy, wide_copy, _, _ = copied
-    width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
-    n_rows, n_wide = settings[N_ROWS], settings[N_WIDE]
-    for i in range(n_rows * width):
-        copy[i] = rows[i]
-    for i in range(n_wide * width):
-        wide_copy[i] = wide[i]
-    partial = False
-    for j in range(width):
-        _, rest = _on_grid(time, slack, wide[(clock + DT) * width + j])
-        left[j] = 1 if rest != 0.0 else 0
-        wide_copy[(clock + OTHER) * width + j] = rest
-        partial = partial or rest != 0.0
-    if not partial:
-        return True
-    form = settings[SMALL] if settings[MONITOR] == NEVER else settings[ANY]
-    if form == 0:
-        return False
-    crossings.shorter_step(form, settings[SMALL], copied, width, clock)
-    for j in range(width):
-        if left[j] == 0:
-            for i in range(n_rows):
-                copy[i * width + j] = rows[i * width + j]
-            for i in range(n_wide):
-                wide_copy[i * width + j] = wide[i * width + j]
-    return True
-
-
 def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
     """The loop for a precision, for one step size for all or per-body ones, and with events."""
     # of a point in a step: a step's time and the state are not known better
@@ -271,6 +235,8 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
         """Steps of a span on tiles; the tile at which the form for any angle was missing."""
         width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
         angle_row, io_row, clock = settings[ANGLE_ROW], settings[IO_ROW], settings[CLOCK_ROW]
+        shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
+        small = settings[SMALL]
         numbers, whole = doubles(arrays[NUMBERS]), wholes(arrays[WHOLE])
         rows, wide = reals(arrays[ROWS], kind), doubles(arrays[WIDE])
         kept, waiting = reals(arrays[KEPT], kind), reals(arrays[WAITING], kind)
@@ -281,6 +247,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
         params, known = doubles(arrays[PARAMS]), doubles(arrays[KNOWN_ANGLES])
         step_sizes, stops = doubles(arrays[STEP_SIZES]), doubles(arrays[STOPS])
         order, slots = wholes(arrays[ORDER]), wholes(arrays[SLOTS])
+        parts, part_steps = doubles(arrays[PARTS]), wholes(arrays[PART_STEPS])
         tile = rows, wide, numbers, whole
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
         if events:
@@ -296,7 +263,6 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
             brackets, queue = doubles(arrays[crossings.BRACKETS]), wholes(arrays[crossings.QUEUE])
             tiles = searched, trial
             found = times, stopped, final, diagnostics, tolerance
-            shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
             io = io_row, settings[SAVED]
         for number in range(first_tile, last_tile):
             base = number * width
@@ -308,29 +274,30 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
             _load(q0, settings[Q0_LENGTH], attitude, body_of, rows, io_row, width)
             _load(y0, settings[Y0_LENGTH], carried, body_of, rows, io_row + attitude, width)
             _load(params, settings[PARAMS_LENGTH], settings[N_PARAMS], body_of, wide, 0, width)
+            part, ahead = settings[PART], 0
             if per_body:
                 _load(step_sizes, settings[ENSEMBLE], 1, body_of, wide, clock, width)
-                for j in range(width):
-                    before = 0.0
-                    if settings[FIRST] > 0:
-                        stop = 2 * (settings[FIRST] - 1)
-                        step = wide[(clock + DT) * width + j]
-                        before, _ = _on_grid(stops[stop], stops[stop + 1], step)
-                    wide[(clock + BEFORE) * width + j] = before
-                    wide[(clock + BEGUN) * width + j] = numbers[0]
+                row = settings[FIRST] * STOP_SIZE
+                set_clock(shape, wide, BEFORE, stops, row + COUNT)
+                if settings[FIRST] > 0:
+                    slack = stops[row - STOP_SIZE + SLACK]
+                    time = stops[row - STOP_SIZE + TIME] - stops[row + COUNTED_FROM]
+                    for j in range(width):
+                        before, _ = on_grid(time, slack, wide[(clock + DT) * width + j])
+                        wide[(clock + BEFORE) * width + j] = before
+            elif part > 0:
+                set_clock(shape, wide, DT, parts, (part - 1) * PART_SIZE)
             watched, saved = (states, diagnostics, base), (out, errors, diagnostics, base)
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
             if events:
                 since = settings[FIRST] - settings[ORIGIN]
-                crossings.begin_events(
-                    settings[SMALL], tile, shape, search, history, base, count, since
-                )
+                crossings.begin_events(small, tile, shape, search, history, base, count, since)
             at, slot = settings[FIRST], -1
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
             while True:
                 if slot >= 0:
-                    _save(settings, copied if per_body else tile, body_of, saved, slot, at)
+                    _save(settings, tile, body_of, saved, slot, at)
                     if events:
                         save = slot * settings[ENSEMBLE]
                         crossings.save_stopped(
@@ -339,15 +306,28 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                 if at >= settings[LAST]:
                     break
                 # up to the next save or projection, or the steps of each lane to the next stop
+                stays, slot = False, -1
                 if per_body:
-                    time, slack = stops[2 * at], stops[2 * at + 1]
-                    begin, end = 0, _count_steps(settings, tile, waiting, left, time, slack)
+                    row = at * STOP_SIZE
+                    time, slack = stops[row + TIME] - stops[row + COUNTED_FROM], stops[row + SLACK]
+                    begin, end = 0, count_steps(shape, tile, waiting, left, time, slack)
+                elif part < settings[N_PARTS] and part_steps[part] == at:
+                    call_generated(small, LEAVE, tile, (at + ahead, 0))
+                    row = part * PART_SIZE
+                    set_clock(shape, wide, DT, parts, row)
+                    call_generated(small, ENTER, tile, (at, 0))
+                    begin, end = at, at + int(parts[row + TAKEN])
+                    stays = parts[row + ENDS] == 0.0
+                    ahead = end - at if stays else 0
+                    part += 1
                 else:
                     begin, every = at, settings[EVERY]
                     end = ((at - settings[ORIGIN]) // every + 1) * every + settings[ORIGIN]
                     end = min(end, settings[LAST])
                     if settings[PROJECTION] > 0:
                         end = min(end, (at // settings[PROJECTION] + 1) * settings[PROJECTION])
+                    if part < settings[N_PARTS]:
+                        end = min(end, part_steps[part])
                 while begin < end:
                     # at multiples of a block, wherever a call begins: bits do not depend on it
                     stop = min((begin // settings[BLOCK] + 1) * settings[BLOCK], end)
@@ -385,14 +365,25 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                         rows[i] = waiting[i]
                     for j in range(width):
                         wide[(clock + BEFORE) * width + j] += max(left[j], 0)
-                    slot = slots[at]
-                    if slot >= 0 and not _step_to_save(settings, tile, copied, left, time, slack):
+                    is_break = stops[row + BREAKS] != 0.0
+                    is_met = slots[at] >= 0 or is_break
+                    form = small if settings[MONITOR] == NEVER else settings[ANY]
+                    if is_met and not step_to_stop(
+                        small, form, shape, tile, copied, left, time, slack
+                    ):
                         return number
+                    if slots[at] >= 0:
+                        _save(settings, copied, body_of, saved, slots[at], 0)
+                    if is_break:
+                        for j in range(count):
+                            angle = copied[0][angle_row * width + j] if left[j] != 0 else 0.0
+                            _raise(diagnostics, ANGLE * n + base + j, angle)
+                        count_from_stop(small, shape, tile, copied, stops, row + STOP_SIZE)
                     at += 1
-                else:
-                    at, slot = end, -1
+                elif not stays:
+                    at = end
                     if settings[PROJECTION] > 0 and at % settings[PROJECTION] == 0:
-                        call_generated(settings[SMALL], PROJECT, tile, (0, 0))
+                        call_generated(small, PROJECT, tile, (0, 0))
                         for j in range(count):
                             _raise(diagnostics, NORM * n + base + j, rows[io_row * width + j])
                     since = at - settings[ORIGIN]
@@ -422,8 +413,8 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
     return set_all_status
 
 
-#: the loop is compiled anew where the search changes
-_SEARCH = Path(crossings.__file__).read_bytes()
+#: the loop is compiled anew where its parts in other files change
+_OTHERS = [Path(__file__).with_name(x).read_bytes() for x in ("crossings.py", "stops.py")]
 _POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
 _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 
@@ -431,7 +422,7 @@ _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 @functools.cache
 def tile_loop(kind: str, *, per_body: bool, events: bool = False) -> Callable[..., int]:
     """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
-    return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _SEARCH)
+    return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _OTHERS)
 
 
 @functools.cache

@@ -2,8 +2,8 @@
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
 tile begins, a block of steps, what a save holds, the projection onto the group, the change to
-another step size, and the values of the functions that are watched for events. ``Layout`` says
-where in ``rows`` and ``wide`` each number of a lane lies.
+another step size, to the state and from it, and the values of the functions that are watched for
+events. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTi
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.engine.crossings import EVENT_ROWS, WATCH
+from fastatt.engine.crossings import EVENT_ROWS
 from fastatt.engine.job import Formulas, Job
-from fastatt.engine.loop import ADVANCE, BEGIN, PROJECT, REGRID, SAVE
 from fastatt.engine.status import SAVED
+from fastatt.engine.stops import ADVANCE, BEGIN, ENTER, LEAVE, PROJECT, SAVE, WATCH
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
@@ -31,9 +31,9 @@ from fastatt.tracing.nodes import Node
 ROWS, WIDE, NUMBERS = range(3)
 #: the first of ``numbers``; parameters that bodies share follow, then a method's stages
 T0, H, EDGE, PARAMETERS = range(4)
-#: per-body steps: the step size, the steps taken before, the time at which they began, s, and the
-#: step size that a tile's lanes change to
-CLOCK = ("dt", "before", "begin", "other")
+#: of lanes with a clock: the step size, the steps taken before, the time at which they began, s,
+#: and the least and the largest time at which rates, torques and forces are evaluated
+CLOCK = ("dt", "before", "begin", "low", "high")
 
 Array = NDArray[Any]
 
@@ -152,7 +152,8 @@ class Program(TwoForms):
         add("save", forms.save, "moment", io=forms.handed_out + len(SAVED))
         add("project", forms.project, x=forms.size, io=1)
         if job.own_steps:
-            add("regrid", forms.regrid, "moment", x=forms.size, e=forms.extras)
+            add("leave", forms.leave, "moment", x=forms.size)
+            add("enter", forms.enter, "moment", x=forms.size, e=forms.extras)
         return found
 
     def _step(
@@ -193,9 +194,7 @@ class Program(TwoForms):
         n, dt, begin = (graph.input("double", name) for name in ("n", "dt", "begin"))
         steps: Any = n
         if own:
-            # a state's own count says when it is; a block counts from there
-            before = graph.input("double", "before")
-            steps = before if which == "moment" else before + n
+            steps = graph.input("double", "before") + n
         found = {"h": dt, "k": dt}
         if which == "stage":
             h, k, at = graph.inputs("double", "stage", 3)
@@ -206,9 +205,6 @@ class Program(TwoForms):
         if which == "moment":
             share = graph.input("double", "share")
             found = {"h": dt, "edge": share * dt}
-            if own:
-                other = graph.input("double", "other")
-                found |= {"k": other, "other": share * other}
         # a result of its own, the span is rounded before it is added
         exact = {"whole": since, "t": begin + since}
         found["since"] = since
@@ -261,7 +257,7 @@ class Program(TwoForms):
 
         yield "def run(part, rows, wide, numbers, whole, first, last):"
         parts = [(BEGIN, "constants"), (BEGIN, "begin"), (SAVE, "save")]
-        parts += [(PROJECT, "project"), (REGRID, "regrid"), (WATCH, "events")]
+        parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter"), (WATCH, "events")]
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
             # one loop for all, since Numba takes longer for a loop than for a condition

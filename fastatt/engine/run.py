@@ -69,13 +69,24 @@ class Fixed(NamedTuple):
 class PerBody(NamedTuple):
     """The order in which bodies are run, their step sizes, s, and where they stop.
 
-    ``stops`` are (time since the start, slack of its rounding), s; ``slots`` the saves, or −1.
+    ``stops`` are rows of ``stops.STOP_SIZE`` numbers; ``slots`` the saves, or −1.
     """
 
     order: Array
     dt: Array
     stops: Array
     slots: Array
+
+
+class Parts(NamedTuple):
+    """Steps of one step size for all that are taken in parts.
+
+    ``clocks`` are rows of ``stops.PART_SIZE`` numbers, the first of them the clock that the run
+    begins with; ``steps`` says after how many whole steps each begins, −1 of the first.
+    """
+
+    clocks: Array
+    steps: Array
 
 
 @lru_cache(maxsize=256)
@@ -153,12 +164,12 @@ class Setup:
             self.search_numbers = [self.search.entry, len(job.events), lanes, *each]
             if not config.DISABLE_JIT:
                 self.search_numbers = np.array(self.search_numbers, dtype=np.int64)
-        #: tables, parameters, known angles and flags as the loop takes them; no per-body steps
+        #: tables, parameters, known angles and flags as the loop takes them; no array
         self.fixed: list[Any] = [[*(x for _, x in self.tables), n_stages], *numbers]
-        self.uniform: list[Any] = [np.zeros(0)] * 4
+        self.unused: Any = np.zeros(0)
         if not config.DISABLE_JIT:
+            self.unused = 0
             self.fixed = [address_of(x) for x in (self._whole, *numbers)]
-            self.uniform = [0] * 4
 
 
 class Run:
@@ -178,10 +189,11 @@ class Run:
         times: tuple[float, float, float],
         results: tuple[Array, Array, Array],
         per_body: PerBody | None = None,
+        parts: Parts | None = None,
         event_times: Array | None = None,
     ) -> None:
         self.setup, self.bodies, self.start, self.times = setup, bodies, start, times
-        self.results, self.per_body = results, per_body
+        self.results, self.per_body, self.parts = results, per_body, parts
         made = setup.program
         job, kind = made.job, DTYPES[made.job.kind]
         self.states = np.empty((bodies[1], made.formulas.size), kind)
@@ -212,8 +224,13 @@ class Run:
     def part(self, span: Span, first: int, last: int) -> None:
         """Steps of a span on the tiles [first, last); several threads may call it at a time."""
         made, bounds, largest = self.setup.program, self.setup.bounds, np.zeros(1)
-        settings = [made.entry, made.any_angle, *span.__dict__.values(), *self._settings]
-        arrays = [*self._arrays, largest, *(self.per_body or self.setup.uniform)]
+        per_body, parts = self.per_body, self.parts
+        numbers = [0, 0]
+        if parts is not None:
+            numbers = [int(np.searchsorted(parts.steps, span.first)), parts.steps.size]
+        settings = [made.entry, made.any_angle, *span.__dict__.values(), *numbers, *self._settings]
+        unused = self.setup.unused
+        arrays = [*self._arrays, largest, *(per_body or [unused] * 4), *(parts or [unused] * 2)]
         if not isinstance(made, Program):
             made.run(self, span)
             status = loop.status_loop(made.job.kind)
@@ -224,7 +241,9 @@ class Run:
             search, job = self.setup.search, made.job
             if search is not None:
                 arrays += [self.setup.search_numbers, *self._events, *search.memory()]
-            run_tiles = loop.tile_loop(job.kind, per_body=job.own_steps, events=search is not None)
+            run_tiles = loop.tile_loop(
+                job.kind, per_body=per_body is not None, events=search is not None
+            )
             while first < last:
                 first = call_loop(run_tiles, arrays, settings, bounds, first, last)
                 if first < last:

@@ -94,10 +94,10 @@ class StepTangent:
 
 def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
     as_scene(scene)
-    if scene.kind != "rate" or scene.frame != "body" or scene.moves:
+    if scene.kind != "rate" or scene.frame != "body" or scene.is_coupled:
         raise ValueError(
-            "scene: found one with inertia, mass or rates in inertial axes; accepted: a scene "
-            "with a rate in body axes"
+            "scene: found one with inertia, mass, states or rates in inertial axes; accepted: a "
+            "scene with a rate in body axes"
         )
     return method_of(scene, method, "quat", need="is_stepped"), scene.packed(None)
 
@@ -172,8 +172,10 @@ def _window_rows(record: Method, increments: bool) -> RowFunction:
 def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
     """The method's record and the scene ready for its tangent, else ``ValueError``."""
     as_scene(scene)
-    if scene.kind == "rate" or scene.moves:
-        raise ValueError("scene: found no inertia, or mass; accepted: a scene with inertia alone")
+    if scene.kind == "rate" or scene.is_coupled:
+        raise ValueError(
+            "scene: found no inertia, or mass or states; accepted: a scene with inertia alone"
+        )
     record = method_of(scene, method, "quat", need="is_stepped")
     return record, scene.packed(None, sorted_axes=record.sorted_axes)
 

@@ -39,11 +39,12 @@ class Stepper:
     ``@njit`` code uses a function as a global or a closure (``step = stepper.step``); Numba knows
     no attributes of a Stepper. t and h are floats, s; p is ``params``, or a row of it for a scene
     with per-body parameters. The state x is the engine's, a flat tuple: the attitude's numbers,
-    then a body's angular momentum along principal axes, velocity and position. The type of x is
-    that of the arithmetic; Numba returns float32 to Python as Python's floats, so that float32
-    states are kept in arrays there, by ``step_into``.
+    then a body's angular momentum along principal axes, velocity, position and states. The type
+    of x is that of the arithmetic; Numba returns float32 to Python as Python's floats, so that
+    float32 states are kept in arrays there, by ``step_into``.
 
-    ``start(q, y, p)`` gives x; q of any length but zero; y is (), w, w + v or w + v + r, flat.
+    ``start(q, y, p)`` gives x; q of any length but zero; y is w, v, r and s, flat, as far as the
+        scene carries them.
     ``step(t, h, x, p)`` gives x at t + h.
     ``step_and_turn(t, h, x, p)`` gives (x, angle): the largest rotation angle (rad) of a stage,
         which must not pass the ``limits`` of the method's record; infinite where an iteration did
@@ -71,7 +72,8 @@ class Stepper:
     enter: Any
     advance: Any
     leave: Any
-    _names: tuple[str, ...]
+    #: what y holds, with the numbers of each
+    _carried: Mapping[str, int]
     _kind: np.dtype[Any]
 
     def __call__(self, t: float, h: float, x: Any) -> Any:
@@ -85,11 +87,11 @@ class Stepper:
 
         Raises ``ValueError`` or ``TypeError`` for another number of arguments or shape.
         """
-        if len(more) != len(self._names):
-            accepted = ", ".join(("q", *self._names))
+        if len(more) != len(self._carried):
+            accepted = ", ".join(("q", *self._carried))
             raise TypeError(f"state: found {1 + len(more)} arguments; accepted: {accepted}")
-        given = zip(self._names, more, strict=True)
-        y = [self._flat(checks.array(name, value, "(3,)")) for name, value in given]
+        given = zip(self._carried.items(), more, strict=True)
+        y = [self._flat(checks.array(name, value, f"({n},)")) for (name, n), value in given]
         attitude_0 = self._flat(checks.attitudes("q", q, "(4,)"))
         x = self.start(attitude_0, sum(y, ()), self._of(body))
         return _floats(np.array(x, dtype=self._kind))
@@ -158,12 +160,10 @@ def single_step(
     key = replace(job, kind="double")
     functions = _functions(key, packed.tables) if packed.tables else _kept(key)
     start, read = _ends(replace(key, method=METHODS["rk4"]))
-    carried = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
     return Stepper(
         method=record.name, representation=attitude.name,
         params=_floats(packed.params) if shared else packed.params, start=start, read=read,
-        **functions, _names=tuple(name for name, is_there in carried.items() if is_there),
-        _kind=kind,
+        **functions, _carried=scene.carried(position=position), _kind=kind,
     )  # fmt: skip
 
 

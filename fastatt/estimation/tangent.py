@@ -58,8 +58,8 @@ class _Unbiased(Turning):
         super().__init__(QUATERNION, structure, p, like)
         self.bias = bias
 
-    def rate(self, t: Any) -> Vector:
-        return minus(super().rate(t), self.bias)
+    def rate(self, t: Any, states: Vector = ()) -> Vector:
+        return minus(super().rate(t, states), self.bias)
 
 
 def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:

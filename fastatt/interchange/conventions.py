@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.arrays import floats, normalised, quat_rotate, quat_rotate_inverse
+from fastatt.arrays import floats, mrp_to_quat, quat_rotate, quat_rotate_inverse, quat_to_mrp
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -72,20 +72,13 @@ def to_passive(q: ArrayLike) -> NDArray[Any]:
 
 
 def to_mrp(q: ArrayLike) -> NDArray[Any]:
-    """Modified Rodrigues parameters e tan(φ/4), |σ| ≤ 1, (..., 3), of q (..., 4).
-
-    Basilisk's ``sigma_BN``. Schaub and Junkins, J. Astronaut. Sci. 44 (1996) 1, eq. 4.
-    """
-    p = normalised(floats("q", q, (4,)))
-    shorter = np.where(p[..., :1] < 0.0, -p, p)
-    return np.asarray(shorter[..., 1:] / (1.0 + shorter[..., :1]))
+    """Modified Rodrigues parameters of q (..., 4), Basilisk's ``sigma_BN``: ``fa.quat_to_mrp``."""
+    return quat_to_mrp(q)
 
 
 def from_mrp(sigma: ArrayLike) -> NDArray[Any]:
-    """Unit q (..., 4) of modified Rodrigues parameters (..., 3), the shadow set too."""
-    s = floats("sigma", sigma, (3,))
-    z = (s * s).sum(axis=-1, keepdims=True)
-    return np.asarray(np.concatenate([1.0 - z, s + s], axis=-1) / (1.0 + z))
+    """Unit q (..., 4) of modified Rodrigues parameters (..., 3): ``fa.mrp_to_quat``."""
+    return mrp_to_quat(sigma)
 
 
 def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:

@@ -23,7 +23,8 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
 
     ``t`` s; ``body``, of an ensemble; ``q0`` to ``q3``, body to inertial, scalar first; ``wx``,
     ``wy``, ``wz`` rad/s along body axes; where the scene carries them ``vx`` to ``vz`` m/s along
-    body axes and ``rx`` to ``rz`` m along inertial axes; ``status``, of the whole run.
+    body axes, ``rx`` to ``rz`` m along inertial axes, and states ``s0``, ``s1`` …; ``status``, of
+    the whole run.
     """
     q = run.q
     shape = q.shape[:-1]
@@ -37,6 +38,8 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
         if name == "w" or name in run.carried:
             value = getattr(run, name)
             found |= {f"{name}{axis}": value[..., k] for k, axis in enumerate("xyz")}
+    if "s" in run.carried:
+        found |= {f"s{k}": run.s[..., k] for k in range(run.s.shape[-1])}
     status = run.status[0] if run.one_body else run.status
     found["status"] = np.broadcast_to(status, shape)
     return found

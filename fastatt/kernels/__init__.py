@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         free_body,
         heavy_top,
         moser_veselov,
+        mrp,
         quat,
         rigid,
         so3,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "axis_angle", "compensated", "coning", "dcm", "elliptic", "error_state", "euler313",
-    "free_body", "heavy_top", "moser_veselov", "quat", "rigid", "so3", "sym3", "trig",
+    "free_body", "heavy_top", "moser_veselov", "mrp", "quat", "rigid", "so3", "sym3", "trig",
     "vec3",
 ]  # fmt: skip
 

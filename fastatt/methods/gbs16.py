@@ -89,7 +89,7 @@ METHOD = Method(
     rate_calls=1 + sum(n - 1 for n in COLUMNS),
     exponentials=0,
     couples=True,
-    limits={"quaternion": 5.9, "matrix": 2.9, "coordinates": 0.3},
+    limits={"quaternion": 5.9, "matrix": 2.9, "mrp": 2.9, "coordinates": 0.3},
     steps=Steps(body=step),
     damping_limit=7.3,
     summary="extrapolated midpoint rule: torques that are quick to evaluate, errors below 1e-6",

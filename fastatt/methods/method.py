@@ -94,7 +94,8 @@ class Method:
     damping_limit: float = math.inf
     #: whether it can carry what rounding loses
     compensates: bool = False
-    #: whether velocity and position can be part of what it steps, as a scene with mass needs
+    #: whether velocity, position and states can be part of what it steps, as a scene with mass or
+    #: states needs; its step of a body is then that of a rate with states too
     couples: bool = False
 
     def __reduce_ex__(self, protocol: Any) -> Any:

@@ -175,8 +175,10 @@ def explicit_method(
     **fields: Any,
 ) -> Method:
     """Record of a tableau, with its limits."""
-    # the angles' rates grow without bound near their poles
-    limits = dict(zip(FAMILIES, (of_quaternions, of_matrices, 0.3), strict=True))
+    # modified Rodrigues parameters go from half a turn towards a whole one in a step, where they
+    # are infinite, and the angles' rates grow without bound near their poles
+    of_mrp = min(0.8 * of_quaternions, 2.5)
+    limits = dict(zip(FAMILIES, (of_quaternions, of_matrices, of_mrp, 0.3), strict=True))
     step = stepped(tableau, first_turn=first_turn)
     return Method(
         name=name,

@@ -46,11 +46,12 @@ def methods_for(
 
 def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
     """Whether a method takes a scene, in a representation, by name or one's own."""
+    takes_kind = scene.kind in method.scenes or (scene.states > 0 and method.couples)
     return (
-        scene.kind in method.scenes
+        takes_kind
         and (representation is None or method.stores(representation))
         and (scene.kind != "torqued" or _takes(method, scene))
-        and (method.couples or not scene.moves)
+        and (method.couples or not scene.is_coupled)
     )
 
 
@@ -146,8 +147,9 @@ def _reason(method: Method, scene: Scene) -> str:
         return f" ({method.name} needs {needed}; this scene has {found})"
     if scene.kind not in method.scenes:
         return f" ({method.name} is for {', '.join(method.scenes)} bodies; this is {scene.kind})"
-    if scene.moves and not method.couples:
-        return f" ({method.name} steps no velocity; this scene has mass)"
+    if scene.is_coupled and not method.couples:
+        what, found = ("velocity", "mass") if scene.moves else ("states", "states")
+        return f" ({method.name} steps no {what}; this scene has {found})"
     if scene.kind == "torqued" and not _takes(method, scene):
         return (
             f" ({method.name} needs a torque that does not depend on w, but for linear damping "

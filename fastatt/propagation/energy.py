@@ -16,7 +16,7 @@ from fastatt.scene import torques
 from fastatt.scene.equations import Body, RigidBody
 from fastatt.scene.inertia import is_tensor
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.scene.torque_record import Pose
+from fastatt.scene.torque_record import Beside, Pose
 from fastatt.tracing.formulas import quat
 
 
@@ -92,5 +92,5 @@ def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
     if motion.axes is not None:
         q = quat.mul(q, motion.axes)
     none = (0.0, 0.0, 0.0)
-    pose = Pose(QUATERNION, q, none, motion.moments, (none, r), motion.axes_given)
+    pose = Pose(QUATERNION, q, none, motion.moments, Beside(none, r), motion.axes_given)
     return (torques.potential_of(structure.law, t, pose, motion.torque_numbers),)

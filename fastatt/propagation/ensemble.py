@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.propagation.initial import initial
+from fastatt.propagation.initial import INITIAL, initial
 from fastatt.scene.scene import Scene, as_scene
 
 
@@ -22,6 +22,7 @@ class Ensemble:
     w0: NDArray[Any] | None = None
     v0: NDArray[Any] | None = None
     r0: NDArray[Any] | None = None
+    s0: NDArray[Any] | None = None
 
     @classmethod
     def of(
@@ -31,20 +32,26 @@ class Ensemble:
         w0: ArrayLike | None = None,
         v0: ArrayLike | None = None,
         r0: ArrayLike | None = None,
+        s0: ArrayLike | None = None,
     ) -> Ensemble:
         """An ensemble from the arguments of ``propagate``.
 
         Raises ``TypeError`` for what is no scene, else as ``propagate`` does.
         """
-        start, beside = initial(as_scene(scene), (q0, w0, v0, r0), flag=False)
-        found = cls(scene, start, *map(beside.get, ("w0", "v0", "r0")))
+        start, beside = initial(as_scene(scene), (q0, w0, v0, r0, s0), flag=False)
+        found = cls(scene, start, **beside)
         scene.packed(found.size)
         return found
+
+    @property
+    def initial(self) -> dict[str, Any]:
+        """Initial values by the names of ``propagate``'s arguments."""
+        return {name: getattr(self, name) for name in INITIAL}
 
     @cached_property
     def size(self) -> int:
         """Number of bodies."""
-        states = (self.q0, self.w0, self.v0, self.r0)
+        states = self.initial.values()
         return max((len(x) for x in states if x is not None and x.ndim == 2), default=1)
 
     def take(self, rows: NDArray[np.intp]) -> Ensemble:
@@ -53,5 +60,4 @@ class Ensemble:
         def chosen(x: NDArray[Any] | None) -> Any:
             return None if x is None else np.broadcast_to(x, (self.size, x.shape[-1]))[rows]
 
-        states = [chosen(x) for x in (self.q0, self.w0, self.v0, self.r0)]
-        return Ensemble(self.scene[rows], *states)
+        return Ensemble(self.scene[rows], *map(chosen, self.initial.values()))

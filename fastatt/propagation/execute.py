@@ -196,8 +196,10 @@ def _checkpoints(plan: Plan) -> list[int]:
 
 def _keeps_end(plan: Plan, options: RunOptions) -> bool:
     is_small = plan.n_bodies <= min(MOST, PART)
+    clock = plan.clock
+    ends_on_step = clock.ends is None and not isinstance(clock, PerBodyClock)
     goes_on = not any(x.terminal for x in plan.choice.events)
-    return options.keep_end and is_small and goes_on and not isinstance(plan.clock, PerBodyClock)
+    return options.keep_end and is_small and ends_on_step and goes_on
 
 
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:

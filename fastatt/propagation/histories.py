@@ -30,7 +30,7 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     """A file that the saves of a run are written to: ``propagate(..., on_save=fa.to_file(path))``.
 
     The file grows by 16 saves at a time, so that a history may be larger than memory. It holds
-    (S, N, k) numbers: attitudes, then w, v and r where the scene carries them, then norm errors.
+    (S, N, k) numbers: attitudes, then w, v, r and s where the scene carries them, then norm errors.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def saving(on_save: Any) -> tuple[Callable[[Trajectory], object] | None, Path | 
 
 
 class History:
-    """A file of (S, N, k) numbers: attitudes, w, v and r where they are carried, departures last.
+    """A file of (S, N, k) numbers: attitudes, w, v, r, s where they are carried, departures last.
 
     ``*.npy`` is mapped into memory, as ``array``; ``*.zarr`` a Zarr array, in chunks of 16 saves of
     at most 65536 bodies. One of which the first saves are there is opened, else it is made.

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.scene.scene import Scene
 
+#: initial values of a scene, in the order of the state
+INITIAL = ("q0", "w0", "v0", "r0", "s0")
+
 
 class Given(NamedTuple):
     """Initial states in a run's precision: attitudes (N, 4), and the rest of the state (N, k).
@@ -29,7 +32,7 @@ class Given(NamedTuple):
 
     @classmethod
     def of(cls, start: NDArray[Any], carried: Mapping[str, NDArray[Any]], kind: Any) -> Given:
-        """From attitudes (4,) or (N, 4) and vectors (3,) or (N, 3)."""
+        """From attitudes (4,) or (N, 4) and vectors (k,) or (N, k)."""
         values = list(carried.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
         with np.errstate(over="ignore"):
@@ -49,12 +52,12 @@ def initial(
 ) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     """Attitudes, and the other initial values in the order of the state.
 
-    ``values`` are (q0, w0, v0, r0); with ``flag`` numbers that are not finite pass.
+    ``values`` are those of ``INITIAL``; with ``flag`` numbers that are not finite pass.
 
     Raises ``ValueError`` and ``TypeError`` for what the scene does not take, and for numbers of
     bodies that do not fit each other.
     """
-    q0, w0, v0, r0 = values
+    q0, w0, v0, r0, s0 = values
     start = checks.attitudes("q0", q0, flag=flag)
     has_inertia = scene.kind != "rate"
     found = {}
@@ -62,12 +65,14 @@ def initial(
         ("w0", w0, has_inertia, True),
         ("v0", v0, scene.moves, True),
         ("r0", r0, scene.moves, scene.needs_position),
+        ("s0", s0, scene.states > 0, True),
     ):
         if value is None:
             if wanted and needed:
                 raise ValueError(f"{name}: is missing; {_taken(name, scene)}")
         elif wanted:
-            found[name] = checks.array(name, value, "(3,) or (N, 3)", flag=flag)
+            n = scene.states if name == "s0" else 3
+            found[name] = checks.array(name, value, f"({n},) or (N, {n})", flag=flag)
         else:
             raise ValueError(f"{name}: found, but this scene has none; {_taken(name, scene)}")
     same_number({**found, "q0": start})
@@ -77,10 +82,14 @@ def initial(
 def _taken(name: str, scene: Scene) -> str:
     """Which scenes take an initial value, and how it is given."""
     placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
-    which, unit = {
-        "w0": ("with inertia needs", "rad/s"), "v0": ("with mass needs", "m/s"), "r0": (placed, "m")
-    }[name]  # fmt: skip
-    return f"a scene {which} (3,) or (N, 3), {unit}"
+    n = scene.states or "n"
+    three = "(3,) or (N, 3)"
+    return {
+        "w0": f"a scene with inertia needs {three}, rad/s",
+        "v0": f"a scene with mass needs {three}, m/s",
+        "r0": f"a scene {placed} {three}, m",
+        "s0": f"a scene with states needs ({n},) or (N, {n})",
+    }[name]
 
 
 def same_number(values: Mapping[str, NDArray[Any]]) -> None:

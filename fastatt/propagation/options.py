@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.attitudes import Attitude
-from fastatt.engine.run import PerBody, Span
+from fastatt.engine.run import Parts, PerBody, Span
 from fastatt.methods.method import Method
+from fastatt.propagation.breakpoints import Breaks, breaks_of, parts_of
 from fastatt.propagation.event import Event
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
@@ -52,26 +53,39 @@ class Choice:
 
 @dataclass(frozen=True)
 class Clock:
-    """Steps and saves of a run, which goes on after ``done`` steps."""
+    """Steps and saves of a run, which goes on after ``done`` steps.
+
+    ``ends`` is the time of the end since step 0, s, where the last step is shorter.
+    """
 
     h: float
     n_steps: int
     every: int | None
     done: int = 0
+    ends: float | None = None
     #: the order in which bodies are run, if other than 0, 1, ...
     order: ClassVar[NDArray[np.int64] | None] = None
 
     @classmethod
-    def of(cls, dt: Any, n_steps: Any, save_every: Any, done: int = 0) -> Clock:
+    def of(
+        cls, dt: Any, n_steps: Any, save_every: Any, done: int = 0, *, t_end: Any = None
+    ) -> Clock:
         """A clock from the arguments of ``propagate``.
 
         Raises ``ValueError`` or ``TypeError`` for what is no step and no number of steps.
         """
+        step, ends = checks.real("dt", dt, zero=False), None
+        if t_end is not None:
+            duration = _duration(t_end, n_steps, np.array([step]))
+            n_steps = int(_steps_within(duration, step))
+            is_whole = abs(duration - n_steps * step) <= 16.0 * _EPS * abs(duration)
+            ends = None if is_whole else duration
         return cls(
-            checks.real("dt", dt, zero=False),
-            checks.whole("n_steps", n_steps, 0),
+            step,
+            checks.whole("n_steps", _given(n_steps), 0),
             None if save_every is None else checks.whole("save_every", save_every, 1),
             done,
+            ends,
         )
 
     @property
@@ -95,7 +109,10 @@ class Clock:
     def since(self) -> NDArray[np.float64]:
         """Times of the saves from step 0 on, s."""
         with np.errstate(over="ignore"):
-            return np.array(self.saved, dtype=np.float64) * self.h
+            found = np.array(self.saved, dtype=np.float64) * self.h
+        if self.ends is not None:
+            found[-1] = self.ends
+        return found
 
     def times(self, begin: float) -> NDArray[np.float64]:
         """Times of the saves, s, where step 0 begins at ``begin``.
@@ -112,6 +129,10 @@ class Clock:
     def steps(self) -> Any:
         """The step size, s, or per-body step sizes (N,)."""
         return self.h
+
+    def parts(self, begin: float, breakpoints: tuple[float, ...]) -> Parts:
+        """The steps that are taken in parts, from step 0 at ``begin``, for the engine."""
+        return parts_of(breakpoints, begin, self.h, self.end, self.ends)
 
     def longest(self, begin: float) -> float:
         """Largest |t| of the run, s."""
@@ -137,6 +158,7 @@ class PerBodyClock(Clock):
     at: NDArray[np.float64]
     since: NDArray[np.float64]
     slack: NDArray[np.float64]
+    breaks: Breaks
 
     @property
     def steps(self) -> NDArray[np.float64]:
@@ -152,16 +174,29 @@ class PerBodyClock(Clock):
 
     @cached_property
     def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Times since the start at which bodies wait for each other, with slacks; saves, or −1."""
-        legs = np.diff(self.since, prepend=0.0)
+        """The stops of the loop, saves, breakpoints and what lies between; saves, or −1."""
+        breaks, saves = self.breaks, self.at.size
+        # those after the last save are not reached
+        crossed = np.abs(breaks.since) < np.abs(self.since).max(initial=0.0)
+        crossed[0] = False
+        since = np.concatenate([self.since, breaks.since[crossed]])
+        order = np.argsort(np.abs(since), kind="stable")
+        since, is_break = since[order], order >= saves
+        slack = np.concatenate([self.slack, breaks.slack[crossed]])[order]
+        legs = np.diff(since, prepend=0.0)
         most = np.abs(legs / self.h)
         parts = np.maximum(1, np.ceil(most / _LEG)).astype(np.int64)
         ends = np.cumsum(parts) - 1
         left = np.repeat(ends, parts) - np.arange(parts.sum())
-        times = np.repeat(self.since, parts) - np.repeat(legs / parts, parts) * left
+        times = np.repeat(since, parts) - np.repeat(legs / parts, parts) * left
         slots = np.full(times.size, -1)
-        slots[ends] = np.arange(self.at.size)
-        return np.stack([times, np.repeat(self.slack, parts)], axis=1), slots
+        slots[ends] = np.where(is_break, -1, order)
+        stretch: NDArray[np.int64] = np.repeat(np.cumsum(is_break) - is_break, parts)
+        breaking = np.zeros(times.size)
+        breaking[ends] = is_break
+        columns = [times, np.repeat(slack, parts), breaking, breaks.since[stretch], 0.0 * times]
+        columns += [x[stretch] for x in (breaks.times, breaks.low, breaks.high)]
+        return np.stack(columns, axis=1), slots
 
     def per_body(self, n: int) -> PerBody:
         """Orders, step sizes and stops of n bodies, for the engine."""
@@ -214,14 +249,21 @@ def save_batches(saves: int) -> list[tuple[int, int]]:
 
 
 def clock_of(
-    dt: Any, n_steps: Any, save_every: Any, save_at: Any, begin: float, bodies: int
+    dt: Any,
+    n_steps: Any,
+    t_end: Any,
+    save_every: Any,
+    save_at: Any,
+    begin: float,
+    bodies: int,
+    breakpoints: tuple[float, ...],
 ) -> Clock:
     """The clock of a run of so many bodies from time ``begin``.
 
     Raises ``ValueError`` and ``TypeError`` for what does not fit.
     """
     if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
-        return Clock.of(dt, n_steps, save_every)
+        return Clock.of(dt, n_steps, save_every, t_end=t_end)
     if save_every is not None:
         other = "save_at" if save_at is not None else "steps of each body's own"
         raise ValueError(f"save_every: found with {other}; accepted: save_at alone")
@@ -231,9 +273,14 @@ def clock_of(
         raise ValueError(f"dt: found {steps.size} steps; accepted: one, or {bodies} of the bodies")
     if not ((steps > 0.0).all() or (steps < 0.0).all()):
         raise ValueError("dt: found steps of both signs or 0; accepted: all above 0, or all below")
-    counts = _counts(n_steps, steps.size)
-    ends = counts * steps
-    end = float(ends[0])
+    if t_end is not None:
+        end = _duration(t_end, n_steps, steps)
+        counts = _steps_within(end, steps)
+        ends = np.array([end])
+    else:
+        counts = _counts(_given(n_steps), steps.size)
+        ends = counts * steps
+        end = float(ends[0])
     if np.ptp(ends) > 16.0 * _EPS * abs(end):
         b = int(np.abs(ends - end).argmax())
         raise ValueError(
@@ -257,7 +304,30 @@ def clock_of(
         at=at,
         since=since,
         slack=slack,
+        breaks=breaks_of(breakpoints, begin, end),
     )
+
+
+def _duration(t_end: Any, n_steps: Any, dt: NDArray[np.float64]) -> float:
+    """The duration of a run, s, of the sign of its steps."""
+    if n_steps is not None:
+        raise ValueError("n_steps, t_end: found both; accepted: one of them")
+    duration = checks.real("t_end", t_end)
+    if duration * dt[0] < 0.0:
+        raise ValueError(f"t_end: found {t_end} with dt {dt[0]}; accepted: of the sign of dt")
+    return duration
+
+
+def _given(n_steps: Any) -> Any:
+    """A number of steps that is there."""
+    if n_steps is None:
+        raise ValueError("n_steps, t_end: found neither; accepted: one of them")
+    return n_steps
+
+
+def _steps_within(duration: float, dt: Any) -> Any:
+    """Steps until the end of a run, the last of which may be shorter."""
+    return np.ceil(np.abs(duration / dt) * (1.0 - 16.0 * _EPS)).astype(np.int64)
 
 
 def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:

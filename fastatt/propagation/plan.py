@@ -22,7 +22,7 @@ from fastatt.engine.run import Fixed, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
 from fastatt.propagation.closed_forms import Evaluation
-from fastatt.propagation.event import watching
+from fastatt.propagation.event import check_steps, watching
 from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Given, initial
 from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions
@@ -63,18 +63,19 @@ class Plan:
         method = choice.method
         position = position or scene.needs_position
         self.packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
-        carried = {"w": scene.kind != "rate", "v": scene.moves, "r": position}
         #: what is saved next to the attitude, with the numbers of each
-        self.carried = {name: 3 for name, is_carried in carried.items() if is_carried}
+        self.carried = scene.carried(position=position)
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed, kind)
-            self.carried["s"] = choice.reducer.columns(kind)
+            self.carried["reduced"] = choice.reducer.columns(kind)
         watches = tuple(x.watch(scene, position) for x in choice.events)
         self.packed = watching(self.packed, watches)
         self.limit = limits.turn_limit(scene, method, self.attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
         self._rates = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))
+        check_steps(choice.events, scene, clock.ends)
+        divides = bool(scene.breakpoints) or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,
@@ -85,8 +86,9 @@ class Plan:
             known=self._rates is not None,
             raw=choice.raw,
             projects=choice.projection > 0,
-            own_steps=isinstance(clock, PerBodyClock),
+            own_steps=isinstance(clock, PerBodyClock) or divides,
             events=watches,
+            windowed=bool(scene.breakpoints),
             width=n_bodies if choice.device else width_for(n_bodies, lanes),
         )
         if not method.is_exact:
@@ -113,6 +115,7 @@ class Plan:
         *,
         v0: Any = None,
         r0: Any = None,
+        s0: Any = None,
         t0: float = 0.0,
         params: Any = None,
     ) -> Trajectory:
@@ -124,7 +127,8 @@ class Plan:
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
         """
         begin = checks.real("t0", t0)
-        start, carried = initial(self.scene, (q0, w0, v0, r0), flag=self._invalid == "flag")
+        values = (q0, w0, v0, r0, s0)
+        start, carried = initial(self.scene, values, flag=self._invalid == "flag")
         given = Given.of(start, carried, self.kind)
         if given.bodies not in (1, self.n_bodies):
             raise ValueError(
@@ -210,11 +214,14 @@ class Plan:
         """
         clock, stages = self.clock, self.choice.method.stages
         share = 0.5 * float(stages[-1][1]) if stages else 0.0
-        per_body = clock.per_body(self.n_bodies) if isinstance(clock, PerBodyClock) else None
-        times = (t0, clock.h, share)
-        state = given.q, given.y
+        per_body, parts = None, None
+        if isinstance(clock, PerBodyClock):
+            per_body = clock.per_body(self.n_bodies)
+        elif self.job.own_steps:
+            parts = clock.parts(t0, self.scene.breakpoints)
+        times, state = (t0, clock.h, share), (given.q, given.y)
         run = Run(
-            self._setup, bodies, state, times, results[:3], per_body, results.event_times
+            self._setup, bodies, state, times, results[:3], per_body, parts, results.event_times
         )  # fmt: skip
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
@@ -320,6 +327,8 @@ class Plan:
             "compensated": self.attitude.compensated,
             "normalise": "never" if choice.raw else choice.projection,
             "dtype": self.kind.name,
+            "t_end": self.clock.ends,
+            "breakpoints": list(self.scene.breakpoints),
             "r0": "r" in self.carried,
             "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }

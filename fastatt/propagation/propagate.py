@@ -42,8 +42,10 @@ def propagate(
     *,
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
+    s0: ArrayLike | None = None,
     dt: float | ArrayLike,
-    n_steps: int | ArrayLike,
+    n_steps: int | ArrayLike | None = None,
+    t_end: float | None = None,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
     save_every: int | None = None,
@@ -70,9 +72,12 @@ def propagate(
     w0 : (3,) or (N, 3), initial angular velocities along body axes, rad/s; a rate scene takes none.
     v0, r0 : (3,) or (N, 3), of a scene with mass: initial velocities along body axes, m/s, and
         positions along inertial axes, m, which are carried if given.
+    s0 : (n,) or (N, n), of a scene with n states: their initial values.
     dt : step, s; negative runs backwards. Each body may have its own, (N,).
     n_steps : number of steps, at least 0; with per-body step sizes (N,), so that all end at
         one time, to rounding.
+    t_end : duration of the run, s, from ``t0`` on and of the sign of ``dt``, in place of
+        ``n_steps``. Where it is no whole number of steps, the last step is shorter.
     method : a name of ``fastatt.METHODS``, or a custom method (``fastatt.runge_kutta``,
         ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
         scene and the representation; the trajectory names it.
@@ -107,11 +112,11 @@ def propagate(
         step before by one shorter step of the same method.
     device : "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``): the same
         steps, without the closed form ``exact``. Initial values may be CuPy's arrays or Numba's
-        device arrays; ``q`` of quaternions, ``w``, ``v`` and ``r`` then stay there, but of a run
-        with ``on_save`` or a checkpoint.
+        device arrays; ``q`` of quaternions, ``w``, ``v``, ``r`` and ``s`` then stay there, but of a
+        run with ``on_save`` or a checkpoint.
     events : what :func:`fastatt.event` made, a list: the trajectory's ``event_times`` holds the
         first crossing of each body. With methods that step; without per-body step sizes,
-        ``save_at``, ``resume`` and ``device``.
+        breakpoints, a shorter last step, ``save_at``, ``resume`` and ``device``.
 
     Returns
     -------
@@ -138,7 +143,7 @@ def propagate(
         from fastatt.device.program import taken
 
         stays = on_save is None and checkpoint is None
-        gpu, (q0, w0, v0, r0) = taken(device, (q0, w0, v0, r0), stays=stays)
+        gpu, (q0, w0, v0, r0, s0) = taken(device, (q0, w0, v0, r0, s0), stays=stays)
     end = None if resume is None or checkpoint is not None else end_of(resume)
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
@@ -146,19 +151,22 @@ def propagate(
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     begin = checks.real("t0", t0)
     if end is None:
-        values = (q0, w0, v0, r0)
+        values = (q0, w0, v0, r0, s0)
         start, carried = initial(scene, values, flag=flag)
         kind = checks.precision(dtype, *values)
         if reduce is not None:
-            carried["s0"] = reduce.begin(kind)
+            carried["reduced"] = reduce.begin(kind)
             same_number({**carried, "q0": start})
         given = Given.of(start, carried, kind)
-        clock = clock_of(dt, n_steps, save_every, save_at, begin, given.bodies)
+        clock = clock_of(
+            dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene.breakpoints
+        )
         position = r0 is not None
     else:
         # initial values come from there, and saves are counted from its end
-        found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "t0": begin or None}
+        found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "s0": s0, "t0": begin or None}
         _check_alone("resume; accepted: one of them", **found, save_at=save_at)
+        _check_alone("resume; accepted: n_steps", t_end=t_end)
         if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
             raise ValueError(
                 f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "
@@ -213,7 +221,8 @@ def plan(
     n_bodies: int,
     *,
     dt: float,
-    n_steps: int,
+    n_steps: int | None = None,
+    t_end: float | None = None,
     method: str | Method | None = None,
     representation: str | Attitude = "quat",
     save_every: int | None = None,
@@ -249,7 +258,7 @@ def plan(
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
     choice = chosen(scene, method, representation, compensated, normalise, events=events_of(events))
-    clock = Clock.of(dt, n_steps, save_every)
+    clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
     checks.choice("invalid", invalid, closed_form.INVALID)
     if METHODS.get(choice.method.name) is choice.method:
         arguments["method"] = choice.method.name
@@ -302,8 +311,10 @@ def propagate_directions(
 
     Raises ``ValueError`` or ``TypeError`` as :func:`propagate` does.
     """
-    if as_scene(scene).kind != "rate" or scene.moves:
-        raise ValueError("scene: found inertia or mass; accepted: a scene with a rate alone")
+    if as_scene(scene).kind != "rate" or scene.is_coupled:
+        raise ValueError(
+            "scene: found inertia, mass or states; accepted: a scene with a rate alone"
+        )
     record = method_of(scene, method, "quat")
     v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)")
     if v.ndim == 3 and scene.rows is not None:

@@ -23,7 +23,7 @@ from fastatt.propagation.initial import Given
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_FORMAT = 3
+_FORMAT = 4
 #: bodies of which a trajectory holds its end at most
 MOST = 1 << 18
 

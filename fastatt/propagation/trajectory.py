@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import arrays
+from fastatt import arrays, checks
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
 from fastatt.engine.double_states import joined_array
 from fastatt.engine.status import Status
 from fastatt.methods import METHODS
 from fastatt.scene.equations import PrescribedRate
-from fastatt.scene.models import Packed
+from fastatt.scene.models import Law, Packed
 from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -59,9 +59,9 @@ class Trajectory:
 
     ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
     in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
-    ``r`` (S, N, 3) m in inertial axes; ``status`` (N,), one :class:`Status` a body; ``norm_error``
-    (S, N), how far the state had left its group before it was brought back for output: |q| − 1, or
-    ‖C Cᵀ − 1‖ of a matrix.
+    ``r`` (S, N, 3) m in inertial axes; of one with n states ``s`` (S, N, n); ``status`` (N,), one
+    :class:`Status` a body; ``norm_error`` (S, N), how far the state had left its group before
+    it was brought back for output: |q| − 1, or ‖C Cᵀ − 1‖ of a matrix.
     """
 
     t: NDArray[np.float64]
@@ -75,7 +75,7 @@ class Trajectory:
     packed: Packed | Scene | None = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
-    #: w, v and r where the scene carries them, each (S, N, 3)
+    #: w, v and r where the scene carries them, each (S, N, 3), states s (S, N, n)
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     #: where another run may go on
     end: End | None = field(default=None, repr=False)
@@ -137,9 +137,10 @@ class Trajectory:
         turning = packed.structure.turning
         assert isinstance(turning, PrescribedRate)
         law = turning.law
-        rates = rows(law.formula, {"t": None, "p": law.count}, (3,), key=law)
-        params = packed.params[..., : law.count]
-        (found,) = rates(self.t[:, None], params, tables=packed.tables)
+        n, params = law.states, packed.params[..., : law.count]
+        rates = rows(_rate_of(law), {"t": None, "s": n, "p": law.count}, (3,), key=law)
+        states = self.carried["s"] if n else np.zeros(0)
+        (found,) = rates(self.t[:, None], states, params, tables=packed.tables)
         w = self._shaped(np.broadcast_to(found, (*self.state.shape[:2], 3)))
         if turning.inertial:
             w = np.einsum("...ji,...j->...i", self.dcm, w)
@@ -157,13 +158,18 @@ class Trajectory:
         return self._shaped(self._carried("r", "mass, propagated from an r0"))
 
     @property
+    def s(self) -> NDArray[Any]:
+        """States of a scene that has some, as their function orders them."""
+        return self._shaped(self._carried("s", "states"))
+
+    @property
     def reduced(self) -> NDArray[Any]:
         """What ``propagate``'s ``reduce`` made of every body, float64: (N, k), or (k,) of one."""
-        if "s" not in self.carried:
+        if "reduced" not in self.carried:
             raise ValueError(
                 "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
             )
-        last = np.asarray(self._shaped(self.carried["s"])[-1])
+        last = np.asarray(self._shaped(self.carried["reduced"])[-1])
         return last if last.dtype == np.float64 else joined_array(last)
 
     @property
@@ -181,8 +187,93 @@ class Trajectory:
             raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
         return self.carried[name]
 
+    def pointing_error(self, target: Any) -> NDArray[Any]:
+        """Angle between the attitude and a target, rad in [0, π]: (S, N), or (S,) of one body.
+
+        Parameters
+        ----------
+        target : array_like or Trajectory
+            Quaternions that broadcast against ``q``: (4,) for all times and bodies, (N, 4) of each
+            body, (S, 1, 4) at each save, (S, N, 4), and of one body (S, 4). Of rotation matrices
+            the same with (3, 3) in place of (4,). A run with the same saved times stands for its
+            attitudes.
+
+        Raises
+        ------
+        ValueError
+            For shapes that do not broadcast, other saved times and matrices of no rotation.
+        """
+        return np.asarray(arrays.angle_between(self.q, self._reference("target", target)))
+
+    def rotation_vector_to(self, reference: Any) -> NDArray[Any]:
+        """Rotation vector u, rad, body axes, from the attitude to a reference: q∘exp(u).
+
+        Its length is ``pointing_error``, at most π; its components are the errors about each body
+        axis, as feedback takes them.
+
+        Parameters
+        ----------
+        reference : array_like or Trajectory
+            As ``pointing_error``'s target.
+
+        Returns
+        -------
+        ndarray
+            (S, N, 3), or (S, 3) of one body.
+
+        Raises
+        ------
+        ValueError
+            As ``pointing_error``.
+        """
+        wanted = self._reference("reference", reference)
+        between = arrays.quat_multiply(self.q * np.array([1, -1, -1, -1], self.q.dtype), wanted)
+        return arrays.quat_to_rotation_vector(between)
+
+    def body_axis(self, axis: Any) -> NDArray[Any]:
+        """Direction of a body axis at the saved times, a unit vector along inertial axes.
+
+        Parameters
+        ----------
+        axis : array_like
+            A vector along body axes, of any length but zero: (3,), or (N, 3) of each body.
+
+        Returns
+        -------
+        ndarray
+            (S, N, 3), or (S, 3) of one body.
+
+        Raises
+        ------
+        ValueError
+            For another shape, and for vectors that are 0 or not finite.
+        """
+        given = arrays.floats("axis", axis, (3,)).astype(self.q.dtype)
+        size = np.linalg.norm(given, axis=-1, keepdims=True)
+        checks.refuse("axis: its length", size, ~((size > 0.0) & np.isfinite(size)), "above 0")
+        return arrays.quat_rotate(self.q, given / size)
+
+    def _reference(self, name: str, value: Any) -> NDArray[Any]:
+        """Quaternions of a target that broadcast against q, in its precision."""
+        if isinstance(value, Trajectory):
+            if not np.array_equal(value.t, self.t):
+                raise ValueError(
+                    f"{name}: found a run with other saved times; accepted: the same times, or "
+                    "attitudes of fa.interpolate at run.t"
+                )
+            q = value.q[:, None] if value.one_body and not self.one_body else value.q
+        else:
+            q = arrays.as_quat(name, value)
+        shapes = zip(q.shape[::-1], self.q.shape[::-1], strict=False)
+        if q.ndim > self.q.ndim or any(a not in (1, b) for a, b in shapes):
+            raise ValueError(
+                f"{name}: has shape {q.shape}, q {self.q.shape}; accepted: shapes that broadcast "
+                "to that of q"
+            )
+        return q.astype(self.q.dtype, copy=False)
+
     def to_csv(self, path: str | Path) -> None:
-        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, ``status``.
+        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, s, ``status``.
 
         See :func:`fastatt.interchange.write_csv`.
         """
@@ -271,3 +362,8 @@ class Trajectory:
 
     def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
         return value[:, 0] if self.one_body else value
+
+
+def _rate_of(law: Law) -> Callable[..., Any]:
+    """The angular velocity of a law, (t, states, parameters)."""
+    return lambda t, s, p: (law.formula(t, p, states=s)[:3],)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
-from fastatt.scene.torque_record import Pose
+from fastatt.scene.torque_record import ALONE, Beside, Pose
 from fastatt.scene.torques import damping_rates, is_free
 from fastatt.tracing.formulas import (
     Vector,
@@ -26,6 +26,7 @@ from fastatt.tracing.formulas import (
     quat,
     rigid,
 )
+from fastatt.tracing.graph import choose
 from fastatt.tracing.user import UserFunction
 
 
@@ -78,7 +79,8 @@ class RigidBody(NamedTuple):
 class Structure(NamedTuple):
     """What acts in a scene, without its numbers.
 
-    Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's.
+    Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's. Beside
+    the rotation it carries velocity, position and the states of ``turning``'s law.
     """
 
     turning: PrescribedRate | RigidBody
@@ -102,23 +104,39 @@ class Structure(NamedTuple):
         return self.force.reads_position or self.turning.law.reads_position
 
     @property
-    def moved(self) -> int:
-        """Numbers of velocity and position."""
-        return (0 if self.force is None else 3) + (3 if self.position else 0)
+    def beside(self) -> int:
+        """Numbers of velocity, position and states."""
+        moved = (0 if self.force is None else 3) + (3 if self.position else 0)
+        return moved + self.turning.law.states
 
     @property
     def tail(self) -> int:
         """Numbers of auxiliary state."""
-        return self.turning.tail + self.moved + self.reduced
+        return self.turning.tail + self.beside + self.reduced
 
 
 class EquationsOfMotion:
     """What a method's step needs of a scene in a representation."""
 
     attitude: Attitude
+    _between: tuple[Any, Any] | None = None
 
     def __init__(self, attitude: Attitude) -> None:
         self.attitude = attitude
+
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        """Evaluate rates, torques and forces at these times at the least and at the most.
+
+        They are those next to two breakpoints: a step that ends at one does not see its far side.
+        """
+        self._between = low, high
+
+    def instant(self, t: Any) -> Any:
+        """The time at which rates, torques and forces are evaluated for the time t."""
+        if self._between is None:
+            return t
+        low, high = self._between
+        return choose(t < low, low, choose(t > high, high, t))
 
     @cached_property
     def plain(self) -> Attitude:
@@ -133,8 +151,8 @@ class EquationsOfMotion:
         """What ``field`` needs of the time t, evaluated once where several stages share it."""
         raise NotImplementedError
 
-    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
-        """Time derivative of a state without low parts; ``place`` moves beside it and is read."""
+    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
+        """Time derivative of a state without low parts, then of the states ``beside`` it."""
         raise NotImplementedError
 
     def base(self, x: Vector) -> Vector:
@@ -145,7 +163,7 @@ class EquationsOfMotion:
         """x + d with what rounding loses kept."""
         raise NotImplementedError
 
-    def turning(self, g: Any, xdot: Vector, x: Vector) -> Any:
+    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
         """Square of the rate (rad/s) that limits an explicit step."""
         raise NotImplementedError
 
@@ -161,7 +179,7 @@ class EquationsOfMotion:
         """What the motion keeps, () if nothing does."""
         return ()
 
-    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
         """(q, w): attitude and angular velocity of the body axes."""
         raise NotImplementedError
 
@@ -173,17 +191,25 @@ class Turning(EquationsOfMotion):
         super().__init__(attitude)
         self.structure, self.p, self._like = structure, p, like
 
-    def rate(self, t: Any) -> Vector:
-        """w(t), rad/s, along the body axes of the state that is stepped, in its precision."""
-        w = self.structure.law.formula(t, self.p)
-        w = opposite(w) if self.structure.inertial else w
-        return tuple(as_like(x, self._like) for x in w)
+    def rate(self, t: Any, states: Vector = ()) -> Vector:
+        """w(t), rad/s, along the body axes of the state that is stepped, in its precision.
 
-    def at(self, t: Any) -> Vector:
-        return self.rate(t)
+        The time derivatives of the law's states follow.
+        """
+        found = self.structure.law.formula(self.instant(t), self.p, states=states)
+        w = opposite(found[:3]) if self.structure.inertial else found[:3]
+        return tuple(as_like(x, self._like) for x in (*w, *found[3:]))
 
-    def field(self, g: Vector, x: Vector, place: Vector = ()) -> Any:
-        return self.plain.derivative(x, g)
+    def at(self, t: Any) -> Any:
+        return t if self.structure.law.states else self.rate(t)
+
+    def _given(self, g: Any, beside: Beside) -> Vector:
+        """The rate, and what follows it: evaluated by ``at`` where no state has a part in it."""
+        return self.rate(g, beside.states) if self.structure.law.states else g
+
+    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Any:
+        w = self._given(g, beside)
+        return (*self.plain.derivative(x, w[:3]), *w[3:])
 
     def base(self, x: Vector) -> Vector:
         return self.attitude.value(x)
@@ -191,8 +217,8 @@ class Turning(EquationsOfMotion):
     def advanced(self, x: Vector, d: Vector) -> Any:
         return self.attitude.add(x, d)
 
-    def turning(self, g: Vector, xdot: Vector, x: Vector) -> Any:
-        return self.attitude.speed_squared(xdot, g)
+    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
+        return self.attitude.speed_squared(xdot, self._given(g, beside)[:3])
 
     def begin(self, q: Vector, auxiliary: Vector) -> Any:
         a = self.attitude.start(q)
@@ -201,11 +227,12 @@ class Turning(EquationsOfMotion):
     def output(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
         return finish(self.attitude.flip(x) if self.structure.inertial else x)
 
-    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
+        w = self.rate(t, beside.states)[:3]
         if not self.structure.inertial:
-            return self.attitude.quaternion(x), self.rate(t)
+            return self.attitude.quaternion(x), w
         q = self.attitude.quaternion(self.attitude.flip(x))
-        return q, quat.rotate_inverse(q, opposite(self.rate(t)))
+        return q, quat.rotate_inverse(q, opposite(w))
 
 
 class Body(EquationsOfMotion):
@@ -235,30 +262,32 @@ class Body(EquationsOfMotion):
         v = [k * u for k, u in zip(self.half_inverse, m, strict=False)]
         return tuple(a + a for a in v)
 
-    def torque(self, t: Any, a: Vector, w: Vector, place: Vector = ()) -> Vector:
+    def torque(self, t: Any, a: Vector, w: Vector, beside: Beside = ALONE) -> Vector:
         """Torque (N·m, principal axes) at attitude a, of the plain form, and rate w.
 
-        ``place`` is (velocity, position) where something reads them.
+        The time derivatives of the law's states follow.
         """
-        pose = Pose(self.plain, a, w, self.moments, place, self.axes_given)
-        torque = self.structure.law.formula(t, pose, self.torque_numbers)
-        return tuple(as_like(x, a[0]) for x in torque)
+        pose = Pose(self.plain, a, w, self.moments, beside, self.axes_given)
+        law = self.structure.law
+        found = law.formula(self.instant(t), pose, self.torque_numbers, states=beside.states)
+        return tuple(as_like(x, a[0]) for x in found)
 
-    def momentum_rate(self, t: Any, a: Vector, m: Vector, place: Vector = ()) -> Vector:
-        """ṁ = m×w + τ at attitude a and momentum m."""
+    def momentum_rate(self, t: Any, a: Vector, m: Vector, beside: Beside = ALONE) -> Vector:
+        """ṁ = m×w + τ at attitude a and momentum m, then the time derivatives of states."""
         own: Vector = rigid.gyroscopic(m, self.gyroscopic)
         if self.is_free:
             return own
-        return plus(own, self.torque(t, a, self.angular_velocity(m), place))
+        found = self.torque(t, a, self.angular_velocity(m), beside)
+        return (*plus(own, found[:3]), *found[3:])
 
     def at(self, t: Any) -> Any:
         return t
 
-    def field(self, g: Any, x: Vector, place: Vector = ()) -> Vector:
+    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
         n = self.plain.size
         a, m = x[:n], x[n:]
         v = tuple(k * u for k, u in zip(self.half_inverse, m, strict=True))
-        return (*self.plain.half_derivative(a, v), *self.momentum_rate(g, a, m, place))
+        return (*self.plain.half_derivative(a, v), *self.momentum_rate(g, a, m, beside))
 
     def base(self, x: Vector) -> Vector:
         a, m = self.attitude_of(x), self.momentum_of(x)
@@ -269,7 +298,7 @@ class Body(EquationsOfMotion):
         a, m = self.attitude_of(x), self.momentum_of(x)
         return (*self.attitude.add(a, d[:n]), *self.attitude.add_vector(m, d[n:]))
 
-    def turning(self, g: Any, xdot: Vector, x: Vector) -> Any:
+    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
         n = self.plain.size
         w = self.angular_velocity(x[n:])
         return self.attitude.speed_squared(xdot[:n], w)
@@ -309,7 +338,7 @@ class Body(EquationsOfMotion):
         m = self.momentum_of(x)[:3]
         return dot(m, m), dot(m, self.angular_velocity(m))
 
-    def pose(self, t: Any, x: Vector) -> tuple[Vector, Vector]:
+    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
         q = self.attitude.quaternion(self.attitude_of(x))
         w = self.angular_velocity(self.momentum_of(x)[:3])
         if self.axes is None:

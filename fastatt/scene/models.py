@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
+from fastatt.tracing.formulas import Vector
 from fastatt.tracing.user import FORMS, UserFunction, user_function
 
 Resources = dict[tuple[str, Any], Any]
@@ -93,6 +94,9 @@ class Model:
     fields: ClassVar[Mapping[str, Field]]
     #: of a torque or a force: whether it takes the position that the scene carries
     reads_position: ClassVar[bool] = False
+    #: of a rate or a torque: numbers that it carries beside the attitude. Its formula takes them
+    #: last, and gives their time derivatives after what acts, in one tuple
+    states: ClassVar[int] = 0
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True)(cls)
@@ -194,7 +198,7 @@ class UserModel(Model):
             raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
         params = join([given], n_bodies, "params")
         n = params.shape[-1]
-        made = user_function(self.function, self.form, n, params)
+        made = user_function(self.function, self.form, n, params, self.states)
         resources.update(resources_of(made))
         return Law(replace(self, function=made, params=None), (n,), (None,)), params
 
@@ -248,13 +252,27 @@ class Law:
             at += size
         return replace(self.model, **found)
 
-    def formula(self, *given: Any) -> Any:
-        """The model's formula of a time and what else is given, parameters last."""
+    @cached_property
+    def states(self) -> int:
+        """How many states it carries."""
+        return sum(leaf.model.states for leaf in self.leaves())
+
+    def formula(self, *given: Any, states: Vector = ()) -> Any:
+        """The model's formula of a time and what else is given, parameters last.
+
+        Of a law with ``states`` their time derivatives follow the three numbers of what acts.
+        """
         *state, p = given
-        if self.parts:
-            terms = [law.formula(*state, own) for law, own in self.split(p)]
-            return tuple(sum(column[1:], column[0]) for column in zip(*terms, strict=True))
-        return self.numbers(state[0], p).evaluate(*state)
+        if not self.parts:
+            own_states = (states,) if self.states else ()
+            return self.numbers(state[0], p).evaluate(*state, *own_states)
+        at, terms = 0, []
+        for law, own in self.split(p):
+            terms.append(law.formula(*state, own, states=states[at : at + law.states]))
+            at += law.states
+        columns = zip(*(term[:3] for term in terms), strict=True)
+        acting = tuple(sum(column[1:], column[0]) for column in columns)
+        return (*acting, *(slope for term in terms for slope in term[3:]))
 
     @cached_property
     def reads_position(self) -> bool:

@@ -21,6 +21,8 @@ Numbers = NDArray[np.float64]
 class Rate(Model):
     """Base of rates: ``formula(t)``, rad/s.
 
+    With ``states`` it is ``formula(t, states)``, and their time derivatives follow the rate.
+
     The optional method ``bound()`` gives what |w| is not above at any time, rad/s, of a model whose
     fields are arrays (..., N).
     """
@@ -134,8 +136,12 @@ class Slew(Rate):
 class Custom(UserModel, Rate):
     """A user's ``@njit`` function ``rate(t, p) -> (w1, w2, w3)``, rad/s.
 
-    t in s, p the tuple of ``params``, (P,) or (N, P).
+    t in s, p the tuple of ``params``, (P,) or (N, P). With ``states``, a number, the function
+    carries so many numbers of its own, s: it is ``rate(t, s, p) -> (rate, ds/dt)``, and is stepped
+    with the attitude, by methods whose record says ``couples``.
     """
+
+    states: int = 0  # type: ignore[misc]
 
 
 def lengths(v: NDArray[Any]) -> Numbers:

@@ -48,6 +48,17 @@ class Scene:
     body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters. Where a torque
     or a force reads the position, all is stepped as one system, to the method's order.
 
+    With ``states``, a whole number n, the function of the torque or the rate carries n numbers s of
+    its own, such as the integral of a controller, the speed of a wheel or a flexible mode:
+    ``torque(t, q, w, s, p) -> (torque, ds/dt)`` or ``rate(t, s, p) -> (rate, ds/dt)``, two tuples,
+    of 3 and of n numbers. They are stepped with the attitude as one system, to the method's order,
+    by methods whose record says ``couples``. ``propagate`` takes their initial values as ``s0``.
+
+    ``breakpoints`` are times, s, on the clock of ``t0``, at which a rate, torque or force jumps or
+    has a corner. Steps end there: a step in which one lies is taken in parts, by the same method,
+    which so keeps its order. What ends at a breakpoint is evaluated before it and what begins there
+    after it, whether a function says ``<`` or ``<=``.
+
     A scene keeps read-only copies of its numbers: a change to the arrays that it was given does not
     reach it, ``dataclasses.replace`` makes another. Scenes of equal numbers are equal.
     ``scene[bodies]``, an index, a slice or an array, is the scene of these alone; numbers that all
@@ -65,6 +76,8 @@ class Scene:
     allow_unphysical: bool = False
     mass: ArrayLike | None = None
     force: Any = None
+    states: int = 0
+    breakpoints: Any = ()
     #: how many bodies have numbers of their own; None where all share theirs
     rows: ClassVar[int | None] = None
     #: whether a torque or a force reads the position, which is then carried
@@ -89,12 +102,25 @@ class Scene:
             raise ValueError("torque: found beside a rate; accepted: with inertia only")
         if self.rate is None and self.frame != "body":
             raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
+        checks.whole("states", self.states, 0)
+        object.__setattr__(self, "breakpoints", _breakpoints(self.breakpoints))
+        if self.breakpoints and self._acting is None and self.mass is None:
+            raise ValueError(
+                "breakpoints: found for a free body; accepted: with a rate, torque or force"
+            )
         structure, params, _ = self.packed(None)
         if self.mass is None and structure.turning.law.reads_position:
             raise ValueError(
                 "torque: found one that reads the position, but the scene carries none; accepted: "
                 "with mass and force"
             )
+        carried = structure.turning.law.states
+        if self.states not in (0, carried):
+            raise ValueError(
+                f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
+                f"{carried}, which it carries, or a function that takes them"
+            )
+        object.__setattr__(self, "states", carried)
         # those of all bodies take long to find again
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         object.__setattr__(self, "needs_position", structure.reads_position)
@@ -206,6 +232,19 @@ class Scene:
         """Whether the velocity is carried."""
         return self.mass is not None
 
+    @property
+    def is_coupled(self) -> bool:
+        """Whether a velocity or states are stepped with the attitude, as one system."""
+        return self.moves or self.states > 0
+
+    def carried(self, *, position: bool) -> dict[str, int]:
+        """What a state holds beside the attitude, in its order, with the numbers of each."""
+        sizes = {
+            "w": 3 * (self.kind != "rate"), "v": 3 * self.moves, "r": 3 * position,
+            "s": self.states,
+        }  # fmt: skip
+        return {name: n for name, n in sizes.items() if n}
+
     def packed(
         self, n_bodies: int | None, *, sorted_axes: bool = False, position: bool = False
     ) -> Packed:
@@ -246,7 +285,7 @@ class Scene:
     def _rate(self, n_bodies: int | None) -> Packed:
         model = self.rate
         if callable(model):
-            model = rates.Custom(model, self.params)
+            model = rates.Custom(model, self.params, self.states)
         packed = models.pack(model, rates.Rate, n_bodies)
         structure = Structure(PrescribedRate(packed.structure, self.frame == "inertial"))
         return packed._replace(structure=structure)
@@ -260,7 +299,7 @@ class Scene:
             found = sort_axes(found)
         model = self.torque
         if callable(model):
-            model = torques.Custom(model, self.params)
+            model = torques.Custom(model, self.params, states=self.states)
         acting = torques.pack(model, n_bodies)
         columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
         # the kernel's own formula, on whole columns
@@ -332,6 +371,13 @@ def as_scene(scene: object) -> Scene:
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
     return scene
+
+
+def _breakpoints(value: Any) -> tuple[float, ...]:
+    found = np.atleast_1d(numbers("breakpoints", () if value is None else value))
+    if found.ndim > 1:
+        raise ValueError(f"breakpoints: {checks.shape(found)}; accepted: times (B,), s")
+    return tuple(np.unique(found).tolist())
 
 
 def _masses(value: ArrayLike) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from fastatt.scene.models import (
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence, Pose, Torque
 from fastatt.tracing.called import nested, points
-from fastatt.tracing.formulas import as_like, dot, minus, rigid, scale, vec3
+from fastatt.tracing.formulas import Vector, as_like, dot, minus, rigid, scale, vec3
 from fastatt.tracing.graph import apply
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.user import UserFunction, user_function
@@ -175,7 +175,7 @@ class CentralGravityGradient(Torque):
     reads_position = True
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return _gravity_gradient(pose.place[1], self.gravitational_parameter, pose)
+        return _gravity_gradient(pose.beside.position, self.gravitational_parameter, pose)
 
 
 class HeavyTop(Torque):
@@ -278,11 +278,16 @@ class Custom(UserModel, Torque):
     With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, of a scene with mass: v the velocity,
     m/s, body axes, r the position, m, inertial axes. All is then stepped as one system, by methods
     whose record says ``couples``; ``potential(t, q, r, p)`` is that of torque and force together.
+
+    With ``states``, a number, the function carries so many numbers of its own, s: it is
+    ``torque(t, q, w, s, p) -> (torque, ds/dt)``, s after r where it takes the position, and is
+    stepped as one system too.
     """
 
     uses_rate: bool = True
     potential: Callable[..., Any] | None = None
     uses_position: bool = False
+    states: int = 0  # type: ignore[misc]
 
     @property
     def depends(self) -> Dependence:  # type: ignore[override]
@@ -293,10 +298,11 @@ class Custom(UserModel, Torque):
         return None if self.potential is None else self._energy
 
     def _energy(self: Any, t: Any, pose: Pose) -> Any:
-        return self.potential.given(t, pose.quaternion, *pose.place[1:], self.params)
+        return self.potential.given(t, pose.quaternion, pose.beside.position, self.params)
 
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        found = self.function.given(t, pose.quaternion, pose.w, *pose.place, self.params)
+    def formula(self: Any, t: Any, pose: Pose, *states: Vector) -> Any:
+        placed = pose.beside[:2] if self.uses_position else ()
+        found = self.function.call(t, pose.quaternion, pose.w, *placed, *states, self.params)
         return as_like(found, pose.moments[0])
 
     def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
@@ -367,7 +373,7 @@ def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
             try:
                 values.append(function.call(t, q, v, *rest))
             except TraceError:  # an error in Python at these numbers
-                values.append((np.nan,) * 3)
+                values.append((np.nan,) * function.form.results)
         turning, still = np.array(values)
         size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)
         if not np.allclose(turning, still, rtol=0.0, atol=1e-9 * size, equal_nan=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene.models import Model
@@ -19,12 +19,26 @@ class Dependence(IntEnum):
     RATE = 2
 
 
+class Beside(NamedTuple):
+    """What is stepped with an attitude, () where it is not there.
+
+    The velocity is along body axes, the position along inertial ones; states are a user's own.
+    """
+
+    velocity: Vector = ()
+    position: Vector = ()
+    states: Vector = ()
+
+
+ALONE = Beside()
+
+
 class Pose:
     """Where a torque is evaluated: an attitude, the angular velocity and the principal moments.
 
-    ``place`` is (velocity along body axes whatever those of the pose, position), where they are
-    stepped with the attitude; ``axes`` the quaternion of the principal axes, along which the pose
-    is, where these are not the body's.
+    ``beside`` is what is stepped with the attitude, its velocity along body axes whatever those of
+    the pose; ``axes`` the quaternion of the principal axes, along which the pose is, where these
+    are not the body's.
     """
 
     def __init__(
@@ -33,11 +47,11 @@ class Pose:
         x: Vector,
         w: Vector,
         moments: Vector,
-        place: Vector = (),
+        beside: Beside = ALONE,
         axes: Vector | None = None,
     ) -> None:
         self._attitude, self._x = attitude, x
-        self.w, self.moments, self.place, self.axes = w, moments, place, axes
+        self.w, self.moments, self.beside, self.axes = w, moments, beside, axes
 
     @cached_property
     def quaternion(self) -> Any:
@@ -54,11 +68,13 @@ class Pose:
         if self.axes is None:
             return self
         q = quat.mul(self.quaternion, quat.conj(self.axes))
-        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.place)
+        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.beside)
 
 
 class Torque(Model):
     """Base of torques: ``formula(t, pose)``, N·m along the axes of the pose.
+
+    With ``states`` it is ``formula(t, pose, states)``, and their derivatives follow the torque.
 
     Optional methods say what else a torque may be used for: ``energy(t, pose)`` is the potential
     energy, J; ``linear_damping()`` the three coefficients, N·m·s, of linear damping, ``decay()`` a
@@ -80,8 +96,9 @@ class Torque(Model):
     wheel_momentum: ClassVar[Any] = None
 
     def evaluate(self, *state: Any) -> Any:
-        """The torque along the axes of a pose, (t, pose)."""
-        t, pose = state
+        """The torque along the axes of a pose, (t, pose) and, of one with some, states."""
+        t, pose, *states = state
         if pose.axes is None or self.axis_free:
-            return self.formula(t, pose)
-        return quat.rotate_inverse(pose.axes, self.formula(t, pose.along_body))
+            return self.formula(t, pose, *states)
+        found = self.formula(t, pose.along_body, *states)
+        return (*quat.rotate_inverse(pose.axes, found[:3]), *found[3:])

@@ -5,10 +5,12 @@ Also what tries a function in Python: its arguments at a few points, and its hel
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 import re
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from types import CellType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +21,9 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt._jit import recompile, with_options_of
+from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.nodes import Recorded
-from fastatt.tracing.references import is_library, referred_to
+from fastatt.tracing.references import is_library, opened, referred_to
 from fastatt.tracing.trace import ModuleProxy
 
 if TYPE_CHECKING:
@@ -47,8 +50,20 @@ def are_numbers(values: tuple[Any, ...], n: int) -> bool:
     )
 
 
+def in_a_row(result: Any, states: int) -> Any:
+    """What a function gives, as a tuple; one with states in one, () where it does not give two."""
+    if not states:
+        return numbers_of(result)
+    if not (isinstance(result, (tuple, list)) and len(result) == 2):
+        return ()
+    acting, slopes = map(numbers_of, result)
+    slopes = slopes if isinstance(slopes, tuple) else (slopes,)
+    return (*acting, *slopes) if isinstance(acting, tuple) and len(slopes) == states else ()
+
+
 def floats(result: Any) -> list[float]:
-    """A function's result, a number or a tuple, as a list."""
+    """A function's result, a number, a tuple, a list or an array, as a list."""
+    result = numbers_of(result)
     return [float(x) for x in (result if isinstance(result, tuple) else (result,))]
 
 
@@ -76,6 +91,10 @@ def points(
 
 def interpreted(function: Any) -> Callable[..., Any]:
     """A function as Python runs it, what it calls that is jitted included: nothing is compiled."""
+    inner, first, named = opened(function)
+    if inner is not function:
+        plain = interpreted(inner)
+        return lambda *args: plain(*first, *args, **named)
     plain = getattr(function, "py_func", function)
     return _with(plain, {name: _in_python(x) for name, x in referred_to(plain).items()})
 
@@ -133,14 +152,15 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     failed: Exception | None = None
     for point in points(sizes, None):
         try:
-            result = function(*nested(point, sizes))
+            given = function(*nested(point, sizes))
         except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
             failed = error
             continue
+        result = in_a_row(given, user.form.states)
         if isinstance(result, tuple) != (n > 1) or not are_numbers(
             result if isinstance(result, tuple) else (result,), n
         ):
-            raise _wrong(user, checks.brief(result))
+            raise _wrong(user, checks.brief(given))
         break
     else:
         raise TypeError(
@@ -150,7 +170,8 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
 
     def entry(given: Any, made: Any) -> None:
         try:
-            values = floats(function(*nested(given[:n_numbers], sizes)))
+            result = function(*nested(given[:n_numbers], sizes))
+            values = floats(in_a_row(result, user.form.states))
         except Exception:  # noqa: BLE001  # as of a compiled one
             values = [math.nan] * n
         for k, x in enumerate(values):
@@ -166,8 +187,11 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     f8 = types.float64
     *before, last = user.sizes
     signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))
-    plain: Any = getattr(function, "py_func", function)
-    inner = recompile(_renewed(function))
+    outer, first, named = opened(function)
+    plain: Any = getattr(outer, "py_func", outer)
+    inner = recompile(_renewed(outer))
+    if outer is not function:
+        inner = recompile(_with_constants(inner, len(before) + 1, first, named))
     try:
         inner.compile(signature)
     except Exception as error:
@@ -178,48 +202,95 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
             f"{_words_of(error)}"
         ) from error
     returned = inner.overloads[signature].signature.return_type
-    n = user.form.results
-    if n == 1:
-        fits = isinstance(returned, _REAL)
-    else:
-        fits = isinstance(returned, types.BaseTuple) and len(returned) == n
-        fits = fits and all(isinstance(t, _REAL) for t in returned)
-    if not fits:
+    items, lengths = _items(inner, user, returned)
+    if not items:
         raise _wrong(user, str(returned))
     pointer = types.CPointer(f8)
     scope = {"inner": inner, "nan": math.nan}
-    exec(_wrapper(user), scope)
+    exec(_wrapper(user, items, lengths), scope)
     return cfunc(types.void(pointer, pointer))(scope["entry"])
 
 
-def _wrapper(user: UserFunction) -> str:
-    """Text of what calls ``inner`` with numbers from memory."""
-    n = user.form.results
+def _items(inner: Any, user: UserFunction, returned: Any) -> tuple[list[str], list[str]]:
+    """How the numbers of a ``result`` are read, none if it is another form; checks of lengths."""
+    form, lengths = user.form, []
+
+    def numbers(kind: Any, n: int, name: str, part: Callable[[Any], Any]) -> list[str]:
+        if n == 1 and isinstance(kind, _REAL):
+            return [name]
+        if isinstance(kind, types.BaseTuple):
+            fits = len(kind) == n and all(isinstance(t, _REAL) for t in kind)
+        else:
+            fits = _is_row(kind) and _lengths(inner, user, part) == {n}
+            lengths.append(f"        if len({name}) != {n}: raise ValueError")
+        return [f"{name}[{k}]" for k in range(n)] if fits and (n > 1 or form.states) else []
+
+    if not form.states:
+        return numbers(returned, form.results, "result", lambda x: x), lengths
+    if not (isinstance(returned, types.BaseTuple) and len(returned) == 2):
+        return [], lengths
+    acting = numbers(returned[0], form.results - form.states, "result[0]", itemgetter(0))
+    slopes = numbers(returned[1], form.states, "result[1]", itemgetter(1))
+    return (acting + slopes if acting and slopes else []), lengths
+
+
+def _with_constants(
+    inner: Any, n: int, first: tuple[Any, ...], named: dict[str, Any]
+) -> FunctionType:
+    """The function of its last n arguments, the others constants."""
+    scope = {"inner": inner} | {f"c{k}": x for k, x in enumerate((*first, *named.values()))}
+    free = [f"x{k}" for k in range(n)]
+    fixed = [f"c{k}" for k in range(len(first))]
+    options = [f"{name}=c{len(first) + k}" for k, name in enumerate(named)]
+    exec(f"def call({', '.join(free)}): return inner({', '.join(fixed + free + options)})", scope)
+    return scope["call"]  # type: ignore[no-any-return]
+
+
+def _is_row(returned: Any) -> bool:
+    """Whether it is a list or an array of one axis, of numbers."""
+    if isinstance(returned, types.Array) and returned.ndim != 1:
+        return False
+    return isinstance(returned, (types.Array, types.List)) and isinstance(returned.dtype, _REAL)
+
+
+def _lengths(inner: Any, user: UserFunction, part: Callable[[Any], Any]) -> set[int]:
+    """How many numbers a part of its result has where it is tried and does not raise."""
+    found = set()
+    for point in points(user.sizes, None):
+        with contextlib.suppress(Exception):
+            found.add(len(part(inner(*nested(point, user.sizes)))))
+    return found
+
+
+def _wrapper(user: UserFunction, items: Sequence[str], lengths: Sequence[str]) -> str:
+    """Text of what calls ``inner`` with numbers from memory, and keeps the items of its result."""
     count = sum(max(k, 1) for k in user.form.before) + user.n_params
     numbers = [f"given[{k}]" for k in range(count)]
     args = [
         f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
         for part in nested(numbers, user.sizes)
     ]
-    items = ["result"] if n == 1 else [f"result[{k}]" for k in range(n)]
     lines = [
         "def entry(given, made):",
         "    try:",
         f"        result = inner({', '.join(args)})",
+        *lengths,
         *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
         # no error may leave what the loop calls: the body's status says it
         "    except Exception:",
-        *(f"        made[{k}] = nan" for k in range(n)),
+        *(f"        made[{k}] = nan" for k in range(len(items))),
     ]
     return "\n".join(lines)
 
 
 def _wrong(user: UserFunction, found: str) -> TypeError:
-    n = user.form.results
+    states = user.form.states
+    n = user.form.results - states
     accepted = "a float" if n == 1 else f"a tuple of {'three' if n == 3 else n} floats"
+    more = f", and a tuple of {states}, the time derivatives of s" if states else ""
     return TypeError(
         f"{user.argument}: {user.described} returns {found}; accepted is {accepted}, "
-        f"{user.form.unit}"
+        f"{user.form.unit}{more}"
     )
 
 

@@ -21,6 +21,7 @@ from fastatt.tracing.nodes import (
     Recorded,
     TraceError,
     composed_of,
+    each,
     functions_of_numbers,
     operands,
 )
@@ -330,6 +331,10 @@ class Condition:
             raise TraceError("a branch on a condition that is not known beforehand")
         return deciding.by(self)
 
+    def __index__(self) -> int:
+        """1 or 0, of the place in a tuple."""
+        return int(bool(self))
+
 
 CLASSES: dict[str, type[Number]] = {"double": Double, "single": Single}
 
@@ -361,6 +366,10 @@ def choose(test: Any, a: Any, b: Any) -> Any:
             raise TraceError("a choice between tuples of two lengths")
         made = [choose(test, x, y) for x, y in zip(a, b, strict=True)]
         return type(a)(*made) if hasattr(a, "_fields") else tuple(made)
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        if np.shape(a) != np.shape(b):
+            raise TraceError("a choice between arrays of two shapes")
+        return each(lambda x, y: choose(test, x, y), a, b)
     if isinstance(a, Condition) or isinstance(b, Condition) or isinstance(a, bool):
         if not all(isinstance(x, (Condition, bool, np.bool_)) for x in (a, b)):
             raise TraceError("a choice between a number and a truth value")

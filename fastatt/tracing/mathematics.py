@@ -9,7 +9,9 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-from fastatt.tracing import functions, graph, nodes
+import numpy as np
+
+from fastatt.tracing import arrays, functions, graph, nodes
 from fastatt.tracing.graph import Condition
 from fastatt.tracing.nodes import Recorded, TraceError
 
@@ -21,7 +23,10 @@ _INSTRUCTIONS = {
 
 def is_recorded(*values: Any) -> bool:
     """Whether a number among some, or among tuples of some, is not known beforehand."""
-    return any(isinstance(x, (Recorded, Condition)) for x in graph.flattened(list(values)))
+    return any(
+        isinstance(x, (Recorded, Condition)) or arrays.is_array(x)
+        for x in graph.flattened(list(values))
+    )
 
 
 def kind_of(x: Any) -> Any:
@@ -63,10 +68,17 @@ class Mathematics:
 
         def call(*args: Any, **named: Any) -> Any:
             if not is_recorded(*args, *named.values()):
-                return value(*args, **named)
+                found = value(*args, **named)
+                return arrays.new(name, found) if isinstance(found, np.ndarray) else found
+            if label.startswith("numpy"):
+                made = arrays.made_of(name, value, args, named)
+                if made is not None:
+                    return made
             formula = None if named else formula_of(known, len(args))
             if formula is None:
                 raise TraceError(f"{label} of numbers that are not known beforehand")
+            if label.startswith("numpy") and any(np.ndim(nodes.boxed(x)) for x in args):
+                return nodes.each(call, *args)
             return formula(*args)
 
         return call
@@ -134,6 +146,19 @@ def _remainder(x: Any, y: Any) -> Any:
     return graph.choose(rest < -0.5 * size, rest + size, rest)
 
 
+def _fsum(values: Any) -> Any:
+    """The sum with what rounding loses of each addition."""
+    from fastatt.kernels import compensated
+    from fastatt.tracing.trace import stand_in
+
+    total: Any = 0.0
+    lost: Any = 0.0
+    for x in values:
+        total, rest = stand_in(compensated.two_sum)(total, x)
+        lost = lost + rest
+    return total + lost
+
+
 def _copysign(x: Any, y: Any) -> Any:
     """Of a zero y the sign is not seen, as anywhere in compiled formulas."""
     size = abs(x)
@@ -182,6 +207,7 @@ _FORMULAS: dict[str, Callable[..., Any]] = {
     "ceil": _ceil,
     "trunc": lambda x: graph.choose(x < 0.0, _ceil(x), graph.apply("floor", x)),
     "fmod": _fmod,
+    "fsum": _fsum,
     "math.remainder": _remainder,
     "mod": lambda x, y: functions.divided(x, y)[1],
     "floor_divide": lambda x, y: functions.divided(x, y)[0],
@@ -240,10 +266,11 @@ def _isinstance(x: Any, kinds: Any) -> bool:
 
 def _builtins() -> dict[str, Any]:
     """Python's own names: what works on recorded numbers as on floats, by name."""
+    # numpy's own methods import what they need when they are called
     as_they_are = (
-        "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "filter", "int", "iter", "len",
-        "list", "map", "next", "range", "reversed", "set", "slice", "sorted", "str", "sum", "tuple",
-        "zip",
+        "__import__", "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "filter", "int",
+        "iter", "len", "list", "map", "next", "range", "reversed", "set", "slice", "sorted", "str",
+        "sum", "tuple", "zip",
     )  # fmt: skip
     found: dict[str, Any] = {}
     for name, value in vars(builtins).items():

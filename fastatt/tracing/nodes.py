@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
 LIBRARY = ("exp", "log", "tan", "tanh", "sinh", "cosh", "asin", "acos")
 
@@ -53,6 +55,39 @@ def renamed(node: Node, taken: Sequence[int]) -> Node:
 
 # recorded numbers
 
+_OPERATORS = ("add", "sub", "mul", "truediv", "mod", "floordiv", "pow")
+_ARITHMETIC = (
+    *(f"__{side}{name}__" for name in _OPERATORS for side in ("", "r")),
+    *("__lt__", "__le__", "__gt__", "__ge__", "__eq__", "__ne__"),
+)
+
+
+def boxed(x: Any) -> Any:
+    """A number, an array or a tuple of numbers as an array of objects."""
+    if not isinstance(x, Recorded):
+        return np.array(x, dtype=object)
+    box = np.empty((), dtype=object)
+    box[()] = x
+    return box
+
+
+def each(formula: Callable[..., Any], *values: Any) -> Any:
+    """A formula of numbers on arrays that broadcast."""
+    boxes = np.broadcast_arrays(*map(boxed, values))
+    made = np.empty(boxes[0].shape, dtype=object)
+    for k in np.ndindex(made.shape):
+        made[k] = formula(*(box[k] for box in boxes))
+    return made
+
+
+def _on_arrays(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """An operation that is done with each element of an array."""
+
+    def call(x: Any, y: Any) -> Any:
+        return each(operation, x, y) if isinstance(y, np.ndarray) else operation(x, y)
+
+    return call
+
 
 def functions_of_numbers() -> Any:
     """``fastatt.tracing.functions``, which is made of what is here."""
@@ -69,9 +104,14 @@ class Recorded:
     """A number that is not known beforehand: of a graph, or composed of some that are."""
 
     __slots__ = ()
-    # numpy's numbers leave operations to it
+    # numpy's numbers and arrays leave operations to it
     __array_ufunc__ = None
     __hash__ = None  # type: ignore[assignment]
+
+    def __init_subclass__(cls) -> None:
+        for name in _ARITHMETIC:
+            if name in vars(cls):
+                setattr(cls, name, _on_arrays(vars(cls)[name]))
 
     def precision(self) -> Callable[[Any], Any]:
         """``type(x)``: what gives a number, or a constant, in the precision of x."""

@@ -5,11 +5,13 @@ Another process that gets a function by value has no file to trace it from: it g
 
 from __future__ import annotations
 
+import functools
+import inspect
 import linecache
 import math
 import sys
 from collections.abc import Callable, Iterable
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,23 @@ import numpy as np
 _LIBRARIES = ("fastatt", "numba", "numpy")
 _NUMBERS = (bool, int, float, complex, np.generic)
 _COMPARED = (*_NUMBERS, np.ndarray, tuple, list)
+
+
+def opened(function: Any) -> tuple[Any, tuple[Any, ...], dict[str, Any]]:
+    """(function, first arguments, named ones) of a partial, a method or an object with __call__."""
+    if isinstance(function, functools.partial):
+        inner, first, named = opened(function.func)
+        return inner, (*first, *function.args), {**named, **function.keywords}
+    if isinstance(function, MethodType):
+        inner, first, named = opened(function.__func__)
+        return inner, (*first, function.__self__), named
+    call = (
+        None
+        if isinstance(function, type)
+        else inspect.getattr_static(type(function), "__call__", None)
+    )
+    is_object = isinstance(call, FunctionType) and not hasattr(function, "py_func")
+    return (call, (function,), {}) if is_object else (function, (), {})
 
 
 def names_of(plain: FunctionType) -> set[str]:
@@ -57,6 +76,11 @@ def snapshot(function: Any, seen: set[Any] | None = None) -> Any:
 
     Of objects and modules those are the attributes whose names are in the function.
     """
+    inner, first, named = opened(function)
+    if inner is not function:
+        names = names_of(inner) if isinstance(inner, FunctionType) else set()
+        own = [_attributes(x, names, seen or set()) for x in (*first, *named.values())]
+        return snapshot(inner, seen), own
     plain = getattr(function, "py_func", function)
     seen = set() if seen is None else seen
     if not isinstance(plain, FunctionType):
@@ -75,8 +99,13 @@ def _value(value: Any, names: set[str], seen: set[Any]) -> Any:
         return value.shape, value.dtype.str, value.tobytes()
     if isinstance(value, (tuple, list)):
         return type(value), [_value(x, names, seen) for x in value]
-    if callable(value):
-        return snapshot(value, seen)
+    return snapshot(value, seen) if callable(value) else _attributes(value, names, seen)
+
+
+def _attributes(value: Any, names: set[str], seen: set[Any]) -> Any:
+    """An object's attributes whose names are among some; of what is compared the value."""
+    if isinstance(value, (*_NUMBERS, np.ndarray, tuple, list)):
+        return _value(value, names, seen)
     held = {} if value in (math, np) else getattr(value, "__dict__", {})
     known = {k: held[k] for k in sorted(names & held.keys())}
     return _itself(value), [
@@ -90,7 +119,7 @@ def sources(functions: Iterable[Callable[..., Any]]) -> dict[str, str]:
     seen: set[FunctionType] = set()
     todo: list[Any] = list(functions)
     while todo:
-        function = todo.pop()
+        function = opened(todo.pop())[0]
         plain = getattr(function, "py_func", function)
         if not isinstance(plain, FunctionType) or plain in seen or _imported(function, plain):
             continue

@@ -10,6 +10,7 @@ Numba.
 
 from __future__ import annotations
 
+import functools
 import math
 import types
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition
 from fastatt.tracing.mathematics import BUILTINS, Mathematics, refused
 from fastatt.tracing.nodes import Recorded, TraceError
-from fastatt.tracing.references import referred_to, snapshot
+from fastatt.tracing.references import opened, referred_to, snapshot
 from fastatt.tracing.rewriting import UNSET, located, name_of, rewritten
 
 MAX_ANSWERS = 64  # on one execution path through a function
@@ -165,6 +166,16 @@ class ModuleProxy:
         return value
 
 
+class ObjectProxy(ModuleProxy):
+    """Replaces the object whose method is traced: it can be read, not changed."""
+
+    def __init__(self, held: Any) -> None:
+        self.__dict__.update(_module=held, _instead=stand_in)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise TraceError(f"the attribute {name}, which is assigned to")
+
+
 def stand_in(value: Any) -> Any:
     """What takes the place of something that a traced function refers to."""
     if value is math or value is np:
@@ -175,8 +186,9 @@ def stand_in(value: Any) -> Any:
         return ModuleProxy(value, stand_in)
     if (known := _mathematical(value)) is not None:
         return known
-    if isinstance(value, types.FunctionType):
-        return _lazily(value) if _is_formula(value) else value
+    inner = opened(value)[0] if isinstance(value, (functools.partial, types.MethodType)) else value
+    if isinstance(inner, types.FunctionType):
+        return _lazily(value) if _is_formula(inner) else value
     return _frozen(value)
 
 
@@ -237,6 +249,9 @@ def traceable(function: Any) -> Callable[..., Any]:
     Raises ``TraceError``, from here or when it is called, where the function can't be recorded:
     it says what can't, and in which line of which file.
     """
+    inner, first, named = opened(function)
+    if inner is not function:
+        return _with_arguments(traceable(inner), first, named)
     plain = getattr(function, "py_func", function)
     if not isinstance(plain, types.FunctionType):
         raise TraceError(f"{plain!r}, which is no Python function")
@@ -246,6 +261,22 @@ def traceable(function: Any) -> Callable[..., Any]:
         found = _traced(plain)
         _TRACED[plain] = now, found
     return found
+
+
+def _with_arguments(
+    formula: Callable[..., Any], first: tuple[Any, ...], named: dict[str, Any]
+) -> Callable[..., Any]:
+    """A formula with its first and some named arguments given: numbers, arrays, an object."""
+    given = tuple(map(_argument, first))
+    known = {name: _argument(x) for name, x in named.items()}
+    return lambda *args, **more: formula(*given, *args, **known, **more)
+
+
+def _argument(value: Any) -> Any:
+    is_object = hasattr(value, "__dict__") and not isinstance(
+        value, (np.ndarray, type, types.FunctionType, types.MethodType, types.ModuleType)
+    )
+    return ObjectProxy(value) if is_object else stand_in(value)
 
 
 def _traced(plain: types.FunctionType) -> Callable[..., Any]:

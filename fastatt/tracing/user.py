@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.tracing import functions, graph, source
+from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.called import (
     ENTRY,
     are_numbers,
     called_back,
     compiled,
     floats,
+    in_a_row,
     interpreted,
     nested,
     points,
@@ -32,7 +34,7 @@ from fastatt.tracing.called import (
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.nodes import Recorded, TraceError
-from fastatt.tracing.references import snapshot
+from fastatt.tracing.references import opened, snapshot
 from fastatt.tracing.trace import traceable
 
 # of a component, relative to its largest over the points; a wrong formula is off by far more
@@ -42,19 +44,33 @@ _TOLERANCE = 1e-9
 class Signature(NamedTuple):
     """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
 
-    ``results`` 0: as many as it has parameters.
+    ``results`` 0: as many as it has parameters. One that ``carries`` states gives two tuples, the
+    second of their time derivatives; ``results`` are then the numbers of both.
     """
 
     call: str
     before: tuple[int, ...]
     results: int
     unit: str
+    carries: bool = False
+    states: int = 0
+
+    def with_states(self, n: int) -> Signature:
+        """That of a function which takes n states too, before its parameters."""
+        if not n:
+            return self
+        call, given = self.call.replace(", p)", ", s, p)"), n if self.carries else 0
+        return self._replace(
+            call=call, before=(*self.before, n), results=self.results + given, states=given
+        )
 
 
 FORMS = {
-    "rate": Signature("rate(t, p)", (0,), 3, "rad/s"),
-    "torque": Signature("torque(t, q, w, p)", (0, 4, 3), 3, "N·m"),
-    "torque at position": Signature("torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m"),
+    "rate": Signature("rate(t, p)", (0,), 3, "rad/s", carries=True),
+    "torque": Signature("torque(t, q, w, p)", (0, 4, 3), 3, "N·m", carries=True),
+    "torque at position": Signature(
+        "torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m", carries=True
+    ),
     "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
@@ -65,7 +81,7 @@ FORMS = {
 }
 
 # what a function was made of, and for which values of its names
-_KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int], tuple[Any, UserFunction]]] = (
+_KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int, int], tuple[Any, UserFunction]]] = (
     WeakKeyDictionary()
 )
 
@@ -75,23 +91,28 @@ def user_function(
     form: str,
     n_params: int,
     params: NDArray[np.float64] | None = None,
+    states: int = 0,
 ) -> UserFunction:
     """A user's function, made once for a number of parameters and the values that it refers to.
 
     ``form`` is a key of ``FORMS``. ``params``, (P,) or (N, P), are some that it will be called
-    with: it is tried with them. Raises ``TypeError`` where it is no function, does not compile, or
-    gives something else than as many numbers as it should.
+    with: it is tried with them; ``states`` is how many states it takes. Raises ``TypeError`` where
+    it is no function, does not compile, or gives something else than as many numbers as it should.
     """
-    if not isinstance(getattr(function, "py_func", function), FunctionType):
+    inner = opened(function)[0]
+    if not isinstance(getattr(inner, "py_func", inner), FunctionType):
         raise TypeError(
             f"{form.partition(' ')[0]}: found {checks.brief(function)}; accepted: a function "
-            f"{FORMS[form].call}"
+            f"{FORMS[form].with_states(states).call}"
         )
-    made = _KNOWN.setdefault(function, {})
-    key, now = (form, n_params), snapshot(function)
+    try:
+        made = _KNOWN.setdefault(function, {})
+    except TypeError:  # an object that has no hash or no weak reference
+        made = {}
+    key, now = (form, n_params, states), snapshot(function)
     before, found = made.get(key, (None, None))
     if found is None or before != now:
-        found = UserFunction(function, form, n_params, params)
+        found = UserFunction(function, form, n_params, params, states)
         made[key] = now, found
     return found
 
@@ -110,12 +131,14 @@ class UserFunction:
         form: str,
         n_params: int,
         params: NDArray[np.float64] | None = None,
+        states: int = 0,
     ) -> None:
-        own = FORMS[form]
+        own = FORMS[form].with_states(states)
         self.form = own if own.results else own._replace(results=n_params)
         self.argument = form.partition(" ")[0]
         self.n_params = n_params
-        self.name = getattr(function, "__name__", self.argument)
+        inner = opened(function)[0]
+        self.name = getattr(function, "__name__", getattr(inner, "__name__", self.argument))
         self.reason = ""
         #: arrays of the tables that it reads, and times at which there is something in them
         self.tables: dict[Any, NDArray[np.float64]] = {}
@@ -156,6 +179,8 @@ class UserFunction:
     def call(self, *args: Any) -> Any:
         """What it gives of recorded numbers, the parameters a tuple: 3 numbers, a potential one.
 
+        Of a function that carries states their time derivatives follow.
+
         A function that is not traced computes in double precision, and gives doubles.
         """
         args = tuple(tuple(x) if isinstance(x, (tuple, list)) else x for x in args)
@@ -195,11 +220,15 @@ class UserFunction:
         self, function: Callable[..., Any], params: NDArray[np.float64] | None
     ) -> Callable[..., Any]:
         """The function traced; raises ``TraceError`` where it can't be, or can't be trusted."""
-        formula = _strict(traceable(function))
+        recorded, states = _strict(traceable(function)), self.form.states
+
+        def formula(*args: Any) -> Any:
+            return in_a_row(recorded(*args), states)
+
         recorder = Graph()
         numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
         p = recorder.inputs("double", "p", self.n_params)
-        result = formula(*nested((*numbers, *p), self.sizes))
+        result = numbers_of(formula(*nested((*numbers, *p), self.sizes)))
         values = result if isinstance(result, tuple) else (result,)
         if isinstance(result, tuple) != (self.form.results > 1) or not are_numbers(
             values, self.form.results
@@ -219,7 +248,8 @@ class UserFunction:
         for point in points(self.sizes, params, self.span):
             try:
                 with np.errstate(all="ignore"):
-                    asked.append(floats(in_python(*nested(point, self.sizes))))
+                    result = in_python(*nested(point, self.sizes))
+                    asked.append(floats(in_a_row(result, states)))
             except Exception:  # noqa: BLE001  # whatever the user's function raises there
                 continue
             found.append(traced(*(point[k] for k in places)))
@@ -237,10 +267,10 @@ def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:
         found = (x.graph for x in graph.flattened(list(args)) if isinstance(x, Number))
         recorder = next(found, None)
         if recorder is None or recorder.strict:
-            return formula(*args)
+            return numbers_of(formula(*args))
         recorder.strict = True
         try:
-            return formula(*args)
+            return numbers_of(formula(*args))
         finally:
             recorder.strict = False
 

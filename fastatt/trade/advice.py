@@ -41,6 +41,7 @@ def recommend(
     budget: float | None = None,
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
+    s0: ArrayLike | None = None,
     t0: float = 0.0,
     at: str = "run",
     methods: Sequence[str | Method] | None = None,
@@ -65,7 +66,7 @@ def recommend(
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, t0, n_threads : as of :func:`fastatt.propagate`.
+    scene, q0, w0, v0, r0, s0, t0, n_threads : as of :func:`fastatt.propagate`.
     t_end : float
         Duration, s, above 0; the steps fill it exactly.
     tol : float
@@ -117,10 +118,11 @@ def recommend(
         found = "neither" if tol is None else "both"
         raise ValueError(f"tol, budget: found {found}; accepted: one of them")
     wanted = checks.above_zero("budget", budget) if tol is None else checks.above_zero("tol", tol)
-    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     fitting = methods_for(scene)
-    usual = [m for m in _USUAL.get(scene.kind, _USUAL["free"]) if m in fitting]
+    kind = "torqued" if scene.states else scene.kind
+    usual = [m for m in _USUAL.get(kind, _USUAL["free"]) if m in fitting]
     cases = cases_of(scene, usual if methods is None else methods, representations, dtypes)
     if tol is not None and methods is None:
         cases = _hopeful(cases, tol)

@@ -68,6 +68,7 @@ def check_convergence(
     *,
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
+    s0: ArrayLike | None = None,
     dt: float,
     n_steps: int,
     method: str | Method | None = None,
@@ -88,7 +89,7 @@ def check_convergence(
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, dt, n_steps, method, representation, dtype, n_threads, t0 :
+    scene, q0, w0, v0, r0, s0, dt, n_steps, method, representation, dtype, n_threads, t0 :
         As of :func:`fastatt.propagate`, with one ``dt`` for all bodies.
     sample : int
         Number of bodies.
@@ -123,9 +124,9 @@ def check_convergence(
     >>> round(check.order), check.passed
     (4, True)
     """
-    ensemble = Ensemble.of(as_scene(scene), q0, w0, v0, r0)
+    ensemble = Ensemble.of(as_scene(scene), q0, w0, v0, r0, s0)
     record = method_of(scene, method, attitude_of(representation))
-    kind = checks.precision(dtype, q0, w0, v0, r0).name
+    kind = checks.precision(dtype, q0, w0, v0, r0, s0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
     whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
+from fastatt.propagation.breakpoints import breaks_of
 from fastatt.scene.equations import Body, PrescribedRate, Structure
+from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
@@ -43,13 +45,17 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     size = few.size
     count = int(np.clip(_SAMPLES // size, 1024, 16384))
     chance = np.random.default_rng(0).uniform(size=count)
-    times = (np.arange(count) + chance) * (problem.t_end / count)
-    run = problem.run(case, n_steps, save_at=problem.t0 + times)
+    times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
+    # both sides of each breakpoint, where a jump is known
+    breaks = breaks_of(problem.ensemble.scene.breakpoints, problem.t0, problem.t_end)
+    times = np.sort(np.concatenate([times, breaks.high[:-1], breaks.low[1:]]))
+    run = problem.run(case, n_steps, save_at=times)
     signs = np.where((run.q[1:] * run.q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     q = run.q.copy()
     q[1:] *= np.cumprod(signs, axis=0)
     t = np.broadcast_to(run.t[:, None, None], (*q.shape[:2], 1))
     carried = [run.carried.get(name, 0.0 * q[..., 1:]) for name in ("w", "v", "r")]
+    carried.append(run.carried.get("s", q[..., :0]))
     path = np.concatenate([t, q, *carried], axis=-1)
     with np.errstate(all="ignore"):
         steps, jump = 1, ""
@@ -68,9 +74,11 @@ def _examined(
     ranges = np.ptp(f, axis=0).max(axis=-1)
     varies = ranges > _CONSTANT * np.abs(f).max(axis=(0, 2))
     changes = np.abs(np.diff(f, axis=0)).max(axis=-1)
+    crossing = np.diff(path[:, 0, 0]) <= 2.0 * np.spacing(np.abs(path[1:, 0, 0]))
+    changes[crossing] = 0.0
     if not (varies & np.isfinite(ranges)).any():
         return 1, None
-    slopes = (changes / np.diff(path[..., 0], axis=0)).max(axis=0)
+    slopes = (changes / np.diff(path[..., 0], axis=0))[~crossing].max(axis=0)
     steps = _STEPS * problem.t_end * np.max(slopes[varies] / ranges[varies])
     suspects = np.argsort(changes, axis=0)[-_SUSPECTS:, :, None]
     low, high = (np.take_along_axis(path, suspects + k, axis=0) for k in (0, 1))
@@ -90,36 +98,37 @@ def _examined(
 
 
 def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Rates, or accelerations by torques and forces, (S, N, 3), at t, q, w, v, r (S, N, 14)."""
+    """Rates, or accelerations by torques and forces, (S, N, 3), at t, q, w, v, r, s (S, N, k)."""
     packed = problem.ensemble.scene.packed(problem.ensemble.size)
     structure = packed.structure
     names = ["rate" if isinstance(structure.turning, PrescribedRate) else "torque"]
     names += [] if structure.force is None else ["force"]
-    inputs = {"t": None, "q": 4, "w": 3, "v": 3, "r": 3, "p": structure.n_params}
+    n = structure.turning.law.states
+    inputs = {"t": None, "q": 4, "w": 3, "v": 3, "r": 3, "s": n, "p": structure.n_params}
     formula = rows(
         partial(_formula, structure), inputs, (3,) * len(names), key=(_formula, structure)
     )
-    states = np.split(path[..., 1:], (4, 7, 10), axis=-1)
+    states = np.split(path[..., 1:], (4, 7, 10, 13), axis=-1)
     p = packed.params[..., : structure.n_params]
     found = formula(path[..., 0], *states, p, tables=packed.tables)
     return dict(zip(names, found, strict=True))
 
 
-def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, p: Any) -> Any:
+def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: Any, p: Any) -> Any:
     turning, n = structure.turning, structure.turning.n_params
-    place = () if structure.force is None else (v, r if structure.position else ())
+    r = r if structure.position else ()
     own, q = p[:n], quat.normalise(q)
     found = []
     if isinstance(turning, PrescribedRate):
-        found.append(turning.law.formula(t, own))
+        found.append(turning.law.formula(t, own, states=s)[:3])
     else:
         motion, attitude, rate = Body(QUATERNION, turning, own, q[0]), q, w
         if motion.axes is not None:
             attitude, rate = quat.mul(q, motion.axes), quat.rotate_inverse(motion.axes, w)
-        torque = motion.torque(t, attitude, rate, place)
-        inverse = zip(motion.half_inverse, torque, strict=True)
+        torque = motion.torque(t, attitude, rate, Beside(v, r, s))
+        inverse = zip(motion.half_inverse, torque[:3], strict=True)
         found.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
-        force = structure.force.formula(t, q, w, *place, p[n + 1 :])
+        force = structure.force.formula(t, q, w, v, r, p[n + 1 :])
         found.append(scale(p[n], tuple(force)))
     return tuple(found)

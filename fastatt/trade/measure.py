@@ -99,7 +99,7 @@ class Problem:
         e = self.ensemble
         with noted():
             return propagate(
-                e.scene, e.q0, e.w0, v0=e.v0, r0=e.r0, dt=self.t_end / n_steps, n_steps=n_steps,
+                e.scene, **e.initial, dt=self.t_end / n_steps, n_steps=n_steps,
                 method=case.method, representation=case.representation, dtype=case.dtype,
                 save_every=save_every, save_at=save_at, n_threads=self.n_threads, t0=self.t0,
             )  # fmt: skip

@@ -74,6 +74,9 @@ def per_body_steps(
     t_end: float,
     tol: float,
     method: str | Method | None = None,
+    v0: ArrayLike | None = None,
+    r0: ArrayLike | None = None,
+    s0: ArrayLike | None = None,
     t0: float = 0.0,
     sample: int = 1536,
     seed: int = 0,
@@ -88,7 +91,7 @@ def per_body_steps(
 
     Parameters
     ----------
-    scene, q0, w0, t0 : as of :func:`fastatt.propagate`, of a scene with inertia.
+    scene, q0, w0, v0, r0, s0, t0 : as of :func:`fastatt.propagate`, of a scene with inertia.
     t_end : float
         Duration, s, above 0.
     tol : float
@@ -125,7 +128,8 @@ def per_body_steps(
     """
     if as_scene(scene).kind == "rate":
         raise ValueError("scene: found a rate; accepted: with inertia")
-    whole = Problem(Ensemble.of(scene, q0, w0), duration(t_end), checks.real("t0", t0))
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
+    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0))
     wanted = checks.real("tol", tol)
     if not wanted >= _FINEST:
         raise ValueError(f"tol: found {tol}; accepted: at least {_FINEST}, less is rounding")

@@ -34,7 +34,7 @@ _WORK = 2e7
 _SETTLED = 1e-6  # rad: a change above, which no halving brings down, is no rounding
 _FITS = 0.75  # of its order: by so much the error of a method falls at least
 _DOUBTED = 4.0  # times the last changes: what an error without an order may be
-_BREAKPOINTS = "let steps end at its breakpoints (jumps and corners), and run from each to the next"
+_BREAKPOINTS = "fa.Scene(..., breakpoints=times) of all jumps and corners, where steps then end"
 _INSTANTS = 16  # at which a given rate is evaluated
 
 

@@ -105,6 +105,7 @@ def work_precision(
     t_end: float,
     v0: ArrayLike | None = None,
     r0: ArrayLike | None = None,
+    s0: ArrayLike | None = None,
     t0: float = 0.0,
     methods: Sequence[str | Method] | None = None,
     representations: Sequence[str | Attitude] = ("quat",),
@@ -125,7 +126,7 @@ def work_precision(
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, t0, n_threads : as of :func:`fastatt.propagate`.
+    scene, q0, w0, v0, r0, s0, t0, n_threads : as of :func:`fastatt.propagate`.
     t_end : float
         Duration, s, above 0.
     methods, representations, dtypes : sequence
@@ -150,7 +151,7 @@ def work_precision(
     ValueError, TypeError
         An argument that does not fit, by name, with what is accepted.
     """
-    ensemble = Ensemble.of(scene, q0, w0, v0, r0)
+    ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     cases = cases_of(scene, methods, representations, dtypes)
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     size = checks.whole("sample", sample, 1)

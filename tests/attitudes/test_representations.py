@@ -25,7 +25,7 @@ BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 MATRICES = [(m, r) for m, r in combinations(exponential=True) if r != "quat"]
 COORDINATES = ["euler313", "rotation_vector"]
-REPRESENTATIONS = ["quat", "dcm", "dcm_rows", *COORDINATES]
+REPRESENTATIONS = ["quat", "dcm", "dcm_rows", "mrp", *COORDINATES]
 N, H = 100, 0.02
 
 
@@ -157,10 +157,65 @@ def test_rotation_vector_is_flagged_at_a_whole_turn():
     assert angle(traj.q[-1, 1], bodies.attitude(0.0, 2.0, q0)[1]) < 1e-8
 
 
+# the shadow set
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk8", "rk9", "gbs16"])
+def test_mrp_turn_over_and_over(method):
+    """Tumbling bodies pass half a turn and whole ones in every way: none is flagged."""
+    rng = np.random.default_rng(3)
+    q0, w0 = rng.normal(size=(20, 4)), 3.0 * rng.normal(size=(20, 3))
+    moments = (2.0, 1.0, 2.0 / 3.0)
+    scene = fa.Scene(inertia=moments)
+    options = {"dt": 0.01, "n_steps": 2000, "method": method, "save_every": 1}
+    found = fa.propagate(scene, q0, w0, representation="mrp", **options)
+    assert found.status.tolist() == [0] * 20
+    size = np.linalg.norm(found.state, axis=-1)
+    assert size.max() <= 1.0 + 4 * EPS
+    assert ((np.abs(np.diff(found.state, axis=0)).max(axis=-1) > 0.5).sum(axis=0) > 3).all()
+    true, _ = fa.closed_form.free_body(q0, w0, moments, found.t)
+    error = angle(found.q, true).max()
+    usual = angle(fa.propagate(scene, q0, w0, **options).q, true).max()
+    assert error < (2.0 * usual if method == "rk4" else 1e-11)
+
+
+@pytest.mark.parametrize(
+    "start", [[0.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0]]
+)
+def test_mrp_start_at_half_a_turn_and_a_whole_one(start):
+    w = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.3, -0.5, 0.2]])
+    traj = run("rk4", "mrp", 400, 0.01, steady(w).scene, np.tile(start, (3, 1)))
+    assert traj.status.tolist() == [0, 0, 0]
+    assert angle(traj.q[-1], mul(np.array(start), exp(4.0 * w))).max() < 1e-8
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk8", "rk9", "gbs16"])
+def test_a_step_of_mrp_at_the_limit_is_right_and_beyond_flagged(method):
+    """To 0.1 rad a rad turned, from half a turn on too; about a cone where a rate is given."""
+    rng = np.random.default_rng(6)
+    q0, w0 = rng.normal(size=(500, 4)), rng.normal(size=(500, 3))
+    q0[:250, 0] *= 0.01
+    limit = fa.METHODS[method].limit("mrp")
+    w0 *= 0.99 * limit / np.linalg.norm(w0, axis=-1, keepdims=True)
+    moments = (2.0, 1.0, 2.0 / 3.0)
+    options = {"dt": 1.0, "n_steps": 1, "method": method, "representation": "mrp"}
+    found = fa.propagate(fa.Scene(inertia=moments), q0, w0, **options)
+    true, _ = fa.closed_form.free_body(q0, w0, moments, 1.0)
+    assert angle(found.q[-1], true).max() < 0.1 * limit
+    with pytest.warns(fa.StepWarning, match="limit is"):
+        beyond = fa.propagate(fa.Scene(inertia=(1.0, 1.0, 1.0)), q0, 1.1 * w0, **options)
+    assert (beyond.status & fa.Status.STEP_TOO_LARGE).all()
+    if "rate" in fa.METHODS[method].scenes:
+        cone = fa.Scene(rate=fa.rates.Coning(0.5, 0.99 * limit / (2.0 * np.sin(0.25))))
+        true = fa.propagate(cone, q0, dt=0.01, n_steps=100, method="magnus8").q[-1]
+        assert angle(fa.propagate(cone, q0, **options).q[-1], true).max() < 0.1 * limit
+
+
 # inertial axes
 
 
-INERTIAL = [("magnus4", r) for r in ("quat", "dcm", "dcm_rows")] + [("rk4", r) for r in COORDINATES]
+INERTIAL = [("magnus4", r) for r in ("quat", "dcm", "dcm_rows")]
+INERTIAL += [("rk4", r) for r in ("mrp", *COORDINATES)]
 
 
 @pytest.mark.parametrize(("method", "representation"), INERTIAL)
@@ -190,3 +245,20 @@ def test_a_rate_fixed_in_inertial_axes_is_its_conjugate_in_the_body(representati
     assert angle(inertial.q[-1], mul(exp(N * H * w), START)).max() < 4 * EPS * N
     assert angle(inertial.q[-1], body.q[-1]).max() < 4 * EPS * N
     assert np.abs(inertial.w[-1] - body.w[-1]).max() < 4 * EPS * N
+
+
+TENSOR = fa.Scene(inertia=[[2.0, 0.2, 0.1], [0.2, 1.5, -0.1], [0.1, -0.1, 1.0]])
+CONE = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
+
+
+@pytest.mark.parametrize("representation", fa.METHODS["rk8"].representations)
+@pytest.mark.parametrize(
+    ("scene", "w0", "method"), [(CONE, None, "gauss12"), (TENSOR, (0.3, 0.2, 0.5), "rk8")]
+)
+def test_rotations_are_composed_in_the_order_of_quaternions(scene, w0, method, representation):
+    """After the attitude: a step of gauss12, and principal axes of a full tensor."""
+    q0 = [0.8, 0.3, 0.4, -0.2]
+    given = {"dt": 0.05, "n_steps": 20, "method": method}
+    found = fa.propagate(scene, q0, w0, representation=representation, **given)
+    expected = fa.propagate(scene, q0, w0, **given)
+    assert fa.angle_between(found.q[-1], expected.q[-1]) < 1e-13

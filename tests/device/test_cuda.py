@@ -41,6 +41,10 @@ def spinning(t, p):
     return p[0] + 0.1 * t, p[1], p[2] if t > 0.2 else p[0]
 
 
+def following(t, s, p):
+    return (s[0], p[1], s[1]), (p[0] - s[0], -s[1] * t)
+
+
 def largest(t, q, w, s):
     return max(s[0], w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
@@ -69,6 +73,7 @@ RUNS = {
     "mended": (
         fa.Scene(rate=spinning, params=FAST), "rk4", {"normalise": 2, "save_every": None},
     ),
+    "states": (fa.Scene(rate=following, states=2, params=W0), "rk4", {"s0": V0[:, :2]}),
     "angles": (BODIES.scene, "rk4", {"representation": "euler313"}),
     "free": (FREE, "rk4", {"save_every": 1, "t0": 2.0}),
     "reduced": (FREE, "rk4", {"reduce": fa.reducer(largest, start=0.0)}),

@@ -73,6 +73,7 @@ RUNS = {
     "matrices": (BODIES.scene, "cf4", "dcm", {"normalise": 8}),
     "rows": (INERTIAL, "cg3", "dcm_rows", {}),
     "angles": (BODIES.scene, "rk4", "euler313", {}),
+    "mrp": (BODIES.scene, "rk4", "mrp", {}),
     "vector": (BODIES.scene, "rk4", "rotation_vector", {}),
     "compensated": (BODIES.scene, "rkmk4", "quat", {"compensated": True}),
     "traced": (USERS, "lie_euler", "quat", {"normalise": "never"}),

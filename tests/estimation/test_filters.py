@@ -564,6 +564,9 @@ def test_refusals():
     for weights in ([1.0, -1.0], [0.0, 0.0]):
         with pytest.raises(ValueError, match=r"weights: found .*; accepted: at least 0, and some"):
             fa.mean_attitude(np.ones((2, 4)), weights)
+    # of two sets, one without a weight
+    with pytest.raises(ValueError, match=r"weights: found 0 to 1; accepted: at least 0, and some"):
+        fa.mean_attitude(np.ones((2, 2, 4)), [[1.0, 0.0], [0.0, 0.0]])
     with pytest.raises(ValueError, match="q: has no one mean"):
         fa.mean_attitude(np.eye(4)[:2])
     with pytest.raises(ValueError, match="q: found a zero quaternion"):

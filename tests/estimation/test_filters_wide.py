@@ -168,3 +168,20 @@ def test_warnings():
         for f in (es.MEKF(START, P, **NO_NOISE), es.UKF(START, np.zeros(3), P)):
             f.update_vector(UP, matrix(START) @ UP, 0.01)
             f.update_attitude(START, 0.01)
+
+
+def test_an_update_observes_the_sigma_points_that_are_public():
+    """Where the attitude is wide enough to bring them nearer, and biases go with it."""
+    P = np.diag([0.1, 0.1, np.pi**2, 1.0, 1.0, 1.0])
+    P[2, 5] = P[5, 2] = 0.5 * np.pi
+    ukf = es.UKF(START, np.zeros(3), P)
+    expected, seen = ukf.sigma_points(), []
+
+    def observe(q, y):
+        seen.append((q, y))
+        return y[:, :1]
+
+    ukf.update(observe, [0.0], [[1.0]])
+    ((q, y),) = seen
+    assert np.array_equal(q, expected[0].reshape(-1, 4))
+    assert np.array_equal(y, expected[1].reshape(-1, 3))

@@ -434,7 +434,7 @@ def test_arrays_that_are_too_short():
     [
         ({"method": "exact"}, "method: found 'exact'; accepted: rk4, cf4"),
         ({"method": "magnus4"}, "method: found 'magnus4'; accepted"),
-        ({"representation": "mrp"}, "representation: found 'mrp'"),
+        ({"representation": "gibbs"}, "representation: found 'gibbs'"),
         ({"position": True}, "position: found True"),
     ],
 )

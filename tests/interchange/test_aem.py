@@ -289,6 +289,27 @@ def test_leap_seconds_of_utc_count():
     ]
 
 
+@pytest.mark.parametrize(
+    ("day", "difference"),
+    [
+        ("1972-07-01", 11), ("1973-01-01", 12), ("1974-01-01", 13), ("1975-01-01", 14),
+        ("1976-01-01", 15), ("1977-01-01", 16), ("1978-01-01", 17), ("1979-01-01", 18),
+        ("1980-01-01", 19), ("1981-07-01", 20), ("1982-07-01", 21), ("1983-07-01", 22),
+        ("1985-07-01", 23), ("1988-01-01", 24), ("1990-01-01", 25), ("1991-01-01", 26),
+        ("1992-07-01", 27), ("1993-07-01", 28), ("1994-07-01", 29), ("1996-01-01", 30),
+        ("1997-07-01", 31), ("1999-01-01", 32), ("2006-01-01", 33), ("2009-01-01", 34),
+        ("2012-07-01", 35), ("2015-07-01", 36), ("2017-01-01", 37),
+    ],
+)  # fmt: skip
+def test_leap_seconds_are_those_published(day, difference):
+    """TAI - UTC in seconds from each day on; IERS, Bulletin C."""
+    days = (np.datetime64(day) - np.datetime64("1972-01-01")).astype(int)
+    tags = [f"{np.datetime64(day) - 1}T00:00:00", f"{day}T00:00:00"]
+    found = epochs.seconds_since("1972-01-01T00:00:00", tags, leaps=True)
+    assert found[0] == (days - 1) * 86400 + difference - 1 - 10
+    assert found[1] == days * 86400 + difference - 10
+
+
 def test_times_come_back_to_the_bit():
     rng = np.random.default_rng(5)
     t = np.concatenate([rng.normal(0.0, 10.0 ** rng.uniform(-9, 9, 200)), [1e-20, -0.1, 5e9]])

@@ -619,3 +619,20 @@ def test_method_representation_and_torque_of_ones_own_together(attitude, dtype):
         assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.15)
     else:
         assert 1e-9 < errors[1] < 100 * 4 * 2.0**-24
+
+
+def test_a_representation_without_a_derivative_is_for_exponentials_alone():
+    turned = fa.Attitude(
+        "turned",
+        size=4,
+        stored=4,
+        turn=lambda x, u: fa.kernels.quat.mul(x, fa.kernels.quat.exp(u)),
+        start=fa.kernels.quat.normalise,
+        quaternion=fa.kernels.quat.normalise,
+    )
+    given = {"dt": 0.1, "n_steps": 5, "representation": turned}
+    scene = fa.Scene(rate=fa.rates.Constant((0.1, 0.2, 0.3)))
+    run = fa.propagate(scene, [1.0, 0.0, 0.0, 0.0], method="magnus4", **given)
+    assert run.status == 0
+    with pytest.raises(ValueError, match="representation"):
+        fa.propagate(scene, [1.0, 0.0, 0.0, 0.0], method="rk4", **given)

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import fastatt as fa
-from fastatt.plots import animated, runs
+from fastatt import plots
+from fastatt.plots import animated, runs, study
 from fastatt.plots.drawing import COLOURS
 
 BODY = fa.Scene(inertia=(3.0, 2.0, 1.0))
@@ -218,3 +219,23 @@ def test_what_is_no_run_is_refused(tmp_path):
     for draw in (fa.plots.history, fa.plots.animation):
         with pytest.raises(TypeError, match=r"run: found .run\.csv.; accepted: a Trajectory"):
             draw("run.csv", tmp_path / "x.gif")
+
+
+def test_work_precision_says_what_it_shows(monkeypatch):
+    figures = []
+    monkeypatch.setattr(study, "save", lambda figure, path: figures.append(figure))
+    curve = plots.MethodCurve("rk4", "quat", [1e-6, 2e-6], [1e-3, 1e-5])
+    panels = [plots.Panel(title, 20.0, [curve], curve) for title in ("cones", "tops")]
+    plots.work_precision(panels, "all", "")
+    (figure,) = figures
+    assert figure.get_suptitle() == "all"
+    assert [axes.get_title() for axes in figure.axes] == ["cones", "tops"]
+    x_labels = {axes.get_xlabel() for axes in figure.axes}
+    assert x_labels == {"time per body for 20 s of motion, µs"}
+    assert labels(figure) == ["attitude error, median over bodies, rad", ""]
+    best, method = figure.axes[0].lines
+    assert np.allclose(method.get_xdata(), [1.0, 2.0])
+    assert np.array_equal(method.get_ydata(), [1e-3, 1e-5])
+    assert np.array_equal(best.get_ydata(), [1e-3, 1e-5])
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["rk4", "frontier"]

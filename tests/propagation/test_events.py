@@ -234,6 +234,34 @@ def test_functions_of_velocity_and_position():
     assert abs(run.event_times[0] - math.sqrt(2.0)) < 1e-11
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_scene_with_states(moves):
+    def lagged(t, q, w, s, p):
+        return (-p[0] * s[0], 0.0, 0.0), p[1] * (w[0] - s[0])
+
+    def rate(t, q, w, p):
+        return w[0] - p[0]
+
+    def rate_there(t, q, w, v, r, p):
+        return w[0] - p[0] + (r[0] - t) + (v[0] - 1.0)
+
+    def axis(t, y):
+        return [-0.4 * y[1], 3.0 * (y[0] - y[1])]
+
+    mass = {"mass": 2.0, "force": lambda t, q, w, v, p: (0.0, 0.0, 0.0)} if moves else {}
+    given = {"v0": [1.0, 0.0, 0.0], "r0": [0.0, 0.0, 0.0]} if moves else {}
+    body = fa.Scene(inertia=(1.0, 1.0, 1.0), torque=lagged, states=1, params=(0.4, 3.0), **mass)
+    run = fa.propagate(
+        body, [1, 0, 0, 0], [1.0, 0.0, 0.0], s0=[0.0], dt=0.05, n_steps=100, method="rk8",
+        events=[fa.event(rate_there if moves else rate)], **given,
+    )  # fmt: skip
+    crossing = solve_ivp(
+        axis, (0.0, 5.0), [1.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-13,
+        events=lambda t, y: y[0] - 0.4,
+    )  # fmt: skip
+    assert run.event_times[0] == pytest.approx(crossing.t_events[0][0], abs=1e-9)
+
+
 def test_single_precision_and_compensated_runs():
     single = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, dtype="float32")
     same = np.isnan(single.event_times) == np.isnan(FREE.event_times)
@@ -269,6 +297,10 @@ def test_a_function_that_is_no_number_flags_nothing():
     assert not run.has_flags
 
 
+def push(t, q, w, p):
+    return (0.1 * math.sin(t), 0.0, 0.0)
+
+
 def test_what_is_refused():
     given = {**RUN, "events": EVENTS}
     with pytest.raises(ValueError, match=r"method with events: found 'exact'; accepted: .*rk8"):
@@ -292,3 +324,8 @@ def test_what_is_refused():
         fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t: t)])
     with pytest.raises(ValueError, match="no position is carried"):
         fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t, q, w, v, r, p: t)])
+    timed = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=push, breakpoints=(0.5,))
+    with pytest.raises(ValueError, match="events: found with a scene that has breakpoints"):
+        fa.propagate(timed, Q0, W0, **given)
+    with pytest.raises(ValueError, match="events: found with a t_end that is no whole number"):
+        fa.plan(BODY, N, dt=0.1, t_end=0.95, events=EVENTS)

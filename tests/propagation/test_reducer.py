@@ -244,7 +244,7 @@ def test_refusals():
     with pytest.raises(ValueError, match=r"method with reduce: found 'exact'; accepted: .*rk4"):
         fa.propagate(BODY, Q0, W0, reduce=WATCH, dt=0.1, n_steps=1, method="exact")
     with pytest.raises(
-        ValueError, match=r"q0: found rows s0 2, q0 70|w0: found rows w0 70, s0 2, q0 70"
+        ValueError, match=r"q0: found rows reduced 2, q0 70|w0: found rows w0 70, reduced 2, q0 70"
     ):
         fa.propagate(BODY, Q0, W0, reduce=fa.reducer(count, start=[[0.0], [1.0]]), **STEP)
     with pytest.raises(ValueError, match="reduced: the run had no reduce; accepted: one with"):

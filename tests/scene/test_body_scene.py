@@ -527,6 +527,6 @@ def test_scene_refuses(arguments, error, message):
 
 
 def test_directions_need_a_rate():
-    message = re.escape("scene: found inertia or mass; accepted: a scene with a rate alone")
+    message = re.escape("scene: found inertia, mass or states; accepted: a scene with a rate alone")
     with pytest.raises(ValueError, match=message):
         fa.propagate_directions(ONE, [0.0, 0.0, 1.0], dt=0.1, n_steps=1)

@@ -14,7 +14,7 @@ from oracle import floats
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.kernels import quat, vec3
-from fastatt.scene.translation import Coupled
+from fastatt.scene.coupled import Coupled
 
 INERTIA = (2.0, 1.0, 2.0 / 3.0)
 TENSOR = np.array([[2.0, 0.2, 0.1], [0.2, 2.5, -0.3], [0.1, -0.3, 3.0]])

@@ -477,7 +477,7 @@ def unknown_function(x, y):
 
 
 def unknown_of_numpy(x, y):
-    return np.linalg.norm((x, y))
+    return np.linalg.det(((x, y), (y, x)))
 
 
 def random(x, y):
@@ -576,7 +576,7 @@ REFUSED = [
     (index, "a whole number made of one that is not known", "return NUMBERS[int(x)]"),
     (place, "a whole number made of one", "return NUMBERS[x]"),
     (unknown_function, "math.gamma of numbers", "return math.gamma(x)"),
-    (unknown_of_numpy, "numpy.linalg.norm of numbers", "return np.linalg.norm((x, y))"),
+    (unknown_of_numpy, "numpy.linalg.det of numbers", "return np.linalg.det("),
     (random, "numpy.random, which gives other numbers", "return x + np.random.normal()"),
     (prints, "print, which is not among the functions", "print(x)"),
     (tries, "the statement try", "try:"),

@@ -325,11 +325,11 @@ def one(t, p):
 
 
 def array(t, p):
-    return np.array([t, t, t])
+    return np.array([t, t])
 
 
 def a_list(t, p):
-    return [t, t, t]
+    return [t, t, t, t]
 
 
 def nothing(t, p):

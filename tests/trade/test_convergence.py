@@ -69,6 +69,7 @@ def test_a_broken_method_is_caught(case):
     assert not check.passed
     assert check.order < 2.5
     assert check.limited_by == "truncation"
+    assert check.divided == 2**7  # all halvings that there are
     assert caught[0].filename == __file__
 
 

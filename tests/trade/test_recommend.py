@@ -311,10 +311,44 @@ def corner(t, q, w, p):
 def test_a_pulse_is_refused_with_its_time(end):
     """Shorter than a step it is seen all the same, and no single step is "round-off"."""
     scene = fa.Scene(inertia=(4.0, 3.0, 2.5), torque=pulse, params=(5.0, end))
-    words = r"the torque jumps near t = 5\S* s \(body \d+\), .*let steps end at its breakpoints"
+    words = r"the torque jumps near t = 5\S* s \(body \d+\), .*fa.Scene\(..., breakpoints=times\)"
     for tol in (1e-4, 1e-2):
         with pytest.raises(ValueError, match=words):
             fa.recommend(scene, Q0[:20], 0.1 * W0[:20], t_end=10.0, tol=tol, methods=["gbs16"])
+
+
+@pytest.mark.parametrize("end", [5.4, 5.04, 5.005])
+def test_a_pulse_between_breakpoints_is_accepted(end):
+    """Advice and per-body steps keep their promise; another jump is refused still."""
+    options = {"inertia": (4.0, 3.0, 2.5), "torque": pulse, "params": (5.0, end)}
+    scene = fa.Scene(**options, breakpoints=(5.0, end))
+    bodies = Q0[:20], 0.1 * W0[:20]
+    fine = fa.propagate(scene, *bodies, dt=1e-2, n_steps=1000, method="rk9")
+    chosen = fa.recommend(scene, *bodies, t_end=10.0, tol=1e-9, methods=["rk4", "rk8"], **DOUBLE)
+    run = fa.propagate(scene, *bodies, **chosen.arguments)
+    rounding = 1e-13  # of the finer run
+    error = fa.angle_between(run.q[-1], fine.q[-1]).max()
+    assert error - rounding <= chosen.expected_error <= 1e-9
+    steps = fa.per_body_steps(scene, *bodies, t_end=10.0, tol=1e-9)
+    run = fa.propagate(scene, *bodies, **steps.arguments)
+    error = fa.angle_between(run.q[-1], fine.q[-1]).max()
+    assert error - rounding <= steps.expected_error <= 1e-9
+    half = fa.Scene(**options, breakpoints=5.0)
+    with pytest.raises(ValueError, match=r"the torque jumps near t = 5"):
+        fa.recommend(half, *bodies, t_end=10.0, tol=1e-4, methods=["rk8"])
+
+
+def test_orders_between_breakpoints():
+    scene = fa.Scene(
+        inertia=(4.0, 3.0, 2.5), torque=pulse, params=(5.0, 5.33), breakpoints=(5.0, 5.33)
+    )
+    check = fa.check_convergence(scene, Q0[:20], 0.1 * W0[:20], dt=0.25, n_steps=40, method="rk4")
+    assert check.passed
+    rows = fa.work_precision(
+        scene, Q0[:20], W0[:20], t_end=10.0, methods=["rk4"], dtypes=["float64"], max_seconds=2.0
+    ).rows
+    orders = [row.order for row in rows if row.order is not None]
+    assert 3.5 < np.median(orders) < 4.6
 
 
 def test_a_corner_is_refused_below_what_the_reference_reaches():

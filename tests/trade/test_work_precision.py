@@ -338,7 +338,7 @@ def test_status_is_counted():
     [
         ({"t_end": 0.0}, "t_end: found 0.0"),
         ({"methods": ["exact"]}, "methods: found 'exact'; accepted: lie_euler"),
-        ({"representations": ["mrp"]}, "representations: found 'mrp'"),
+        ({"representations": ["gibbs"]}, "representations: found 'gibbs'"),
         ({"dtypes": ["float16"]}, "dtypes: found 'float16'"),
         ({"methods": ["magnus4"], "representations": ["euler313"]}, "of which nothing fits"),
         ({"sample": 0}, "sample: found 0"),

@@ -1,0 +1,168 @@
+"""Euler angles of all 24 sequences, named as SciPy does: "zyx" fixed axes, "ZYX" body axes."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import product
+from typing import Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import arrays, checks
+from fastatt.tracing.formulas import Vector, quat, trig
+from fastatt.tracing.graph import apply, choose
+
+#: sequences of axes, of which no two in a row are the same
+SEQUENCES = tuple(
+    "".join(axes)
+    for letters in ("xyz", "XYZ")
+    for axes in product(letters, repeat=3)
+    if axes[0] != axes[1] != axes[2]
+)
+
+
+def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
+    """Unit quaternions of Euler angles, in any of the 24 sequences.
+
+    Parameters
+    ----------
+    angles : array_like
+        (..., 3), rad, in the order of the sequence.
+    sequence : str
+        Three axes, as in SciPy's ``Rotation.from_euler``: lower case for rotations about the fixed
+        axes, "xyz", upper case for rotations about the body's own, "ZYX". No axis stands twice in a
+        row. "ZXZ" are the 3-1-3 angles (φ, θ, ψ), "ZYX" yaw, pitch and roll.
+
+    Returns
+    -------
+    ndarray
+        (..., 4), body to inertial.
+
+    Raises
+    ------
+    ValueError
+        For another sequence or shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> fa.euler_to_quat(np.radians([90.0, 0.0, 0.0]), "ZYX").round(3)
+    array([0.707, 0.   , 0.   , 0.707])
+    """
+    found = arrays.floats("angles", angles, (3,))
+    return arrays.on_rows(_to_quat(_known(sequence)), found, after=4)
+
+
+def quat_to_euler(q: ArrayLike, sequence: str) -> NDArray[Any]:
+    """Euler angles of quaternions, in any of the 24 sequences.
+
+    The first and the third angle lie in [−π, π], the second in [0, π] where the first axis is the
+    third too, and in [−π/2, π/2] otherwise. At gimbal lock, the ends of the second angle's range,
+    only the sum or the difference of the other two is determined: within 4e-15 rad of it (float32:
+    2e-6) the third is 0, as in SciPy. Next to it the angles are still those of the attitude to
+    rounding.
+
+    Parameters
+    ----------
+    q : array_like
+        (..., 4), body to inertial, of any length but zero.
+    sequence : str
+        Three axes, as of :func:`euler_to_quat`.
+
+    Returns
+    -------
+    ndarray
+        (..., 3), rad, in the order of the sequence.
+
+    Raises
+    ------
+    ValueError
+        For another sequence or shape.
+
+    References
+    ----------
+    Bernardes and Viollet, "Quaternion to Euler angles conversion: A direct, general and
+    computationally efficient method", PLoS ONE 17 (2022) 11.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_to_euler([1.0, 0.0, 0.0, 1.0], "ZYX").round(3)
+    array([1.571, 0.   , 0.   ])
+    """
+    found = arrays.floats("q", q, (4,))
+    return arrays.on_rows(_from_quat(_known(sequence)), found, after=3)
+
+
+def _known(sequence: Any) -> str:
+    if sequence not in SEQUENCES:
+        raise ValueError(
+            f"sequence: found {checks.brief(sequence)}; accepted: three of x, y, z about fixed "
+            "axes or of X, Y, Z about the body's own, none twice in a row, such as 'ZYX'"
+        )
+    return str(sequence)
+
+
+def _axes(sequence: str) -> tuple[list[int], bool]:
+    """Axes from 0, and whether they are the body's own."""
+    return ["xyz".index(letter) for letter in sequence.lower()], sequence.isupper()
+
+
+@cache
+def _to_quat(sequence: str) -> Any:
+    axes, is_intrinsic = _axes(sequence)
+
+    def formula(angles: Vector) -> Any:
+        a, b, c = (_about(axis, angle) for axis, angle in zip(axes, angles, strict=True))
+        return quat.mul(quat.mul(a, b), c) if is_intrinsic else quat.mul(c, quat.mul(b, a))
+
+    return formula
+
+
+def _about(axis: int, angle: Any) -> Vector:
+    """The quaternion of a rotation about a coordinate axis."""
+    s, c = trig.sincos(0.5 * angle)
+    return (c, *(s if k == axis else 0.0 for k in range(3)))
+
+
+@cache
+def _from_quat(sequence: str) -> Any:
+    axes, is_intrinsic = _axes(sequence)
+    # about the body's axes is about fixed ones in the opposite order
+    i, j, k = reversed(axes) if is_intrinsic else axes
+    is_proper = i == k
+    k = 3 - i - j
+    sign = (i - j) * (j - k) * (k - i) / 2
+
+    def formula(q: Vector) -> Any:
+        unit = quat.normalise(q)
+        w, x, y, z = unit[0], unit[1 + i], unit[1 + j], sign * unit[1 + k]
+        a, b, c, d = (w, x, y, z) if is_proper else (w - y, x + z, y + w, z - x)
+        cosine = apply("sqrt", a * a + b * b)
+        sine = apply("sqrt", c * c + d * d)
+        middle = 2.0 * trig.atan2(sine, cosine)
+        half_sum, half_difference = trig.atan2(b, a), trig.atan2(d, c)
+        first, third = half_sum - half_difference, half_sum + half_difference
+        # less than eight ulps of the other
+        at_least = cosine + 0.0625 * sine <= cosine
+        at_most = sine + 0.0625 * cosine <= sine
+        if is_intrinsic:
+            third = choose(at_least, 2.0 * half_sum, choose(at_most, 2.0 * half_difference, third))
+            first = choose(at_least, 0.0, choose(at_most, 0.0, first))
+        else:
+            first = choose(at_least, 2.0 * half_sum, choose(at_most, -2.0 * half_difference, first))
+            third = choose(at_least, 0.0, choose(at_most, 0.0, third))
+        if not is_proper:
+            middle, third = middle - 0.5 * math.pi, sign * third
+        first, third = _wrapped(first), _wrapped(third)
+        return (third, middle, first) if is_intrinsic else (first, middle, third)
+
+    return formula
+
+
+def _wrapped(angle: Any) -> Any:
+    """An angle of at most 2π in size, to [−π, π]."""
+    above = choose(angle > math.pi, angle - 2.0 * math.pi, angle)
+    return choose(above < -math.pi, above + 2.0 * math.pi, above)

@@ -1,0 +1,51 @@
+"""Modified Rodrigues parameters σ = e tan(φ/4) of the rotation by φ about the unit vector e.
+
+σ and its shadow −σ/|σ|² are one attitude; of the two, the one with |σ| ≤ 1 is never singular.
+Schaub and Junkins, "Stereographic orientation parameters for attitude dynamics", J. Astronaut.
+Sci. 44 (1996) 1.
+"""
+
+from fastatt._jit import kernel
+from fastatt.kernels.vec3 import axpy, cross, dot, scale
+
+
+@kernel
+def to_quat(x):
+    """Unit quaternion of σ, of |σ| up to 1e150 (float32: 1e18)."""
+    F = type(x[0])
+    z = dot(x, x)
+    s = F(1.0) / (F(1.0) + z)
+    return s * (F(1.0) - z), F(2.0) * s * x[0], F(2.0) * s * x[1], F(2.0) * s * x[2]
+
+
+@kernel
+def from_quat(q):
+    """σ of a unit quaternion, |σ| ≤ 1."""
+    F = type(q[0])
+    s = F(1.0) / (F(1.0) + abs(q[0]))
+    s = -s if q[0] < F(0.0) else s
+    return s * q[1], s * q[2], s * q[3]
+
+
+@kernel
+def inner(x):
+    """σ, or its shadow −σ/|σ|² where |σ| > 1: the same attitude, |σ| ≤ 1."""
+    F = type(x[0])
+    z = dot(x, x)
+    s = F(-1.0) / z if z > F(1.0) else F(1.0)
+    return scale(s, x)
+
+
+@kernel
+def derivative(x, w):
+    """σ̇ = ¼ ((1 − |σ|²) w + 2 σ×w + 2 (σ·w) σ), w in body axes, rad/s."""
+    F = type(x[0])
+    return half_derivative(x, scale(F(0.5), w))
+
+
+@kernel
+def half_derivative(x, v):
+    """σ̇ of the angular velocity 2v."""
+    F = type(x[0])
+    k = F(0.5) * (F(1.0) - dot(x, x))
+    return axpy(k, v, axpy(dot(x, v), x, cross(x, v)))

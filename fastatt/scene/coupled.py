@@ -1,0 +1,107 @@
+"""Attitude, momentum, velocity, position and states as one system, stepped together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from fastatt.attitudes import Attitude
+from fastatt.scene.equations import EquationsOfMotion, Structure, motion_of
+from fastatt.scene.forces import squares_of_rates
+from fastatt.scene.models import Law
+from fastatt.scene.torque_record import ALONE, Beside
+from fastatt.tracing.formulas import Vector, as_like, minus, plus, quat, scale, vec3
+from fastatt.tracing.functions import larger
+
+
+class Coupled(EquationsOfMotion):
+    """The motion of a scene with mass or states: that of the rotation, velocity, position, states.
+
+    v̇ = F/μ − w×v along body axes and, where the position is carried, ṙ = C v along inertial axes,
+    together with the equations of the rotation, in which v, r and the states may stand, and which
+    give the time derivatives of the states.
+    """
+
+    def __init__(self, attitude: Attitude, structure: Structure, p: Vector, like: Any) -> None:
+        super().__init__(attitude)
+        n = structure.turning.n_params
+        self.inner = motion_of(structure.turning, attitude, p[:n], like)
+        # stages have no low parts
+        self._stage = motion_of(structure.turning, attitude.plain, p[:n], like)
+        self._beside, self._force = structure.beside, structure.force
+        self._states = structure.turning.law.states
+        #: 1/μ and the force's; none without a force
+        self._numbers = p[n:]
+        #: squares of the rates of falling at the stages of the step that is being recorded
+        self._squares: list[Any] = []
+
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        super().evaluate_between(low, high)
+        self.inner.evaluate_between(low, high)
+        self._stage.evaluate_between(low, high)
+
+    def _split(self, x: Vector) -> tuple[Vector, Vector]:
+        """State of the rotation; velocity, position and states, as far as they are carried."""
+        n = len(x) - self._beside
+        return x[:n], x[n:]
+
+    def _named(self, moved: Vector) -> Beside:
+        """The second part of ``_split`` by its names."""
+        n = len(moved) - self._states
+        return Beside(moved[: min(3, n)], moved[3:n], moved[n:])
+
+    def _translation(self, force: Law, t: Any, a: Vector, beside: Beside) -> Vector:
+        """v̇ along body axes and, where it is carried, ṙ along inertial axes."""
+        v, r = beside.velocity, beside.position
+        q, w = self._stage.pose(t, a, beside)
+        q = quat.renormalise(q)
+        acting = force.formula(self.instant(t), q, w, v, r, self._numbers[1:])
+        push = scale(self._numbers[0], as_like(tuple(acting), v[0]))
+        if r:
+            self._squares += squares_of_rates(force, r, self._numbers[1:])
+        return (*minus(push, vec3.cross(w, v)), *(quat.rotate(q, v) if r else ()))
+
+    def at(self, t: Any) -> Any:
+        return t, self.inner.at(t)
+
+    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
+        t, given = g
+        a, moved = self._split(x)
+        beside = self._named(moved)
+        translated = () if self._force is None else self._translation(self._force, t, a, beside)
+        found = self.inner.field(given, a, beside)
+        n = len(found) - self._states
+        return (*found[:n], *translated, *found[n:])
+
+    def base(self, x: Vector) -> Vector:
+        a, moved = self._split(x)
+        return (*self.inner.base(a), *moved)
+
+    def advanced(self, x: Vector, d: Vector) -> Vector:
+        (a, moved), (d_a, d_moved) = self._split(x), self._split(d)
+        return (*self.inner.advanced(a, d_a), *plus(moved, d_moved))
+
+    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
+        a, moved = self._split(x)
+        square = self.inner.turning(g[1], self._split(xdot)[0], a, self._named(moved))
+        for of_stage in self._squares:
+            # four times: a quaternion, for which limits hold, turns at half the body's rate
+            square = larger(square, as_like(4.0 * of_stage, x[0]))
+        self._squares.clear()
+        return square
+
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        y, moved = self._split(auxiliary)
+        return (*self.inner.begin(q, y), *moved)
+
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+        a, moved = self._split(x)
+        y, d = self.inner.output(a, finish)
+        return (*y, *moved), d
+
+    def invariants(self, x: Vector) -> Vector:
+        return self.inner.invariants(self._split(x)[0])
+
+    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
+        a, moved = self._split(x)
+        return self.inner.pose(t, a, self._named(moved))

@@ -1,0 +1,483 @@
+"""States that a torque or a rate carries, stepped with the attitude as one system."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import solve_ivp
+
+import fastatt as fa
+
+J = np.array([[2.0, 0.1, -0.2], [0.1, 1.5, 0.15], [-0.2, 0.15, 1.2]])
+Q0 = np.array([0.8, 0.0, 0.6, 0.0])
+W0 = np.array([0.4, -0.3, 0.5])
+RALSTON = fa.runge_kutta(
+    "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
+)
+METHODS = ("rk4", "rk8", "rk9", "gbs16", RALSTON)
+
+
+def integral(t, q, w, s, p):
+    """PID control of the attitude: s is the integral of the error."""
+    error = tuple(2.0 * q[0] * x for x in q[1:])
+    torque = tuple(
+        -p[0] * e - p[1] * rate - p[2] * x for e, rate, x in zip(error, w, s, strict=True)
+    )
+    return torque, error
+
+
+def wheel(t, q, w, s, p):
+    """A wheel along z with viscous friction and a commanded torque: s is its momentum."""
+    command = p[0] * math.sin(2.0 * t) - p[1] * s[0]
+    h = s[0]
+    return (-w[1] * h, w[0] * h, -command), command
+
+
+def flexible(t, q, w, s, p):
+    """An appendage on a damped spring: s is its deflection and the rate of that."""
+    pull = p[0] * s[0] + p[1] * s[1]
+    return (p[2] * pull, 0.0, 0.1 * math.cos(t)), (s[1], -pull - p[2] * w[0])
+
+
+@njit
+def sensed(t, q, w, s, p):
+    """Rate damping by a gyro with a lag and a limit: s is what it reads."""
+    lag = (p[0] * (w[0] - s[0]), p[0] * (w[1] - s[1]), p[0] * (w[2] - s[2]), math.sin(t) - s[3])
+    if s[0] > 0.0:
+        command = -0.2 * math.tanh(5.0 * p[1] * s[0])
+    else:
+        command = 0.2 * math.tanh(-5.0 * p[1] * s[0])
+    return (command, -p[1] * s[1], -p[1] * s[2] + 0.1 * s[3]), lag
+
+
+SYSTEMS = {
+    "integral": (integral, (0.8, 0.9, 0.2), (0.1, 0.0, -0.1)),
+    "wheel": (wheel, (0.3, 0.2), (0.7,)),
+    "flexible": (flexible, (4.0, 0.2, 0.3), (0.05, -0.1)),
+    "sensed": (sensed, (3.0, 0.5), (0.0, 0.1, 0.2, 0.3)),
+}
+
+
+def scene_of(name, params=None, **options):
+    function, usual, start = SYSTEMS[name]
+    return fa.Scene(
+        inertia=J,
+        torque=function,
+        states=len(start),
+        params=usual if params is None else params,
+        **options,
+    )
+
+
+def kinematics(q, w):
+    return 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
+
+
+def truth(function, params, start, t_end, t0=0.0):
+    """(q, w, s) at the end by DOP853, from Euler's equations as they stand."""
+    plain = getattr(function, "py_func", function)
+
+    def slope(t, y):
+        q, w = y[:4] / np.linalg.norm(y[:4]), y[4:7]
+        torque, change = plain(t, tuple(q), tuple(w), tuple(y[7:]), tuple(params))
+        spin = np.linalg.solve(J, np.array(torque) - np.cross(w, J @ w))
+        return np.concatenate([kinematics(y[:4], w), spin, np.atleast_1d(change)])
+
+    y = solve_ivp(
+        slope, (t0, t0 + t_end), np.concatenate(start), method="DOP853", rtol=1e-12, atol=1e-13
+    ).y[:, -1]
+    return y[:4] / np.linalg.norm(y[:4]), y[4:7], y[7:]
+
+
+def apart(run, wanted):
+    q, w, s = wanted
+    found = fa.angle_between(run.q[-1], q), np.abs(run.w[-1] - w).max()
+    return max(*found, np.abs(run.s[-1] - s).max())
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_random_systems_agree_with_scipy(name):
+    function, usual, start = SYSTEMS[name]
+    rng = np.random.default_rng(len(name))
+    n = 10
+    params = np.array(usual) * rng.uniform(0.5, 1.5, (n, len(usual)))
+    q0, w0 = rng.normal(size=(n, 4)), rng.normal(size=(n, 3))
+    q0 /= np.linalg.norm(q0, axis=1)[:, None]
+    s0 = np.array(start) + rng.normal(scale=0.2, size=(n, len(start)))
+    scene = scene_of(name, params)
+    assert scene.states == len(start)
+    assert all(f.straight for f in scene.functions)
+    run = fa.propagate(scene, q0, w0, s0=s0, dt=0.02, n_steps=200, t0=1.0, method="rk8")
+    assert run.s.shape == (1, n, len(start))
+    for k in range(n):
+        q, w, s = truth(function, params[k], (q0[k], w0[k], s0[k]), 4.0, 1.0)
+        assert fa.angle_between(run.q[-1, k], q) < 1e-9
+        np.testing.assert_allclose(run.w[-1, k], w, atol=1e-9)
+        np.testing.assert_allclose(run.s[-1, k], s, atol=1e-9)
+
+
+# numbers of steps of 4 s whose errors are above what rounding and the reference leave
+LADDERS = ((80, 160), (20, 40), (10, 20), (4, 6), (160, 320))
+
+
+@pytest.mark.parametrize(("method", "steps"), [*zip(METHODS, LADDERS, strict=True)], ids=str)
+@pytest.mark.parametrize("name", ["integral", "flexible"])
+def test_order_is_that_of_the_method(name, method, steps):
+    function, params, start = SYSTEMS[name]
+    body = Q0, 8.0 * W0
+    wanted = truth(function, params, (*body, start), 4.0)
+    errors = []
+    for n in steps:
+        run = fa.propagate(scene_of(name), *body, s0=start, dt=4.0 / n, n_steps=n, method=method)
+        errors.append(apart(run, wanted))
+    order = method.order if isinstance(method, fa.Method) else fa.METHODS[method].order
+    found = math.log(errors[0] / errors[1]) / math.log(steps[1] / steps[0])
+    assert errors[1] > 5e-11
+    assert found > 0.85 * order
+
+
+def turning(t, s, p):
+    """A rate that follows a command with a lag of second order."""
+    return (s[0], 0.3 * math.cos(t), p[0] * s[1]), (s[1], p[1] * (math.sin(t) - s[0]) - s[1])
+
+
+@pytest.mark.parametrize("frame", ["body", "inertial"])
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_rates_carry_states(frame, method):
+    p, s0 = (0.7, 2.0), (0.4, -0.2)
+
+    def slope(t, y):
+        w, change = turning(t, y[4:], p)
+        w = np.array(w)
+        side = y[:4] if frame == "body" else y[:4] * (1, -1, -1, -1)
+        moved = kinematics(side, w if frame == "body" else -w)
+        return np.concatenate([moved if frame == "body" else moved * (1, -1, -1, -1), change])
+
+    y = solve_ivp(slope, (0.0, 3.0), [*Q0, *s0], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    scene = fa.Scene(rate=turning, states=2, params=p, frame=frame)
+    assert scene.kind == "rate"
+    steps = 1600 if method in ("rk4", RALSTON) else 60
+    run = fa.propagate(scene, Q0, s0=s0, dt=3.0 / steps, n_steps=steps, method=method)
+    bound = 3e-9 if steps == 1600 else 1e-11
+    assert fa.angle_between(run.q[-1], y[:4]) < bound
+    np.testing.assert_allclose(run.s[-1], y[4:], atol=bound)
+    w = np.array(turning(3.0, run.s[-1], p)[0])
+    if frame == "inertial":
+        w = fa.quat_rotate_inverse(run.q[-1], w)
+    np.testing.assert_allclose(run.w[-1], w, atol=1e-14)
+
+
+def slosh(t, q, w, v, r, s, p):
+    """A mass on a spring that velocity and position drive too."""
+    return (p[0] * s[0], 0.1 * v[1], 0.05 * r[2]), (s[1], -s[0] + 0.2 * v[0] - 0.1 * r[1] * w[2])
+
+
+def test_velocity_and_position_are_one_system_with_states():
+    params, mass = (0.3,), 2.0
+    force = np.array([0.1, -0.2, 0.3])
+    v0, r0, s0 = np.array([0.5, 0.1, -0.2]), np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.2])
+    scene = fa.Scene(
+        inertia=J,
+        torque=fa.torques.Custom(slosh, params, uses_position=True, states=2),
+        mass=mass,
+        force=fa.forces.Constant(force),
+    )
+
+    def slope(t, y):
+        q, w, v, r, s = np.split(y, (4, 7, 10, 13))
+        torque, change = slosh(t, q, w, v, r, s, params)
+        spin = np.linalg.solve(J, np.array(torque) - np.cross(w, J @ w))
+        push = force / mass - np.cross(w, v)
+        unit = q / np.linalg.norm(q)
+        return np.concatenate([kinematics(q, w), spin, push, fa.quat_rotate(unit, v), change])
+
+    start = np.concatenate([Q0, W0, v0, r0, s0])
+    y = solve_ivp(slope, (0.0, 4.0), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    run = fa.propagate(
+        scene, Q0, W0, v0=v0, r0=r0, s0=s0, dt=0.02, n_steps=200, method="rk8", representation="dcm"
+    )
+    for name, part in zip("wvrs", np.split(y[4:], (3, 6, 9)), strict=True):
+        np.testing.assert_allclose(getattr(run, name)[-1], part, atol=1e-10)
+
+
+def test_terms_of_a_sum_have_their_own_states():
+    terms = [
+        fa.torques.Custom(SYSTEMS[name][0], SYSTEMS[name][1], states=len(SYSTEMS[name][2]))
+        for name in ("integral", "wheel")
+    ]
+    constant = fa.torques.Constant((0.01, 0.02, 0.03))
+    scene = fa.Scene(inertia=J, torque=fa.torques.Sum((terms[0], constant, terms[1])))
+    assert scene.states == 4
+
+    def both(t, q, w, s, p):
+        first, one = integral(t, q, w, s[:3], p[:3])
+        second, two = wheel(t, q, w, s[3:], p[3:])
+        torque = [a + b + c for a, b, c in zip(first, second, (0.01, 0.02, 0.03), strict=True)]
+        return torque, (*one, two)
+
+    start = (0.1, 0.0, -0.1, 0.7)
+    run = fa.propagate(scene, Q0, W0, s0=start, dt=0.02, n_steps=150, method="rk8")
+    params = SYSTEMS["integral"][1] + SYSTEMS["wheel"][1]
+    assert apart(run, truth(both, params, (Q0, W0, start), 3.0)) < 1e-10
+
+
+def test_a_function_that_is_called_gives_the_same():
+    @njit
+    def counted(t, q, w, s, p):
+        x, n = abs(s[0]) + 1.0, 0
+        while x > 1e-3:
+            x *= 0.5
+            n += 1
+        return (0.0 * n, p[0] * s[0], 0.0), (w[0] - s[0],)
+
+    def straight(t, q, w, s, p):
+        return (0.0, p[0] * s[0], 0.0), w[0] - s[0]
+
+    runs = []
+    for function in counted, straight:
+        scene = fa.Scene(inertia=J, torque=function, states=1, params=(0.4,))
+        assert scene.functions[0].straight == (function is straight)
+        runs.append(fa.propagate(scene, Q0, W0, s0=0.3 * np.ones(1), dt=0.05, n_steps=40))
+    np.testing.assert_allclose(runs[0].s, runs[1].s, atol=1e-14)
+    np.testing.assert_allclose(runs[0].w, runs[1].w, atol=1e-14)
+
+
+# ways of a run
+
+N = 70
+RNG = np.random.default_rng(3)
+MANY = {
+    "q0": RNG.normal(size=(N, 4)),
+    "w0": RNG.normal(size=(N, 3)),
+    "s0": RNG.normal(scale=0.2, size=(N, 3)),
+}
+STEPS = {"dt": 0.05, "n_steps": 60, "method": "rk8"}
+
+
+def same(a, b):
+    for name in "qws":
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_each_body_is_a_run_of_its_own(dtype):
+    scene = scene_of("integral")
+    many = fa.propagate(scene, **MANY, **STEPS, dtype=dtype, save_every=20)
+    assert many.s.dtype == dtype
+    assert many.s.shape == (4, N, 3)
+    for k in 0, 64, N - 1:
+        one = fa.propagate(
+            scene, *(x[k] for x in (MANY["q0"], MANY["w0"])), s0=MANY["s0"][k], **STEPS,
+            dtype=dtype, save_every=20,
+        )  # fmt: skip
+        assert one.s.shape == (4, 3)
+        np.testing.assert_array_equal(one.s, many.s[:, k])
+        np.testing.assert_array_equal(one.q, many.q[:, k])
+    shared = fa.propagate(scene, MANY["q0"], W0, s0=MANY["s0"][0], **STEPS, dtype=dtype)
+    each = fa.propagate(
+        scene, MANY["q0"], W0, s0=np.tile(MANY["s0"][0], (N, 1)), **STEPS, dtype=dtype
+    )
+    same(shared, each)
+
+
+def test_single_precision_is_near_double():
+    runs = [
+        fa.propagate(scene_of("integral"), **MANY, **STEPS, dtype=dtype)
+        for dtype in ("float64", "float32")
+    ]
+    gap = np.abs(runs[1].s - runs[0].s).max()
+    assert 0.0 < gap < 3e-5
+
+
+def test_a_resumed_run_is_the_whole_one(tmp_path):
+    scene = scene_of("integral")
+    whole = fa.propagate(scene, **MANY, **STEPS)
+    half = {**STEPS, "n_steps": 25}
+    first = fa.propagate(scene, **MANY, **half)
+    first.save_end(tmp_path / "end")
+    same(fa.propagate(scene, resume=tmp_path / "end", **{**STEPS, "n_steps": 35}), whole)
+    with pytest.raises(ValueError, match=r"^s0: found with resume"):
+        fa.propagate(scene, s0=MANY["s0"], resume=first, **STEPS)
+
+    path = fa.checkpoint(tmp_path / "job")
+    fa.propagate(scene, **MANY, **half, resume=path)
+    same(fa.propagate(scene, **MANY, **STEPS, resume=path), whole)
+    other = {**MANY, "s0": MANY["s0"] + 1.0}
+    with pytest.raises(ValueError, match="other initial values"):
+        fa.propagate(scene, **other, **STEPS, resume=path)
+
+
+def test_saves_at_times_and_per_body_steps():
+    scene = scene_of("integral")
+    each = fa.propagate(scene, **MANY, **STEPS, save_every=1)
+    at = fa.propagate(scene, **MANY, **STEPS, save_at=each.t[[3, 40]])
+    np.testing.assert_allclose(at.s, each.s[[3, 40]], atol=1e-13)
+    counts = np.where(np.arange(N) % 2, 60, 90)
+    run = fa.propagate(scene, **MANY, dt=3.0 / counts, n_steps=counts, method="rk8")
+    for n in 60, 90:
+        wanted = fa.propagate(scene, **MANY, dt=3.0 / n, n_steps=n, method="rk8")
+        np.testing.assert_allclose(run.s[-1, counts == n], wanted.s[-1, counts == n], atol=1e-12)
+
+
+def test_plans_files_and_functions_that_take_saves(tmp_path):
+    scene = scene_of("integral")
+    wanted = fa.propagate(scene, **MANY, **STEPS, save_every=1)
+    plan = fa.plan(scene, N, **STEPS, save_every=1)
+    same(plan(**MANY), wanted)
+    seen = []
+    kept = fa.propagate(
+        scene, **MANY, **STEPS, save_every=1,
+        on_save=[fa.to_file(tmp_path / "run.npy"), lambda run: seen.append(run.s.copy())],
+    )  # fmt: skip
+    np.testing.assert_array_equal(kept.s, wanted.s)
+    np.testing.assert_array_equal(np.concatenate(seen), wanted.s)
+    with pytest.raises(ValueError, match=r"^s0: is missing"):
+        plan(MANY["q0"], MANY["w0"])
+
+
+def test_states_that_are_lost_flag_their_body_alone():
+    s0 = MANY["s0"].copy()
+    s0[5, 1] = np.nan
+    with pytest.raises(ValueError, match=r"^s0\[5, 1\] is nan"):
+        fa.propagate(scene_of("integral"), MANY["q0"], MANY["w0"], s0=s0, **STEPS)
+    run = fa.propagate(scene_of("integral"), MANY["q0"], MANY["w0"], s0=s0, **STEPS, invalid="flag")
+    wanted = fa.propagate(scene_of("integral"), **MANY, **STEPS)
+    assert np.flatnonzero(run.status).tolist() == [5]
+    assert run.status[5] & fa.Status.NON_FINITE
+    others = np.arange(N) != 5
+    np.testing.assert_array_equal(run.s[:, others], wanted.s[:, others])
+
+    def explodes(t, q, w, s, p):
+        return (0.0, 0.0, 0.0), (s[0] * s[0],)
+
+    scene = fa.Scene(inertia=J, torque=explodes, states=1)
+    run = fa.propagate(scene, Q0, W0, s0=[[-1.0], [1.0]], dt=0.05, n_steps=200, method="rk4")
+    assert run.status[0] == 0
+    assert run.status[1] == fa.Status.NON_FINITE
+    np.testing.assert_allclose(run.s[-1, 0], -1.0 / 11.0, rtol=1e-5)
+
+
+def test_a_reducer_sees_the_steps_of_states():
+    def largest(t, q, w, s):
+        return max(w[0], s[0])
+
+    scene = fa.Scene(rate=turning, states=2, params=(0.7, 2.0))
+    run = fa.propagate(
+        scene, Q0, s0=(0.4, -0.2), dt=0.02, n_steps=100, method="rk8", save_every=1,
+        reduce=fa.reducer(largest, start=-9.0),
+    )  # fmt: skip
+    assert run.s.shape == (101, 2)
+    np.testing.assert_allclose(run.reduced, run.s[1:, 0].max(), atol=1e-13)
+
+
+def test_tables_have_columns_of_states(tmp_path):
+    run = fa.propagate(scene_of("flexible"), Q0, W0, s0=(0.1, 0.2), **STEPS, save_every=30)
+    run.to_csv(tmp_path / "run.csv")
+    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
+    assert head == "t,q0,q1,q2,q3,wx,wy,wz,s0,s1,status"
+    found = np.array([line.split(",") for line in lines], dtype=float)
+    np.testing.assert_array_equal(found[:, 8:10], run.s)
+    np.testing.assert_array_equal(run.to_dataframe()["s1"], run.s[:, 1])
+
+
+def test_single_steps_are_those_of_a_run():
+    scene = scene_of("flexible")
+    step = fa.single_step(scene, method="rk8")
+    x = step.state(Q0, W0, (0.1, 0.2))
+    for k in range(10):
+        x = step(0.05 * k, 0.05, x)
+    run = fa.propagate(scene, Q0, W0, s0=(0.1, 0.2), dt=0.05, n_steps=10, method="rk8")
+    _, y = step.read(x, step.params)
+    np.testing.assert_array_equal(y[3:], run.s[-1])
+    with pytest.raises(TypeError, match=r"accepted: q, w, s$"):
+        step.state(Q0, W0)
+
+
+def test_advice_and_checks_take_initial_states():
+    scene = scene_of("integral")
+    few = {name: x[:6] for name, x in MANY.items()}
+    advice = fa.recommend(scene, **few, t_end=3.0, tol=1e-7)
+    assert advice.method in ("rk4", "rk8", "rk9", "gbs16")
+    run = fa.propagate(scene, **few, **advice.arguments)
+    fine = fa.propagate(scene, **few, dt=0.005, n_steps=600, method="rk9")
+    assert fa.angle_between(run.q[-1], fine.q[-1]).max() < 1e-7
+    check = fa.check_convergence(scene, **few, dt=0.1, n_steps=30, method="rk4")
+    assert check.passed
+    assert check.order == pytest.approx(4.0, abs=0.3)
+    measured = fa.work_precision(
+        scene, **few, t_end=3.0, methods=["rk4"], dtypes=["float64"], repeats=1, max_seconds=2.0
+    )
+    assert measured.rows
+    steps = fa.per_body_steps(scene, **few, t_end=3.0, tol=1e-6, method="rk8")
+    assert steps.expected_error <= 1e-6
+    drift = fa.drift(run, scene)
+    assert drift.norm.shape == run.q.shape[:2]
+    assert drift.energy is None
+    rate = fa.Scene(rate=turning, states=2, params=(0.7, 2.0))
+    assert fa.recommend(rate, Q0, s0=(0.4, -0.2), t_end=3.0, tol=1e-7).method in METHODS
+
+
+def test_dask_gives_the_same_bits():
+    pytest.importorskip("dask")
+    from fastatt import dask as fd
+
+    scene = scene_of("integral")
+    lazy = fd.propagate(scene, **MANY, **STEPS, chunks=32)
+    assert lazy.s.shape == (1, N, 3)
+    wanted = fa.propagate(scene, **MANY, **STEPS)
+    same(lazy.compute(), wanted)
+    np.testing.assert_array_equal(lazy.s.compute(), wanted.s)
+
+
+# what is refused
+
+
+@pytest.mark.parametrize("method", ["strang2", "rkmk4", "cf4", "suzuki4", "dmv4"])
+def test_other_methods_name_those_that_take_states(method):
+    accepted = r"accepted: rk4, rk8, rk9, gbs16 \("
+    with pytest.raises(ValueError, match=rf"^method: found '?{method}'?; {accepted}"):
+        fa.propagate(scene_of("wheel"), Q0, W0, s0=(1.0,), dt=0.1, n_steps=1, method=method)
+    rate = fa.Scene(rate=turning, states=2, params=(0.7, 2.0))
+    with pytest.raises(ValueError, match=rf"^method: found '?magnus4'?; {accepted}"):
+        fa.propagate(rate, Q0, s0=(1.0, 0.0), dt=0.1, n_steps=1, method="magnus4")
+
+
+def test_initial_states_are_needed_and_have_a_shape():
+    scene = scene_of("flexible")
+    with pytest.raises(ValueError, match=r"^s0: is missing; a scene with states needs \(2,\) or"):
+        fa.propagate(scene, Q0, W0, **STEPS)
+    with pytest.raises(ValueError, match=r"^s0.*accepted: \(2,\) or \(N, 2\)"):
+        fa.propagate(scene, Q0, W0, s0=(1.0, 2.0, 3.0), **STEPS)
+    with pytest.raises(ValueError, match="rows"):
+        fa.propagate(scene, np.tile(Q0, (3, 1)), W0, s0=np.zeros((2, 2)), **STEPS)
+    with pytest.raises(ValueError, match=r"^s0: found, but this scene has none"):
+        fa.propagate(fa.Scene(inertia=J), Q0, W0, s0=(1.0, 2.0), dt=0.1, n_steps=1)
+    with pytest.raises(ValueError, match=r"^s: is not carried"):
+        _ = fa.propagate(fa.Scene(inertia=J), Q0, W0, dt=0.1, n_steps=1).s
+
+
+@pytest.mark.parametrize(
+    ("states", "error"), [(-1, ValueError), (1.5, TypeError), ("three", TypeError)]
+)
+def test_numbers_of_states_are_whole(states, error):
+    with pytest.raises(error, match=r"^states: found"):
+        fa.Scene(inertia=J, torque=integral, states=states, params=(1.0, 1.0, 1.0))
+
+
+def test_states_need_a_function_that_carries_them():
+    for torque in (None, fa.torques.Damping(0.1)):
+        with pytest.raises(ValueError, match=r"^states: found 2 with"):
+            fa.Scene(inertia=J, torque=torque, states=2)
+
+
+def test_results_are_the_torque_and_the_slopes():
+    def alone(t, q, w, s, p):
+        return 0.0, 0.0, s[0]
+
+    def short(t, q, w, s, p):
+        return (0.0, 0.0, s[0]), (s[0],)
+
+    for function in alone, short:
+        with pytest.raises(TypeError, match=r"a tuple of 2, the time derivatives of s$"):
+            fa.Scene(inertia=J, torque=function, states=2)

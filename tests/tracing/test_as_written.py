@@ -1,0 +1,147 @@
+"""Functions as people write them: the table of the page of scenes, and what holds a function."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from each import each
+from numpy.testing import assert_allclose
+
+import fastatt as fa
+from fastatt.tracing.user import user_function
+
+PAGE = Path(fa.__file__).parent / "docs" / "scenes.md"
+ROW = re.compile(r"^\| (`(?:return|out|v|gain|print|x) .*`|`print.*`) \| (\w+) \|$", re.MULTILINE)
+ROWS = [m.groups() for m in ROW.finditer(PAGE.read_text(encoding="utf-8"))]
+HEAD = """import math
+import numpy as np
+M = np.array([[1.0, 0.2, 0.0], [0.1, 2.0, 0.3], [0.0, 0.4, 3.0]])
+sides = (0.1, 0.2)
+def torque(t, q, w, p):
+"""
+POINT = 1.3, (0.8, 0.0, -0.6, 0.0), (0.3, -0.7, 0.2), ()
+
+
+def written(code, path):
+    """The function of a row of the table, in a file of its own."""
+    lines = [x for part in code.strip("`").split("`<br>`") for x in part.split("; ")]
+    path.write_text(HEAD + "".join(f"    {line}\n" for line in lines), encoding="utf-8")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.torque
+
+
+def test_the_table_is_found():
+    assert len(ROWS) == 19
+    assert {says for _, says in ROWS} == {"traced", "compiled", "refused"}
+
+
+@each("number", range(len(ROWS)))
+def test_the_table_says_what_happens(number, tmp_path):
+    code, says = ROWS[number]
+    function = written(code, tmp_path / f"row{number}.py")
+    if says == "refused":
+        with pytest.raises(TypeError, match=r"^torque: .*accepted") as error:
+            user_function(function, "torque", 0)
+        assert "\n" not in str(error.value)
+        return
+    made = user_function(function, "torque", 0)
+    assert made.straight == (says == "traced")
+    assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-14, atol=1e-15)
+    assert "Double" not in repr(made.call(*POINT))
+
+
+class Controller:
+    """As people write one."""
+
+    def __init__(self, gain):
+        self.gain = np.diag(gain)
+        self.calls = 0
+
+    def own(self, w):
+        return self.gain @ np.array(w)
+
+    def torque(self, t, q, w, p):
+        return -self.own(w)
+
+    def counting(self, t, q, w, p):
+        self.calls += 1
+        return -w[0], -w[1], -w[2]
+
+    __call__ = torque
+
+
+def drag(k, t, q, w, p, *, power=1.0):
+    return [-k * power * x for x in w]
+
+
+def stepped(k, t, q, w, p):
+    """No straight line."""
+    x = 0.0
+    while x * x < abs(w[0]):
+        x += k
+    return np.array([-x, 0.0, 0.0])
+
+
+GAIN = (0.3, 0.2, 0.1)
+HELD = {
+    "bound method": Controller(GAIN).torque,
+    "object": Controller(GAIN),
+    "partial": functools.partial(drag, 0.2),
+    "partial by name": functools.partial(drag, 0.2, power=2.0),
+    "partial of a method": functools.partial(Controller.torque, Controller(GAIN)),
+    "lambda": lambda t, q, w, p: [-x for x in w],
+}
+
+
+@each("name", HELD)
+def test_what_holds_a_function_is_traced(name):
+    made = user_function(HELD[name], "torque", 0)
+    assert made.straight
+    assert_allclose(made.call(*POINT), HELD[name](*POINT), rtol=1e-15)
+
+
+def test_a_partial_that_is_no_straight_line_is_compiled():
+    function = functools.partial(stepped, 0.1)
+    made = user_function(function, "torque", 0)
+    assert not made.straight
+    assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-15)
+
+
+def test_a_method_that_counts_is_refused():
+    with pytest.raises(TypeError, match="the attribute calls, which is assigned to") as error:
+        user_function(Controller(GAIN).counting, "torque", 0)
+    assert "\n" not in str(error.value)
+
+
+def test_a_new_scene_sees_a_changed_attribute():
+    controller = Controller(GAIN)
+    first = user_function(controller.torque, "torque", 0).call(*POINT)
+    controller.gain = 2.0 * controller.gain
+    again = user_function(controller.torque, "torque", 0).call(*POINT)
+    assert_allclose(again, 2.0 * np.array(first), rtol=1e-15)
+
+
+def test_propagation_is_that_of_the_same_in_tuples():
+    gain = np.diag(GAIN)
+
+    def plain(t, q, w, p):
+        return -GAIN[0] * w[0], -GAIN[1] * w[1], -GAIN[2] * w[2]
+
+    def rate(t, p):
+        return np.sin(np.array([1.0, 2.0, 3.0]) * t)
+
+    options = {"dt": 0.01, "n_steps": 100}
+    runs = [
+        fa.propagate(fa.Scene(inertia=(2.0, 1.0, 0.7), torque=f), POINT[1], POINT[2], **options).q
+        for f in (plain, Controller(GAIN), lambda t, q, w, p: -gain @ w)
+    ]
+    assert np.abs(runs[0] - runs[1]).max() < 1e-15
+    assert np.abs(runs[0] - runs[2]).max() < 1e-15
+    assert fa.propagate(fa.Scene(rate=rate), POINT[1], **options).status.tolist() == [0]
