@@ -206,7 +206,8 @@ def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
         if clock is not None and clock_of is not None:
             found = clock_of(*map(value, clock.flat.inputs()))
             times |= zip(clock.names, found, strict=True)
-        given = [np.asarray(value(name), kinds[name]) for name in flat.inputs()]
+        # copies, since results may go where inputs lie
+        given = [np.array(value(name), kinds[name]) for name in flat.inputs()]
         results = zip(formula.results, made[1](*given), strict=True)
         for i, (x, result) in enumerate(results):
             to = lanes_of(x)

@@ -17,6 +17,7 @@ from fastatt.dask.chunks import Bodies, like
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
+from fastatt.propagation.event import Event, check_steps, events_of
 from fastatt.propagation.initial import INITIAL
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
@@ -46,6 +47,8 @@ class LazyTrajectory:
         (S, N, n), of a scene with n states.
     status : dask.array.Array
         (N,), a flag of each body.
+    event_times : dask.array.Array
+        (N, E), s, of a run with events.
     method : str
         The method's name.
     """
@@ -56,6 +59,8 @@ class LazyTrajectory:
     runs: Any = field(repr=False)
     bodies: Bodies = field(repr=False)
     dtype: Any
+    #: how many events were looked for
+    events: int = 0
 
     def __getattr__(self, name: str) -> Any:
         # Dask's protocol of collections: that of the array of chunks
@@ -76,6 +81,11 @@ class LazyTrajectory:
     def status(self) -> Any:
         """A flag of each body, (N,)."""
         return self.bodies.array(self.runs, "status", (), np.uint8, ())
+
+    @property
+    def event_times(self) -> Any:
+        """Times of events, s, (N, E), of a run with some."""
+        return self.bodies.array(self.runs, "event_times", (), np.float64, (self.events,))
 
     def compute(self, **options: Any) -> Trajectory:
         """The run's trajectory; ``options`` are those of ``dask.compute``."""
@@ -106,6 +116,7 @@ def _joined(runs: Sequence[Trajectory]) -> Trajectory:
         norm_error=all_of("norm_error"),
         status=status,
         carried=carried,
+        found=None if runs[0].found is None else np.concatenate([run.found for run in runs]),
     )
 
 
@@ -135,6 +146,7 @@ def propagate(
     compensated: bool = False,
     normalise: str | int = "output",
     invalid: str = "raise",
+    events: Event | Sequence[Event] = (),
 ) -> LazyTrajectory:
     """Propagate an ensemble in chunks of bodies, when it is computed.
 
@@ -145,7 +157,7 @@ def propagate(
         row for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
     chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
     dt, n_steps, t_end : numbers, the same for all bodies.
-    method, representation, save_every, dtype, t0, compensated, normalise, invalid : as of
+    method, representation, save_every, dtype, t0, compensated, normalise, invalid, events : as of
         :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
         fails its chunk, and the error has a note of which bodies those are.
 
@@ -169,8 +181,10 @@ def propagate(
     >>> lazy.compute().q.shape
     (1, 5, 4)
     """
-    record, named = sent(scene, method, representation, compensated, normalise)
+    watched = events_of(events)
+    record, named = sent(scene, method, representation, compensated, normalise, watched)
     clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
+    check_steps(watched, as_scene(scene), clock.ends)
     begin = checks.real("t0", t0)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     given = (q0, w0, v0, r0, s0)
@@ -179,10 +193,10 @@ def propagate(
     options = {
         "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "method": named,
         "dtype": kind, "representation": representation, "compensated": compensated,
-        "normalise": normalise, "invalid": invalid, "t0": begin,
+        "normalise": normalise, "invalid": invalid, "t0": begin, "events": watched,
     }  # fmt: skip
     runs = bodies.mapped(partial(_propagated, options=options))
-    return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind)
+    return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind, len(watched))
 
 
 def sent(
@@ -191,9 +205,12 @@ def sent(
     representation: str | Attitude,
     compensated: bool = False,
     normalise: str | int = "output",
+    events: tuple[Event, ...] = (),
 ) -> tuple[Method, str | Method]:
     """A method that fits the whole ensemble, and how it is sent."""
-    record = chosen(as_scene(scene), method, representation, compensated, normalise).method
+    record = chosen(
+        as_scene(scene), method, representation, compensated, normalise, events=events
+    ).method
     return record, record.name if METHODS.get(record.name) is record else record
 
 

@@ -58,6 +58,7 @@ class DeviceProgram:
         from numba import cuda
 
         setup = run.setup
+        t0, h, share = run.times
         named = [np.ravel(table) for _, table in setup.tables]
         begins, saved = _slots(span)
         saves, norm_errors, _ = run.results
@@ -73,7 +74,7 @@ class DeviceProgram:
         arguments = [
             *map(cuda.to_device, sources[:3]), states, out, errors, diagnostics,
             cuda.to_device(setup.bodies.known), cuda.to_device(stages),
-            *map(float, (*run.times, setup.bounds[0])),
+            *map(float, (t0, h, share * h, setup.bounds[0])),
         ]  # fmt: skip
         slot = span.slot - saved.start
         constant = (span.n_steps, span.save_every, slot, span.projection, span.origin, span.block)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -13,8 +14,9 @@ import numpy as np
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
 from fastatt.engine import double_states
+from fastatt.engine.events import Watch, after_step, values
 from fastatt.engine.loop import WIDTH
-from fastatt.engine.status import SAVED
+from fastatt.engine.status import SAVED, relative_change
 from fastatt.methods.method import Method
 from fastatt.scene.coupled import Coupled
 from fastatt.scene.equations import (
@@ -28,11 +30,9 @@ from fastatt.scene.equations import (
 )
 from fastatt.scene.rates import is_constant
 from fastatt.tracing.finished import Constants, Flat, resources_of
-from fastatt.tracing.formulas import Vector, as_like, dot, quat, scale
+from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import Double, Graph, Number, both, choose
 
-# a relative change is taken from invariants above this
-_TINY = 1e-37
 # |m|² below which products of rates lose digits
 _LOST = {"double": 1e-305, "single": 1e-36}
 
@@ -59,6 +59,8 @@ class Job:
     projects: bool = False
     #: step size and time are numbers of a tile's lanes: per-body ones, or those of a shorter step
     own_steps: bool = False
+    #: what is watched at the end of each step
+    events: tuple[Watch, ...] = ()
     #: rates, torques and forces are evaluated between two breakpoints, which lanes know
     windowed: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
@@ -67,7 +69,12 @@ class Job:
     @cached_property
     def formulas(self) -> Formulas:
         """Its formulas, traced when they are asked for; a tile's width is no matter of theirs."""
-        return _formulas(replace(self, width=WIDTH))
+        return _formulas(replace(self, width=WIDTH, own_steps=self.own_steps and not self.events))
+
+    @property
+    def is_searched(self) -> bool:
+        """Whether it takes the shorter steps by which events are located."""
+        return self.own_steps and bool(self.events)
 
     @property
     def has_any_angle_form(self) -> bool:
@@ -210,9 +217,8 @@ class Formulas:
             return None
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
-        return scope.finished(
-            scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        )
+        x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
+        return scope.finished(x)
 
     @cached_property
     def enter(self) -> Flat | None:
@@ -238,9 +244,20 @@ class Formulas:
         return scope.finished((*a, *x[n:], abs(d)))
 
     @cached_property
+    def events(self) -> Flat:
+        """The values of the functions that are watched."""
+        scope = self.scope()
+        return scope.finished(values(scope))
+
+    @cached_property
+    def watch(self) -> Flat:
+        """What is kept of the functions that are watched, after another step."""
+        return after_step(self.scope())
+
+    @cached_property
     def resources(self) -> list[Any]:
         """Tables and opaque functions that the formulas call, in the order of their arrays."""
-        return resources_of(self.small_angle.monitored, self.begin, self.save)
+        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events)
 
     @cached_property
     def is_timed(self) -> bool:
@@ -338,20 +355,24 @@ class Scope:
 
         It computes in double precision, whatever that of the run.
         """
-        structure = self.job.structure
-        if structure.reducer is None:
+        reducer = self.job.structure.reducer
+        if reducer is None:
             return ()
         is_single = self.kind == "single"
-        q, w = self.motion.pose(t, x)
-        pose = tuple(map(Double, quat.renormalise(q))), tuple(map(Double, w))
         state = double_states.joined(before) if is_single else before
-        narrow, self.graph.narrow = self.graph.narrow, False
-        try:
-            made = structure.reducer.call(t, *pose, state)
-        finally:
-            self.graph.narrow = narrow
+        made = self.called(reducer.call, t, x, state)
         made = tuple(map(Double, made if isinstance(made, tuple) else (made,)))
         return double_states.split(made) if is_single else made
+
+    def called(self, function: Callable[..., Any], t: Any, x: Vector, *rest: Vector) -> Any:
+        """A user's function of time, attitude, angular velocity, and more, in double precision."""
+        q, w = self.motion.pose(t, x)
+        pose = tuple(map(Double, quat.renormalise(q))), tuple(map(Double, w))
+        narrow, self.graph.narrow = self.graph.narrow, False
+        try:
+            return function(t, *pose, *rest)
+        finally:
+            self.graph.narrow = narrow
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         """The state from an attitude as given and its auxiliary state."""
@@ -421,20 +442,6 @@ class Scope:
         seen = dot(turn, turn) > float(np.finfo(DTYPES[self.kind]).eps)
         lost = both(dot(m, m) < _LOST[self.kind], seen)
         return tuple(choose(lost, math.nan, each) for each in kept)
-
-
-def relative_change(a: Vector, b: Vector) -> Any:
-    """Largest relative change from the invariants a to b, 0 where there are none."""
-    changes = []
-    for x, y in zip(a, b, strict=True):
-        there = x > _TINY
-        change = abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0))
-        # beyond the largest number nothing is known of it, while the state itself is finite
-        changes.append(choose(x < math.inf, change, choose(x > 0.0, 0.0, x)))
-    if not changes:
-        return 0.0
-    x, y = changes
-    return choose(x > y, x, y)
 
 
 @lru_cache(maxsize=64)

@@ -24,18 +24,41 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from numba import types
 
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
+from fastatt.engine import crossings
+from fastatt.engine.stops import (
+    ADVANCE,
+    BEFORE,
+    BEGIN,
+    BREAKS,
+    COUNT,
+    COUNTED_FROM,
+    DT,
+    ENDS,
+    ENTER,
+    LEAVE,
+    PART_SIZE,
+    PROJECT,
+    SAVE,
+    SLACK,
+    STOP_SIZE,
+    TAKEN,
+    TIME,
+    count_from_stop,
+    count_steps,
+    on_grid,
+    set_clock,
+    step_to_stop,
+)
 
 #: bodies side by side in a tile at most; few bodies take one vector
 WIDTH = 64
-
-#: parts of a program's function
-BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER = range(6)
 
 #: ``arrays``: the program's numbers; initial attitudes and what is carried with them, parameters,
 #: known rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,);
@@ -67,16 +90,8 @@ ANGLE, NORM = range(2)
 #: ``limits``: the angle up to which known ones are not monitored; then bounds of the diagnostics
 QUIET, BOUNDS = range(2)
 NON_FINITE = 1
-#: clocks of lanes, rows of ``wide`` from ``CLOCK_ROW`` on
-DT, BEFORE, BEGUN, LOW, HIGH = range(5)
-#: a part of a step is a clock, how many steps are taken by it, and whether a whole step ends so
-TAKEN, ENDS, PART_SIZE = range(5, 8)
-#: a stop: its time since the start, s, and the slack of its rounding; whether it is a breakpoint;
-#: the time since the start from which steps to it are counted; then the clock of these, from BEFORE
-TIME, SLACK, BREAKS, COUNTED_FROM, COUNT, _, _, _, STOP_SIZE = range(9)
 
 PI_SQUARED = math.pi * math.pi
-EPS = 2.0**-52
 
 
 @loop_part
@@ -93,14 +108,6 @@ def _raise(values, at, value):
     """Keep the larger of two numbers, or NaN."""
     if not (values[at] >= value or values[at] != values[at]):
         values[at] = value
-
-
-@loop_part
-def _on_grid(time, slack, step):
-    """(whole steps to a time since the start, what remains); rounding leaves nothing."""
-    count = math.floor(time / step * (1.0 + 4.0 * EPS))
-    rest = time - count * step
-    return count, rest if abs(rest) > slack else 0.0
 
 
 @loop_part
@@ -219,87 +226,17 @@ def _set_status(states, diagnostics, arrays, settings, limits, first, count):
         status[body] = found
 
 
-@loop_part
-def _set_clock(settings, wide, first, values, at):
-    """Set the clocks of all lanes, from the row ``first`` on, to the values from ``at`` on."""
-    width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
-    for i in range(first, HIGH + 1):
-        for j in range(width):
-            wide[(clock + i) * width + j] = values[at + i - first]
-
-
-@loop_part
-def _count_steps(settings, tile, waiting, left, time, slack):
-    """Steps of each lane to its last before a stop; a lane without any waits. The most of them."""
-    rows, wide, _, _ = tile
-    width, clock, most = settings[TILE_WIDTH], settings[CLOCK_ROW], 0
-    for j in range(width):
-        count, _ = _on_grid(time, slack, wide[(clock + DT) * width + j])
-        left[j] = int(count - wide[(clock + BEFORE) * width + j])
-        most = max(most, left[j])
-        if left[j] <= 0:
-            for i in range(settings[SIZE]):
-                waiting[i * width + j] = rows[i * width + j]
-    return most
-
-
-@loop_part
-def _step_to_stop(settings, tile, copied, left, time, slack):
-    """Step a copy of a tile to a stop; whether the form that it takes was there."""
-    rows, wide, _, _ = tile
-    copy, wide_copy, _, _ = copied
-    width, clock = settings[TILE_WIDTH], settings[CLOCK_ROW]
-    for i in range(settings[N_ROWS] * width):
-        copy[i] = rows[i]
-    for i in range(settings[N_WIDE] * width):
-        wide_copy[i] = wide[i]
-    partial = False
-    for j in range(width):
-        _, rest = _on_grid(time, slack, wide[(clock + DT) * width + j])
-        left[j] = 1 if rest != 0.0 else 0
-        partial = partial or rest != 0.0
-    if not partial:
-        return True
-    form = settings[SMALL] if settings[MONITOR] == NEVER else settings[ANY]
-    if form == 0:
-        return False
-    call_generated(settings[SMALL], LEAVE, copied, (0, 0))
-    for j in range(width):
-        before, step = (clock + BEFORE) * width + j, (clock + DT) * width + j
-        # the time where the shorter step begins, by those before it
-        wide_copy[(clock + BEGUN) * width + j] += wide[before] * wide[step]
-        wide_copy[before] = 0.0
-        _, wide_copy[step] = _on_grid(time, slack, wide[step])
-    call_generated(settings[SMALL], ENTER, copied, (0, 0))
-    call_generated(form, ADVANCE, copied, (0, 1))
-    for j in range(width):
-        wide_copy[(clock + BEFORE) * width + j] = 1.0
-        if left[j] == 0:
-            for i in range(settings[N_ROWS]):
-                copy[i * width + j] = rows[i * width + j]
-            for i in range(settings[N_WIDE]):
-                wide_copy[i * width + j] = wide[i * width + j]
-    return True
-
-
-@loop_part
-def _count_from_stop(settings, tile, copied, stops, row):
-    """Go on from a copy of the tile at a breakpoint, where steps to the next stop are counted."""
-    rows, wide, _, _ = tile
-    call_generated(settings[SMALL], LEAVE, copied, (0, 0))
-    for i in range(settings[SIZE] * settings[TILE_WIDTH]):
-        rows[i] = copied[0][i]
-    _set_clock(settings, wide, BEFORE, stops, row + COUNT)
-    call_generated(settings[SMALL], ENTER, tile, (0, 0))
-
-
-def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
-    """The loop for a precision, and for one step size for all or per-body ones."""
+def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
+    """The loop for a precision, for one step size for all or per-body ones, and with events."""
+    # of a point in a step: a step's time and the state are not known better
+    tolerance = 2.0**-50 if kind == "double" else 2.0**-22
 
     def run_tiles(arrays, settings, limits, first_tile, last_tile):
         """Steps of a span on tiles; the tile at which the form for any angle was missing."""
         width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
         angle_row, io_row, clock = settings[ANGLE_ROW], settings[IO_ROW], settings[CLOCK_ROW]
+        shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
+        small = settings[SMALL]
         numbers, whole = doubles(arrays[NUMBERS]), wholes(arrays[WHOLE])
         rows, wide = reals(arrays[ROWS], kind), doubles(arrays[WIDE])
         kept, waiting = reals(arrays[KEPT], kind), reals(arrays[WAITING], kind)
@@ -313,6 +250,20 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
         parts, part_steps = doubles(arrays[PARTS]), wholes(arrays[PART_STEPS])
         tile = rows, wide, numbers, whole
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
+        if events:
+            begun_at = reals(arrays[crossings.BEGUN_AT], kind)
+            search = wholes(arrays[crossings.SEARCH])
+            history = reals(arrays[crossings.HISTORY], kind)
+            times, stopped = doubles(arrays[crossings.TIMES]), doubles(arrays[crossings.STOPPED])
+            final = reals(arrays[crossings.FINAL], kind)
+            searched_rows, trial_rows = arrays[crossings.SEARCH_ROWS], arrays[crossings.TRIAL_ROWS]
+            searched_wide, trial_wide = arrays[crossings.SEARCH_WIDE], arrays[crossings.TRIAL_WIDE]
+            searched = reals(searched_rows, kind), doubles(searched_wide), numbers, whole
+            trial = reals(trial_rows, kind), doubles(trial_wide), numbers, whole
+            brackets, queue = doubles(arrays[crossings.BRACKETS]), wholes(arrays[crossings.QUEUE])
+            tiles = searched, trial
+            found = times, stopped, final, diagnostics, tolerance
+            io = io_row, settings[SAVED]
         for number in range(first_tile, last_tile):
             base = number * width
             count = min(n - base, width)
@@ -327,23 +278,31 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
             if per_body:
                 _load(step_sizes, settings[ENSEMBLE], 1, body_of, wide, clock, width)
                 row = settings[FIRST] * STOP_SIZE
-                _set_clock(settings, wide, BEFORE, stops, row + COUNT)
+                set_clock(shape, wide, BEFORE, stops, row + COUNT)
                 if settings[FIRST] > 0:
                     slack = stops[row - STOP_SIZE + SLACK]
                     time = stops[row - STOP_SIZE + TIME] - stops[row + COUNTED_FROM]
                     for j in range(width):
-                        before, _ = _on_grid(time, slack, wide[(clock + DT) * width + j])
+                        before, _ = on_grid(time, slack, wide[(clock + DT) * width + j])
                         wide[(clock + BEFORE) * width + j] = before
             elif part > 0:
-                _set_clock(settings, wide, DT, parts, (part - 1) * PART_SIZE)
+                set_clock(shape, wide, DT, parts, (part - 1) * PART_SIZE)
             watched, saved = (states, diagnostics, base), (out, errors, diagnostics, base)
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
+            if events:
+                since = settings[FIRST] - settings[ORIGIN]
+                crossings.begin_events(small, tile, shape, search, history, base, count, since)
             at, slot = settings[FIRST], -1
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
             while True:
                 if slot >= 0:
                     _save(settings, tile, body_of, saved, slot, at)
+                    if events:
+                        save = slot * settings[ENSEMBLE]
+                        crossings.save_stopped(
+                            found, body_of, out, errors, save, count, settings[SAVED]
+                        )
                 if at >= settings[LAST]:
                     break
                 # up to the next save or projection, or the steps of each lane to the next stop
@@ -351,12 +310,12 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                 if per_body:
                     row = at * STOP_SIZE
                     time, slack = stops[row + TIME] - stops[row + COUNTED_FROM], stops[row + SLACK]
-                    begin, end = 0, _count_steps(settings, tile, waiting, left, time, slack)
+                    begin, end = 0, count_steps(shape, tile, waiting, left, time, slack)
                 elif part < settings[N_PARTS] and part_steps[part] == at:
-                    call_generated(settings[SMALL], LEAVE, tile, (at + ahead, 0))
+                    call_generated(small, LEAVE, tile, (at + ahead, 0))
                     row = part * PART_SIZE
-                    _set_clock(settings, wide, DT, parts, row)
-                    call_generated(settings[SMALL], ENTER, tile, (at, 0))
+                    set_clock(shape, wide, DT, parts, row)
+                    call_generated(small, ENTER, tile, (at, 0))
                     begin, end = at, at + int(parts[row + TAKEN])
                     stays = parts[row + ENDS] == 0.0
                     ahead = end - at if stays else 0
@@ -375,11 +334,24 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                     if per_body:
                         for j in range(width):
                             stop = min(stop, left[j]) if left[j] > begin else stop
+                    if events:
+                        # a parabola needs three values: the first step is searched in any case
+                        stop = begin + 1 if begin == settings[ORIGIN] else stop
+                        for i in range(angle_row * width):
+                            begun_at[i] = rows[i]
                     if not _advance(settings, tile, kept, marks, unbounded, begin, stop):
                         return number
+                    if events:
+                        block = base, count, begin, stop
+                        crossings.search_block(
+                            tile, begun_at, body_of, tiles, shape, search, found, queue, brackets,
+                            io, block,
+                        )  # fmt: skip
                     for j in range(count):
                         angle = float(rows[angle_row * width + j])
                         reached = left[j] >= stop if per_body else True
+                        if events:
+                            reached = stopped[body_of[j]] != stopped[body_of[j]]
                         if reached and angle > diagnostics[ANGLE * n + base + j]:
                             diagnostics[ANGLE * n + base + j] = angle
                     if per_body:
@@ -395,7 +367,10 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                         wide[(clock + BEFORE) * width + j] += max(left[j], 0)
                     is_break = stops[row + BREAKS] != 0.0
                     is_met = slots[at] >= 0 or is_break
-                    if is_met and not _step_to_stop(settings, tile, copied, left, time, slack):
+                    form = small if settings[MONITOR] == NEVER else settings[ANY]
+                    if is_met and not step_to_stop(
+                        small, form, shape, tile, copied, left, time, slack
+                    ):
                         return number
                     if slots[at] >= 0:
                         _save(settings, copied, body_of, saved, slots[at], 0)
@@ -403,17 +378,21 @@ def _run_tiles(kind: str, per_body: bool) -> Callable[..., Any]:
                         for j in range(count):
                             angle = copied[0][angle_row * width + j] if left[j] != 0 else 0.0
                             _raise(diagnostics, ANGLE * n + base + j, angle)
-                        _count_from_stop(settings, tile, copied, stops, row + STOP_SIZE)
+                        count_from_stop(small, shape, tile, copied, stops, row + STOP_SIZE)
                     at += 1
                 elif not stays:
                     at = end
                     if settings[PROJECTION] > 0 and at % settings[PROJECTION] == 0:
-                        call_generated(settings[SMALL], PROJECT, tile, (0, 0))
+                        call_generated(small, PROJECT, tile, (0, 0))
                         for j in range(count):
                             _raise(diagnostics, NORM * n + base + j, rows[io_row * width + j])
                     since = at - settings[ORIGIN]
                     if since % settings[EVERY] == 0 or at == settings[N_STEPS]:
                         slot = (since - 1) // settings[EVERY] + settings[SLOT]
+            if events:
+                crossings.end_search(
+                    rows, tiles, shape, search, history, found, queue, brackets, io, base, count
+                )
             for i in range(size):
                 for j in range(count):
                     states[(base + j) * size + i] = rows[i * width + j]
@@ -434,14 +413,16 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
     return set_all_status
 
 
+#: the loop is compiled anew where its parts in other files change
+_OTHERS = [Path(__file__).with_name(x).read_bytes() for x in ("crossings.py", "stops.py")]
 _POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
 _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 
 
 @functools.cache
-def tile_loop(kind: str, *, per_body: bool) -> Callable[..., int]:
+def tile_loop(kind: str, *, per_body: bool, events: bool = False) -> Callable[..., int]:
     """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
-    return address_loop(_SIGNATURE, _run_tiles(kind, per_body))
+    return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _OTHERS)
 
 
 @functools.cache

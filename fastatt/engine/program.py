@@ -1,9 +1,9 @@
 """A job's formulas over the lanes of a tile, in one generated function.
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
-tile begins, a block of steps, what a save holds, the projection onto the group, and the change to
-another step size, to the state and from it. ``Layout`` says where in ``rows`` and ``wide`` each
-number of a lane lies.
+tile begins, a block of steps, what a save holds, the projection onto the group, the change to
+another step size, to the state and from it, and the values of the functions that are watched for
+events. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTi
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
+from fastatt.engine.crossings import EVENT_ROWS
 from fastatt.engine.job import Formulas, Job
-from fastatt.engine.loop import ADVANCE, BEGIN, ENTER, LEAVE, PROJECT, SAVE
 from fastatt.engine.status import SAVED
+from fastatt.engine.stops import ADVANCE, BEGIN, ENTER, LEAVE, PROJECT, SAVE, WATCH
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
@@ -54,6 +55,7 @@ class Layout:
         self.constants = [(kind != job.kind, kinds[:i].count(kind)) for i, kind in enumerate(kinds)]
         self.rows = Rows(
             x=formulas.size,
+            event=EVENT_ROWS * len(job.events),
             angle=1,
             e=formulas.extras,
             invariants=formulas.invariants,
@@ -61,7 +63,7 @@ class Layout:
             c=kinds.count(job.kind),
             io=max(formulas.handed_out + len(SAVED), formulas.given),
         )
-        own = {name: int(job.own_steps) for name in CLOCK}
+        own = {name: int(job.own_steps or bool(job.events)) for name in CLOCK}
         others = sum(kind != job.kind for kind in kinds)
         p = 0 if job.shared else formulas.parameters
         self.wide = Rows(p=p, c=others, **own, called=formulas.calls)
@@ -97,10 +99,13 @@ class Program(TwoForms):
 
         n_rows, n_wide = layout.rows.count, layout.wide.count
         size, double, whole = self.formulas.size, DTYPES["double"], np.dtype(np.int64)
+        carried = layout.rows.first["angle"] + 1
         return [
-            rows(n_rows, kind), rows(n_wide, double), rows(size + 1, kind), rows(1, whole),
+            rows(n_rows, kind), rows(n_wide, double), rows(carried, kind), rows(1, whole),
             rows(1, whole), rows(size * copies, kind), rows(1, whole), rows(n_rows * copies, kind),
             rows(n_wide * copies, double),
+            *([rows(11, double), rows(9, whole)] if job.is_searched else []),
+            *([rows(carried - 1, kind)] if job.events and not job.is_searched else []),
         ]  # fmt: skip
 
     def _compiled(self, *, small_angle: bool) -> Any:
@@ -117,22 +122,27 @@ class Program(TwoForms):
     def _formulas(self, small_angle: bool) -> dict[str, LaneFormula]:
         """The formulas by name; of the form for any angle the step alone."""
         forms, job = self.formulas, self.job
-        step = forms.small_angle if small_angle else forms.any_angle
+        # shorter steps take the form for any angle, where there is one
+        has_small = small_angle and not (job.is_searched and job.has_any_angle_form)
+        step = forms.small_angle if has_small else forms.any_angle
         assert step is not None
-        monitored = job.monitored or not small_angle
+        monitored = job.monitored or not has_small
         flat = step.monitored if monitored else step.plain
         results = self._results(x=forms.size, angle=int(monitored))
         clock = "stage" if job.method.stages else "step"
         found = self._step("step", flat, results, clock, even=False)
-        if job.own_steps and forms.is_timed:
+        if job.own_steps and forms.is_timed and not job.is_searched:
             found |= self._step("even_step", flat, results, clock, even=True)
-        if not small_angle:
-            return found
 
         def add(name: str, flat: Flat | None, clock: str = "", **sizes: int) -> None:
             if flat is not None:
                 found[name] = self._formula(flat, self._results(**sizes), clock)
 
+        if job.events and not job.is_searched:
+            add("watch", forms.watch, "moment", event=EVENT_ROWS * len(job.events))
+        if not small_angle:
+            return found
+        add("events", forms.events if job.events else None, "moment", event=len(job.events))
         constants = len(forms.constant_kinds)
         add("constants", forms.constants if constants else None, c=constants)
         add(
@@ -194,7 +204,7 @@ class Program(TwoForms):
         since = steps * dt
         if which == "moment":
             share = graph.input("double", "share")
-            found = {"h": dt, "edge": share * dt if own else share}
+            found = {"h": dt, "edge": share * dt}
         # a result of its own, the span is rounded before it is added
         exact = {"whole": since, "t": begin + since}
         found["since"] = since
@@ -241,10 +251,13 @@ class Program(TwoForms):
             if f"{name}_calls" in formulas:
                 yield inner + call(f"{name}_calls", "n", i, "0")
             yield f"{inner}for j in range(0, {width}, {lanes}): {call(name, 'n', i)}"
+            if "watch" in formulas:
+                watch = call("watch", "n + 1")
+                yield f"{depth}    for j in range(0, {width}, {lanes}): {watch}"
 
         yield "def run(part, rows, wide, numbers, whole, first, last):"
         parts = [(BEGIN, "constants"), (BEGIN, "begin"), (SAVE, "save")]
-        parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter")]
+        parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter"), (WATCH, "events")]
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
             # one loop for all, since Numba takes longer for a loop than for a condition

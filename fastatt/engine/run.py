@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from fastatt.codegen.call import call_loop
 from fastatt.codegen.memory import DTYPES, address_of
+from fastatt.codegen.processor import processor
 from fastatt.engine import loop
+from fastatt.engine.crossings import EVENT_ROWS
 from fastatt.engine.job import Job
 from fastatt.engine.program import Program
 from fastatt.engine.status import DIAGNOSTICS
@@ -67,7 +69,7 @@ class Fixed(NamedTuple):
 class PerBody(NamedTuple):
     """The order in which bodies are run, their step sizes, s, and where they stop.
 
-    ``stops`` are rows of ``loop.STOP_SIZE`` numbers; ``slots`` the saves, or −1.
+    ``stops`` are rows of ``stops.STOP_SIZE`` numbers; ``slots`` the saves, or −1.
     """
 
     order: Array
@@ -79,7 +81,7 @@ class PerBody(NamedTuple):
 class Parts(NamedTuple):
     """Steps of one step size for all that are taken in parts.
 
-    ``clocks`` are rows of ``loop.PART_SIZE`` numbers, the first of them the clock that the run
+    ``clocks`` are rows of ``stops.PART_SIZE`` numbers, the first of them the clock that the run
     begins with; ``steps`` says after how many whole steps each begins, −1 of the first.
     """
 
@@ -148,6 +150,20 @@ class Setup:
         self._whole = np.array([*at, n_stages], dtype=np.int64)
         stages = np.ravel(np.array(job.method.stages, dtype=np.float64))
         self.numbers = np.concatenate([numbers.params[0], stages])
+        #: the program that locates events, the numbers of the search, and whether bodies stop
+        self.search: Program | None = None
+        self.search_numbers: Any = None
+        self.stops = any(x.terminal for x in job.events)
+        if job.events:
+            if job.has_any_angle_form:
+                # a search can't be begun again
+                made.compile_any_angle()
+            lanes = processor().lanes(job.kind)
+            self.search = prepare(replace(job, own_steps=True, width=lanes))
+            each = [int(x) for watch in job.events for x in watch[1:]]
+            self.search_numbers = [self.search.entry, len(job.events), lanes, *each]
+            if not config.DISABLE_JIT:
+                self.search_numbers = np.array(self.search_numbers, dtype=np.int64)
         #: tables, parameters, known angles and flags as the loop takes them; no array
         self.fixed: list[Any] = [[*(x for _, x in self.tables), n_stages], *numbers]
         self.unused: Any = np.zeros(0)
@@ -160,9 +176,9 @@ class Run:
     """A run over some bodies of an ensemble: (first body, how many).
 
     ``q`` and ``y``, attitudes and what is carried with them, are (1, k) or (N, k); ``times`` are
-    (t0, h, edge); ``results`` saved values (S, N, k), norm errors (S, N) and status (N,). The
-    ``states`` (n, k) and ``diagnostics`` (3, n) are those of the part; ``largest_angle`` of a step,
-    rad, is what calls found since ``reset``.
+    (t0, h, share of h by which a splitting is ahead); ``results`` saved values (S, N, k), norm
+    errors (S, N) and status (N,). The ``states`` (n, k) and ``diagnostics`` (3, n) are those of the
+    part; ``largest_angle`` of a step, rad, is what calls found since ``reset``.
     """
 
     def __init__(
@@ -174,11 +190,12 @@ class Run:
         results: tuple[Array, Array, Array],
         per_body: PerBody | None = None,
         parts: Parts | None = None,
+        event_times: Array | None = None,
     ) -> None:
         self.setup, self.bodies, self.start, self.times = setup, bodies, start, times
         self.results, self.per_body, self.parts = results, per_body, parts
         made = setup.program
-        kind = DTYPES[made.job.kind]
+        job, kind = made.job, DTYPES[made.job.kind]
         self.states = np.empty((bodies[1], made.formulas.size), kind)
         self.diagnostics = np.empty((len(DIAGNOSTICS), bodies[1]), kind)
         self._numbers = np.concatenate([times, setup.numbers])
@@ -189,6 +206,14 @@ class Run:
         ]  # fmt: skip
         lengths = [len(x) for x in (*start, *setup.bodies)]
         self._settings = [*bodies[::-1], results[2].size, *lengths, *setup.settings]
+        n_events, n = len(job.events), results[2].size
+        #: of events: rows of each body, found times, when bodies stop, what is saved from then on
+        self._events = [
+            np.empty((bodies[1], EVENT_ROWS * n_events), kind),
+            np.full((n, n_events), np.nan) if event_times is None else event_times,
+            np.full(n, np.nan),
+            np.empty((n if setup.stops else 0, made.formulas.handed_out + 1), kind),
+        ]
         self._lock = threading.Lock()
         self.reset()
 
@@ -213,7 +238,12 @@ class Run:
             call_loop(status, arrays, settings, bounds, 0, len(self.states))
         else:
             arrays += made.memory()
-            run_tiles = loop.tile_loop(made.job.kind, per_body=per_body is not None)
+            search, job = self.setup.search, made.job
+            if search is not None:
+                arrays += [self.setup.search_numbers, *self._events, *search.memory()]
+            run_tiles = loop.tile_loop(
+                job.kind, per_body=per_body is not None, events=search is not None
+            )
             while first < last:
                 first = call_loop(run_tiles, arrays, settings, bounds, first, last)
                 if first < last:

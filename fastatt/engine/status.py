@@ -9,6 +9,12 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from fastatt.tracing.formulas import Vector, as_like
+from fastatt.tracing.graph import choose
+
+# a relative change is taken from invariants above this
+_TINY = 1e-37
+
 
 class Status(IntFlag):
     """What went wrong with one body; 0 where nothing did."""
@@ -78,3 +84,17 @@ DIAGNOSTICS = (
 )
 #: those whose values are found at the saves
 SAVED = tuple(x.name for x in DIAGNOSTICS[1:])
+
+
+def relative_change(a: Vector, b: Vector) -> Any:
+    """Largest relative change from the invariants a to b, 0 where there are none."""
+    changes = []
+    for x, y in zip(a, b, strict=True):
+        there = x > _TINY
+        change = abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0))
+        # beyond the largest number nothing is known of it, while the state itself is finite
+        changes.append(choose(x < math.inf, change, choose(x > 0.0, 0.0, x)))
+    if not changes:
+        return 0.0
+    x, y = changes
+    return choose(x > y, x, y)

@@ -8,6 +8,7 @@ from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.closed_forms import form_of
+from fastatt.propagation.event import Event
 from fastatt.propagation.options import Choice
 from fastatt.propagation.reducer import Reducer
 from fastatt.scene.scene import Scene, as_scene
@@ -165,6 +166,7 @@ def chosen(
     normalise: str | int = "output",
     reducer: Reducer | None = None,
     device: Device | None = None,
+    events: tuple[Event, ...] = (),
 ) -> Choice:
     """How a scene is propagated, from what a user asks for.
 
@@ -173,7 +175,7 @@ def chosen(
     compensated = bool(compensated)
     key = ("choice", method, representation, compensated, normalise)
     of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
-    is_kept = of_names and reducer is None and device is None
+    is_kept = of_names and reducer is None and device is None and not events
     # in one go: another thread may put it out
     known: Choice | None = scene.memo.get(key) if is_kept else None
     if known is not None:
@@ -184,6 +186,8 @@ def chosen(
     need, why = "", "method"
     if device is not None:
         need, why = "is_stepped", 'method with device "cuda"'
+    if events:
+        need, why = "is_stepped", "method with events"
     if reducer is not None:
         need, why = "reduces", "method with reduce"
     if compensated and method is None:
@@ -199,7 +203,7 @@ def chosen(
             able = ", ".join(m.name for m in METHODS.values() if m.compensates)
             raise ValueError(f"compensated: found with method {record.name}; accepted with {able}")
         attitude, projection = COMPENSATED, _PROJECTED if normalise == "output" else projection
-    found = Choice(record, attitude, projection, normalise == "never", reducer, device)
+    found = Choice(record, attitude, projection, normalise == "never", reducer, events, device)
     if is_kept:
         scene.memo[key] = found
     return found

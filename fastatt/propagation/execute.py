@@ -84,7 +84,7 @@ def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Traject
             raise
     if history is None or history.array is None:
         return run
-    results = history.results(len(times), run.status)
+    results = history.results(len(times), run.status)._replace(event_times=run.found)
     return plan.trajectory(times, results, given.one_body, run.end)
 
 
@@ -172,6 +172,8 @@ def _in_batches(
         begin, new = last, slice(min(a, 1), min(a, 1) + b - a)
         if deliver is not None and not is_over:
             batch = results.saves(new)._replace(status=results.status.copy())
+            if results.event_times is not None:
+                batch = batch._replace(event_times=results.event_times.copy())
             deliver(plan.trajectory(times[a:b], batch, given.one_body))
         due = last == span.n_steps or perf_counter() - written > _WRITTEN
         if options.checkpoint is not None and due:
@@ -196,7 +198,8 @@ def _keeps_end(plan: Plan, options: RunOptions) -> bool:
     is_small = plan.n_bodies <= min(MOST, PART)
     clock = plan.clock
     ends_on_step = clock.ends is None and not isinstance(clock, PerBodyClock)
-    return options.keep_end and is_small and ends_on_step
+    goes_on = not any(x.terminal for x in plan.choice.events)
+    return options.keep_end and is_small and ends_on_step and goes_on
 
 
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:

@@ -18,6 +18,7 @@ from fastatt.attitudes import Attitude
 from fastatt.engine.run import Parts, PerBody, Span
 from fastatt.methods.method import Method
 from fastatt.propagation.breakpoints import Breaks, breaks_of, parts_of
+from fastatt.propagation.event import Event
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
 
@@ -45,6 +46,7 @@ class Choice:
     projection: int = 0
     raw: bool = False
     reducer: Reducer | None = None
+    events: tuple[Event, ...] = ()
     #: where it runs, if not on the processor
     device: Device | None = None
 

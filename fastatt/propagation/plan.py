@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
@@ -15,11 +16,13 @@ from numpy.typing import NDArray
 from fastatt import checks, rounding
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
+from fastatt.engine.crossings import SEARCH_BLOCK
 from fastatt.engine.job import Job
 from fastatt.engine.run import Fixed, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
 from fastatt.propagation.closed_forms import Evaluation
+from fastatt.propagation.event import check_steps, watching
 from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Given, initial
 from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions
@@ -65,10 +68,13 @@ class Plan:
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed, kind)
             self.carried["reduced"] = choice.reducer.columns(kind)
+        watches = tuple(x.watch(scene, position) for x in choice.events)
+        self.packed = watching(self.packed, watches)
         self.limit = limits.turn_limit(scene, method, self.attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
         self._rates = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))
+        check_steps(choice.events, scene, clock.ends)
         divides = bool(scene.breakpoints) or clock.ends is not None
         self.job = Job(
             method,
@@ -81,12 +87,15 @@ class Plan:
             raw=choice.raw,
             projects=choice.projection > 0,
             own_steps=isinstance(clock, PerBodyClock) or divides,
+            events=watches,
             windowed=bool(scene.breakpoints),
             width=n_bodies if choice.device else width_for(n_bodies, lanes),
         )
         if not method.is_exact:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
         self.span = clock.span(choice.projection)
+        if watches:
+            self.span = replace(self.span, block=SEARCH_BLOCK)
         #: closed forms prepared for numbers of saves
         self.evaluations: dict[int, Evaluation] = {}
 
@@ -205,13 +214,15 @@ class Plan:
         """
         clock, stages = self.clock, self.choice.method.stages
         share = 0.5 * float(stages[-1][1]) if stages else 0.0
-        per_body, parts, edge = None, None, share * clock.h
+        per_body, parts = None, None
         if isinstance(clock, PerBodyClock):
-            per_body, edge = clock.per_body(self.n_bodies), share
+            per_body = clock.per_body(self.n_bodies)
         elif self.job.own_steps:
-            parts, edge = clock.parts(t0, self.scene.breakpoints), share
-        times = (t0, clock.h, edge)
-        run = Run(self._setup, bodies, (given.q, given.y), times, results, per_body, parts)
+            parts = clock.parts(t0, self.scene.breakpoints)
+        times, state = (t0, clock.h, share), (given.q, given.y)
+        run = Run(
+            self._setup, bodies, state, times, results[:3], per_body, parts, results.event_times
+        )  # fmt: skip
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
         return run
@@ -246,7 +257,8 @@ class Plan:
 
     def results(self, saves: int) -> Results:
         """Arrays for some saves."""
-        return Results.empty(saves, self.n_bodies, self.width, self.kind)
+        events = len(self.choice.events)
+        return Results.empty(saves, self.n_bodies, self.width, self.kind, events)
 
     def trajectory(
         self, t: NDArray[np.float64], results: Results, one_body: bool, end: End | None = None
@@ -266,6 +278,7 @@ class Plan:
             record=self.choice.method,
             carried={x: out[:, :, a:b] for x, (a, b) in zip(self.carried, ends, strict=True)},
             end=end,
+            found=results.event_times,
         )
 
     @cached_property

@@ -15,6 +15,7 @@ from fastatt.attitudes import DIRECTION, Attitude
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen, method_of
+from fastatt.propagation.event import Event, events_of
 from fastatt.propagation.execute import execute
 from fastatt.propagation.histories import ToFile, saving
 from fastatt.propagation.initial import Given, initial, same_number
@@ -60,6 +61,7 @@ def propagate(
     resume: Trajectory | str | os.PathLike[str] | Checkpoint | None = None,
     save_at: ArrayLike | None = None,
     device: str | None = None,
+    events: Event | Sequence[Event] = (),
 ) -> Trajectory:
     """Propagate one attitude or an ensemble with a fixed step.
 
@@ -112,6 +114,9 @@ def propagate(
         steps, without the closed form ``exact``. Initial values may be CuPy's arrays or Numba's
         device arrays; ``q`` of quaternions, ``w``, ``v``, ``r`` and ``s`` then stay there, but of a
         run with ``on_save`` or a checkpoint.
+    events : what :func:`fastatt.event` made, a list: the trajectory's ``event_times`` holds the
+        first crossing of each body. With methods that step; without per-body step sizes,
+        breakpoints, a shorter last step, ``save_at``, ``resume`` and ``device``.
 
     Returns
     -------
@@ -128,6 +133,9 @@ def propagate(
     On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
     """
     as_scene(scene)
+    watched = events_of(events)
+    if watched:
+        _check_alone("events; accepted: without", resume=resume, device=device, save_at=save_at)
     function, file = saving(on_save)
     checkpoint = resume.path if isinstance(resume, Checkpoint) else None
     gpu = None
@@ -139,7 +147,7 @@ def propagate(
     end = None if resume is None or checkpoint is not None else end_of(resume)
     if end is not None:
         method, compensated = method or end.about["method"], end.about["compensated"]
-    choice = chosen(scene, method, representation, compensated, normalise, reduce, gpu)
+    choice = chosen(scene, method, representation, compensated, normalise, reduce, gpu, watched)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     begin = checks.real("t0", t0)
     if end is None:
@@ -169,7 +177,8 @@ def propagate(
     if isinstance(clock, PerBodyClock):
         # these go with one step size for all bodies, counted from the begin, alone
         _check_alone(
-            "save_at or per-body step sizes; accepted: without", on_save=on_save,
+            "save_at or per-body step sizes; accepted: without", events=watched or None,
+            on_save=on_save,
             resume=checkpoint, compensated=compensated, normalise=choice.projection or None,
         )  # fmt: skip
     if on_save is not None and clock.every is None:
@@ -223,6 +232,7 @@ def plan(
     normalise: str | int = "output",
     invalid: str = "raise",
     position: bool = False,
+    events: Event | Sequence[Event] = (),
 ) -> Plan:
     """A run to be made many times: all is checked and compiled now, once.
 
@@ -247,7 +257,7 @@ def plan(
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
-    choice = chosen(scene, method, representation, compensated, normalise)
+    choice = chosen(scene, method, representation, compensated, normalise, events=events_of(events))
     clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
     checks.choice("invalid", invalid, closed_form.INVALID)
     if METHODS.get(choice.method.name) is choice.method:

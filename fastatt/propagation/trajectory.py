@@ -28,24 +28,27 @@ if TYPE_CHECKING:
 
 
 class Results(NamedTuple):
-    """What a run writes: saved values (S, N, k), norm errors (S, N), flags (N,)."""
+    """What a run writes: saved values (S, N, k), norm errors (S, N), flags (N,), times (N, E)."""
 
     out: NDArray[Any]
     norm_error: NDArray[Any]
     status: NDArray[np.uint8]
+    #: of a run with events
+    event_times: NDArray[np.float64] | None = None
 
     @classmethod
-    def empty(cls, saves: int, bodies: int, width: int, kind: Any) -> Results:
+    def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
         """New ones."""
         return cls(
             np.empty((saves, bodies, width), kind),
             np.empty((saves, bodies), kind),
             np.empty(bodies, np.uint8),
+            np.full((bodies, events), np.nan) if events else None,
         )
 
     def saves(self, slots: slice) -> Results:
         """Some saves."""
-        return Results(self.out[slots], self.norm_error[slots], self.status)
+        return self._replace(out=self.out[slots], norm_error=self.norm_error[slots])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,6 +79,8 @@ class Trajectory:
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     #: where another run may go on
     end: End | None = field(default=None, repr=False)
+    #: times of events (N, E), of a run with some
+    found: NDArray[np.float64] | None = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields, for a copy elsewhere: a given rate as numbers."""
@@ -166,6 +171,16 @@ class Trajectory:
             )
         last = np.asarray(self._shaped(self.carried["reduced"])[-1])
         return last if last.dtype == np.float64 else joined_array(last)
+
+    @property
+    def event_times(self) -> NDArray[np.float64]:
+        """When each of ``propagate``'s ``events`` was first found, s: (N, E), or (E,) of one body.
+
+        NaN where it was not.
+        """
+        if self.found is None:
+            raise ValueError("event_times: the run had no events; accepted: propagate(events=)")
+        return self.found[0] if self.one_body else self.found
 
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
         if name not in self.carried:

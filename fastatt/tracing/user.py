@@ -76,6 +76,8 @@ FORMS = {
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
     "potential at position": Signature("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
     "reducer": Signature("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
+    "event": Signature("event(t, q, w, p)", (0, 4, 3), 1, "a number"),
+    "event at position": Signature("event(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
 }
 
 # what a function was made of, and for which values of its names

@@ -354,3 +354,15 @@ def of_unknown_size():
 def test_wrong_arguments_are_named_before_anything_runs(call, message):
     with pytest.raises((TypeError, ValueError), match=message.replace("(", r"\(")):
         call()
+
+
+def test_events_are_those_of_one_run():
+    events = [
+        fa.event(lambda t, q, w, p: w[0]),
+        fa.event(lambda t, q, w, p: t - 0.305, terminal=True),
+    ]
+    wanted = fa.propagate(OWN, Q0, W0, **RK4, events=events)
+    lazy = fd.propagate(OWN, *lazily((Q0, W0)), **RK4, events=events)
+    assert lazy.event_times.shape == (N, 2)
+    np.testing.assert_array_equal(lazy.event_times.compute(), wanted.event_times)
+    np.testing.assert_array_equal(lazy.compute().event_times, wanted.event_times)

@@ -61,6 +61,11 @@ FALLING = fa.Scene(inertia=TENSOR, mass=2.0, force=fa.forces.ConstantInertial((0
 GLIDING = fa.Scene(rate=BODIES.model, mass=1.5, force=fa.forces.Drag(0.2))
 FAR = fa.Scene(rate=fa.rates.Polynomial(BODIES.c * np.linspace(1.0, 100.0, N)[:, None, None]))
 
+EVENTS = [
+    fa.event(lambda t, q, w, p: (t - 0.52) ** 2 - 1e-6),
+    fa.event(lambda t, q, w, p: w[0] - 0.1, terminal=True),
+]
+
 # name: scene, method, representation, other options
 RUNS = {
     "shared coning": (SHARED, "magnus4", "quat", {}),
@@ -84,6 +89,8 @@ RUNS = {
     "turned": (TURNED, "rkmk4", "quat", {}),
     "falling": (FALLING, "rk4", "quat", {"r0": V0}),
     "gliding": (GLIDING, "rk4", "quat", {}),
+    "events": (FREE, "rk4", "quat", {"events": EVENTS}),
+    "events, kicked": (KICKED, "kahan_li6", "quat", {"events": EVENTS}),
 }
 SINGLE = ("each coning", "matrices", "compensated", "called", "beyond", "symmetric", "torqued")
 CASES = [(name, "float64") for name in RUNS] + [(name, "float32") for name in SINGLE]
@@ -108,6 +115,8 @@ def results(name, dtype):
         "norm_error": traj.norm_error,
         "q": traj.q,
     }
+    if traj.found is not None:
+        found["event times"] = np.nan_to_num(traj.event_times.T)
     return {**found, **traj.carried, "status": traj.status}
 
 

@@ -1,0 +1,59 @@
+"""What a run watches for its events: user-defined functions at the end of each step."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from fastatt.engine.crossings import crosses, turns
+from fastatt.tracing.finished import Flat
+from fastatt.tracing.formulas import Vector
+from fastatt.tracing.graph import Double, choose
+from fastatt.tracing.user import UserFunction
+
+if TYPE_CHECKING:
+    from fastatt.engine.job import Scope
+
+
+class Watch(NamedTuple):
+    """A user's function whose first crossing of zero is wanted, and in which direction."""
+
+    function: UserFunction
+    direction: int
+    #: whether a body stays where it is from then on
+    terminal: bool
+
+
+def values(scope: Scope) -> Vector:
+    """The functions that are watched, at the state after so many steps."""
+    if not scope.job.events:
+        return ()
+    t, since = scope.time(), scope.number("since")
+    x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
+    own, structure = scope.parts(x)[0], scope.job.structure
+    # velocity and position come before the states of the scene
+    end = len(own) - structure.turning.law.states
+    moved = tuple(map(Double, own[len(own) - structure.beside : end]))
+    p = scope.graph.inputs("double", "p", structure.turning.n_params)
+    found = []
+    for watch in scope.job.events:
+        # the scene's own parameters are the last of those of the rotation
+        given = p[len(p) - watch.function.n_params :]
+        found.append(scope.called(watch.function.given, t, own, moved[:3], moved[3:], given))
+    return tuple(found)
+
+
+def after_step(scope: Scope) -> Flat:
+    """Of each function its value, that of the step before, and whether it may have crossed zero.
+
+    The inputs ("event", i) are the same after the step before.
+    """
+    watches, found = scope.job.events, values(scope)
+    n = len(watches)
+    rows = scope.inputs("event", 3 * n)
+    last, before, marks = rows[:n], rows[n : 2 * n], rows[2 * n :]
+    marked = []
+    for watch, a, b, x, mark in zip(watches, before, last, found, marks, strict=True):
+        c = type(b)(x)
+        test = crosses(b, c, watch.direction) | turns(a, b, c)
+        marked.append(choose(test, 1.0, mark))
+    return scope.finished((*found, *last, *marked))

@@ -1,0 +1,147 @@
+"""Stops of a run between its steps: parts of the loop over tiles.
+
+Each lane of a tile has a clock: its step size, the steps taken before, and the time at which they
+began. To get to a time between two steps, a lane takes one shorter step of the same method from
+the last of its steps before that time.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fastatt._jit import loop_part
+from fastatt.codegen.call import call_generated
+
+#: parts of a program's function
+BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER, WATCH = range(7)
+
+#: clocks of lanes, from a row of ``wide`` on
+DT, BEFORE, BEGUN, LOW, HIGH = range(5)
+#: a part of a step is a clock, how many steps are taken by it, and whether a whole step ends so
+TAKEN, ENDS, PART_SIZE = range(5, 8)
+#: a stop: its time since the start, s, and the slack of its rounding; whether it is a breakpoint;
+#: the time since the start from which steps to it are counted; then the clock of these, from BEFORE
+TIME, SLACK, BREAKS, COUNTED_FROM, COUNT, _, _, _, STOP_SIZE = range(9)
+
+EPS = 2.0**-52
+
+
+@loop_part
+def on_grid(time, slack, step):
+    """(whole steps to a time since the start, what remains); rounding leaves nothing."""
+    count = math.floor(time / step * (1.0 + 4.0 * EPS))
+    rest = time - count * step
+    return count, rest if abs(rest) > slack else 0.0
+
+
+@loop_part
+def set_clock(shape, wide, first, values, at):
+    """Set the clocks of all lanes, from the row ``first`` on, to the values from ``at`` on."""
+    width, _, _, _, _, clock = shape
+    for i in range(first, HIGH + 1):
+        for j in range(width):
+            wide[(clock + i) * width + j] = values[at + i - first]
+
+
+@loop_part
+def count_steps(shape, tile, waiting, left, time, slack):
+    """Steps of each lane to its last before a stop; a lane without any waits. The most of them."""
+    rows, wide, _, _ = tile
+    width, size, _, _, _, clock = shape
+    most = 0
+    for j in range(width):
+        count, _ = on_grid(time, slack, wide[(clock + DT) * width + j])
+        left[j] = int(count - wide[(clock + BEFORE) * width + j])
+        most = max(most, left[j])
+        if left[j] <= 0:
+            for i in range(size):
+                waiting[i * width + j] = rows[i * width + j]
+    return most
+
+
+@loop_part
+def copy_tile(tile, copied, shape):
+    """Copy all numbers of a tile's lanes."""
+    rows, wide, _, _ = tile
+    to, wide_to, _, _ = copied
+    width, _, n_rows, n_wide, _, _ = shape
+    for i in range(n_rows * width):
+        to[i] = rows[i]
+    for i in range(n_wide * width):
+        wide_to[i] = wide[i]
+
+
+@loop_part
+def copy_lane(tile, copied, shape, lane):
+    """Copy all numbers of a lane."""
+    rows, wide, _, _ = tile
+    to, wide_to, _, _ = copied
+    width, _, n_rows, n_wide, _, _ = shape
+    for i in range(n_rows):
+        to[i * width + lane] = rows[i * width + lane]
+    for i in range(n_wide):
+        wide_to[i * width + lane] = wide[i * width + lane]
+
+
+@loop_part
+def leave_steps(function, tile, shape):
+    """Make lanes ready for a shorter step: its size is to be set before ``shorter_step``."""
+    _, wide, _, _ = tile
+    width, _, _, _, _, clock = shape
+    call_generated(function, LEAVE, tile, (0, 0))
+    for j in range(width):
+        before = (clock + BEFORE) * width + j
+        # the time where the shorter step begins, by those before it
+        wide[(clock + BEGUN) * width + j] += wide[before] * wide[(clock + DT) * width + j]
+        wide[before] = 0.0
+
+
+@loop_part
+def shorter_step(function, form, tile, shape):
+    """A step of the size in each lane's clock; ``form`` is the function that takes it."""
+    _, wide, _, _ = tile
+    width, _, _, _, _, clock = shape
+    call_generated(function, ENTER, tile, (0, 0))
+    call_generated(form, ADVANCE, tile, (0, 1))
+    for j in range(width):
+        wide[(clock + BEFORE) * width + j] = 1.0
+
+
+@loop_part
+def step_to_stop(function, form, shape, tile, copied, left, time, slack):
+    """Step a copy of a tile to a stop; whether the form that it takes was there."""
+    _, wide, _, _ = tile
+    _, wide_copy, _, _ = copied
+    width, _, _, _, _, clock = shape
+    copy_tile(tile, copied, shape)
+    partial = False
+    for j in range(width):
+        _, rest = on_grid(time, slack, wide[(clock + DT) * width + j])
+        left[j] = 1 if rest != 0.0 else 0
+        partial = partial or rest != 0.0
+    if not partial:
+        return True
+    if form == 0:
+        return False
+    leave_steps(function, copied, shape)
+    for j in range(width):
+        step = (clock + DT) * width + j
+        _, wide_copy[step] = on_grid(time, slack, wide[step])
+    shorter_step(function, form, copied, shape)
+    for j in range(width):
+        if left[j] == 0:
+            copy_lane(tile, copied, shape, j)
+    return True
+
+
+@loop_part
+def count_from_stop(function, shape, tile, copied, stops, row):
+    """Go on from a copy of the tile at a breakpoint, where steps to the next stop are counted."""
+    rows, wide, _, _ = tile
+    copy, _, _, _ = copied
+    width, size, _, _, _, _ = shape
+    call_generated(function, LEAVE, copied, (0, 0))
+    for i in range(size * width):
+        rows[i] = copy[i]
+    set_clock(shape, wide, BEFORE, stops, row + COUNT)
+    call_generated(function, ENTER, tile, (0, 0))

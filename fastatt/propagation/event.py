@@ -1,0 +1,157 @@
+"""Events: the time at which a user-defined function of a body's motion crosses zero."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fastatt import checks
+from fastatt.engine.events import Watch
+from fastatt.scene.models import Packed, resources_of
+from fastatt.scene.scene import Scene
+from fastatt.tracing.user import FORMS, user_function
+
+#: of ``FORMS``, by how many arguments the function takes
+_FORMS = {4: "event", 6: "event at position"}
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A function of the motion whose first crossing of zero is wanted: made by :func:`event`."""
+
+    function: Callable[..., Any]
+    direction: int = 0
+    terminal: bool = False
+
+    def watch(self, scene: Scene, position: bool) -> Watch:
+        """What the engine watches: the function with the scene's parameters, and its direction.
+
+        Raises ``TypeError`` and ``ValueError`` for a function that the scene can't be given to.
+        """
+        plain = getattr(self.function, "py_func", self.function)
+        form = _FORMS.get(_arguments(plain))
+        if form is None:
+            accepted = ", ".join(FORMS[name].call for name in _FORMS.values())
+            raise TypeError(f"event: found {checks.brief(self.function)}; accepted: {accepted}")
+        if form == "event at position" and not position:
+            raise ValueError(
+                f"event: found {FORMS[form].call}, but no position is carried; accepted: with r0, "
+                "in a scene with mass"
+            )
+        params = None
+        if scene.params is not None:
+            params = np.atleast_1d(np.asarray(scene.params, dtype=np.float64))
+        count = 0 if params is None else params.shape[-1]
+        made = user_function(self.function, form, count, params)
+        return Watch(made, self.direction, self.terminal)
+
+
+def _arguments(function: Any) -> int:
+    """How many arguments a function needs; 0 of what has no signature."""
+    try:
+        found = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return 0
+    return sum(x.default is x.empty for x in found)
+
+
+def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -> Event:
+    """The first time at which a function of a body's motion crosses zero.
+
+    ``fastatt.propagate(..., events=[...])`` takes it, and the trajectory's ``event_times`` holds
+    the time of each body, located between the steps to the method's order. Functions are traced as
+    torques are, so that they are part of the loop.
+
+    Parameters
+    ----------
+    g : callable
+        ``g(t, q, w, p) -> float``, plain or jitted: the time, s, the unit attitude, body to
+        inertial, the angular velocity along body axes, rad/s, and the tuple of the scene's
+        ``params``, empty where there are none. Where the position is carried also
+        ``g(t, q, w, v, r, p)``: the velocity along body axes, m/s, and the position along inertial
+        axes, m.
+    direction : int
+        1: g rises through zero along the run; -1: it falls; 0: either. A g that is zero where a
+        step begins or ends has crossed there.
+    terminal : bool
+        Whether the body stays where it is from then on: all later saves hold its state at the
+        event, its later events are not found, and its status is not changed. The run goes on for
+        the other bodies.
+
+    Returns
+    -------
+    Event
+        For the argument ``events`` of :func:`fastatt.propagate`.
+
+    Raises
+    ------
+    TypeError
+        For what is no function, or a ``terminal`` that is no truth value.
+    ValueError
+        For another direction.
+
+    Notes
+    -----
+    A crossing is found where g has different signs at the two ends of a step. Where g has the same
+    sign at both ends, but turns towards zero in between, its extremum within the step is searched,
+    so that two crossings in one step are found too. Out of reach are two crossings in a step in
+    which g does not look like a parabola, as of a g with kinks; of three crossings in one step any
+    of them may be found. Where g is not a number there is no crossing.
+
+    Examples
+    --------
+    The time at which the third axis of a coning body comes down to a height of 0.9:
+
+    >>> import fastatt as fa
+    >>> def height(t, q, w, p):
+    ...     return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]) - 0.9
+    >>> body = fa.Scene(inertia=(1.0, 1.0, 2.0))
+    >>> run = fa.propagate(
+    ...     body, [1, 0, 0, 0], [0.5, 0, 1], dt=0.1, n_steps=100, method="rk8",
+    ...     events=[fa.event(height, direction=-1)],
+    ... )
+    >>> run.event_times.round(6)
+    array([1.138071])
+    """
+    if not callable(g):
+        raise TypeError(f"g: found {checks.brief(g)}; accepted: a function g(t, q, w, p)")
+    if direction not in (-1, 0, 1) or isinstance(direction, bool):
+        raise ValueError(f"direction: found {checks.brief(direction)}; accepted: -1, 0, 1")
+    if not isinstance(terminal, (bool, np.bool_)):
+        raise TypeError(f"terminal: found {checks.brief(terminal)}; accepted: True or False")
+    return Event(g, int(direction), bool(terminal))
+
+
+def events_of(events: Event | Sequence[Event]) -> tuple[Event, ...]:
+    """The events of a run.
+
+    Raises ``TypeError`` for what is none.
+    """
+    found = (events,) if isinstance(events, Event) else events
+    if not isinstance(found, (list, tuple)) or not all(isinstance(x, Event) for x in found):
+        raise TypeError(f"events: found {checks.brief(events)}; accepted: a list of fastatt.event")
+    return tuple(found)
+
+
+def check_steps(events: Sequence[Event], scene: Scene, ends: float | None) -> None:
+    """Refuse events, with ``ValueError``, in a run that takes some of its steps in parts."""
+    if not events:
+        return
+    if scene.breakpoints:
+        raise ValueError("events: found with a scene that has breakpoints; accepted: without")
+    if ends is not None:
+        raise ValueError(
+            "events: found with a t_end that is no whole number of steps; accepted: a whole number"
+        )
+
+
+def watching(packed: Packed, watches: Sequence[Watch]) -> Packed:
+    """What moves, with the tables and functions that events need."""
+    found = dict(packed.resources)
+    for watch in watches:
+        found |= resources_of(watch.function)
+    return packed._replace(resources=found)

@@ -1,0 +1,331 @@
+"""Events beside closed forms, SciPy's DOP853 with its events, and the run without them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import fastatt as fa
+
+MOMENTS = np.array([3.0, 2.0, 1.0])
+BODY = fa.Scene(inertia=MOMENTS)
+CONE = fa.Scene(inertia=(1.0, 1.0, 2.0))
+RNG = np.random.default_rng(4)
+N = 70  # a tile and some
+Q0 = RNG.normal(size=(N, 4))
+Q0 /= np.linalg.norm(Q0, axis=1)[:, None]
+W0 = RNG.normal(size=(N, 3))
+RUN = {"dt": 0.02, "n_steps": 500}
+
+
+def first_rate(t, q, w, p):
+    return w[0] - 0.1
+
+
+def height(t, q, w, p):
+    return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+
+
+EVENTS = [fa.event(first_rate), fa.event(height, -1), fa.event(height, 1)]
+FREE = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, save_every=50)
+
+
+def times(g, direction=0, scene=CONE, **options):
+    """The event time of one body."""
+    given = {"dt": 0.5, "n_steps": 20, "method": "rk8"} | options
+    w0 = None if scene.kind == "rate" else [0.5, 0.0, 1.0]
+    run = fa.propagate(scene, [1, 0, 0, 0], w0, **given, events=[fa.event(g, direction)])
+    assert not run.has_flags
+    return run.event_times[0]
+
+
+def euler(t, y):
+    (a, b, c, d), w = y[:4], y[4:]
+    x, y, z = w
+    turned = (-b * x - c * y - d * z, a * x + c * z - d * y, a * y + d * x - b * z)
+    last = a * z + b * y - c * x
+    return np.array([*(0.5 * k for k in (*turned, last)), *(np.cross(MOMENTS * w, w) / MOMENTS)])
+
+
+def test_times_are_those_of_dop853():
+    def of(event):
+        def g(t, y):
+            return event.function(t, y[:4], y[4:], ())
+
+        g.direction = event.direction
+        return g
+
+    for body in range(12):
+        made = solve_ivp(
+            euler, (0.0, 10.0), [*Q0[body], *W0[body]], "DOP853", rtol=1e-13, atol=1e-13,
+            max_step=0.02, events=[of(x) for x in EVENTS],
+        )  # fmt: skip
+        wanted = [x[0] if x.size else np.nan for x in made.t_events]
+        np.testing.assert_allclose(FREE.event_times[body], wanted, rtol=0.0, atol=1e-11)
+    assert np.isnan(FREE.event_times).any()
+    assert np.isfinite(FREE.event_times).sum() > N
+
+
+def test_time_of_a_coning_body_is_that_of_its_closed_form():
+    # the axis of a body of moments 1, 1, 2 goes round the momentum at |m|/1 rad/s
+    m = math.hypot(0.5, 2.0)
+    tilt = math.atan2(0.5, 2.0)
+    level = math.cos(tilt) ** 2 + math.sin(tilt) ** 2 * math.cos(1.0)
+    found = times(lambda t, q, w, p: height(t, q, w, p) - level, dt=0.02, n_steps=200)
+    assert abs(found - 1.0 / m) < 1e-9
+
+
+def test_the_run_is_the_same_to_the_bit():
+    plain = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", save_every=50)
+    assert np.array_equal(FREE.q, plain.q)
+    assert np.array_equal(FREE.w, plain.w)
+    assert np.array_equal(FREE.status, plain.status)
+
+
+def test_a_body_has_the_times_that_it_has_in_an_ensemble():
+    for body in (0, 33, 69):
+        alone = fa.propagate(BODY, Q0[body], W0[body], **RUN, method="rk8", events=EVENTS)
+        assert alone.event_times.shape == (3,)
+        np.testing.assert_array_equal(alone.event_times, FREE.event_times[body])
+    threads = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, n_threads=2)
+    np.testing.assert_array_equal(threads.event_times, FREE.event_times)
+
+
+@pytest.mark.parametrize("method", fa.methods_for(BODY, need="is_stepped"))
+def test_every_method_locates_to_its_order(method):
+    found = fa.propagate(BODY, Q0, W0, **RUN, method=method, events=EVENTS).event_times
+    order = fa.METHODS[method].order
+    bound = {2: 2e-2, 4: 2e-5}.get(order, 1e-6 if order == 6 else 1e-9)
+    assert np.array_equal(np.isnan(found), np.isnan(FREE.event_times))
+    assert np.nanmax(abs(found - FREE.event_times)) < bound
+    if order == 4:
+        fine = fa.propagate(
+            BODY, Q0, W0, dt=0.01, n_steps=1000, method=method, events=EVENTS
+        ).event_times
+        coarse = np.nanmax(abs(found - FREE.event_times))
+        assert np.nanmax(abs(fine - FREE.event_times)) < coarse / 10.0
+
+
+@pytest.mark.parametrize(
+    "method", fa.methods_for(fa.Scene(rate=fa.rates.Coning(1.0, 1.0)), need="is_stepped")
+)
+def test_methods_for_given_rates(method):
+    scene = fa.Scene(rate=fa.rates.Coning(1.0, 1.0))
+    wanted = times(first_rate, scene=scene, dt=0.02, n_steps=500, method="magnus8")
+    found = times(first_rate, scene=scene, dt=0.02, n_steps=500, method=method)
+    assert abs(found - wanted) < 1e-12  # of the rate alone
+    assert 0.0 < found < 10.0
+
+
+@pytest.mark.parametrize(
+    ("g", "direction", "wanted"),
+    [
+        (lambda t, q, w, p: t - 1.2345678, 0, 1.2345678),
+        (lambda t, q, w, p: t - 1.2345678, -1, np.nan),
+        (lambda t, q, w, p: (t - 3.3) ** 3, 1, 3.3),
+        (lambda t, q, w, p: t - 2.5, 1, 2.5),  # at the end of a step
+        (lambda t, q, w, p: t - 10.0, 0, 10.0),  # of the last one
+        (lambda t, q, w, p: t, 0, 0.0),  # where the run begins
+        (lambda t, q, w, p: t, -1, np.nan),
+        (lambda t, q, w, p: 0.0 * t, 0, 0.0),
+        (lambda t, q, w, p: t - 10.1, 0, np.nan),
+        (lambda t, q, w, p: math.sqrt(1.1 - t), 0, np.nan),
+        (lambda t, q, w, p: abs(t - 1.7) + 1e-3, 0, np.nan),
+    ],
+)  # fmt: skip
+def test_times_of_functions_of_time(g, direction, wanted):
+    found = times(g, direction)
+    tolerance = 1e-5 if wanted == 3.3 else 4e-15  # a triple root
+    assert (math.isnan(found) and math.isnan(wanted)) or abs(found - wanted) <= tolerance
+
+
+@pytest.mark.parametrize("half", [1e-3, 0.03, 0.24])
+@pytest.mark.parametrize("middle", [0.25, 2.0, 2.1, 2.31, 2.45, 9.75])
+def test_two_crossings_within_one_step(middle, half):
+    def parabola(t, q, w, p):
+        return (t - middle) ** 2 - half**2
+
+    def cosine(t, q, w, p):
+        return math.cos(0.3 * half) - math.cos(0.3 * (t - middle))
+
+    for g in (parabola, cosine):
+        assert abs(times(g) - (middle - half)) < 1e-9
+        assert abs(times(g, -1) - (middle - half)) < 1e-9
+        assert abs(times(g, 1) - (middle + half)) < 1e-9
+
+
+def test_a_run_backwards():
+    found = times(lambda t, q, w, p: t - 4.3, -1, dt=-0.25, t0=5.0)
+    assert abs(found - 4.3) < 1e-14
+
+
+def test_saves_in_batches_hold_the_same():
+    events = [fa.event(height, -1), fa.event(first_rate, terminal=True)]
+    given = {**RUN, "method": "rk8", "save_every": 5, "events": events}
+    whole = fa.propagate(BODY, Q0, W0, **given)
+    pieces = []
+    last = fa.propagate(BODY, Q0, W0, **given, on_save=lambda piece: pieces.append(piece.q.copy()))
+    assert np.array_equal(np.concatenate(pieces), whole.q)
+    np.testing.assert_array_equal(last.event_times, whole.event_times)
+
+
+@pytest.mark.parametrize("method", ["rk8", "strang2", "dmv6", "rkmk4"])
+def test_a_terminal_event_keeps_the_state(method):
+    events = [fa.event(height, -1), fa.event(first_rate, terminal=True)]
+    given = {**RUN, "method": method, "save_every": 5}
+    plain = fa.propagate(BODY, Q0, W0, **given)
+    run = fa.propagate(BODY, Q0, W0, **given, events=events)
+    end = run.event_times[:, 1]
+    assert not run.has_flags
+    assert 0 < np.isnan(end).sum() < N
+    for body in range(N):
+        late = run.t >= end[body]
+        assert np.array_equal(run.q[~late, body], plain.q[~late, body])
+        assert np.abs(run.w[late, body, 0] - 0.1).max(initial=0.0) < 1e-12
+        assert (run.q[late, body] == run.q[-1, body]).all()
+        assert not run.event_times[body, 0] > end[body]
+    early = np.isnan(end) | (run.event_times[:, 0] <= end)
+    free = fa.propagate(BODY, Q0, W0, **given, events=events[:1]).event_times[:, 0]
+    assert np.array_equal(run.event_times[early, 0], free[early], equal_nan=True)
+    assert np.isnan(run.event_times[~early, 0]).all()
+
+
+def test_the_earlier_of_two_terminal_events_ends_a_body():
+    events = [fa.event(lambda t, q, w, p, k=k: t - k, terminal=True) for k in (1.013, 1.011)]
+    run = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=events)
+    assert np.isnan(run.event_times[:, 0]).all()
+    np.testing.assert_allclose(run.event_times[:, 1], 1.011, rtol=1e-15)
+    alone = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=events[1:])
+    assert np.array_equal(run.q, alone.q)
+
+
+def test_what_comes_after_a_terminal_event_sets_no_status():
+    # a rate that ends after 1 s
+    scene = fa.Scene(rate=fa.rates.Custom(lambda t, p: (math.sqrt(1.0 - t), 0.0, 0.0)))
+    end = fa.event(lambda t, q, w, p: t - 0.905, terminal=True)
+    run = fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=300, method="rk4", events=[end])
+    assert run.status[0] == 0
+    assert abs(run.event_times[0] - 0.905) < 1e-15
+    angle = 2.0 / 3.0 * (1.0 - 0.095**1.5)
+    assert abs(2.0 * math.atan2(run.q[0, 1], run.q[0, 0]) - angle) < 1e-8
+    assert fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=300, method="rk4").status[0]
+
+
+def test_functions_take_the_parameters_of_the_scene():
+    levels = np.linspace(0.5, 2.5, N)[:, None]
+    scene = fa.Scene(
+        inertia=MOMENTS, torque=lambda t, q, w, p: (0.0, 0.0, 0.0 * p[0]), params=levels
+    )
+    found = fa.propagate(
+        scene, Q0, W0, **RUN, method="rk4", events=[fa.event(lambda t, q, w, p: t - p[0])]
+    )
+    np.testing.assert_allclose(found.event_times, levels, rtol=1e-14)
+
+
+def test_functions_of_velocity_and_position():
+    scene = fa.Scene(inertia=MOMENTS, mass=2.0, force=lambda t, q, w, v, p: (0.0, 0.0, 0.0))
+    run = fa.propagate(
+        scene, Q0[0], W0[0], v0=(1.0, 0.0, 0.0), r0=(0.0, 0.0, 0.0), **RUN, method="rk8",
+        events=[fa.event(lambda t, q, w, v, r, p: r[0] ** 2 + r[1] ** 2 + r[2] ** 2 - 2.0)],
+    )  # fmt: skip
+    assert abs(run.event_times[0] - math.sqrt(2.0)) < 1e-11
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_scene_with_states(moves):
+    def lagged(t, q, w, s, p):
+        return (-p[0] * s[0], 0.0, 0.0), p[1] * (w[0] - s[0])
+
+    def rate(t, q, w, p):
+        return w[0] - p[0]
+
+    def rate_there(t, q, w, v, r, p):
+        return w[0] - p[0] + (r[0] - t) + (v[0] - 1.0)
+
+    def axis(t, y):
+        return [-0.4 * y[1], 3.0 * (y[0] - y[1])]
+
+    mass = {"mass": 2.0, "force": lambda t, q, w, v, p: (0.0, 0.0, 0.0)} if moves else {}
+    given = {"v0": [1.0, 0.0, 0.0], "r0": [0.0, 0.0, 0.0]} if moves else {}
+    body = fa.Scene(inertia=(1.0, 1.0, 1.0), torque=lagged, states=1, params=(0.4, 3.0), **mass)
+    run = fa.propagate(
+        body, [1, 0, 0, 0], [1.0, 0.0, 0.0], s0=[0.0], dt=0.05, n_steps=100, method="rk8",
+        events=[fa.event(rate_there if moves else rate)], **given,
+    )  # fmt: skip
+    crossing = solve_ivp(
+        axis, (0.0, 5.0), [1.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-13,
+        events=lambda t, y: y[0] - 0.4,
+    )  # fmt: skip
+    assert run.event_times[0] == pytest.approx(crossing.t_events[0][0], abs=1e-9)
+
+
+def test_single_precision_and_compensated_runs():
+    single = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, dtype="float32")
+    same = np.isnan(single.event_times) == np.isnan(FREE.event_times)
+    assert same.mean() > 0.98  # a touch is found or not
+    assert np.nanmedian(abs(single.event_times - FREE.event_times)) < 1e-5
+    carried = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, compensated=True)
+    np.testing.assert_allclose(carried.event_times, FREE.event_times, rtol=0.0, atol=1e-11)
+
+
+def test_a_function_that_is_not_traced():
+    def counted(t, q, w, p):
+        total, k = 0.0, 0
+        while total < abs(t) and k < 100:
+            total += 0.5
+            k += 1
+        return t - 1.3 - 1e-9 * (k - k % 100)
+
+    assert abs(times(counted) - 1.3) < 1e-8
+
+
+def test_a_plan_and_a_reducer_beside_events():
+    plan = fa.plan(BODY, N, **RUN, method="rk8", events=EVENTS)
+    np.testing.assert_array_equal(plan(Q0, W0).event_times, FREE.event_times)
+    count = fa.reducer(lambda t, q, w, s: s[0] + 1.0, start=0.0)
+    run = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, reduce=count)
+    np.testing.assert_array_equal(run.event_times, FREE.event_times)
+    assert (run.reduced == RUN["n_steps"]).all()
+
+
+def test_a_function_that_is_no_number_flags_nothing():
+    g = fa.event(lambda t, q, w, p: math.log(w[0]) if t > 0.0 else math.nan)
+    run = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=[g])
+    assert not run.has_flags
+
+
+def push(t, q, w, p):
+    return (0.1 * math.sin(t), 0.0, 0.0)
+
+
+def test_what_is_refused():
+    given = {**RUN, "events": EVENTS}
+    with pytest.raises(ValueError, match=r"method with events: found 'exact'; accepted: .*rk8"):
+        fa.propagate(BODY, Q0, W0, **given, method="exact")
+    with pytest.raises(ValueError, match="save_at: found with events"):
+        fa.propagate(BODY, Q0, W0, **given, save_at=[1.0])
+    with pytest.raises(ValueError, match=r"events: found with .*per-body step sizes"):
+        fa.propagate(BODY, Q0, W0, dt=[0.02] * N, n_steps=500, events=EVENTS)
+    done = fa.propagate(BODY, Q0, W0, **RUN, method="rk4")
+    with pytest.raises(ValueError, match="resume: found with events"):
+        fa.propagate(BODY, **given, resume=done)
+    with pytest.raises(ValueError, match="event_times: the run had no events"):
+        _ = done.event_times
+    with pytest.raises(TypeError, match=r"events: found .*; accepted: a list of fastatt.event"):
+        fa.propagate(BODY, Q0, W0, **RUN, events=[height])
+    with pytest.raises(ValueError, match="direction: found 2; accepted: -1, 0, 1"):
+        fa.event(height, 2)
+    with pytest.raises(TypeError, match="g: found 3"):
+        fa.event(3)
+    with pytest.raises(TypeError, match=r"event: found .*; accepted: event\(t, q, w, p\)"):
+        fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t: t)])
+    with pytest.raises(ValueError, match="no position is carried"):
+        fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t, q, w, v, r, p: t)])
+    timed = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=push, breakpoints=(0.5,))
+    with pytest.raises(ValueError, match="events: found with a scene that has breakpoints"):
+        fa.propagate(timed, Q0, W0, **given)
+    with pytest.raises(ValueError, match="events: found with a t_end that is no whole number"):
+        fa.plan(BODY, N, dt=0.1, t_end=0.95, events=EVENTS)
