@@ -58,11 +58,11 @@ if TYPE_CHECKING:
     from fastatt.engine.status import Status
     from fastatt.estimation.filters import mean_attitude
     from fastatt.estimation.single_steps import single_step
-    from fastatt.euler import euler_to_quat, quat_to_euler
     from fastatt.gyro import gyro_steps
     from fastatt.gyro.integrate import integrate_rates
     from fastatt.gyro.streaming import GyroIntegrator
     from fastatt.interchange import from_scipy, to_scipy
+    from fastatt.interchange.euler import euler_to_quat, quat_to_euler
     from fastatt.logs import GyroLog, GyroLogError, GyroLogWarning, read_gyro_log
     from fastatt.methods import METHODS, Method
     from fastatt.methods.lie_group import lie_group

@@ -9,7 +9,7 @@ from exact import EPS, angle, exp, mul
 from scipy.spatial.transform import Rotation
 
 import fastatt as fa
-from fastatt.euler import SEQUENCES
+from fastatt.interchange.euler import SEQUENCES
 
 RNG = np.random.default_rng(5)
 QUATS = RNG.normal(size=(500, 4))
