@@ -54,7 +54,7 @@ def drift_statistics(
     q0: Any,
     w0: Any = None,
     *,
-    every: int,
+    save_every: int,
     v0: Any = None,
     r0: Any = None,
     s0: Any = None,
@@ -63,7 +63,7 @@ def drift_statistics(
 ) -> Any:
     """Drift statistics over all bodies: a ``dask.delayed`` :class:`Drifts`; no history is kept.
 
-    ``every``, and ``options`` such as ``dt``, ``n_steps`` and ``method``, are those of
+    ``save_every``, and ``options`` such as ``dt``, ``n_steps`` and ``method``, are those of
     :func:`fastatt.drift_statistics`; the rest is as of :func:`propagate`. A chunk returns 2 kB.
 
     Raises ``ValueError`` or ``TypeError`` for a scene or initial states that do not fit; for the
@@ -74,7 +74,9 @@ def drift_statistics(
     flag = options.get("invalid") == "flag"
     bodies = Bodies.of(scene, (q0, w0, v0, r0, s0), chunks, flag=flag)
     options["method"] = sent(scene, options.get("method"), options.get("representation", "quat"))[1]
-    return bodies.merged(_joined, partial(_statistics, options={**options, "every": every}))
+    return bodies.merged(
+        _joined, partial(_statistics, options={**options, "save_every": save_every})
+    )
 
 
 def work_precision(
