@@ -321,7 +321,7 @@ class Body(EquationsOfMotion):
         a = self.attitude.start(q)
         w = auxiliary
         if self.axes is not None:
-            # a matrix has exact zeros for a permutation of axes: without them the rounding of a needle's
+            # a matrix has exact zeros for permuted axes: without them the rounding of a needle's
             # spin would enter the other axes and be multiplied by their moments
             w = dcm.rotate_inverse(dcm.from_quat(self.axes), w)
             a = self.attitude.compose(a, self.axes)
