@@ -157,7 +157,7 @@ class Emitter:
         return self._by_lane(one, value, has_lanes, to), has_lanes
 
     def _called(self, node: Node, values: list[tuple[Any, bool]]) -> tuple[list[Any], bool]:
-        """A function ``f(double* arguments, double* results)`` that is not traced, per lane or once."""
+        """A function ``f(double* arguments, double* results)`` that is not traced."""
         number, n_results, *at = node.args
         address = self.resources["function", number]
         b, double = self.code.b, REALS["double"]
