@@ -66,11 +66,11 @@ def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArr
 
 def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:
     """A figure of the momenta's sphere, seen from a direction, and of the plane across them."""
-    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
+    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
     sphere = figure.add_subplot(1, 2, 1, projection="3d")
-    view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.2)
+    view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
     plane = figure.add_subplot(1, 2, 2)
-    across = "angular velocity perpendicular to the angular momentum, rad/s"
+    across = "angular velocity across the angular momentum, rad/s"
     plane.set(aspect="equal", xlabel=across, ylabel=across)
     plane.grid(visible=True, alpha=0.3)
     return figure, sphere, view, plane

@@ -71,14 +71,15 @@ def write_labels(axes: Any, labels: Sequence[Label]) -> None:
 
 
 def _is_marked(line: Any) -> bool:
-    return line.get_marker() not in ("", "None", None)
+    return bool(line.get_marker() not in {"", "None", None})
 
 
 def _pixels(transform: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
     """Points (N, 2) of data as they lie in the figure."""
+    points = np.stack([x, y], axis=1, dtype=np.float64)
     with np.errstate(all="ignore"):
-        found: NDArray[np.float64] = transform.transform(np.stack([x, y], axis=1).astype(float))
-    return found
+        points = np.asarray(transform.transform(points))
+    return points
 
 
 def _dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
