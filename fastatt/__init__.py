@@ -30,10 +30,10 @@ __all__ = [
     "drift_statistics", "error_budget", "estimation", "euler313_to_quat", "euler_to_quat", "event",
     "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
     "interpolate", "interpolate_states", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
-    "methods_for", "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy", "propagate",
-    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
-    "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector", "rates",
-    "read_gyro_log", "recommend", "reducer", "rotation_vector_to_quat", "runge_kutta",
+    "methods_for", "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy",
+    "propagate", "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse",
+    "quat_to_dcm", "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector",
+    "rates", "read_gyro_log", "recommend", "reducer", "rotation_vector_to_quat", "runge_kutta",
     "single_step", "to_file", "to_scipy", "torques", "work_precision",
 ]  # fmt: skip
 
