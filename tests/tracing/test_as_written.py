@@ -52,7 +52,8 @@ def test_the_table_says_what_happens(number, tmp_path):
         assert "\n" not in str(error.value)
         return
     made = user_function(function, "torque", 0)
-    assert made.straight == (says == "traced")
+    if says == "compiled" or np.lib.NumpyVersion(np.__version__) >= "2.0.0":
+        assert made.straight == (says == "traced")
     assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-14, atol=1e-15)
     assert "Double" not in repr(made.call(*POINT))
 
