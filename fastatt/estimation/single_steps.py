@@ -118,7 +118,7 @@ def single_step(
     """Single steps of a scene by one method: the formulas of the ensemble engine.
 
     Functions are compiled when they are first called, once a process for all scenes that differ in
-    numbers alone. A step from Python takes 0.4 to 0.7 µs, one in ``@njit`` code 4 to 25 ns by an
+    numbers alone. A step from Python takes 0.6 to 1.2 µs, one in ``@njit`` code 4 to 25 ns by an
     exponential method.
 
     Results are those of :func:`fastatt.propagate` bit for bit, with two exceptions. After a
