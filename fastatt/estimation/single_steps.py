@@ -193,7 +193,7 @@ def single_step(
     Notes
     -----
     Functions are compiled when they are first called, once in a process for all scenes that differ
-    in their numbers only. A step from Python takes 0.4 to 0.7 µs, one in jitted code 4 to 25 ns
+    in their numbers only. A step from Python takes 0.6 to 1.2 µs, one in jitted code 4 to 25 ns
     with an exponential method.
 
     Results are those of :func:`fastatt.propagate` bit for bit, with two exceptions. After a

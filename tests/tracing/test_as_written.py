@@ -1,4 +1,4 @@
-"""Functions as people write them: the table of the page of scenes, and what holds a function."""
+"""Functions as people write them: the table of the page on user-defined functions, and its cases."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 import fastatt as fa
 from fastatt.tracing.user import user_function
 
-PAGE = Path(fa.__file__).parent / "docs" / "guides" / "scenes.md"
+PAGE = Path(fa.__file__).parent / "docs" / "guides" / "custom.md"
 ROW = re.compile(r"^\| (`(?:return|out|v|gain|print|x) .*`|`print.*`) \| (\w+) \|$", re.MULTILINE)
 ROWS = [m.groups() for m in ROW.finditer(PAGE.read_text(encoding="utf-8"))]
 HEAD = """import math
