@@ -1,4 +1,4 @@
-"""Functions as people write them: the table of the page on user-defined functions, and its cases."""
+"""Functions as people write them: the table of the page on custom functions, and other cases."""
 
 from __future__ import annotations
 
