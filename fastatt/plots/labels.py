@@ -71,15 +71,14 @@ def write_labels(axes: Any, labels: Sequence[Label]) -> None:
 
 
 def _is_marked(line: Any) -> bool:
-    return bool(line.get_marker() not in {"", "None", None})
+    return line.get_marker() not in {"", "None", None}
 
 
 def _pixels(transform: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
     """Points (N, 2) of data as they lie in the figure."""
     points = np.stack([x, y], axis=1, dtype=np.float64)
     with np.errstate(all="ignore"):
-        points = np.asarray(transform.transform(points))
-    return points
+        return np.asarray(transform.transform(points))
 
 
 def _dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -118,4 +117,4 @@ def _best_place(
                     cost += _ON_NAME * common.prod()
             if cost < least:
                 found, least = centre, cost
-    return found
+    return np.asarray(found)
