@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from fastatt.propagation import closed_form
     from fastatt.propagation.angular_velocity import angular_velocity
     from fastatt.propagation.choice_of_method import methods_for
+    from fastatt.propagation.directions import propagate_directions
     from fastatt.propagation.drift import Drift, drift
     from fastatt.propagation.drift_statistics import DriftStatistics, drift_statistics
     from fastatt.propagation.energy import (
@@ -82,7 +83,7 @@ if TYPE_CHECKING:
     from fastatt.propagation.inspect_step import inspect_step
     from fastatt.propagation.interpolation import interpolate
     from fastatt.propagation.plan import Plan
-    from fastatt.propagation.propagate import plan, propagate, propagate_directions
+    from fastatt.propagation.propagate import plan, propagate
     from fastatt.propagation.reducer import Reducer, reducer
     from fastatt.propagation.resume import checkpoint
     from fastatt.propagation.trajectory import Trajectory
