@@ -84,7 +84,7 @@ def picture(rows: Sequence[Row], path: Path) -> None:
     """A panel for each problem, a curve for each method, other libraries in grey."""
     problems = {name: list(own) for name, own in groupby(rows, key=lambda row: row["problem"])}
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")
-    figure.suptitle(f"Time at equal error: 1024 bodies in one call, float64, {rows[0]['where']}")
+    figure.suptitle(f"Error against time: 1024 bodies in one call, float64, {rows[0]['where']}")
     drawn = figure.subplots(1, len(problems), sharey=True, squeeze=False)[0]
     drawn[0].set_ylabel("attitude error at the end, rms, rad")
     for axes, (name, own) in zip(drawn, problems.items(), strict=True):
@@ -96,7 +96,7 @@ def picture(rows: Sequence[Row], path: Path) -> None:
             curves.setdefault(label, []).append(point)
         others = {label for label in curves if label not in METHODS[name]}
         styles = styles_of(list(curves), grey=others)
-        axes.set(xscale="log", yscale="log", ylim=(3e-16, 3.0))
+        axes.set(xscale="log", yscale="log", ylim=(3e-15, 3.0))
         axes.set_title(f"{TITLES[name]}: {own[0]['title']}")
         axes.set_xlabel("time per body, µs")
         axes.grid(visible=True, alpha=0.3)
