@@ -117,13 +117,22 @@ def _box(half: NDArray[Any], middle: NDArray[Any], C: NDArray[Any]) -> Poly3DCol
     )
 
 
+def _in_palette(picture: Image.Image, palette: Image.Image) -> Image.Image:
+    """A picture in few colours, its background white: Pillow takes the next best colour there."""
+    found = picture.quantize(palette=palette, dither=Image.Dither.NONE)
+    indices = np.array(found)
+    indices[(np.asarray(picture) == 255).all(axis=-1)] = palette.getpixel((0, 0))
+    found.putdata(indices.ravel().tolist())
+    return found
+
+
 def main() -> None:
     path = Path(sys.argv[1]) if sys.argv[1:] else PICTURES / "tumbling.gif"
     n = 3 if os.environ.get("FASTATT_SMOKE") else round(SECONDS * RATE)
     pictures = frames(motion(_FINER * n))
     some = np.concatenate([np.asarray(picture) for picture in pictures[:: max(1, n // 12)]])
-    shared = Image.fromarray(some).quantize(64)
-    small = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]
+    palette = Image.fromarray(some).quantize(64)
+    small = [_in_palette(picture, palette) for picture in pictures]
     small[0].save(
         path, save_all=True, append_images=small[1:], duration=round(1000 / RATE), loop=0,
         optimize=True,
