@@ -63,7 +63,7 @@ def generated(
     Numba's types of its arguments; it returns nothing. ``emissions`` are the functions that it
     calls by name, as (types of arguments, emission), and ``key`` is everything that they depend on.
     """
-    digest = hashlib.sha256(f"{text}\0{key}\0{_surroundings()}".encode()).hexdigest()[:40]
+    digest = hashlib.sha256(f"{text}\0{key}\0{surroundings()}".encode()).hexdigest()[:40]
     names = {name: _emitting(*emission) for name, emission in emissions.items()}
     found = None
     with global_compiler_lock:  # one thread at a time, and none while the process forks
@@ -224,7 +224,7 @@ def _trim(path: Path) -> None:
 
 
 @functools.cache
-def _surroundings() -> str:
+def surroundings() -> str:
     """What all machine code depends on: processor, versions, the emitter's sources."""
     folder = Path(__file__).parent
     files = (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)

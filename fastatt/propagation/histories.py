@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.engine.run import Results
+from fastatt.propagation.trajectory import Trajectory
 
 # bytes below which the free memory is not checked
 _LITTLE = 1 << 30

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,33 +25,6 @@ from fastatt.scene.scene import Scene
 if TYPE_CHECKING:
     from fastatt.methods.method import Method
     from fastatt.propagation.resume import End
-
-
-class Results(NamedTuple):
-    """The arrays that a run writes to.
-
-    Saved values (S, N, k), norm errors (S, N), flags (N,), and times of events (N, E).
-    """
-
-    out: NDArray[Any]
-    norm_error: NDArray[Any]
-    status: NDArray[np.uint8]
-    #: None for a run without events
-    event_times: NDArray[np.float64] | None = None
-
-    @classmethod
-    def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
-        """Arrays for a number of saves and bodies, allocated but not initialised."""
-        return cls(
-            np.empty((saves, bodies, width), kind),
-            np.empty((saves, bodies), kind),
-            np.empty(bodies, np.uint8),
-            np.full((bodies, events), np.nan) if events else None,
-        )
-
-    def saves(self, slots: slice) -> Results:
-        """Views of a range of saves."""
-        return self._replace(out=self.out[slots], norm_error=self.norm_error[slots])
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -353,22 +353,31 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
 def panel(
     title: str, t_end: float, rows: Sequence[Row], kinds: Sequence[str] = DRAWN
 ) -> plots.Panel:
-    """A curve for each method and kind of ``DRAWN``, and the frontier of all curves."""
+    """A curve for each method and kind of ``DRAWN``, and the frontier of all curves.
+
+    Curves end where rounding limits the error. A method leads where it has a part of the frontier,
+    of all methods or of those that take steps.
+    """
     from fastatt import plots
 
     drawn: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         kind = row.representation + " in float32" * (row.dtype == "float32")
         if kind in kinds:
-            drawn.setdefault((row.method, kind), []).append(row)
-    drawn["", ""] = frontier(row for curve in drawn.values() for row in curve)
-    *curves, best = (
-        plots.MethodCurve(
-            method, kind, [r.seconds_per_body for r in curve], [r.error_median for r in curve]
-        )
-        for (method, kind), curve in drawn.items()
-    )
-    return plots.Panel(title, t_end, curves, best)
+            curve = drawn.setdefault((row.method, kind), [])
+            if not (curve and curve[-1].plateau):
+                curve.append(row)
+    every = [row for curve in drawn.values() for row in curve]
+    best = frontier(every)
+    stepped = frontier(row for row in every if row.operations is not None)
+    leading = {row.method for row in (*best, *stepped)}
+
+    def curve_of(method: str, kind: str, curve: Sequence[Row]) -> plots.MethodCurve:
+        seconds, errors = zip(*((r.seconds_per_body, r.error_median) for r in curve), strict=True)
+        return plots.MethodCurve(method, kind, seconds, errors, method in leading)
+
+    curves = [curve_of(*name, curve) for name, curve in drawn.items()]
+    return plots.Panel(title, t_end, curves, curve_of("", "", best))
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
@@ -403,4 +412,11 @@ def machine_line() -> str:
     m = machine()
     threads = f"{m['threads']} of {m['threads of the machine']} threads"
     most = f"a core's peak {peak('double') / 1e9:.3g} GFLOP/s"
-    return f"{m['processor']} ({m['model']}), {threads}, {most}, Python {m['python']}"
+    return f"{processor_line()}, {threads}, {most}, Python {m['python']}"
+
+
+def processor_line(n_threads: int | None = None) -> str:
+    """The processor's name, after the number of threads where it is given."""
+    m = machine()
+    threads = "" if n_threads is None else f"{n_threads} thread{'s' * (n_threads > 1)} of "
+    return f"{threads}{m['processor']} ({m['model']})"

@@ -10,9 +10,19 @@ from tempfile import TemporaryFile
 from fastatt import checks
 from fastatt.gyro.integrate import methods_for_samples
 from fastatt.logs import GyroLog, read_gyro_log
+from fastatt.threads import default_threads
 from fastatt.trade import ensembles, recordings
 from fastatt.trade.ensembles import BODY_SCENES, CONING
-from fastatt.trade.measure import Case, Row, frontier, machine_line, panel, trade_table, write_csv
+from fastatt.trade.measure import (
+    Case,
+    Row,
+    frontier,
+    machine_line,
+    panel,
+    processor_line,
+    trade_table,
+    write_csv,
+)
 
 RECORDED = "recordings"
 SCENES = (RECORDED, CONING, *BODY_SCENES)
@@ -145,5 +155,6 @@ def _run_ensembles(
         panels.append(panel(ensembles.TITLES[source], t_end, rows, _DRAWN))
     table, picture = path.with_suffix(".csv"), path.with_suffix(".png")
     write_csv(table, [row for rows in by_input.values() for row in rows])
-    plots.work_precision(panels, f"{title}: what accuracy costs", picture)
+    where = f"{n_bodies} bodies, {processor_line(default_threads())}"
+    plots.work_precision(panels, f"{title}: error against time\n{where}", picture)
     return [table.name, picture.name]

@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import attitude_of, fits, methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
-from fastatt.threads import progress_bar
+from fastatt.threads import default_threads, progress_bar
 from fastatt.trade.measure import (
     Case,
     Problem,
@@ -29,6 +29,7 @@ from fastatt.trade.measure import (
     machine_line,
     measure,
     panel,
+    processor_line,
     trade_table,
     with_orders,
     write_csv,
@@ -78,6 +79,7 @@ class WorkPrecision:
     reference: str
     reference_error: float
     confirmation: str
+    n_threads: int = field(default_factory=default_threads)
 
     @property
     def frontier(self) -> list[Row]:
@@ -112,9 +114,11 @@ class WorkPrecision:
         """
         from fastatt import plots
 
-        title = f"{self.sampled} of {self.n_bodies} bodies"
+        kind = self.rows[0].input
+        title = f"{kind} scene, {self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s"
         drawn = panel(title, self.t_end, self.rows)
-        plots.work_precision([drawn], "What accuracy costs", Path(path))
+        heading = f"Error against time, {processor_line(self.n_threads)}"
+        plots.work_precision([drawn], heading, Path(path))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the rows as CSV with a line of names.
@@ -246,7 +250,7 @@ def work_precision(
     return WorkPrecision(
         rows=found, t_end=problem.t_end, n_bodies=ensemble.size, sampled=rows.size,
         reference=known.source, reference_error=float(np.max(known.own_error)),
-        confirmation=str(check),
+        confirmation=str(check), n_threads=n_threads or default_threads(),
     )  # fmt: skip
 
 
