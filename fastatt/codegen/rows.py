@@ -251,8 +251,8 @@ class RowFunction:
 class LogFunction(RowFunction):
     """``step(state, *sample, *given)`` over the samples of many logs, compiled at the first call.
 
-    A row is a log. ``step`` gives the next state, of ``size`` numbers, from tuples of recorded
-    numbers: the state, those ``sampled`` and those ``given`` for a whole log. All are float64.
+    A row is a log. ``step`` returns the next state, of ``size`` numbers, from tuples of traced
+    numbers: the state, those ``sampled``, and those ``given`` for a whole log. All are float64.
     """
 
     _widest = 0
@@ -265,7 +265,7 @@ class LogFunction(RowFunction):
         given: Mapping[str, int],
     ) -> None:
         super().__init__(step, {"state": size, **sampled, **given}, (size,))
-        # a result is the state of the next sample
+        # the result is the state for the next sample
         self._first_result = 0
 
     @cached_property
@@ -286,7 +286,7 @@ class LogFunction(RowFunction):
         """
         n_logs, n = len(start), max(x.shape[1] for x in sampled)
         arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *given)]
-        # samples along an axis: an array without any, or with one, repeats it
+        # samples along an axis; an array without this axis, or with one sample, repeats it
         wide = [
             np.broadcast_to(x if x.ndim == 3 else x[:, None], (n_logs, n, x.shape[-1]))
             for x in arrays
@@ -312,14 +312,14 @@ def _count(width: Width) -> int:
 
 
 def _strides(x: Array) -> tuple[int, int]:
-    """From row to row in numbers, along the last two leading axes; 0 along one of length 1."""
+    """Strides in numbers along the last two leading axes; 0 for an axis of length 1."""
     lengths, strides = (1, 1, *x.shape[:-1]), (0, 0, *x.strides[:-1])
     outer, inner = (0 if lengths[axis] == 1 else strides[axis] // x.itemsize for axis in (-2, -1))
     return outer, inner
 
 
 def _first(numbers: array[int]) -> int:
-    """Address of the first of them."""
+    """Address of the first of the numbers."""
     return numbers.buffer_info()[0]
 
 
@@ -337,10 +337,10 @@ def rows(
     kind: str = "double",
     key: Hashable = None,
 ) -> RowFunction:
-    """The ``RowFunction`` of a function, made once a process for a layout and a precision.
+    """The ``RowFunction`` of a function, made once in a process for a layout and a precision.
 
-    ``key`` replaces the function where that is made anew at each call; it says all that the
-    function's operations depend on.
+    ``key`` replaces a function that is made anew at each call; it contains everything on which the
+    function's operations depend.
     """
     layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), kind
     found = _KNOWN.get(layout)
@@ -348,17 +348,17 @@ def rows(
 
 
 def kind_of(dtype: Any) -> str:
-    """Precision in which arrays of a type are worked on."""
+    """The precision in which arrays of a type are processed."""
     return "single" if np.dtype(dtype) == np.float32 else "double"
 
 
 def without_compiler() -> bool:
-    """Whether ``NUMBA_DISABLE_JIT`` asks for plain Python."""
+    """Whether ``NUMBA_DISABLE_JIT`` requests plain Python."""
     return bool(config.DISABLE_JIT)
 
 
 def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: int) -> None:
-    """``call(first, last)`` over n rows, in pieces of at least ``least`` on each thread."""
+    """``call(first, last)`` over n rows, in pieces of at least ``least`` rows on each thread."""
     pieces = max(min(_PIECES * n_threads if n_threads > 1 else 1, n // least), -(-n // _PIECE))
     if pieces < 2:
         call(0, n)
