@@ -1,19 +1,19 @@
-"""Hooks of MkDocs: the changelog and the pages of ``bench/`` are pages of the site where they are.
+"""Hooks of MkDocs: the changelog and the pages of ``bench/`` become pages of the site.
 
-Links between these and the pages of ``fastatt/docs`` are written as paths in the repository, so
-that they work wherever the files are read; here they become paths in the site.
+Links between these and the pages of ``fastatt/docs`` are paths in the repository, so that they work
+wherever the files are read; here they become paths in the site.
 """
 
 from __future__ import annotations
 
-import os
+import posixpath
 import re
 from pathlib import Path
 
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCS = "fastatt/docs"
+DOCS = "fastatt/docs/"
 LINK = re.compile(r"\]\((?!\w+:)([^)\s#]+)")
 
 
@@ -31,11 +31,11 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, **_):
     here = page.file.src_uri
-    folder = os.path.dirname(here if here in outside() else f"{DOCS}/{here}")
+    written = here if here in outside() else DOCS + here
 
     def in_site(link: re.Match[str]) -> str:
-        target = os.path.normpath(os.path.join(folder, link[1]))
-        target = target.removeprefix(f"{DOCS}/")
-        return f"]({os.path.relpath(target, os.path.dirname(here) or '.')}"
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(written), link[1]))
+        path = posixpath.relpath(target.removeprefix(DOCS), posixpath.dirname(here) or ".")
+        return f"]({path}"
 
     return LINK.sub(in_site, markdown)

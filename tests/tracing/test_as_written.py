@@ -1,4 +1,4 @@
-"""Functions as people write them: the table of the page of user-defined functions, and what holds a function."""
+"""Functions as people write them: the table of their page, and what holds a function."""
 
 from __future__ import annotations
 
