@@ -1,4 +1,4 @@
-"""Functions as people write them: the table of their page, and what holds a function."""
+"""Functions as people write them: the table of the page on custom functions, and other cases."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ def test_the_table_says_what_happens(number, tmp_path):
         assert "\n" not in str(error.value)
         return
     made = user_function(function, "torque", 0)
-    assert made.straight == (says == "traced")
+    if says == "compiled" or np.lib.NumpyVersion(np.__version__) >= "2.0.0":
+        assert made.straight == (says == "traced")
     assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-14, atol=1e-15)
     assert "Double" not in repr(made.call(*POINT))
 
