@@ -112,7 +112,7 @@ layers: $(VENV)/.lint  ## which module may import which
 	$(BIN)/lint-imports
 
 docs: $(VENV)/.lint  ## the pages and the reference of all public names, as a site: results/site
-	$(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 clean:  ## remove the environment, caches and results
 	rm -rf $(VENV) .fastatt_cache .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

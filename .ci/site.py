@@ -1,7 +1,8 @@
 """Hooks of MkDocs: the changelog and the pages of ``bench/`` become pages of the site.
 
 Links between these and the pages of ``fastatt/docs`` are paths in the repository, so that they work
-wherever the files are read; here they become paths in the site.
+wherever the files are read; here they become paths in the site. Roles of docstrings, such as
+``:func:``, become links, and the one script that the theme loads from another host a file.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = "fastatt/docs/"
+ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):<code>~?([\w.]+)</code>")
+SHIM = "https://unpkg.com/iframe-worker/shim"
 LINK = re.compile(r"\]\((?!\w+:)([^)\s#]+)")
 
 
@@ -39,3 +42,16 @@ def on_page_markdown(markdown, page, **_):
         return f"]({path}"
 
     return LINK.sub(in_site, markdown)
+
+
+def on_page_content(html, **_):
+    return ROLE.sub(r'<autoref identifier="\1" optional><code>\1</code></autoref>', html)
+
+
+def on_post_page(output, page, **_):
+    here = posixpath.dirname(page.url) or "."
+    return output.replace(SHIM, posixpath.relpath("assets/worker.js", here))
+
+
+def on_post_template(output, **_):
+    return output.replace(SHIM, "assets/worker.js")
