@@ -178,8 +178,6 @@ def as_command(words: list[str], *, whole: bool) -> str | None:
         except SystemExit:
             return said.getvalue()
         return None
-    if not words:
-        return None
     commands = next(a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     if words[0] not in commands:
         return f"no command {words[0]}"
