@@ -108,7 +108,7 @@ class AxisDamping(Torque):
 
     Parameters
     ----------
-    coefficients : array_like, shape (3,) or (N, 3)
+    coefficients : array_like of shape (3,) or (N, 3)
         c_i, N·m·s.
 
     Examples
@@ -159,7 +159,7 @@ class HeavyTop(Torque):
 
     Parameters
     ----------
-    arm : array_like, shape (3,) or (N, 3)
+    arm : array_like of shape (3,) or (N, 3)
         Vector r from the fixed point to the centre of mass along body axes, m.
     weight : float or array_like of shape (N,)
         Weight W, along −z of the inertial axes, N.
@@ -260,7 +260,7 @@ class Sampled(Torque):
 
     Parameters
     ----------
-    torques : array_like, shape (n, 3)
+    torques : array_like of shape (n, 3)
         Torques, N·m, at the times start, start + dt, ...; one history for all bodies.
     dt : float
         Interval between the samples, s.
@@ -305,7 +305,7 @@ class Custom(UserModel, Torque):
         but t as tuples. With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, with the
         velocity v along body axes, m/s, and the position r along inertial axes, m. With ``states``
         it takes the states s before p and returns ``(torque, ds/dt)``.
-    params : array_like, shape (P,) or (N, P), optional
+    params : array_like of shape (P,) or (N, P), optional
         Parameters p of the function.
     uses_rate : bool, default True
         False promises that the function does not depend on w, so that splitting methods accept it.
