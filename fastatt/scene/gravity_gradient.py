@@ -23,9 +23,9 @@ class GravityGradient(Torque):
     ----------
     mean_motion : float or array_like of shape (N,)
         Mean motion n, rad/s.
-    radial : array_like, shape (3,) or (N, 3), default (1, 0, 0)
+    radial : array_like of shape (3,) or (N, 3), default (1, 0, 0)
         Unit vector along inertial axes.
-    along : array_like, shape (3,) or (N, 3), default (0, 1, 0)
+    along : array_like of shape (3,) or (N, 3), default (0, 1, 0)
         Unit vector along inertial axes, normal to ``radial``.
 
     References
@@ -64,9 +64,9 @@ class KeplerGravityGradient(Torque):
         Mean motion n, rad/s.
     eccentricity : float or array_like of shape (N,)
         Eccentricity, 0 to 0.9.
-    periapsis : array_like, shape (3,) or (N, 3), default (1, 0, 0)
+    periapsis : array_like of shape (3,) or (N, 3), default (1, 0, 0)
         Unit vector along inertial axes.
-    along : array_like, shape (3,) or (N, 3), default (0, 1, 0)
+    along : array_like of shape (3,) or (N, 3), default (0, 1, 0)
         Unit vector along inertial axes, normal to ``periapsis``.
     mean_anomaly : float or array_like of shape (N,), default 0.0
         Mean anomaly at t = 0, rad.
