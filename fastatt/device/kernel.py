@@ -251,12 +251,14 @@ def text(job: Job) -> tuple[str, dict[str, Any]]:
     """The kernel of a job as Python text, ``kernel(*ARGUMENTS, *tables)``, and its constants.
 
     Raises ``ValueError`` for formulas that call a function which is not traced, and for per-body
-    step sizes, saves at any times, breakpoints and a last step that is shorter.
+    step sizes, saves at any times, breakpoints, sampled controllers and a last step that is
+    shorter.
     """
     if job.own_steps:
         raise ValueError(
-            'device: found "cuda" with a dt of each body, save_at, breakpoints or a t_end of no '
-            "whole number of steps; accepted: one dt, n_steps, save_every"
+            'device: found "cuda" with a dt of each body, save_at, breakpoints, a sampled '
+            "controller or a t_end of no whole number of steps; accepted: one dt, n_steps, "
+            "save_every"
         )
     for group, function in job.formulas.resources:
         if group == "function":

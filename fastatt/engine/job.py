@@ -231,6 +231,16 @@ class Formulas:
         return scope.finished((*scope.entered(scope.time(), scope.number("edge"), x, e), *e))
 
     @cached_property
+    def update(self) -> Flat | None:
+        """The state after a sample time; None of a job without any."""
+        if self.job.structure.turning.law.sampling is None:
+            return None
+        scope = self.scope()
+        own, auxiliary = scope.parts(scope.state())
+        assert isinstance(scope.motion, Coupled)
+        return scope.finished((*scope.motion.updated(scope.time(), own), *auxiliary))
+
+    @cached_property
     def project(self) -> Flat | None:
         """The state nearer to its group, and how far it had left it; None where it never is."""
         if not self.job.projects:
@@ -257,7 +267,8 @@ class Formulas:
     @cached_property
     def resources(self) -> list[Any]:
         """Tables and opaque functions that the formulas call, in the order of their arrays."""
-        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events)
+        update = () if self.update is None else (self.update,)
+        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events, *update)
 
     @cached_property
     def is_timed(self) -> bool:

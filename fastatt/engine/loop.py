@@ -50,6 +50,8 @@ from fastatt.engine.stops import (
     STOP_SIZE,
     TAKEN,
     TIME,
+    UPDATE,
+    UPDATES,
     count_from_stop,
     count_steps,
     on_grid,
@@ -315,6 +317,8 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     call_generated(small, LEAVE, tile, (at + ahead, 0))
                     row = part * PART_SIZE
                     set_clock(shape, wide, DT, parts, row)
+                    if parts[row + UPDATES] != 0.0:
+                        call_generated(small, UPDATE, tile, (at, 0))
                     call_generated(small, ENTER, tile, (at, 0))
                     begin, end = at, at + int(parts[row + TAKEN])
                     stays = parts[row + ENDS] == 0.0

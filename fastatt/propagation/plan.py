@@ -75,7 +75,12 @@ class Plan:
         self._rates = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))
         check_steps(choice.events, scene, clock.ends)
-        divides = bool(scene.breakpoints) or clock.ends is not None
+        if scene.sampling is not None and clock.h < 0.0:
+            raise ValueError(
+                f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
+                "holds can't be found backwards"
+            )
+        divides = bool(scene.breakpoints or scene.sampling) or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,
@@ -218,7 +223,7 @@ class Plan:
         if isinstance(clock, PerBodyClock):
             per_body = clock.per_body(self.n_bodies)
         elif self.job.own_steps:
-            parts = clock.parts(t0, self.scene.breakpoints)
+            parts = clock.parts(t0, self.scene)
         times, state = (t0, clock.h, share), (given.q, given.y)
         run = Run(
             self._setup, bodies, state, times, results[:3], per_body, parts, results.event_times
@@ -329,6 +334,7 @@ class Plan:
             "dtype": self.kind.name,
             "t_end": self.clock.ends,
             "breakpoints": list(self.scene.breakpoints),
+            "sampling": None if self.scene.sampling is None else list(self.scene.sampling),
             "r0": "r" in self.carried,
             "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }

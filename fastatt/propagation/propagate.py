@@ -158,9 +158,7 @@ def propagate(
             carried["reduced"] = reduce.begin(kind)
             same_number({**carried, "q0": start})
         given = Given.of(start, carried, kind)
-        clock = clock_of(
-            dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene.breakpoints
-        )
+        clock = clock_of(dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene)
         position = r0 is not None
     else:
         # initial values come from there, and saves are counted from its end

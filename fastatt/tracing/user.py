@@ -44,7 +44,7 @@ _TOLERANCE = 1e-9
 class Signature(NamedTuple):
     """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
 
-    ``results`` 0: as many as it has parameters. One that ``carries`` states gives two tuples, the
+    ``results`` 0: as many as it has parameters, −1: as many as states. One that ``carries`` states gives two tuples, the
     second of their time derivatives; ``results`` are then the numbers of both.
     """
 
@@ -59,10 +59,10 @@ class Signature(NamedTuple):
         """That of a function which takes n states too, before its parameters."""
         if not n:
             return self
-        call, given = self.call.replace(", p)", ", s, p)"), n if self.carries else 0
-        return self._replace(
-            call=call, before=(*self.before, n), results=self.results + given, states=given
-        )
+        call, given = self.call.replace(", w, p)", ", w, s, p)"), n if self.carries else 0
+        call = call.replace("rate(t, p)", "rate(t, s, p)").replace(", r, p)", ", r, s, p)")
+        results = n if self.results < 0 else self.results + given
+        return self._replace(call=call, before=(*self.before, n), results=results, states=given)
 
 
 FORMS = {
@@ -71,6 +71,7 @@ FORMS = {
     "torque at position": Signature(
         "torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m", carries=True
     ),
+    "command": Signature("command(t, q, w, s, p)", (0, 4, 3), -1, "N·m"),
     "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
