@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from threading import Event
 
@@ -29,15 +29,18 @@ def number_of(n_threads: int | None) -> int:
     return default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
 
 
-@contextmanager
-def progress_bar(wanted: bool, total: int, unit: str) -> Iterator[Callable[[int], object]]:
+def progress_bar(
+    wanted: bool, total: int, unit: str
+) -> AbstractContextManager[Callable[[int], object]]:
     """A tqdm bar's ``update``, or a function that does nothing.
 
     Raises ``ImportError`` when a bar is wanted and tqdm is not installed.
     """
-    if not wanted:
-        yield lambda done: None
-        return
+    return _bar(total, unit) if wanted else nullcontext(lambda done: None)
+
+
+@contextmanager
+def _bar(total: int, unit: str) -> Iterator[Callable[[int], object]]:
     try:
         from tqdm import tqdm
     except ImportError:

@@ -21,9 +21,9 @@ from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_functi
 from fastatt.codegen.memory import address_of
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of, without_compiler
+from fastatt.engine.run import Results
 from fastatt.engine.status import Status
 from fastatt.propagation.initial import Given
-from fastatt.propagation.trajectory import Results
 from fastatt.scene import torques
 from fastatt.scene.inertia import Principal, about_arm
 from fastatt.scene.scene import Scene
@@ -294,6 +294,8 @@ class Evaluation:
     ) -> None:
         size, n = shape
         moments, axes = form.body
+        #: rad/s, of any body
+        self.largest_gain = float(form.gain.max())
         self._formulas = (form.solution, kind_of(kind), axes is not None, stored)
         given = {"moments": moments, "axes": axes, "pull": form.pull}
         self._bodies = {name: rows(x, kind) for name, x in given.items() if x is not None}
@@ -398,14 +400,13 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
     if evaluation is None:
         evaluation = Evaluation(form, kind, out.shape[:2], _stored_of(plan.attitude))
         plan.evaluations[len(since)] = evaluation
-    with np.errstate(over="ignore"):
-        times = since.astype(kind)
     split = (out[..., :stored], out[..., stored:])
-    has_bad = evaluation.fill((given.q, given.y), times, split, threads)
-    # |w| and what it gains are below twice their largest component
     with np.errstate(over="ignore", invalid="ignore"):
-        largest = np.abs(given.y).max() + form.gain.max()
-        most = 2.0 * largest * np.abs(since).max(initial=0.0)
+        times = since.astype(kind)
+        has_bad = evaluation.fill((given.q, given.y), times, split, threads)
+        # |w| and what it gains are below twice their largest component
+        largest = max(given.y.max(), -given.y.min()) + evaluation.largest_gain
+        most = 2.0 * largest * max(abs(since[0]), abs(since[-1]))
     if not most <= rounding.most_turned(kind) ** 0.5:
         angles = turned(given.y, since, form.gain)
         if text := rounding.of_angles(angles, kind):

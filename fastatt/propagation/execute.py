@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine import pool
-from fastatt.engine.run import Run, Span
+from fastatt.engine.run import Results, Run, Span
 from fastatt.engine.status import Status
 from fastatt.propagation import closed_forms
 from fastatt.propagation.histories import History, check_memory
 from fastatt.propagation.initial import Given
 from fastatt.propagation.options import RING, PerBodyClock, RunOptions, save_batches
 from fastatt.propagation.resume import MOST, check, check_begin, loaded
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.threads import progress_bar
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def _at_once(
     """All steps of an ensemble, of a large one a part of the bodies after the other."""
     n, device = plan.n_bodies, plan.choice.device
     results = plan.results(plan.clock.saves)
-    angles: list[NDArray[Any]] = []
+    squares: list[NDArray[Any]] = []
     size, largest = n if device or options.start else PART, 0.0
     warned = not plan.is_short and plan.warn_of_first(given)
     for a in range(0, n, size):
@@ -127,11 +127,11 @@ def _at_once(
             _leave_unfinished(plan, results, part, stopped.reached)
             stopped.trajectory = plan.trajectory(times, results, given.one_body)
             raise
-        angles.append(np.sqrt(run.diagnostics[0]))
+        squares.append(run.diagnostics[0])
         largest = max(largest, run.largest_angle)
     end = plan.end(given, run, t0, plan.clock.end) if _keeps_end(plan, options) else None
     if not warned:
-        plan.warn_after(given, largest, angles)
+        plan.warn_after(given, largest, squares)
     if device is not None and device.saves is not None:
         results = results._replace(out=device.saves)
     return plan.trajectory(times, results, given.one_body, end)
@@ -182,7 +182,7 @@ def _in_batches(
     final = 0 if is_over else new.stop - 1
     end = plan.end(given, run, t0, clock.end) if _keeps_end(plan, options) else None
     if not warned:
-        plan.warn_after(given, run.largest_angle, [np.sqrt(run.diagnostics[0])])
+        plan.warn_after(given, run.largest_angle, [run.diagnostics[0]])
     last_save = results.saves(slice(final, final + 1))
     return plan.trajectory(times[-1:], last_save, given.one_body, end)
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.engine.run import Results
+from fastatt.propagation.trajectory import Trajectory
 
 # bytes that need no check of the free memory
 _LITTLE = 1 << 30

@@ -35,16 +35,23 @@ class Given(NamedTuple):
         """From attitudes (4,) or (N, 4) and vectors (k,) or (N, k)."""
         values = list(carried.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
+        if len(values) == 1:
+            return cls(_rows(start, kind), _rows(values[0], kind), one_body)
+        rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
+        columns = [column for value in values for column in value.T]
+        y = np.empty((rows, len(columns)), dtype=kind)
         with np.errstate(over="ignore"):
-            q = np.atleast_2d(np.ascontiguousarray(start, dtype=kind))
-            if len(values) == 1:
-                return cls(q, np.atleast_2d(np.ascontiguousarray(values[0], dtype=kind)), one_body)
-            rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
-            columns = [column for value in values for column in value.T]
-            y = np.empty((rows, len(columns)), dtype=kind)
             for i, column in enumerate(columns):  # ten times as fast as whole rows
                 y[:, i] = column
-        return cls(q, y, one_body)
+        return cls(_rows(start, kind), y, one_body)
+
+
+def _rows(values: NDArray[Any], kind: Any) -> NDArray[Any]:
+    """Contiguous rows (N, k) of a precision, one of a vector (k,)."""
+    if values.dtype != kind:
+        with np.errstate(over="ignore"):
+            values = values.astype(kind)
+    return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
 
 
 def initial(

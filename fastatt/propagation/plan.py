@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -18,7 +18,7 @@ from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.crossings import SEARCH_BLOCK
 from fastatt.engine.job import Job
-from fastatt.engine.run import Fixed, Run, Setup, prepare, width_for
+from fastatt.engine.run import Fixed, Results, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
 from fastatt.propagation.closed_forms import Evaluation
@@ -27,7 +27,7 @@ from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Given, initial
 from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions
 from fastatt.propagation.resume import End
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene
 
 # body-steps: before a longer run the first step of each body is checked
@@ -225,9 +225,7 @@ class Plan:
         elif self.job.own_steps:
             parts = clock.parts(t0, self.scene)
         times, state = (t0, clock.h, share), (given.q, given.y)
-        run = Run(
-            self._setup, bodies, state, times, results[:3], per_body, parts, results.event_times
-        )  # fmt: skip
+        run = Run(self._setup, bodies, state, times, results, per_body, parts)
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
         return run
@@ -269,11 +267,10 @@ class Plan:
         self, t: NDArray[np.float64], results: Results, one_body: bool, end: End | None = None
     ) -> Trajectory:
         """The trajectory of some saves."""
-        out, stored = results.out, self.attitude.stored
-        ends = pairwise(accumulate(self.carried.values(), initial=stored))
+        out = results.out
         return Trajectory(
             t=t,
-            state=out[:, :, :stored],
+            state=out[:, :, : self.attitude.stored],
             norm_error=results.norm_error,
             status=results.status,
             dt=self.clock.steps,
@@ -281,10 +278,16 @@ class Plan:
             packed=self.packed,
             attitude=self.attitude,
             record=self.choice.method,
-            carried={x: out[:, :, a:b] for x, (a, b) in zip(self.carried, ends, strict=True)},
+            carried={name: out[:, :, columns] for name, columns in self._columns.items()},
             end=end,
             found=results.event_times,
         )
+
+    @cached_property
+    def _columns(self) -> dict[str, slice]:
+        """Where what is carried with the attitude is saved."""
+        ends = pairwise(accumulate(self.carried.values(), initial=self.attitude.stored))
+        return {name: slice(a, b) for name, (a, b) in zip(self.carried, ends, strict=True)}
 
     @cached_property
     def _silent_range(self) -> tuple[float, float]:
@@ -302,14 +305,15 @@ class Plan:
             angles = limits.first_step(self.scene, self.choice.method, w, steps)
         return limits.warn(self, angles)
 
-    def warn_after(self, given: Given, largest: float, angles: list[NDArray[Any]]) -> None:
+    def warn_after(self, given: Given, largest: float, squares: Sequence[NDArray[Any]]) -> None:
         """Warn of steps as they were; of the first, where that is the reason.
 
-        ``angles`` of a step, rad, are of bodies in the order in which they were run.
+        ``squares`` of the largest angle of a step, rad², are of bodies in the order in which they
+        were run.
         """
         least, most = self._silent_range
         if largest and self.clock.n_steps and not least <= largest <= most:
-            seen, order = np.concatenate(angles), self.clock.order
+            seen, order = np.sqrt(np.concatenate(squares)), self.clock.order
             seen = seen if order is None else seen[np.argsort(order)]
             _ = self.warn_of_first(given) or limits.warn(self, seen)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,38 +27,14 @@ if TYPE_CHECKING:
     from fastatt.propagation.resume import End
 
 
-class Results(NamedTuple):
-    """What a run writes: saved values (S, N, k), norm errors (S, N), flags (N,), times (N, E)."""
-
-    out: NDArray[Any]
-    norm_error: NDArray[Any]
-    status: NDArray[np.uint8]
-    #: of a run with events
-    event_times: NDArray[np.float64] | None = None
-
-    @classmethod
-    def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
-        """New ones."""
-        return cls(
-            np.empty((saves, bodies, width), kind),
-            np.empty((saves, bodies), kind),
-            np.empty(bodies, np.uint8),
-            np.full((bodies, events), np.nan) if events else None,
-        )
-
-    def saves(self, slots: slice) -> Results:
-        """Some saves."""
-        return self._replace(out=self.out[slots], norm_error=self.norm_error[slots])
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """Saved attitudes of one body or of an ensemble, time first.
 
     At a prompt it prints its summary, in a notebook also a table of the last save.
 
-    ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
-    in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
+    ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``dcm`` (S, N, 3, 3); ``w`` (S, N, 3)
+    rad/s in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where given one,
     ``r`` (S, N, 3) m in inertial axes; of one with n states ``s`` (S, N, n); ``status`` (N,), one
     :class:`Status` a body; ``norm_error`` (S, N), how far the state had left its group before
     it was brought back for output: |q| − 1, or ‖C Cᵀ − 1‖ of a matrix.
