@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numba import config
 
-from fastatt.engine.job import Forms, Job
+from fastatt.engine.job import Job
 from fastatt.engine.status import DIAGNOSTICS
 from fastatt.tracing import source
-from fastatt.tracing.finished import Flat
+from fastatt.tracing.finished import Flat, Forms
 from fastatt.tracing.nodes import LIBRARY, Node
 
 #: arguments of a kernel before its tables

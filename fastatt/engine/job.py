@@ -29,7 +29,7 @@ from fastatt.scene.equations import (
     motion_of,
 )
 from fastatt.scene.rates import is_constant
-from fastatt.tracing.finished import Constants, Flat, resources_of
+from fastatt.tracing.finished import Constants, Flat, Forms, resources_of
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import Double, Graph, Number, both, choose
 
@@ -61,6 +61,8 @@ class Job:
     own_steps: bool = False
     #: what is watched at the end of each step
     events: tuple[Watch, ...] = ()
+    #: whether it takes the shorter steps by which events are located
+    is_searched: bool = False
     #: rates, torques and forces are evaluated between two breakpoints, which lanes know
     windowed: bool = False
     #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
@@ -69,12 +71,8 @@ class Job:
     @cached_property
     def formulas(self) -> Formulas:
         """Its formulas, traced when they are asked for; a tile's width is no matter of theirs."""
-        return _formulas(replace(self, width=WIDTH, own_steps=self.own_steps and not self.events))
-
-    @property
-    def is_searched(self) -> bool:
-        """Whether it takes the shorter steps by which events are located."""
-        return self.own_steps and bool(self.events)
+        own = self.own_steps and not self.events
+        return _formulas(replace(self, width=WIDTH, own_steps=own, is_searched=False))
 
     @property
     def has_any_angle_form(self) -> bool:
@@ -90,20 +88,6 @@ class Job:
     def monitored(self) -> bool:
         """Whether the rotation angles of steps are monitored in the small-angle form."""
         return not self.known
-
-
-@dataclass(frozen=True)
-class Forms:
-    """A step as a graph: the state after it, then its squared rotation angle if monitored."""
-
-    monitored: Flat
-    size: int
-
-    @cached_property
-    def plain(self) -> Flat:
-        """The state alone, to the same bits."""
-        whole = len(self.monitored.results) == self.size
-        return self.monitored if whole else self.monitored.first(self.size).in_few_registers()
 
 
 class Formulas:

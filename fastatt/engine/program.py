@@ -3,7 +3,8 @@
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
 tile begins, a block of steps, what a save holds, the projection onto the group, the change to
 another step size, to the state and from it, the values of the functions that are watched for
-events, and the jump of states at a sample time. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
+events, and the jump of states at a sample time. ``Layout`` says where in ``rows`` and ``wide`` each
+number of a lane lies.
 """
 
 from __future__ import annotations
@@ -154,7 +155,7 @@ class Program(TwoForms):
         if job.own_steps:
             add("leave", forms.leave, "moment", x=forms.size)
             add("enter", forms.enter, "moment", x=forms.size, e=forms.extras)
-            add("update", forms.update, "moment", x=forms.size)
+            add("update", None if job.is_searched else forms.update, "moment", x=forms.size)
         return found
 
     def _step(

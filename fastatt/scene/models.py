@@ -306,7 +306,8 @@ class Law:
         """The states after a sample time, of those before."""
         if not self.parts:
             return tuple(self.numbers(t, p).update(t, pose, states)) if self.states else ()
-        at, found = 0, []
+        at = 0
+        found: list[Any] = []
         for law, own in self.split(p):
             found += law.updated(t, pose, own, states[at : at + law.states])
             at += law.states

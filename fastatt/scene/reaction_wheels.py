@@ -160,7 +160,8 @@ class ReactionWheels(Torque):
             resources.update(resources_of(command))
         states = count + (command.states if isinstance(command, Law) else 0)
         sizes = tuple(column.shape[-1] for column in columns.values())
-        driven = _Driven(**dict.fromkeys(columns), command=command, states=states)
+        nothing: dict[str, Any] = dict.fromkeys(columns)
+        driven = _Driven(**nothing, command=command, states=states)
         law = Law(driven, sizes, (None,) * len(sizes))
         return law, join(list(columns.values()), n_bodies, name)
 
@@ -171,7 +172,7 @@ class ReactionWheels(Torque):
                 f"{name}.axes {checks.shape(axes)}; accepted: (K, 3), or (N, K, 3) per body"
             )
         check_unit(f"{name}.axes", np.moveaxis(axes, -1, 0), 1.0)
-        return axes / np.linalg.norm(axes, axis=-1, keepdims=True)
+        return np.asarray(axes / np.linalg.norm(axes, axis=-1, keepdims=True))
 
     def _numbers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Unit axes (K, 3) or (N, K, 3), and inertia (K,) or (N, K)."""

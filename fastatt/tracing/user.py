@@ -44,8 +44,9 @@ _TOLERANCE = 1e-9
 class Signature(NamedTuple):
     """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
 
-    ``results`` 0: as many as it has parameters, −1: as many as states. One that ``carries`` states gives two tuples, the
-    second of their time derivatives; ``results`` are then the numbers of both.
+    ``results`` 0: as many as it has parameters, −1: as many as states. One that ``carries`` states
+    gives two tuples, the second of their time derivatives; ``results`` are then the numbers of
+    both.
     """
 
     call: str

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -130,7 +128,7 @@ def test_saves_at_any_times_and_per_body_steps():
     at = [0.0, 0.1, 0.25, 0.6, END]
     run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=0.03, t_end=END, save_at=at, method="rk8")
     for k in (1, 2, 3, 4):
-        q, w, s = truth(at[k])
+        q, _, s = truth(at[k])
         assert fa.angle_between(run.q[k], q) < 1e-11
         np.testing.assert_allclose(run.s[k], s, rtol=0.0, atol=1e-11)
     assert run.s[0].tolist() == S0.tolist()
@@ -198,8 +196,8 @@ def test_what_is_refused():
         fa.Scene(inertia=J, torque=fa.torques.SampledControl(3, 0.1))
     with pytest.raises(ValueError, match=r"found params or states beside a model"):
         sampled_pd(period=0.1, params=(1.0,))
+    law = fa.torques.Custom(lambda t, q, w, s, p: ((0.0, 0.0, 0.0), s), states=4)
     with pytest.raises(ValueError, match=r"found a model with 4 states; accepted: a model without"):
-        law = fa.torques.Custom(lambda t, q, w, s, p: ((0.0, 0.0, 0.0), s), states=4)
         fa.Scene(inertia=J, torque=fa.torques.SampledControl(law, 0.1))
     two = [fa.torques.SampledControl(fa.torques.Damping(1.0), period) for period in (0.1, 0.2)]
     with pytest.raises(ValueError, match=r"sampled every 0.1 s from 0.0 s, 0.2 s from 0.0 s"):
