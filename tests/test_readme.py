@@ -28,7 +28,7 @@ from fastatt import cli
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
 DOCS = ROOT / "fastatt" / "docs"
-PAGES = [README, *sorted(DOCS.glob("*.md"))]
+PAGES = [README, *sorted(DOCS.rglob("*.md"))]
 LONGEST = 200  # lines of the README
 
 BLOCK = re.compile(
