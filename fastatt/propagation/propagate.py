@@ -116,7 +116,7 @@ def propagate(
         run with ``on_save`` or a checkpoint.
     events : what :func:`fastatt.event` made, a list: the trajectory's ``event_times`` holds the
         first crossing of each body. With methods that step; without per-body step sizes,
-        breakpoints, a shorter last step, ``save_at``, ``resume`` and ``device``.
+        ``save_at``, ``resume`` and ``device``.
 
     Returns
     -------
