@@ -118,7 +118,7 @@ def truth(slew: Slew, body: int) -> tuple[Any, Any, Any, list[float]]:
         q, w, speeds = y[:4] / np.linalg.norm(y[:4]), y[4:7], y[7:10]
         torque, error = continuous(t, q, w, y[10:], gains)
         command = np.clip(-np.array(torque if held is None else held), -largest, largest)
-        net = command - VISCOUS * speeds - COULOMB * np.tanh(speeds / SLOW)
+        net = command - VISCOUS * speeds - COULOMB * speeds / np.hypot(speeds, SLOW)
         outer = np.array([push, 0.0, 0.0]) - np.cross(w, inertia * w + WHEEL * speeds)
         spin = (outer - net) / (inertia - WHEEL)
         turned = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])

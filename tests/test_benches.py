@@ -103,7 +103,7 @@ def test_scale_tells_cost_calls_and_memory(tmp_path, monkeypatch):
     """A cell of each size and number of steps; the largest ensemble's own process left out."""
     monkeypatch.setattr(scale, "large", scale.of_large)
     monkeypatch.setattr(scale, "MOST", 10_000)
-    scale.report([1, 10, 100], 0.0, tmp_path)
+    scale.report([1, 10, 100], 0.0, tmp_path, tmp_path)
     lines = (tmp_path / "SCALE.md").read_text(encoding="utf-8").splitlines()
     rows = [line.split("|")[1:-1] for line in lines if line.startswith("| 1 | ")]
     assert [row[1].strip() for row in rows[:3]] == ["1", "100", "10000"]

@@ -174,17 +174,20 @@ class Setup:
 
 
 class Results(NamedTuple):
-    """What a run writes: saved values (S, N, k), norm errors (S, N), flags (N,), times (N, E)."""
+    """The arrays that a run writes to.
+
+    Saved values (S, N, k), norm errors (S, N), flags (N,), and times of events (N, E).
+    """
 
     out: NDArray[Any]
     norm_error: NDArray[Any]
     status: NDArray[np.uint8]
-    #: of a run with events
+    #: None for a run without events
     event_times: NDArray[np.float64] | None = None
 
     @classmethod
     def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
-        """New ones."""
+        """Arrays for a number of saves and bodies, allocated but not initialised."""
         return cls(
             np.empty((saves, bodies, width), kind),
             np.empty((saves, bodies), kind),
@@ -193,7 +196,7 @@ class Results(NamedTuple):
         )
 
     def saves(self, slots: slice) -> Results:
-        """Some saves."""
+        """Views of a range of saves."""
         return self._replace(out=self.out[slots], norm_error=self.norm_error[slots])
 
 

@@ -265,9 +265,11 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
     stages = np.array(job.method.stages or _ONE_STAGE)
     # the stepped state lies this share of h ahead
     half_stage = 0.5 * stages[-1, 1] if job.method.stages else 0.0
+    constants = repr((job.method.stages, job.has_any_angle_form))
 
     def scalar(formula: Any, **arrays: int) -> ScalarFunction:
-        return scalar_function(formula, tables, arrays={"p": job.structure.n_params, **arrays})
+        arrays["p"] = job.structure.n_params
+        return scalar_function(formula, tables, arrays=arrays, constants=constants)
 
     to_stepped, to_state = scalar(parts.to_stepped, x=size), scalar(parts.to_state)
     through = _through(scalar(parts.small_angle), scalar(parts.any_angle), stages, job)

@@ -1,4 +1,4 @@
-"""Breakpoints of a run: where its steps end, and between which times each step evaluates."""
+"""Breakpoints of a run: where its steps end, and the time window in which each step evaluates."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 class Breaks(NamedTuple):
-    """The breakpoints that a run crosses, in its order, and the windows between them.
+    """The breakpoints that a run crosses, in its order, and the time windows between them.
 
-    ``times`` are those at which stretches of the run begin, s, the first that of the run;
-    ``since`` the same from its begin on, with ``slack`` of their rounding. Rates, torques and
-    forces of each stretch are evaluated from ``low`` to ``high``, next to its two breakpoints.
+    ``times`` are the times at which stretches of the run begin, s, the first being that of the run;
+    ``since`` are these times counted from the begin of the run, with ``slack`` for their rounding.
+    The rates, torques and forces of a stretch are evaluated from ``low`` to ``high`` only, which
+    lie next to its two breakpoints.
     ``sampled`` says which of them begin at a sample time, at which states jump.
     """
 
@@ -39,10 +40,11 @@ def breaks_of(
     duration: float,
     sampling: Sampling | None = None,
 ) -> Breaks:
-    """Those of sorted ``breakpoints`` that lie inside a run of a ``duration``, s, of either sign.
+    """Select the sorted ``breakpoints`` inside a run of a ``duration``, s, of either sign.
 
-    A breakpoint at the begin or the end, to rounding, is none of them, but no window extends
-    beyond it. Times of ``sampling`` are breakpoints too, and the begin may be one.
+    A breakpoint that coincides with the begin or the end, to rounding, does not divide the run, but
+    limits the time window.
+    Times of ``sampling`` are breakpoints too, and the begin may be one.
     """
     every = np.array(breakpoints, dtype=np.float64)
     is_sample = np.zeros(every.size, dtype=bool)
@@ -54,7 +56,7 @@ def breaks_of(
     since = every - begin
     slack = 16.0 * _EPS * (np.abs(every) + abs(begin))
     inside = (sign * since > slack) & (sign * since < abs(duration) - slack)
-    # the stretch in which the run begins lies between two of all
+    # the run begins in the stretch between these two breakpoints
     first = int((since <= slack).sum() if sign > 0.0 else (since < -slack).sum())
     stretches = first + int(sign) * np.arange(inside.sum() + 1)
     order = np.flatnonzero(inside)[:: int(sign)]
@@ -93,14 +95,14 @@ def parts_of(
     end: float | None,
     sampling: Sampling | None = None,
 ) -> Parts:
-    """The parts of those of ``n_steps`` steps that breakpoints divide, or the end of the run.
+    """The parts of those steps that breakpoints or the end of the run divide.
 
-    ``end`` is the time of the run's end since its begin, s, where that is no whole step.
+    ``end`` is the time of the end since the begin of the run, s, if it is not a whole step.
     """
     found = breaks_of(breakpoints, begin, n_steps * h if end is None else end, sampling)
     clocks: list[tuple[float, ...]] = [(h, 0, begin, found.low[0], found.high[0], 0, 0, 0)]
     steps = [-1]
-    # the step that is taken in parts, if any, and how far they got; where whole steps go on
+    # the step that is divided, if any, and the time that its parts reached; the next whole step
     divided, reached, resumes = -1, 0.0, -1
 
     # of the stretches that begin at a sample time: whether no part begins there yet

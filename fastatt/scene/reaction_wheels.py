@@ -33,7 +33,7 @@ class ReactionWheels(Torque):
     h_k = J_k (Ω_k + a_k·w), N·m·s, with its speed Ω_k relative to the body. With the net torque
     u_k of motor and friction, Hughes (1986), §3.4::
 
-        ḣ_k = u_k,    u_k = command_k − viscous_k Ω_k − coulomb_k tanh(Ω_k / coulomb_speed_k),
+        ḣ_k = u_k,    u_k = command_k − viscous_k Ω_k − coulomb_k Ω_k / √(Ω_k² + coulomb_speed_k²),
         I ẇ = −w×(I w + Σ a_k h_k) − Σ a_k u_k + other torques
 
     so that the angular momentum C (I w + Σ a_k h_k) of body and wheels is constant in inertial axes
@@ -66,7 +66,7 @@ class ReactionWheels(Torque):
         Coulomb friction, N·m, 0 or more.
     coulomb_speed : array_like
         Speed, rad/s, above 0, over which Coulomb friction changes its sign: the torque is within
-        4 % of ``coulomb`` from twice this speed on. Smooth, so that methods keep their order with
+        2 % of ``coulomb`` from five times this speed on. Smooth, so that methods keep their order with
         steps shorter than the time that a wheel takes to pass this speed.
     max_torque : array_like, optional
         Largest torque of a motor, N·m, above 0: commands beyond are cut off.
@@ -240,7 +240,7 @@ class _Driven(Torque):
         motors, slopes = self._commanded(t, pose, speeds, more)
         motors = tuple(self._within_limits(k, u, speeds[k]) for k, u in enumerate(motors))
         friction = tuple(
-            c * x + f * apply("tanh", x / slow)
+            c * x + f * x / apply("sqrt", slow * slow + x * x)
             for c, f, slow, x in zip(
                 self.viscous, self.coulomb, self.coulomb_speed, speeds, strict=True
             )

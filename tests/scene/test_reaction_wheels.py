@@ -73,7 +73,7 @@ def truth(end, motors, n_more=0, scene_torque=None):
 
 def friction(speeds):
     x = np.array(speeds)
-    return np.array(FRICTION["viscous"]) * x + 0.01 * np.tanh(x / 2.0)
+    return np.array(FRICTION["viscous"]) * x + 0.01 * x / np.hypot(x, 2.0)
 
 
 def agree(run, model, wanted, within):

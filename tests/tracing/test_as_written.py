@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 import fastatt as fa
 from fastatt.tracing.user import user_function
 
-PAGE = Path(fa.__file__).parent / "docs" / "scenes.md"
+PAGE = Path(fa.__file__).parent / "docs" / "guides" / "scenes.md"
 ROW = re.compile(r"^\| (`(?:return|out|v|gain|print|x) .*`|`print.*`) \| (\w+) \|$", re.MULTILINE)
 ROWS = [m.groups() for m in ROW.finditer(PAGE.read_text(encoding="utf-8"))]
 HEAD = """import math
