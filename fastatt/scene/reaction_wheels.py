@@ -66,8 +66,8 @@ class ReactionWheels(Torque):
         Coulomb friction, N·m, 0 or more.
     coulomb_speed : array_like
         Speed, rad/s, above 0, over which Coulomb friction changes its sign: the torque is within
-        2 % of ``coulomb`` from five times this speed on. Smooth, so that methods keep their order with
-        steps shorter than the time that a wheel takes to pass this speed.
+        2 % of ``coulomb`` from five times this speed on. It is smooth, so that methods keep their
+        order with steps shorter than the time in which a wheel passes this speed.
     max_torque : array_like, optional
         Largest torque of a motor, N·m, above 0: commands beyond are cut off.
     max_speed : array_like, optional
@@ -180,29 +180,99 @@ class ReactionWheels(Torque):
         return axes, _each("inertia", self.inertia, axes.shape[-2], above_zero=True)
 
     def momenta(self, speeds: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
-        """h = J (Ω + a·w), N·m·s, (..., K), of speeds Ω, rad/s, at angular velocities w (..., 3).
+        """Angular momenta of the wheels about their axes, h = J (Ω + a·w).
 
-        What ``s0`` takes, where the command has no states.
+        Parameters
+        ----------
+        speeds : array_like, shape (..., K)
+            Speeds Ω relative to the body, rad/s; a number for all wheels.
+        w : array_like, shape (..., 3)
+            Angular velocities along body axes, rad/s.
+
+        Returns
+        -------
+        ndarray, shape (..., K)
+            Angular momenta, N·m·s: ``s0`` of a run, if the command has no states.
+
+        Examples
+        --------
+        >>> import fastatt as fa
+        >>> wheels = fa.torques.ReactionWheels([[0, 0, 1]], 0.1)
+        >>> wheels.momenta(speeds=20.0, w=[0, 0, 0.5]).round(6)
+        array([2.05])
         """
         axes, inertia = self._numbers()
         along = np.einsum("...ki,...i->...k", axes, np.asarray(w, dtype=np.float64))
         return np.asarray(inertia * (np.asarray(speeds, dtype=np.float64) + along))
 
     def speeds(self, s: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
-        """Ω = h/J − a·w, rad/s, (..., K), of a run's states s (..., n) and w (..., 3)."""
+        """Speeds of the wheels relative to the body, Ω = h/J − a·w.
+
+        Parameters
+        ----------
+        s : array_like, shape (..., n)
+            States of a run, ``Trajectory.s``, whose first K are those of the wheels.
+        w : array_like, shape (..., 3)
+            Angular velocities along body axes, rad/s.
+
+        Returns
+        -------
+        ndarray, shape (..., K)
+            Speeds, rad/s.
+
+        Examples
+        --------
+        >>> import fastatt as fa
+        >>> wheels = fa.torques.ReactionWheels([[0, 0, 1]], 0.1)
+        >>> wheels.speeds(s=[2.05], w=[0, 0, 0.5]).round(6)
+        array([20.])
+        """
         axes, inertia = self._numbers()
         along = np.einsum("...ki,...i->...k", axes, np.asarray(w, dtype=np.float64))
         return np.asarray(np.asarray(s)[..., : axes.shape[-2]] / inertia - along)
 
     def momentum(self, s: ArrayLike) -> NDArray[np.float64]:
-        """Σ a_k h_k along body axes, N·m·s, (..., 3), of a run's states s (..., n)."""
+        """Angular momentum of all wheels along body axes, Σ a_k h_k.
+
+        Parameters
+        ----------
+        s : array_like, shape (..., n)
+            States of a run, ``Trajectory.s``, whose first K are those of the wheels.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            Angular momentum, N·m·s.
+
+        Examples
+        --------
+        >>> import fastatt as fa
+        >>> fa.torques.ReactionWheels([[0, 0, 1], [1, 0, 0]], 0.1).momentum([2.0, 0.5])
+        array([0.5, 0. , 2. ])
+        """
         axes = self._unit_axes("axes")
         return np.asarray(np.einsum("...k,...ki->...i", np.asarray(s)[..., : axes.shape[-2]], axes))
 
     def body_inertia(self, inertia: ArrayLike) -> NDArray[np.float64]:
-        """I, kg·m², (3, 3) or (N, 3, 3): the whole spacecraft's inertia less Σ J_k a_k a_kᵀ.
+        """``inertia`` of the scene: that of the whole spacecraft less Σ J_k a_k a_kᵀ.
 
-        ``inertia`` is moments (3,) or (N, 3), or tensors (3, 3) or (N, 3, 3), wheels held.
+        Parameters
+        ----------
+        inertia : array_like, shape (3,), (3, 3), (N, 3) or (N, 3, 3)
+            Moments or tensors of the spacecraft with the wheels held, kg·m².
+
+        Returns
+        -------
+        ndarray, shape (3, 3) or (N, 3, 3)
+            Tensors without the moments of the wheels about their axes, kg·m².
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fastatt as fa
+        >>> wheels = fa.torques.ReactionWheels([[0, 0, 1]], 0.1)
+        >>> np.diag(wheels.body_inertia((2.0, 2.0, 1.5)))
+        array([2. , 2. , 1.4])
         """
         given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
         tensor = given if is_tensor(given) else given[..., None] * np.eye(3)
@@ -230,6 +300,11 @@ class _Driven(Torque):
     def sampling(self) -> Any:  # type: ignore[override]
         """That of a command that is a model."""
         return self.command.sampling if isinstance(self.command, Law) else None
+
+    @property
+    def reads_position(self) -> bool:  # type: ignore[override]
+        """That of a command that is a model."""
+        return isinstance(self.command, Law) and self.command.reads_position
 
     def evaluate(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
         count, body = len(self.inertia), pose.along_body

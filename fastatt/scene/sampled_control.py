@@ -68,7 +68,7 @@ class SampledControl(Torque):
     >>> q0, w0 = [0.8, 0.0, 0.0, 0.6], [0.0, 0.0, 0.0]
     >>> run = fa.propagate(body, q0, w0, s0=[0, 0, 0], dt=0.1, n_steps=12, save_every=4)
     >>> print(run.t.round(1), run.s[:, 2].round(3))
-    [0.  0.4 0.8 1.2] [ 0.    -0.3   -0.128  0.021]
+    [0.  0.4 0.8 1.2] [ 0.    -0.3   -0.142 -0.052]
     """
 
     control: Callable[..., Any] | Torque
@@ -112,6 +112,11 @@ class _Held(Torque):
     control: Law
     sampling: Sampling  # type: ignore[misc]
     states: int  # type: ignore[misc]
+
+    @property
+    def reads_position(self) -> bool:  # type: ignore[override]
+        """That of the controller."""
+        return self.control.reads_position
 
     def formula(self, t: Any, pose: Pose, states: Vector) -> Any:
         return (*states[:3], *np.zeros(self.states))

@@ -201,6 +201,18 @@ def test_numbers_of_each_body():
     np.testing.assert_allclose(own.momenta(back, run.w), run.s, atol=1e-14)
 
 
+def test_a_command_may_depend_on_the_position():
+    law = fa.torques.Custom(lambda t, q, w, v, r, p: (-0.1 * r[0], 0.0, 0.0), uses_position=True)
+    three = fa.torques.ReactionWheels(np.eye(3), 0.1, law)
+    scene = fa.Scene(
+        inertia=(3.0, 2.0, 1.0), torque=three, mass=2.0, force=lambda t, q, w, v, p: (0.0, 0.0, 0.0)
+    )
+    run = fa.propagate(
+        scene, [1, 0, 0, 0], [0, 0, 0], v0=[1.0, 0.0, 0.0], r0=[0, 0, 0], s0=[0, 0, 0], **RUN
+    )
+    np.testing.assert_allclose(run.s[-1], [0.1 * 5.0**2 / 2.0, 0.0, 0.0], atol=1e-14)
+
+
 def test_one_wheel_takes_a_number():
     one = fa.torques.ReactionWheels([[0, 0, 1]], 0.1, lambda t, q, w, s, p: 0.2)
     scene = fa.Scene(inertia=one.body_inertia((2.0, 2.0, 2.1)), torque=one)
