@@ -18,7 +18,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 # bytecode too: else each of the tests' processes would compile all that it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv test pythons commands trade bench leaderboard extremes cases scale hostile bench-smoke lint \
+.PHONY: help venv test pythons commands trade bench leaderboard extremes cases scale pictures hostile bench-smoke lint \
 	format types layers docs readme clean
 
 help:  ## this list
@@ -79,6 +79,15 @@ cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.m
 
 scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench/SCALE.md
 	$(BIN)/python bench/scale.py $(if $(FASTATT_SMOKE),--small)
+
+pictures: $(VENV)/.test  ## the pages' pictures, five minutes: fastatt/docs/pictures
+	$(BIN)/fastatt trade --scene coning --scene free --scene top --scene torqued --out $(RESULTS) \
+		$(if $(FASTATT_SMOKE),--quick)
+	cp $(RESULTS)/trade.png $(RESULTS)/bodies.png fastatt/docs/pictures
+	$(BIN)/python bench/polhodes.py
+	$(BIN)/python bench/tumbling.py
+	$(BIN)/python bench/leaderboard_picture.py
+	$(BIN)/python bench/work_precision.py --draw
 
 hostile: $(VENV)/.test  ## advice where a rate or torque jumps, five minutes: the table of guides/choose-method.md
 	$(BIN)/python bench/hostile.py

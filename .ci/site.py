@@ -18,8 +18,8 @@ LINK = re.compile(r"\]\((?!\w+:)([^)\s#]+)")
 
 
 def outside() -> list[str]:
-    """Pages and pictures outside of the folder of pages, as paths in the repository."""
-    found = [ROOT / "CHANGELOG.md", *ROOT.glob("bench/*.md"), *ROOT.glob("bench/*.png")]
+    """Pages outside of the folder of pages, as paths in the repository."""
+    found = [ROOT / "CHANGELOG.md", *ROOT.glob("bench/*.md")]
     return sorted(p.relative_to(ROOT).as_posix() for p in found)
 
 

@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 _SIDES = ((1, 0), (1, -1), (1, 1), (0, -1), (0, 1), (-1, -1), (-1, 1), (-1, 0))
 _GAP = 6.0  # pixels between a point and its name
 _SPACING = 4.0  # pixels between the points that represent a curve
-_MARKER = 3.0  # pixels from a marker's middle to its corners
+_MARKER = 5.0  # pixels from a marker's middle to its corners
 _EVERY = 4  # of these points a name may stand next to
-# costs of one pixel of another name, of one point of a curve, of one point further from the end
-_ON_NAME, _ON_CURVE, _FURTHER = 10.0, 6.0, 0.4
+_CLEAR = 12.0  # pixels around a name within which another curve could be taken for its own
+# costs of one pixel of another name, of one point of a curve, of one such point of another curve in
+# the clearance, and of one point further from the end
+_ON_NAME, _ON_CURVE, _NEAR, _FURTHER = 10.0, 6.0, 2.0, 0.4
 _OUTSIDE = 1e6
 
 
@@ -64,22 +66,22 @@ def write_labels(axes: Any, labels: Sequence[Label]) -> None:
         text.set_in_layout(False)
         extent = text.get_window_extent()
         half = 0.5 * np.array([extent.width, extent.height])
-        best = _best_place(own[::-1], half, curves, taken, frame)
+        away = np.abs(curves[:, None] - own).max(axis=2).min(axis=1) > 1.0
+        best = _best_place(own[::-1], half, curves, curves[away], taken, frame)
         taken.append(np.concatenate([best - half, best + half]))
         # in fractions of the panel: figures are saved at another resolution
         text.set_position((best - frame.p0) / (frame.p1 - frame.p0))
 
 
 def _is_marked(line: Any) -> bool:
-    return bool(line.get_marker() not in {"", "None", None})
+    return line.get_marker() not in {"", "None", None}
 
 
 def _pixels(transform: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
     """Points (N, 2) of data as they lie in the figure."""
     points = np.stack([x, y], axis=1, dtype=np.float64)
     with np.errstate(all="ignore"):
-        points = np.asarray(transform.transform(points))
-    return points
+        return np.asarray(transform.transform(points))
 
 
 def _dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -96,6 +98,7 @@ def _best_place(
     points: NDArray[np.float64],
     half: NDArray[np.float64],
     curves: NDArray[np.float64],
+    others: NDArray[np.float64],
     taken: Sequence[NDArray[np.float64]],
     frame: Any,
 ) -> NDArray[np.float64]:
@@ -110,12 +113,17 @@ def _best_place(
             cost = _FURTHER * k + 0.5 * rank
             if (low < frame.p0 + 2.0).any() or (high > frame.p1 - 2.0).any():
                 cost += _OUTSIDE
-            inside = ((curves > low - 1.0) & (curves < high + 1.0)).all(axis=1)
-            cost += _ON_CURVE * np.count_nonzero(inside)
+            cost += _ON_CURVE * _inside(curves, low - 1.0, high + 1.0)
+            cost += _NEAR * _inside(others, low - _CLEAR, high + _CLEAR)
             for box in taken:
                 common = np.minimum(high, box[2:]) - np.maximum(low, box[:2]) + 2.0
                 if (common > 0.0).all():
                     cost += _ON_NAME * common.prod()
             if cost < least:
                 found, least = centre, cost
-    return found
+    return np.asarray(found)
+
+
+def _inside(points: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> int:
+    """How many points (N, 2) lie in a box."""
+    return int(np.count_nonzero(((points > low) & (points < high)).all(axis=1)))

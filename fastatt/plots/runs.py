@@ -61,6 +61,13 @@ def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> No
         A run with one save.
     TypeError
         ``run`` is no Trajectory.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
+    >>> fa.plots.history(run, "run.png", body)  # doctest: +SKIP
     """
     check_run(run)
     many = run.status.size > 1
@@ -88,24 +95,38 @@ def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> No
 def polhode(
     run: Trajectory, scene: Scene, path: str | Path, *, bodies: Sequence[int] | None = None
 ) -> None:
-    """Draw the angular momentum seen from the body, and the angular velocity seen from space.
+    """Draw the direction of the angular momentum in body axes, and the angular velocity in space.
 
-    On the left its direction along body axes on the unit sphere, faint on the far side; on the
-    right the angular velocity in the plane through the body that is square to the first save's
-    momentum. Without torque these are Poinsot's polhode and herpolhode.
+    On the left: the angular momentum's direction along body axes on the unit sphere, faint on the
+    far side. On the right: the angular velocity in the inertial plane through the body that is
+    perpendicular to the first save's angular momentum. Without torque these curves are Poinsot's
+    polhode and herpolhode.
 
     Parameters
     ----------
-    run : with two saves at least, close enough to draw curves through.
-    scene : the run's, with inertia.
-    path : of the picture; its ending says the format (png, pdf, svg).
-    bodies : up to 8 of an ensemble; None takes 4 without a flag, evenly from the
+    run : Trajectory
+        With two saves at least, close enough to draw curves through.
+    scene : Scene
+        The run's scene, with inertia.
+    path : str or Path
+        The picture's file; its ending names the format (png, pdf, svg).
+    bodies : sequence of int, optional
+        Up to 8 bodies of an ensemble. By default 4 bodies without a flag, evenly spaced from the
         first to the last.
 
     Raises
     ------
-    ValueError : a scene without inertia, a run with one save, bodies that are not there or carry a
-        flag.
+    ValueError
+        A scene without inertia, a run with one save, bodies out of range or with a flag.
+    TypeError
+        ``run`` is no Trajectory.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
+    >>> fa.plots.polhode(run, body, "polhode.png")  # doctest: +SKIP
     """
     check_run(run)
     if as_scene(scene).inertia is None:

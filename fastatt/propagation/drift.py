@@ -66,12 +66,12 @@ class Drift:
         return angle_between(self.trajectory.q, reference)
 
 
-def drift(trajectory: Trajectory, scene: Scene) -> Drift:
+def drift(run: Trajectory, scene: Scene) -> Drift:
     """Measure the drift of a trajectory from the invariants of its scene, for each save and body.
 
     Parameters
     ----------
-    trajectory : Trajectory
+    run : Trajectory
         A run with a history.
     scene : Scene
         The scene of the run.
@@ -94,24 +94,22 @@ def drift(trajectory: Trajectory, scene: Scene) -> Drift:
     >>> bool(fa.drift(run, body).energy.max() < 1e-13)
     True
     """
-    if not isinstance(trajectory, Trajectory):
-        raise TypeError(f"trajectory: found {checks.brief(trajectory)}; accepted: a Trajectory")
+    if not isinstance(run, Trajectory):
+        raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
     as_scene(scene)
-    norm_error = np.abs(
-        trajectory.norm_error[:, 0] if trajectory.one_body else trajectory.norm_error
-    )
-    C = trajectory.dcm
+    norm_error = np.abs(run.norm_error[:, 0] if run.one_body else run.norm_error)
+    C = run.dcm
     matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))
-    length = np.abs(np.linalg.norm(trajectory.q, axis=-1) - 1.0)
-    attitude = trajectory.attitude
+    length = np.abs(np.linalg.norm(run.q, axis=-1) - 1.0)
+    attitude = run.attitude
     of_matrix = attitude.to_dcm_array is not None
     of_quaternion = not of_matrix and attitude.to_quat_array in (None, same)
     return Drift(
         norm=norm_error if of_quaternion else length,
         orthogonality=norm_error if of_matrix else matrix,
-        energy=_energy(trajectory, scene),
-        momentum=_momentum(trajectory, scene),
-        trajectory=trajectory,
+        energy=_energy(run, scene),
+        momentum=_momentum(run, scene),
+        trajectory=run,
     )
 
 

@@ -215,6 +215,7 @@ def main_function(dispatcher):
     return next(m[0] for m in found if m[1].startswith("_ZN"))
 
 
+@pytest.mark.newest
 def test_a_loop_allocates_nothing_and_holds_the_operations_alone():
     run(START, P, 0.1, 1)
     body = main_function(run)
