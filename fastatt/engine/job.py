@@ -267,7 +267,9 @@ class Formulas:
     @cached_property
     def digest(self) -> bytes:
         """A hash of what a step computes."""
-        return hashlib.sha256(self.small_angle.plain.spelled(self.resources).encode()).digest()
+        flats = [self.small_angle.plain, *([] if self.update is None else [self.update])]
+        spelled = "".join(flat.spelled(self.resources) for flat in flats)
+        return hashlib.sha256(spelled.encode()).digest()
 
     @property
     def operations(self) -> int:

@@ -120,6 +120,16 @@ def test_runs_in_pieces_have_the_same_bits():
         rest = fa.propagate(SCENE, dt=0.05, n_steps=40 - steps, method="rk8", resume=first)
         np.testing.assert_array_equal(rest.s[-1], whole.s[-1])
         np.testing.assert_array_equal(rest.q[-1], whole.q[-1])
+
+    def other(t, q, w, s, p):
+        torque, memory = pid(t, q, w, s, p)
+        return [0.5 * x for x in torque], memory
+
+    changed = fa.torques.SampledControl(other, PERIOD, GAINS, states=4)
+    with pytest.raises(ValueError, match=r"^scene: differs from that of the run"):
+        fa.propagate(
+            fa.Scene(inertia=J, torque=changed), dt=0.05, n_steps=5, method="rk8", resume=first
+        )
     one = fa.propagate(SCENE, q0[41], w0[41], s0=S0, dt=0.05, n_steps=40, method="rk8")
     np.testing.assert_array_equal(one.s[-1], whole.s[-1, 41])
 
