@@ -7,6 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
+from fastatt.propagation.breakpoints import breaks_of
+from fastatt.scene.models import Sampling
 
 J = np.array([[2.0, 0.1, -0.2], [0.1, 1.5, 0.15], [-0.2, 0.15, 1.2]])
 Q0 = np.array([0.8, 0.0, 0.6, 0.0])
@@ -146,6 +148,12 @@ def test_saves_at_any_times_and_per_body_steps():
     for body in range(2):
         assert fa.angle_between(two.q[-1, body], WANTED[0]) < 1e-11
         np.testing.assert_allclose(two.s[-1, body], WANTED[2], rtol=0.0, atol=1e-11)
+
+
+def test_breakpoints_that_are_sample_times_to_rounding_count_once():
+    found = breaks_of((0.25, 0.3, 0.7), 0.0, 1.0, Sampling(0.1, 0.0))
+    np.testing.assert_allclose(found.times, np.sort([0.25, *np.arange(10) / 10]), rtol=1e-15)
+    assert (found.sampled == (found.times != 0.25)).all()
 
 
 def pulse(t, q, w, p):
