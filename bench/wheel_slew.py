@@ -111,19 +111,32 @@ def truth(slew: Slew, body: int) -> tuple[Any, Any, Any, list[float]]:
 
     Its unknowns are the speeds of wheels, its equations those of the whole spacecraft.
     """
-    inertia, largest = slew.inertia[body], slew.largest[body]
+    inertia, (largest,) = slew.inertia[body].tolist(), slew.largest[body].tolist()
     gains = STIFFNESS, RESET, DAMPING
 
     def slope(t, y, push, held):
-        q, w, speeds = y[:4] / np.linalg.norm(y[:4]), y[4:7], y[7:10]
-        torque, error = continuous(t, q, w, y[10:], gains)
-        command = np.clip(-np.array(torque if held is None else held), -largest, largest)
-        net = command - VISCOUS * speeds - COULOMB * speeds / np.hypot(speeds, SLOW)
-        outer = np.array([push, 0.0, 0.0]) - np.cross(w, inertia * w + WHEEL * speeds)
-        spin = (outer - net) / (inertia - WHEEL)
-        turned = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
-        more = np.zeros(3) if slew.is_sampled else error
-        return np.concatenate([turned, spin, net / WHEEL - spin, more])
+        a, b, c, d, *w = y[:7].tolist()
+        size, speeds, memory = math.hypot(a, b, c, d), y[7:10].tolist(), y[10:].tolist()
+        torque, error = continuous(t, (a / size, b / size, c / size, d / size), w, memory, gains)
+        net = [
+            min(max(-u, -largest), largest) - VISCOUS * x - COULOMB * x / math.hypot(x, SLOW)
+            for u, x in zip(torque if held is None else held, speeds, strict=True)
+        ]
+        m = [i * v + WHEEL * x for i, v, x in zip(inertia, w, speeds, strict=True)]
+        spin = (
+            (push + m[1] * w[2] - m[2] * w[1] - net[0]) / (inertia[0] - WHEEL),
+            (m[2] * w[0] - m[0] * w[2] - net[1]) / (inertia[1] - WHEEL),
+            (m[0] * w[1] - m[1] * w[0] - net[2]) / (inertia[2] - WHEEL),
+        )
+        turned = (
+            -0.5 * (b * w[0] + c * w[1] + d * w[2]),
+            0.5 * (a * w[0] + c * w[2] - d * w[1]),
+            0.5 * (a * w[1] + d * w[0] - b * w[2]),
+            0.5 * (a * w[2] + b * w[1] - c * w[0]),
+        )
+        accelerated = [u / WHEEL - v for u, v in zip(net, spin, strict=True)]
+        more = (0.0, 0.0, 0.0) if slew.is_sampled else error
+        return [*turned, *spin, *accelerated, *more]
 
     def watch(g):
         def event(t, y, push, held):

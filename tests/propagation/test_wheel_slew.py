@@ -22,7 +22,7 @@ import fastatt as fa
     ("is_sampled", "bodies", "bounds"),
     [
         (False, 10, {0.25: (1e-7, 5e-6, 5e-3), 0.05: (5e-9, 2e-7, 2e-4)}),
-        (True, 2, {0.25: (1e-12, 1e-11, 1e-8), 0.07: (1e-12, 1e-11, 1e-11)}),
+        (True, 5, {0.25: (1e-12, 1e-11, 1e-8), 0.07: (1e-12, 1e-11, 1e-11)}),
     ],
     ids=["at all times", "sampled"],
 )
