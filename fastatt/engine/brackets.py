@@ -29,7 +29,8 @@ def crosses(a: Any, b: Any, direction: int) -> Any:
 def turns(a: Any, b: Any, c: Any) -> Any:
     """Whether a parabola of twice the curvature of a, b and c crosses zero between b and c.
 
-    It does wherever the function does, unless the function's curvature doubles within a step.
+    If the function crosses zero twice, the parabola does, unless the function's curvature doubles
+    within a step.
     """
     bend, slope = 2.0 * (a - 2.0 * b + c), c - b
     square, steep = bend * bend, 4.0 * slope * slope
@@ -42,7 +43,7 @@ is_crossed, is_turned = loop_part(crosses), loop_part(turns)
 
 @loop_part
 def next_point(brackets, lanes, k):
-    """Where a bracket is halved: Oliveira and Takahashi, ACM Trans. Math. Softw. 47 (2020) 5."""
+    """The next point of a bracket (Oliveira and Takahashi, *ACM Trans. Math. Softw.* 47 (2020))."""
     low, high = brackets[LOW * lanes + k], brackets[HIGH * lanes + k]
     a, b = brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k]
     middle, radius = 0.5 * (low + high), brackets[RADIUS * lanes + k]
@@ -57,7 +58,7 @@ def next_point(brackets, lanes, k):
 
 @loop_part
 def narrow_bracket(brackets, lanes, k, x, value):
-    """Take the value at a point into a bracket; what to do next."""
+    """Narrow a bracket by the value at a point; returns what to do next."""
     low, high = LOW * lanes + k, HIGH * lanes + k
     if math.isnan(value):
         return NONE
@@ -71,10 +72,10 @@ def narrow_bracket(brackets, lanes, k, x, value):
 
 @loop_part
 def find_extremum(brackets, lanes, k, x, value, direction, trials):
-    """Take the value at a point on the way to an extremum; what to do next."""
+    """Use the value at a point in the search of an extremum; returns what to do next."""
     low, high, inner = LOW * lanes + k, HIGH * lanes + k, INNER * lanes + k
     at_low, at_high, at_inner = AT_LOW * lanes + k, AT_HIGH * lanes + k, AT_INNER * lanes + k
-    # the two parts of the bracket that meet at the point, from the nearest points with a value
+    # the two parts of the bracket next to the point, up to the nearest points with a value
     left = brackets[low], brackets[at_low]
     right = brackets[high], brackets[at_high]
     if trials > 1:

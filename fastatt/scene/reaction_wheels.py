@@ -12,8 +12,7 @@ from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.inertia import is_tensor
 from fastatt.scene.models import Field, Law, PackedLaw, Resources, join, resources_of
-from fastatt.scene.torque_models import check_unit
-from fastatt.scene.torque_record import Pose, Torque
+from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
 from fastatt.tracing.graph import apply, choose
 from fastatt.tracing.user import FORMS, UserFunction, user_function
