@@ -139,10 +139,6 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     ValueError
         If the shape is another one.
 
-    See Also
-    --------
-    euler_to_quat : Angles of any sequence.
-
     Examples
     --------
     >>> import fastatt as fa
@@ -169,10 +165,6 @@ def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
     ------
     ValueError
         If the shape is another one.
-
-    See Also
-    --------
-    quat_to_euler : Angles of any sequence.
 
     Examples
     --------

@@ -57,7 +57,7 @@ def test_cells_that_are_first_ties_or_lost():
     assert (ties, len({problem for problem, _ in board})) == (1, 11)
     first = len(found) - ties - 1
     assert f"fastatt is first in {first} of {len(found)} cells, ties in one and loses one" in PROSE
-    assert "on 11 problems" in PROSE
+    assert "with nine libraries on 11 problems" in PROSE
 
 
 def test_single_precision_is_named():
