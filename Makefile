@@ -89,7 +89,7 @@ pictures: $(VENV)/.test  ## the pages' pictures, five minutes: fastatt/docs/pict
 	$(BIN)/python bench/leaderboard_picture.py
 	$(BIN)/python bench/work_precision.py --draw
 
-hostile: $(VENV)/.test  ## advice where a rate or torque jumps, five minutes: the table of guides/choose-method.md
+hostile: $(VENV)/.test  ## advice where a rate or torque jumps, five minutes: the table of explanations/trade.md
 	$(BIN)/python bench/hostile.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
@@ -112,7 +112,7 @@ layers: $(VENV)/.lint  ## which module may import which
 	$(BIN)/lint-imports
 
 docs: $(VENV)/.lint  ## the pages and the reference of all public names, as a site: results/site
-	$(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 clean:  ## remove the environment, caches and results
 	rm -rf $(VENV) .fastatt_cache .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

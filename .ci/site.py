@@ -1,19 +1,22 @@
-"""Hooks of MkDocs: the changelog and the pages of ``bench/`` are pages of the site where they are.
+"""Hooks of MkDocs: the changelog and the pages of ``bench/`` become pages of the site.
 
-Links between these and the pages of ``fastatt/docs`` are written as paths in the repository, so
-that they work wherever the files are read; here they become paths in the site.
+Links between these and the pages of ``fastatt/docs`` are paths in the repository, so that they work
+wherever the files are read; here they become paths in the site. Roles of docstrings, such as
+``:func:``, become links, and the one script that the theme loads from another host a file.
 """
 
 from __future__ import annotations
 
-import os
+import posixpath
 import re
 from pathlib import Path
 
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCS = "fastatt/docs"
+DOCS = "fastatt/docs/"
+ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):<code>~?([\w.]+)</code>")
+SHIM = "https://unpkg.com/iframe-worker/shim"
 LINK = re.compile(r"\]\((?!\w+:)([^)\s#]+)")
 
 
@@ -31,11 +34,24 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, **_):
     here = page.file.src_uri
-    folder = os.path.dirname(here if here in outside() else f"{DOCS}/{here}")
+    written = here if here in outside() else DOCS + here
 
     def in_site(link: re.Match[str]) -> str:
-        target = os.path.normpath(os.path.join(folder, link[1]))
-        target = target.removeprefix(f"{DOCS}/")
-        return f"]({os.path.relpath(target, os.path.dirname(here) or '.')}"
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(written), link[1]))
+        path = posixpath.relpath(target.removeprefix(DOCS), posixpath.dirname(here) or ".")
+        return f"]({path}"
 
     return LINK.sub(in_site, markdown)
+
+
+def on_page_content(html, **_):
+    return ROLE.sub(r'<autoref identifier="\1" optional><code>\1</code></autoref>', html)
+
+
+def on_post_page(output, page, **_):
+    here = posixpath.dirname(page.url) or "."
+    return output.replace(SHIM, posixpath.relpath("assets/worker.js", here))
+
+
+def on_post_template(output, **_):
+    return output.replace(SHIM, "assets/worker.js")

@@ -43,12 +43,12 @@ def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (..., 3, 3)
+    ndarray of shape (..., 3, 3)
         Matrices C with v_i = C v_b.
 
     Raises
@@ -73,12 +73,12 @@ def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    C : array_like, shape (..., 3, 3)
+    C : array_like of shape (..., 3, 3)
         Rotation matrices, body to inertial.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions with q0 ≥ 0.
 
     Raises
@@ -126,22 +126,18 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    angles : array_like, shape (..., 3)
+    angles : array_like of shape (..., 3)
         (φ, θ, ψ), rad, with C = Rz(φ) Rx(θ) Rz(ψ).
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions, body to inertial, scalar first.
 
     Raises
     ------
     ValueError
         If the shape is another one.
-
-    See Also
-    --------
-    euler_to_quat : Angles of any sequence.
 
     Examples
     --------
@@ -157,22 +153,18 @@ def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         (φ, θ, ψ), rad, with θ in [0, π].
 
     Raises
     ------
     ValueError
         If the shape is another one.
-
-    See Also
-    --------
-    quat_to_euler : Angles of any sequence.
 
     Examples
     --------
@@ -188,12 +180,12 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    u : array_like, shape (..., 3)
+    u : array_like of shape (..., 3)
         Rotation vectors, rad, of any length.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions exp(u), scalar first.
 
     Raises
@@ -215,12 +207,12 @@ def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, scalar first, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         Rotation vectors, rad, of length at most π.
 
     Raises
@@ -242,12 +234,12 @@ def mrp_to_quat(sigma: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    sigma : array_like, shape (..., 3)
+    sigma : array_like of shape (..., 3)
         σ = e tan(φ/4), of any length.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions, body to inertial, scalar first.
 
     Raises
@@ -269,12 +261,12 @@ def quat_to_mrp(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         σ = e tan(φ/4) with ``|σ|`` ≤ 1. At a rotation angle of exactly π, the axis has the sign of
         the vector part.
 
@@ -303,14 +295,14 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    p : array_like, shape (..., 4)
+    p : array_like of shape (..., 4)
         Left factors, scalar first.
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Right factors; the leading axes broadcast against those of ``p``.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         The products.
 
     Raises
@@ -332,14 +324,14 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, of any norm above zero.
-    v : array_like, shape (..., 3)
+    v : array_like of shape (..., 3)
         Vectors along body axes; the leading axes broadcast against those of ``q``.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         The vectors along inertial axes.
 
     Raises
@@ -361,14 +353,14 @@ def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, of any norm above zero.
-    v : array_like, shape (..., 3)
+    v : array_like of shape (..., 3)
         Vectors along inertial axes; the leading axes broadcast against those of ``q``.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         The vectors along body axes.
 
     Raises
@@ -408,14 +400,14 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
 
     Parameters
     ----------
-    a : array_like, shape (..., 4) or (..., 3, 3)
+    a : array_like of shape (..., 4) or (..., 3, 3)
         Quaternions of any norm above zero, or rotation matrices.
-    b : array_like, shape (..., 4) or (..., 3, 3)
+    b : array_like of shape (..., 4) or (..., 3, 3)
         Attitudes that broadcast against ``a``, in either form.
 
     Returns
     -------
-    float or ndarray, shape (...)
+    float or ndarray of shape (...)
         The angle in [0, π], rad; a float for one pair.
 
     Raises

@@ -105,17 +105,17 @@ def _parser() -> argparse.ArgumentParser:
     logs = "a gyro log instead of the recordings of scikit-kinematics (may be repeated)"
     add("--log", type=Path, action="append", help=logs)
     _add_scene(trade)
-    add("--t-end", type=float, help="duration of your own scene, s")
+    add("--t-end", type=float, help="duration of the given scene, s")
     add("--quick", action="store_true", help="few steps, one repeat, quaternions in float64 only")
 
-    advice = command(_recommend, "find the fastest method and step for a scene of your own")
+    advice = command(_recommend, "find the fastest method and step size for a given scene")
     _add_scene(advice)
     add = advice.add_argument
     add("--t-end", type=float, required=True, help="duration, s")
     goal = advice.add_mutually_exclusive_group(required=True)
     goal.add_argument("--tol", type=float, help="largest error of any body, rad")
     goal.add_argument("--budget", type=float, help="longest time that the run may take, s")
-    where = "errors count over the run (default), or at its end alone"
+    where = "measure errors over the run (default), or at its end only"
     add("--at", choices=("run", "end"), default="run", help=where)
     add("--methods", type=_names, help="only these methods: rk4,magnus4")
 
@@ -123,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
     add = compile_usual.add_argument
     add("--all", action="store_true", help="also single precision and all representations")
     add("--scene-file", type=Path, help="only the methods of a scene, .json or .toml")
-    add("-j", "--jobs", type=int, help="processes (default: one a processor)")
+    add("-j", "--jobs", type=int, help="number of processes (default: one for each processor)")
 
     cache = command(_cache, "show where compiled functions are kept and how large they are", _CACHE)
     cache.add_argument("--clear", action="store_true", help="remove them")
@@ -134,7 +134,7 @@ def _parser() -> argparse.ArgumentParser:
 
 _TRADE = (
     "All fitting methods run on recorded gyro logs and on ensembles with a known answer, or on a "
-    "scene of your own; tables, CSV files and pictures are left in a folder."
+    "given scene; tables, CSV files and pictures are written to a folder."
 )
 _PRECOMPILE = (
     "Every method on usual scenes (constant rate, coning, free body, heavy top, gravity gradient "
@@ -178,11 +178,11 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
     add("--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help="first attitude: q0,q1,q2,q3")
     bad_rows = (
-        "rows without a rate, stamps that do not grow, and gaps: refuse (default), drop (intervals "
+        "rows without a rate, stamps that do not increase, gaps: refuse (default), drop (intervals "
         "span them), split (each piece begins at q0), hold (the last rates stay)"
     )
     add("--on-bad-rows", choices=ON_BAD_ROWS, default="refuse", help=bad_rows)
-    add("--max-gap", type=float, help="longest interval that is no gap, s")
+    add("--max-gap", type=float, help="longest interval that is not a gap, s")
     bias = "subtract the mean rate of so many s from the start"
     add("--bias-seconds", type=float, help=bias)
     reference = "table of reference attitudes: clocks and frames are aligned, the angle is printed"
@@ -193,7 +193,7 @@ def _add_log(command: argparse.ArgumentParser) -> None:
 
 def _add_scene(command: argparse.ArgumentParser) -> None:
     """Options that make a scene and an ensemble."""
-    add = command.add_argument_group("a scene of your own").add_argument
+    add = command.add_argument_group("a given scene").add_argument
     add("--scene-file", type=Path, help="a .json or .toml file with the scene")
     add("--inertia", type=_floats, help="principal moments, kg·m²: 2,1,0.7; nine numbers: a tensor")
     model: dict[str, Any] = {
@@ -205,7 +205,7 @@ def _add_scene(command: argparse.ArgumentParser) -> None:
     add("--frame", choices=("body", "inertial"), help="axes of the rate")
     add("--q0", type=Path, help="initial attitudes, .csv or .npy (default: random)")
     add("--w0", type=Path, help="initial rates, rad/s, .csv or .npy (default: random)")
-    add("--spin", type=float, help="of random rates, rad/s an axis (default: 1)")
+    add("--spin", type=float, help="deviation of random rates, rad/s per axis (default: 1)")
     bodies = "size of the ensemble (default: 4096)"
     command.add_argument("--bodies", type=int, default=4096, help=bodies)
 
@@ -327,9 +327,9 @@ def _trade_own(arguments: argparse.Namespace, scene: Scene) -> None:
     """Measure work and precision on the user's scene."""
     for name in ("scene", "log"):
         if getattr(arguments, name) is not None:
-            raise ValueError(f"--{name}: found with a scene of your own; accepted: one of them")
+            raise ValueError(f"--{name}: found with a given scene; accepted: one of them")
     if arguments.t_end is None:
-        raise ValueError("--t-end: is missing; a scene of your own needs its duration, s")
+        raise ValueError("--t-end: is missing; a given scene needs its duration, s")
     q0, w0 = _ensemble(arguments, scene)
     out: Path = arguments.out
     open_folder(out)
@@ -353,7 +353,7 @@ def _trade(arguments: argparse.Namespace) -> None:
     for name in ("t_end", "q0", "w0", "spin"):
         if getattr(arguments, name) is not None:
             raise ValueError(
-                f"--{name.replace('_', '-')}: found without a scene of your own; accepted: with "
+                f"--{name.replace('_', '-')}: found without a given scene; accepted: with "
                 "--inertia, --rate or --scene-file"
             )
     scenes = arguments.scene or DEFAULT_SCENES

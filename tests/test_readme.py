@@ -1,5 +1,7 @@
 """The README and the pages of ``fastatt/docs``: their examples run, their commands and links exist.
 
+Every page is in the navigation of the site, and every public name and option in the reference.
+
 Every block fenced as ``python`` is run, from the top of its page down in one namespace, as a reader
 would type them. A block fenced as ``text`` that comes next, with nothing but blank lines between,
 is the printed output: compared with any run of blanks as one, and ``...`` for whatever changes from
@@ -13,6 +15,7 @@ import argparse
 import contextlib
 import doctest
 import functools
+import importlib
 import io
 import linecache
 import re
@@ -23,6 +26,7 @@ from pathlib import Path
 
 import pytest
 
+import fastatt
 from fastatt import cli
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -207,11 +211,58 @@ def headings(page: Path) -> set[str]:
 
 # the pages
 
-pages = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+pages = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
 
 
 def test_there_are_pages():
-    assert {p.stem for p in PAGES} > {"README", "methods", "status", "startup"}
+    assert {p.stem for p in PAGES} > {"README", "index", "tutorial", "methods", "status"}
+
+
+def test_every_page_is_in_the_navigation_once():
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    listed = re.findall(r"^ +- (?:[^:\n]+: )?(\S+\.md)$", text.partition("\nnav:")[2], re.MULTILINE)
+    outside = ["CHANGELOG.md", *(f"bench/{p.name}" for p in ROOT.glob("bench/*.md"))]
+    assert sorted(listed) == sorted(
+        [*(p.relative_to(DOCS).as_posix() for p in PAGES[1:]), *outside]
+    )
+
+
+@pytest.mark.parametrize(
+    "module", ["", "dask", "estimation", "interchange", "plots", "rates", "torques", "forces"]
+)
+def test_every_public_name_is_in_the_reference(module):
+    text = "".join(p.read_text(encoding="utf-8") for p in DOCS.glob("reference/*.md"))
+    shown = set(re.findall(r"^::: fastatt\.(\S+)$", text, re.MULTILINE))
+    shown |= {name.partition(".")[0] for name in shown}  # a module by what it holds
+    shown.add("estimation.preintegration")  # a module of kernels
+    if module == "dask":
+        importlib.import_module("fastatt.dask")
+    names = getattr(fastatt, module).__all__ if module else fastatt.__all__
+    assert [n for n in names if not {n, f"{module}.{n}"} & shown] == []
+
+
+def test_the_page_of_the_command_line_has_every_option_with_its_help():
+    page = (DOCS / "reference" / "cli.md").read_text(encoding="utf-8")
+    commands = next(a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction))
+    sections = dict(
+        re.findall(r"^## fastatt (\w+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    )
+    assert sections.keys() == commands.choices.keys()
+    for name, parser in commands.choices.items():
+        rows = re.findall(r"^\| (`.*?) \| (.*?) ?\| (.*) \|$", sections[name], re.MULTILINE)
+        actions = [a for a in parser._actions if "--help" not in a.option_strings]
+        names = [", ".join(f"`{x}`" for x in a.option_strings or [a.dest]) for a in actions]
+        assert rows == [(n, values(a), a.help) for n, a in zip(names, actions, strict=True)]
+
+
+def values(action: argparse.Action) -> str:
+    """What an option takes, as the page writes it."""
+    if action.choices:
+        return ", ".join(f"`{x}`" for x in action.choices)
+    if action.nargs == 0 or not action.option_strings:
+        return ""
+    shown = action.metavar or action.dest.upper()
+    return f"`{shown}`" if isinstance(shown, str) else f"`{' '.join(shown)} ...`"
 
 
 @pages

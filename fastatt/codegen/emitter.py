@@ -1,4 +1,4 @@
-"""A graph's operations in LLVM's language, of single numbers or of vectors with a lane a body."""
+"""The operations of a graph in LLVM's language, on single numbers or on vectors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _INSTRUCTIONS = {
 }
 _NAMES = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv", "neg": "fneg"}
 _NAMES |= {"and": "and", "or": "or"}
-#: a comparison with NaN is false, but that it is another number
+#: comparisons with NaN are false, except "not equal"
 _ORDERS = dict(zip(COMPARISONS, ("olt", "ole", "ogt", "oge", "oeq", "une"), strict=True))
 
 Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
@@ -31,9 +31,9 @@ Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
 class Emitter:
     """Writes the operations of a graph.
 
-    ``given(name, kind)`` gives the value of an input and whether it has a lane a body; what depends
-    on none that has is written for one number. ``resources`` finds the pointers of tables and of
-    opaque functions.
+    ``given(name, kind)`` returns the value of an input and whether it has a lane for each body.
+    Values that depend on inputs without lanes only are computed once. ``resources`` has the
+    pointers of tables and of functions that are not traced.
     """
 
     def __init__(self, code: Code, lanes: int, resources: Mapping[Any, Any]) -> None:
@@ -54,7 +54,7 @@ class Emitter:
         return [self.spread(*found) for found in self(flat, given)]
 
     def spread(self, value: Any, has_lanes: bool) -> Any:
-        """A value as a vector, made once a graph."""
+        """A value as a vector, made once in a graph."""
         if has_lanes or self.lanes == 1:
             return value
         found = self._spread.get(id(value))
@@ -122,7 +122,7 @@ class Emitter:
         return code.call(code.intrinsic("llvm.fma", z.type, 3), [x, y, z])
 
     def _library(self, op: str, x: Any, has_lanes: bool) -> Any:
-        """The C library's function, lane by lane, in double precision."""
+        """A function of the C library, lane by lane, in double precision."""
         double = REALS["double"]
         function = self.code.declared(op, double, [double])
 
@@ -135,7 +135,7 @@ class Emitter:
         return self._by_lane(one, x, has_lanes, x.type)
 
     def _by_lane(self, one: Callable[[Any], Any], value: Any, has_lanes: bool, kind: Any) -> Any:
-        """A function of one number, of a value of any type; its result has lanes as that has."""
+        """Apply a function of one number to a value of any type, lane by lane."""
         if not (has_lanes and self.lanes > 1):
             return one(value)
         b, result = self.code.b, ir.Constant(kind, ir.Undefined)
@@ -157,7 +157,7 @@ class Emitter:
         return self._by_lane(one, value, has_lanes, to), has_lanes
 
     def _called(self, node: Node, values: list[tuple[Any, bool]]) -> tuple[list[Any], bool]:
-        """An opaque function ``f(double* arguments, double* results)``: in each lane, or once."""
+        """A function ``f(double* arguments, double* results)`` that is not traced."""
         number, n_results, *at = node.args
         address = self.resources["function", number]
         b, double = self.code.b, REALS["double"]
@@ -180,7 +180,7 @@ class Emitter:
 
 
 def _whole(kind: Any) -> tuple[Any, float]:
-    """(whole numbers with the bits of a type of floats, 2 to the places of its fraction)."""
+    """(the integer type of a floating-point type's size, 2 to the number of its fraction bits)."""
     vector = isinstance(kind, ir.VectorType)
     double = (kind.element if vector else kind) == REALS["double"]
     bits: Any = ir.IntType(64 if double else 32)
@@ -188,24 +188,24 @@ def _whole(kind: Any) -> tuple[Any, float]:
 
 
 def larger(code: Code, x: Any, y: Any) -> Any:
-    """The larger of two numbers that are not negative, or NaN: compared as whole numbers."""
+    """The larger of two numbers that are not negative, or NaN, compared as integers."""
     bits, unit = _whole(x.type)
     b = code.b
-    # a NaN may have its sign bit set, as what processors make of inf − inf has
+    # a NaN may have its sign bit set, such as the result of inf − inf
     size = _alike(bits, 2 ** (63 if unit == 2.0**52 else 31) - 1)
     a, c = (b.and_(b.bitcast(each, bits), size) for each in (x, y))
     return b.bitcast(b.select(b.icmp_signed(">", a, c), a, c), x.type)
 
 
 def raised(code: Code, most: Any, x: Any) -> Any:
-    """The larger of a number and one that may be NaN, which counts as none."""
+    """The larger of a number and one that may be NaN, which is ignored."""
     vector = isinstance(x.type, ir.VectorType)
     bits = ir.VectorType(BIT, x.type.count) if vector else BIT
     return code.select(code.of("fcmp ogt", x, most, kind=bits), x, most)
 
 
 def _power_of_two(code: Code, n: Any) -> Any:
-    """2ⁿ, n whole: what stands last in 1.5·2⁵² + n becomes the exponent."""
+    """2ⁿ for whole n: the last bits of 1.5·2⁵² + n become the exponent."""
     bits, unit = _whole(n.type)
     places, bias = (52, 1023) if unit == 2.0**52 else (23, 127)
     b = code.b
@@ -214,7 +214,7 @@ def _power_of_two(code: Code, n: Any) -> Any:
 
 
 def _exponent(code: Code, x: Any) -> Any:
-    """The exponent of x > 0, put last in 2⁵²."""
+    """The exponent of x > 0, in the last bits of 2⁵²."""
     bits, unit = _whole(x.type)
     places, bias = (52, 1023) if unit == 2.0**52 else (23, 127)
     b = code.b
@@ -224,7 +224,7 @@ def _exponent(code: Code, x: Any) -> Any:
 
 
 def _alike(kind: Any, value: Any) -> Any:
-    """A constant of a type, the same in each lane."""
+    """A constant of a type, equal in each lane."""
     vector = isinstance(kind, ir.VectorType)
     return ir.Constant(kind, [value] * kind.count if vector else value)
 
@@ -237,7 +237,7 @@ _BITS: dict[str, Callable[..., Any]] = {
 
 
 _DOUBLES = REALS["double"].as_pointer()
-#: types of what a formula finds in memory: tables, and opaque functions
+#: types of a formula's resources in memory: tables, and functions that are not traced
 POINTERS = {
     "table": _DOUBLES,
     "function": ir.FunctionType(ir.VoidType(), [_DOUBLES, _DOUBLES]).as_pointer(),
@@ -245,13 +245,13 @@ POINTERS = {
 
 
 def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
-    """The results, each of its kind, of values that are given.
+    """The results, each with its kind, from given values.
 
     The graphs of a formula follow each other, with lanes for the directions of dual numbers.
     """
     lanes = traced.lanes
     emit = Emitter(code, lanes, resources)
-    # the inputs, and those of a loop's step: the state as pairs with whether it has lanes
+    # the inputs, and those of a loop's step: pairs of the state and whether it has lanes
     found: dict[str, Any] = {"x": given}
 
     def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
@@ -273,7 +273,7 @@ def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) 
         places: list[Any] = []
 
         def keep(values: Sequence[tuple[Any, bool]]) -> None:
-            """Store what changes, each with lanes where it has any."""
+            """Store values that change, with lanes if they have any."""
             for k, (value, has_lanes) in enumerate(values):
                 whole = emit.spread(value, has_lanes) if wide[k] else value
                 if k == len(places):
@@ -298,7 +298,7 @@ def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) 
 
 
 def _table(code: Code, loop: Loop) -> Any:
-    """Pointer to the constants of a loop, which are a part of the module."""
+    """Pointer to the constants of a loop, which are part of the module."""
     kinds = (node.kind for node in loop.step.nodes if node.args[:1] == ("row",))
     kind = REALS[next(kinds, "double")]
     numbers = [x for row in loop.table for x in row]
@@ -308,7 +308,7 @@ def _table(code: Code, loop: Loop) -> Any:
 
 
 def pointers_of(code: Code, whole: Any, resources: Sequence[tuple[str, Any]]) -> dict[Any, Any]:
-    """Pointers of tables and opaque functions, whose addresses an array holds."""
+    """Pointers of tables and functions, whose addresses an array holds."""
     return {
         key: code.b.inttoptr(code.constant_load(whole, i), POINTERS[key[0]])
         for i, key in enumerate(resources)

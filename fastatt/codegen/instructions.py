@@ -15,7 +15,7 @@ REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
 class Line:
-    """An operation as text, formatted once; which llvmlite takes for an instruction."""
+    """An operation as text, formatted once, which llvmlite accepts as an instruction."""
 
     __slots__ = ("_name", "_text", "type")
     opname, metadata = "", ("dbg",)
@@ -35,25 +35,25 @@ class Line:
 
 
 def prepare_for_vectors(function: Any) -> None:
-    """Let a function keep whole vectors, in registers and, if these are too few, on its stack.
+    """Let a function keep whole vectors, in registers and, if there are too few, on its stack.
 
-    LLVM halves the vectors of Intel's processors unless it is asked not to; llvmlite's own check
-    does not know the attribute. A vector on the stack takes one cache line, not parts of two.
+    By default LLVM halves the vectors of Intel's processors; llvmlite's check does not know the
+    attribute. A vector on the stack takes one cache line, not parts of two.
     """
     set.add(function.attributes, '"prefer-vector-width"="512"')
     function.attributes.alignstack = 64
-    # a function that it were inlined into would have another stack
+    # a function that it was inlined into would have another stack
     function.attributes.add("noinline")
 
 
 class Code:
-    """Writes operations where a builder of llvmlite's stands."""
+    """Writes operations at the position of an llvmlite builder."""
 
     def __init__(self, builder: Any) -> None:
         self.b, self.module = builder, builder.module
 
     def of(self, name: str, *args: Any, kind: Any = None) -> Line:
-        """An operation on values of one type, which is the result's unless ``kind`` differs."""
+        """An operation on values of one type, which is the result's too unless ``kind`` differs."""
         of = args[0].type
         names = ", ".join([x.get_reference() for x in args])
         return Line(self.b, kind or of, f"{name} {of} {names}")
@@ -65,18 +65,18 @@ class Code:
         return Line(self.b, of, f"call {of} {function.get_reference()}({given})")
 
     def select(self, test: Any, a: Any, b: Any) -> Line:
-        """a where the test holds, else b."""
+        """a if the test holds, else b."""
         return Line(self.b, a.type, f"select {_typed(test)}, {_typed(a)}, {_typed(b)}")
 
     def room(self, kind: Any, n: int = 1) -> Any:
-        """Memory for n values on the function's stack."""
+        """Memory for n values on the stack of the function."""
         with self.b.goto_entry_block():
             made = self.b.alloca(kind, ir.Constant(I32, n))
         made.align = 64
         return made
 
     def place(self, pointer: Any, index: Any) -> Any:
-        """Address of an element; ``index`` is a number or one of LLVM's."""
+        """Address of an element; ``index`` is a number or an LLVM value."""
         index = ir.Constant(I64, index) if isinstance(index, int) else index
         return self.b.gep(pointer, [index], inbounds=True)
 
@@ -85,7 +85,7 @@ class Code:
         return self.b.load(self.place(pointer, index))
 
     def constant_load(self, pointer: Any, index: Any) -> Any:
-        """An element of an array that does not change while the function runs."""
+        """An element of an array that does not change during a call of the function."""
         loaded = self.load(pointer, index)
         loaded.set_metadata("invariant.load", self.module.add_metadata([]))
         return loaded
@@ -95,14 +95,14 @@ class Code:
         self.b.store(value, self.place(pointer, index))
 
     def vector(self, pointer: Any, index: Any, n: int) -> Any:
-        """n elements in a row, aligned to the size of the vector, or one element."""
+        """n successive elements, aligned to the size of the vector, or one element."""
         if n == 1:
             return self.load(pointer, index)
         at = self._as_vector(pointer, index, n)
         return self.b.load(at, align=_aligned(at))
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
-        """Change as many elements in a row as the value has."""
+        """Change as many successive elements as the value has."""
         if not isinstance(value.type, ir.VectorType):
             self.store(pointer, index, value)
             return
@@ -118,7 +118,7 @@ class Code:
         return ir.Constant(REALS[kind], value)
 
     def splat(self, value: Any, n: int) -> Any:
-        """A vector of n times the same, or the value itself where n is 1."""
+        """A vector of n equal values, or the value itself if n is 1."""
         if n == 1:
             return value
         if isinstance(value, ir.Constant):
@@ -143,7 +143,7 @@ class Code:
         return found or ir.Function(self.module, ir.FunctionType(result, arguments), name)
 
     def intrinsic(self, name: str, kind: Any, n: int = 1) -> Any:
-        """LLVM's function of that name for a type, of n arguments of it."""
+        """LLVM's function of that name for a type, with n arguments of it."""
         return self.declared(f"{name}.{_suffix(kind)}", kind, [kind] * n)
 
 

@@ -1,9 +1,9 @@
-"""Formulas over rows of lanes: what every generated function is made of.
+"""Formulas over rows of lanes, of which every generated function consists.
 
-The memory is arrays of rows, each of which holds a number of every lane of a block. A function's
-text is a few lines of Python, which call formulas by their names with all arrays and an offset into
+The memory is arrays of rows, each of which holds one number for every lane of a block. The text of
+a function is a few lines of Python, which call formulas by name with all arrays and an offset into
 each of them. A formula takes some lanes of some rows, and stores its results in the same lanes of
-others: as vector instructions, or under ``NUMBA_DISABLE_JIT=1`` with NumPy.
+others: as vector instructions, or with NumPy under ``NUMBA_DISABLE_JIT=1``.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ Resources = Sequence[tuple[str, Any]]
 
 
 class Place(NamedTuple):
-    """Where a number lies: ``row`` of an array, or of one for all lanes its place there.
+    """The place of a number: ``row`` of an array, or an index for a number that all lanes share.
 
-    ``shared`` numbers do not change while the function runs, ``computed`` ones do; of ``indexed``
-    ones the array's offset counts.
+    ``shared`` numbers do not change during a call of the function, ``computed`` ones do; the
+    array's offset is added to the index of ``indexed`` ones.
     """
 
     row: int
@@ -46,7 +46,7 @@ class Place(NamedTuple):
 class StepTimes(NamedTuple):
     """The times of a formula: a graph of the number of steps, ("n",), and names of its results.
 
-    The steps are the last argument of a formula that has a clock.
+    The number of steps is the last argument of a formula with a clock.
     """
 
     flat: Flat
@@ -54,11 +54,11 @@ class StepTimes(NamedTuple):
 
 
 class LaneFormula(NamedTuple):
-    """A formula: its graph, the places of its inputs by their names, and those of its results.
+    """A formula: its graph, the places of its inputs by name, and those of its results.
 
     A ``Traced`` formula works on single lanes, another on as many as the function's shape says, or
-    on ``lanes``. The result number ``largest`` is kept where it is larger than what was there. To
-    the row ``finite``, if there is one, each result times zero is added: it stays zero while all of
+    on ``lanes``. The result number ``largest`` replaces the previous value if it is larger. Each
+    result times zero is added to the row ``finite``, if there is one, which stays zero while all of
     them are finite.
     """
 
@@ -72,7 +72,7 @@ class LaneFormula(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Precision of the rows, lanes in a row, and those that operations work on at a time."""
+    """Precision of the rows, lanes in a row, and lanes on which operations work at a time."""
 
     kind: str
     block: int
@@ -82,9 +82,9 @@ class Shape(NamedTuple):
 class LaneProgram(NamedTuple):
     """The function ``run(part, *arrays, whole, *numbers)`` of a text around calls of formulas.
 
-    ``arrays`` are the precisions of arrays, ``numbers`` how many whole numbers come last. ``whole``
-    holds the addresses of ``resources`` first; it is there unless these are None. Formulas are
-    called as ``name(*arrays, whole, *offsets)``.
+    ``arrays`` are the precisions of the arrays, and ``numbers`` is the number of integers that come
+    last. ``whole`` begins with the addresses of ``resources``; it is absent if these are None.
+    Formulas are called as ``name(*arrays, whole, *offsets)``.
     """
 
     text: str
@@ -111,14 +111,14 @@ class LaneProgram(NamedTuple):
         return generated(self.text, arguments, emissions, "\0".join(key))
 
     def in_python(self) -> Callable[..., None]:
-        """The function on NumPy's arrays, ``whole`` a list of the resources; nothing is fused."""
+        """The function on NumPy arrays, with ``whole`` a list of resources; nothing is fused."""
         scope: dict[str, Any] = {name: _apply(self, x) for name, x in self.formulas.items()}
         exec(self.text, scope)
         found: Callable[..., None] = scope["run"]
         return found
 
     def split(self, args: Sequence[Any]) -> tuple[Sequence[Any], Any, Sequence[Any], Any]:
-        """(arrays, whole, offsets, steps) of a formula's arguments; None for what is not there."""
+        """(arrays, whole, offsets, steps) of a formula's arguments; None for absent ones."""
         n = len(self.arrays)
         begin = n + (self.resources is not None)
         whole = args[n] if begin > n else None
@@ -126,7 +126,7 @@ class LaneProgram(NamedTuple):
 
 
 def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence[Any]) -> None:
-    """Write a formula where a call of it stands."""
+    """Write a formula in place of a call of it."""
     kind, block, lanes = program.shape
     lanes = formula.lanes or lanes
     arrays, whole, offsets, steps = program.split(args)
@@ -180,7 +180,7 @@ def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
     lanes = formula.lanes or program.shape.lanes
     kinds = {node.args: DTYPES[node.kind] for node in flat.nodes if node.op == "in"}
     clock_of = None if clock is None else source.function(clock.flat)
-    # a program serves every scene of a structure, each with its tables
+    # one program serves all scenes with the same structure, each with its tables
     made: list[Any] = [None, None]
 
     def apply(*args: Any) -> None:
@@ -206,7 +206,7 @@ def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
         if clock is not None and clock_of is not None:
             found = clock_of(*map(value, clock.flat.inputs()))
             times |= zip(clock.names, found, strict=True)
-        # copies, since results may go where inputs lie
+        # copies, since results may overwrite inputs
         given = [np.array(value(name), kinds[name]) for name in flat.inputs()]
         results = zip(formula.results, made[1](*given), strict=True)
         for i, (x, result) in enumerate(results):
@@ -218,7 +218,7 @@ def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
 
 _PART = "    if part == {part}:\n        {loop}"
 _LOOP = "for j in range(0, count, {lanes}): {name}(rows, whole, j)"
-# without a loop no constants are loaded before it, more than there are registers
+# without a loop, constants are not loaded in advance into more registers than there are
 _ONCE = "{name}(rows, whole, 0)"
 
 
@@ -227,7 +227,7 @@ def lane_function(
 ) -> Any:
     """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula by its number, its lanes.
 
-    ``text`` replaces the usual function, which calls ``formula0``, ``formula1``, ...
+    ``text`` replaces the default text, which calls ``formula0``, ``formula1``, ...
     """
     named = {f"formula{i}": formula for i, formula in enumerate(formulas)}
     loop = _LOOP if shape.block > shape.lanes else _ONCE
@@ -246,7 +246,7 @@ class Memory:
         self._bytes = ctypes.c_char * (self._rows + blocks * shape.block * 8 + LINE)
 
     def made(self) -> tuple[Any, int, int]:
-        """Zeros for one thread: what holds them, the addresses of the rows and of the blocks."""
+        """Zeros for one thread: the arrays, the addresses of the rows and of the blocks."""
         held = self._bytes()
         first = ctypes.addressof(held)
         first += -first % LINE

@@ -1,4 +1,4 @@
-"""Arrays as generated code and loops take them: their precision, alignment and addresses."""
+"""Arrays for generated code and loops: their precision, alignment and addresses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BYTE = ctypes.c_char
 
 
 def aligned(n: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Zeros, n of them, that begin at a multiple of a cache line."""
+    """n zeros that begin at a multiple of a cache line."""
     size = n * dtype.itemsize
     memory = np.zeros(size + LINE, np.uint8)
     first = -address_of(memory) % LINE
@@ -23,8 +23,8 @@ def aligned(n: int, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def address_of(x: NDArray[Any]) -> int:
-    """Where an array's first number lies."""
-    try:  # a quarter of the time of the other
+    """Address of an array's first number."""
+    try:  # takes a quarter of the time of the other way
         return ctypes.addressof(_BYTE.from_buffer(x))  # type: ignore[arg-type]
     except (TypeError, ValueError, BufferError):  # read-only, empty, or with gaps
         return int(x.__array_interface__["data"][0])

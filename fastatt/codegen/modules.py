@@ -59,12 +59,9 @@ def generated(
 ) -> Any:
     """Numba's ``CFunc`` of the function ``run`` that a text defines.
 
-    Parameters
-    ----------
-    text : the source of ``run``, plain Python that Numba compiles.
-    arguments : Numba's types of its arguments; it returns nothing.
-    emissions : the functions that it calls by name, as (types of arguments, emission).
-    key : what the emissions depend on.
+    ``text`` is the source of ``run``, plain Python that Numba compiles, and ``arguments`` are
+    Numba's types of its arguments; it returns nothing. ``emissions`` are the functions that it
+    calls by name, as (types of arguments, emission), and ``key`` is everything that they depend on.
     """
     digest = hashlib.sha256(f"{text}\0{key}\0{surroundings()}".encode()).hexdigest()[:40]
     names = {name: _emitting(*emission) for name, emission in emissions.items()}
@@ -81,7 +78,7 @@ def generated(
 
 
 def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], None]) -> Any:
-    """An intrinsic without result; its arguments' number is fixed by the types."""
+    """An intrinsic without a result, whose arguments have the given types."""
     signature = void(*arguments)
 
     def lower(context: Any, builder: Any, _: Any, args: Any) -> Any:
@@ -104,7 +101,7 @@ def _in_memory(text: str, arguments: Sequence[Any], names: Mapping[str, Any]) ->
 def _kept(
     path: Path, name: str, text: str, arguments: Sequence[Any], names: Mapping[str, Any]
 ) -> Any:
-    """The function from the folder, compiled and kept there if it was not; None if that fails."""
+    """The function from the folder, compiled and stored there if it was not; None if that fails."""
     source = path / f"{name}.py"
     may_write = os.access(path, os.W_OK | os.X_OK)
     if not source.exists() or source.read_text() != text:
@@ -150,29 +147,29 @@ def _imported(
 
 
 def _numba_folder(source: Path) -> Path:
-    """Where Numba keeps the machine code of a module."""
+    """The folder in which Numba keeps the machine code of a module."""
     scope: dict[str, Any] = {}
     exec(compile("def run(): pass", str(source), "exec"), scope)
     return Path(FunctionCache(scope["run"]).cache_path)
 
 
 def _mark(file: Path) -> Path:
-    """The mark of a file with these contents: two processes may write it, each its own."""
+    """The mark of a file with these contents; two processes that write it have different marks."""
     digest = hashlib.sha256(file.read_bytes()).hexdigest()[:40]
     return file.with_name(f"{file.name.partition('.')[0]}.{digest}{_MARK}")
 
 
 def _is_whole(file: Path) -> bool:
-    """Whether a file has a mark, which is a young one then."""
+    """Whether a file has a mark; the mark is then made new."""
     try:
         os.utime(_mark(file))
-    except FileNotFoundError:  # of the mark, or another process removed the file
+    except FileNotFoundError:  # no mark, or another process removed the file
         return False
     return True
 
 
 def _copied(source: Path) -> Path:
-    """A module of a folder that may only be read, in one that Numba accepts."""
+    """A module of a read-only folder, copied to a folder that Numba accepts."""
     to = Path(_private_folder().name)
     (to / _INSIDE).mkdir(exist_ok=True)
     shutil.copy2(source, to)
@@ -183,17 +180,17 @@ def _copied(source: Path) -> Path:
 
 @functools.cache
 def _private_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder that goes with the process."""
+    """A folder that is removed with the process."""
     return tempfile.TemporaryDirectory(prefix=_PREFIX)
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Write a file under another name and rename it: no reader ever sees a part of it."""
+    """Write a file under another name and rename it, so that no reader sees a part of it."""
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
-        # Numba compares the times of sources: that of all writers is the same
+        # Numba compares the times of sources, so that all writers set the same one
         os.utime(name, (0.0, 0.0))
         Path(name).replace(path)
     except OSError:
@@ -202,7 +199,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def _trim(path: Path) -> None:
-    """Remove the modules that were not used for longest, and what a dead writer left."""
+    """Remove the modules that were not used for longest, and files of writers that died."""
     if made % 64:
         return
     with contextlib.suppress(OSError):
@@ -228,7 +225,7 @@ def _trim(path: Path) -> None:
 
 @functools.cache
 def surroundings() -> str:
-    """What the machine code of any text depends on: processor, versions, the emitter's sources."""
+    """What all machine code depends on: processor, versions, the emitter's sources."""
     folder = Path(__file__).parent
     files = (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)
     sources = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
@@ -240,12 +237,12 @@ def surroundings() -> str:
 
 
 def folder() -> Path | None:
-    """The folder, made if it was not there; None where nothing is kept."""
+    """The folder, created if necessary; None if nothing is kept."""
     return _found()[0]
 
 
 def reason() -> str:
-    """Why nothing is kept; empty where it is."""
+    """Why nothing is kept; empty if it is."""
     return _found()[1]
 
 
@@ -312,17 +309,17 @@ def clear() -> None:
         file.unlink(missing_ok=True)
 
 
-# how long it takes
+# the time that compiling takes
 
 
 class _Wait:
-    """The time that compiling has taken: reported once, to a user at a terminal."""
+    """The time that compiling has taken, reported once to a user at a terminal."""
 
     def __init__(self) -> None:
         self.seconds, self.silent = 0.0, False
 
     def add(self, seconds: float) -> None:
-        """Count some more."""
+        """Add some seconds."""
         self.seconds += seconds
         if self.seconds > LONG and not self.silent:
             self.silent = True
@@ -336,7 +333,7 @@ _WAIT = _Wait()
 
 
 def say_nothing() -> None:
-    """Compile without a message about how long it takes."""
+    """Compile without a message about the time."""
     _WAIT.silent = True
 
 

@@ -1,4 +1,4 @@
-"""What Numba compiles for: the width of a vector, and whether products and sums fuse."""
+"""The target of Numba's compiler: the width of a vector, and whether products and sums fuse."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fastatt.codegen.memory import DTYPES
 class Processor(NamedTuple):
     """The target of Numba's compiler: its name, the bytes of a vector, fused multiplications.
 
-    ``key`` distinguishes all that machine code depends on.
+    ``key`` distinguishes all properties on which machine code depends.
     """
 
     name: str
@@ -29,7 +29,7 @@ class Processor(NamedTuple):
 def described(triple: str, name: str, features: str) -> Processor:
     """The processor of a target triple, a name and a list of features.
 
-    A 64-bit ARM has vectors of 16 bytes and fused multiplications, whether it says so or not.
+    A 64-bit ARM has vectors of 16 bytes and fused multiplications, whatever its features say.
     """
     found = {feature[1:] for feature in features.split(",") if feature.startswith("+")}
     fuses = "fma" in found or triple.startswith(("aarch64", "arm64"))

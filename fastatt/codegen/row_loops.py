@@ -1,8 +1,8 @@
 """The loop over rows of arrays, and over samples of each row, compiled by Numba.
 
 A block of rows is gathered into lanes, a formula works on them (``fastatt.codegen.lanes``), and its
-results are scattered. A last block is filled up with the last row, so that every row meets the same
-instructions whatever their number.
+results are scattered. A last block is filled with copies of the last row, so that every row meets
+the same instructions whatever the number of rows.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _run_rows(kind: str, block: int) -> Callable[..., int]:
         for base in range(first, last, block):
             count = min(block, last - base)
             s, b = base // inner, base % inner
-            # usually a block's rows follow each other along the last axis
+            # usually the rows of a block are successive along the last axis
             follow = b + block <= inner
             for j in range(0 if follow else block):
                 place[block + j], place[2 * block + j] = s, b

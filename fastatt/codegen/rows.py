@@ -1,9 +1,9 @@
-"""A function of numbers on every row of arrays, or of every log: traced and compiled once.
+"""A function of numbers on every row of arrays, or of every log, traced and compiled once.
 
-A vector's lane is a row. Results depend neither on the number of rows nor on that of threads. Where
-derivatives go side by side, a vector holds those of one row's number in six or more directions, and
-the loop is over single rows: with a lane a row each direction would need separate operations, six
-times as many to compile, at the same speed.
+Each lane of a vector is a row. Results depend neither on the number of rows nor on that of threads.
+Derivatives in six or more directions are in the lanes of a vector instead, and the loop is over
+single rows: with a lane per row each direction would need separate operations, six times as many to
+compile, at the same speed.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from fastatt.codegen.row_loops import TOTAL, row_loop
 from fastatt.threads import each_in_threads
 from fastatt.tracing.traced import WIDEST, Traced, Tuple, plain, trace
 
-_VECTORS = 4  # of a block
-# rows that are worth a thread, of blocks and one by one
+_VECTORS = 4  # vectors of a block
+# rows for which another thread saves time, in blocks and one by one
 _LEAST, _LEAST_ONE_BY_ONE = 1 << 13, 64
 _PIECE = 1 << 16  # rows between two checks for Ctrl-C
-_PIECES = 4  # of each thread
+_PIECES = 4  # pieces of each thread
 
 Array = NDArray[Any]
-#: numbers in a row; None of an array that has one number a row, without an axis for it
+#: numbers in a row; None for an array with one number in a row and no axis for it
 Width = int | None
 
 
@@ -58,10 +58,11 @@ class _Source(NamedTuple):
 class RowFunction:
     """``function`` of numbers, applied to every row of arrays; compiled at the first call.
 
-    It takes a tuple of ``width`` recorded numbers an input (one number where the width is None), in
-    the order of ``inputs``, and gives numbers in tuples, nested at will. It may read tables, which
-    a call is given, and call opaque functions. ``inputs`` are widths by name, ``outputs`` those of
-    the output arrays; ``kind`` is the precision of all, "double" or "single".
+    It takes a tuple of ``width`` traced numbers for each input (one number if the width is None),
+    in the order of ``inputs``, and returns numbers in tuples, nested in any way. It may read
+    tables, which a call provides, and call functions that are not traced. ``inputs`` are widths by
+    name, ``outputs`` those of the output arrays; ``kind`` is the precision of all, "double" or
+    "single".
     """
 
     _widest = WIDEST
@@ -76,7 +77,7 @@ class RowFunction:
         self._function = function
         self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
         self._dtype = DTYPES[kind]
-        #: numbers of all inputs, and of all outputs
+        #: total widths of the inputs and of the outputs
         self._taken = sum(map(_count, self.inputs.values()))
         self._given = sum(map(_count, self.outputs))
         self._first_result = self._taken
@@ -98,7 +99,7 @@ class RowFunction:
 
     @cached_property
     def _shape(self) -> Shape:
-        """Of blocks of a few vectors; of single rows with derivatives or a recurrence."""
+        """Blocks of a few vectors; single rows with derivatives or a recurrence."""
         if self.traced.lanes > 1 or self.traced.loop is not None:
             return Shape(self.kind, 1, 1)
         lanes = processor().lanes(self.kind)
@@ -110,7 +111,7 @@ class RowFunction:
 
     @cached_property
     def _made_for_few(self) -> _Made:
-        """Of single rows: with few of them most lanes of a vector would stay empty."""
+        """The function for single rows, since few rows would leave most lanes of a vector empty."""
         return self._compiled(Shape(self.kind, 1, 1))
 
     def _compiled(self, shape: Shape) -> _Made:
@@ -141,7 +142,7 @@ class RowFunction:
         return array("q", numbers)
 
     def _run(self, table: array[int], n_threads: int, least: int) -> None:
-        """Run the loop over all rows, of which ``least`` are worth a thread."""
+        """Run the loop over all rows; ``least`` rows are worth another thread."""
         made = self._made
         loop = row_loop(self.kind, made.block)
 
@@ -159,8 +160,8 @@ class RowFunction:
     ) -> tuple[Array, ...]:
         """(..., width) of each output from (..., width) of each input.
 
-        The leading axes broadcast against each other; nothing is copied for it. ``tables`` are what
-        the function reads, by number. Results do not depend on ``n_threads``.
+        The leading axes broadcast against each other without copies. ``tables`` are read by the
+        function, by number. Results do not depend on ``n_threads``.
 
         Raises ``ValueError`` for shapes that do not fit.
         """
@@ -173,7 +174,7 @@ class RowFunction:
             return self._in_python(plain(self._trace(0), tables or {}), lead, given)
         total = math.prod(lead)
         if len(lead) > 2 and total:
-            # more axes are two: a copy only where one of the first does not follow the next
+            # more than two axes are reshaped to two, with a copy only if their strides do not fit
             given = [
                 np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, lead[-1], x.shape[-1])
                 for x in given
@@ -190,11 +191,12 @@ class RowFunction:
         return tuple(out)
 
     def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
-        """A function of nothing that works on what the arrays hold when it is called.
+        """A function without arguments that works on the current contents of the arrays.
 
-        ``arrays`` are (n, width), (n,) of a width None, or one row for all, (1, width); ``out`` the
-        same without the last; all of the precision, C-contiguous. One that is in both is changed in
-        place. It knows where they lie: a copy of it works on the same arrays.
+        ``arrays`` are (n, width), (n,) for a width None, or one row for all, (1, width); ``out``
+        are the same without the last form. All have the precision and are C-contiguous. An array in
+        both is changed in place. The function keeps addresses: a copy of it works on the same
+        arrays.
         """
         for x in (*arrays, *out):
             if x.dtype != self._dtype or not x.flags.c_contiguous:
@@ -249,8 +251,8 @@ class RowFunction:
 class LogFunction(RowFunction):
     """``step(state, *sample, *given)`` over the samples of many logs, compiled at the first call.
 
-    A row is a log. ``step`` gives the next state, of ``size`` numbers, from tuples of recorded
-    numbers: the state, those ``sampled`` and those ``given`` for a whole log. All are float64.
+    A row is a log. ``step`` returns the next state, of ``size`` numbers, from tuples of traced
+    numbers: the state, those ``sampled``, and those ``given`` for a whole log. All are float64.
     """
 
     _widest = 0
@@ -263,7 +265,7 @@ class LogFunction(RowFunction):
         given: Mapping[str, int],
     ) -> None:
         super().__init__(step, {"state": size, **sampled, **given}, (size,))
-        # a result is the state of the next sample
+        # the result is the state for the next sample
         self._first_result = 0
 
     @cached_property
@@ -284,7 +286,7 @@ class LogFunction(RowFunction):
         """
         n_logs, n = len(start), max(x.shape[1] for x in sampled)
         arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *given)]
-        # samples along an axis: an array without any, or with one, repeats it
+        # samples along an axis; an array without this axis, or with one sample, repeats it
         wide = [
             np.broadcast_to(x if x.ndim == 3 else x[:, None], (n_logs, n, x.shape[-1]))
             for x in arrays
@@ -310,14 +312,14 @@ def _count(width: Width) -> int:
 
 
 def _strides(x: Array) -> tuple[int, int]:
-    """From row to row in numbers, along the last two leading axes; 0 along one of length 1."""
+    """Strides in numbers along the last two leading axes; 0 for an axis of length 1."""
     lengths, strides = (1, 1, *x.shape[:-1]), (0, 0, *x.strides[:-1])
     outer, inner = (0 if lengths[axis] == 1 else strides[axis] // x.itemsize for axis in (-2, -1))
     return outer, inner
 
 
 def _first(numbers: array[int]) -> int:
-    """Address of the first of them."""
+    """Address of the first of the numbers."""
     return numbers.buffer_info()[0]
 
 
@@ -335,10 +337,10 @@ def rows(
     kind: str = "double",
     key: Hashable = None,
 ) -> RowFunction:
-    """The ``RowFunction`` of a function, made once a process for a layout and a precision.
+    """The ``RowFunction`` of a function, made once in a process for a layout and a precision.
 
-    ``key`` replaces the function where that is made anew at each call; it says all that the
-    function's operations depend on.
+    ``key`` replaces a function that is made anew at each call; it contains everything on which the
+    function's operations depend.
     """
     layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), kind
     found = _KNOWN.get(layout)
@@ -346,17 +348,17 @@ def rows(
 
 
 def kind_of(dtype: Any) -> str:
-    """Precision in which arrays of a type are worked on."""
+    """The precision in which arrays of a type are processed."""
     return "single" if np.dtype(dtype) == np.float32 else "double"
 
 
 def without_compiler() -> bool:
-    """Whether ``NUMBA_DISABLE_JIT`` asks for plain Python."""
+    """Whether ``NUMBA_DISABLE_JIT`` requests plain Python."""
     return bool(config.DISABLE_JIT)
 
 
 def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: int) -> None:
-    """``call(first, last)`` over n rows, in pieces of at least ``least`` on each thread."""
+    """``call(first, last)`` over n rows, in pieces of at least ``least`` rows on each thread."""
     pieces = max(min(_PIECES * n_threads if n_threads > 1 else 1, n // least), -(-n // _PIECE))
     if pieces < 2:
         call(0, n)

@@ -1,8 +1,8 @@
-"""A formula as a function of numbers: for a user's ``@njit`` code and for Python.
+"""Formulas as functions of numbers, for jitted code and for Python.
 
-The formula is traced when it is first met with arguments of some types, and its graph written where
-the call stands: there is nothing for Numba to type, and nothing left to inline. Derivatives of dual
-numbers go side by side, a lane a direction.
+A formula is traced when it is first called with arguments of some types, and its graph is written
+in place of the call, so that Numba has nothing to type and nothing to inline. Derivatives of dual
+numbers are in the lanes of a vector, one for each direction.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ _KINDS = {of: kind for kind, of in TYPES.items()}
 
 
 class ScalarFunction(Formula):
-    """A formula as a function for ``@njit`` code, and for Python.
+    """A formula as a function for jitted code, and for Python.
 
-    ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
-    ``rewritten`` one that is written as kernels are (``tracing.trace``); or a ``Recurrence``.
-    It takes floats and tuples of them, nested and named ones too, and gives such; results are of
-    single precision where all arguments are. What the formula refers to is read when it is
-    first called with arguments of some types. ``tables`` are the arrays that it reads;
-    ``arrays`` names the arguments that may be arrays too, of one axis, in place of tuples of so
-    many numbers: the first so many are read, and must be there.
+    ``function`` is a kernel or a plain function of traced numbers, which is called as it is; with
+    ``rewritten`` a function that is written like kernels are (``tracing.trace``); or a
+    ``Recurrence``. It takes floats and tuples of them, nested and named ones too, and returns such;
+    results are of single precision if all arguments are. Globals of the formula are read when it is
+    first called with arguments of some types. ``tables`` are the arrays that it reads; ``arrays``
+    names the arguments that may also be arrays of one axis, in place of tuples, with the number of
+    elements that are read.
 
-    Code that calls it holds the formula as it was then. What Numba keeps of such code on disk is
-    loaded where the formula is still the same (``kept_formulas``). Where it reads tables or calls a
-    user's function, which lie at addresses of this process, Numba keeps nothing, and warns of
-    ``@njit(cache=True)``. ``constants`` are what the callers of the formula hold besides it.
+    Code that calls it contains the formula at that time. Numba loads such code from disk if the
+    formula is still the same (``kept_formulas``). If the formula reads tables or calls a
+    user-defined function, which have addresses in this process, Numba keeps nothing, and warns of
+    ``@njit(cache=True)``. ``constants`` are further properties on which the callers' code depends.
 
-    To choose from two by an ``if``, write a function that calls both.
+    To choose between two of them by an ``if``, write a function that calls both.
     """
 
     def __init__(
@@ -81,23 +81,23 @@ class ScalarFunction(Formula):
         self.numba_type = _Type(self)
         self._traced: dict[Any, Traced] = {}
         self._compiled: dict[Any, tuple[Any, Any]] = {}
-        # what the last call from Python was of, which the next one most likely is of too
+        # the forms of the last call from Python, which the next call most likely has too
         self._last: tuple[Callable[..., Any], Callable[..., Any]] | None = None
 
     @functools.cached_property
     def formula(self) -> Callable[..., Any]:
-        """What takes recorded numbers: made when all that it refers to is there."""
+        """The function of traced numbers, made when everything that it refers to exists."""
         return traceable(self._function) if self._rewritten else self._function
 
     def traced(self, forms: tuple[Any, ...]) -> Traced:
-        """The formula for arguments of some forms."""
+        """The formula for arguments of given forms."""
         found = self._traced.get(forms)
         if found is None:
             found = self._traced[forms] = trace(self.formula, forms)
         return found
 
     def __call__(self, *args: Any, **named: Any) -> Any:
-        """Of recorded numbers more such numbers; else floats, of float32 numpy's."""
+        """Traced numbers for traced numbers; otherwise floats, for float32 those of NumPy."""
         if self._last is not None and not named:
             unpack, call = self._last
             if (found := unpack(args)) is not None:
@@ -133,7 +133,7 @@ class ScalarFunction(Formula):
         room = ctypes.c_double * (n + count)
         at = addresses(traced.resources, self.tables)
         whole = (ctypes.c_int64 * len(at))(*at)
-        # struct lays numbers in a row in a third of the time of ctypes
+        # struct packs numbers in a third of the time of ctypes
         pack = struct.Struct(f"{n}d").pack_into
         unpack = struct.Struct(f"{count}d").unpack_from
         assembled = _assembling(traced.form)
@@ -158,7 +158,7 @@ scalar_function = ScalarFunction
 
 
 def _unpacking(forms: Sequence[Any]) -> Callable[[Any], tuple[float, ...] | None]:
-    """A function of arguments: their numbers, in order; None unless they are floats so nested."""
+    """A function that returns the numbers of arguments, in order; None for other forms."""
     scope: dict[str, Any] = {}
     lines = ["def unpacked(a):"]
     leaves: list[str] = []
@@ -191,7 +191,7 @@ _OF_KIND = {"single": "single({})", "double": "{}", "truth": "bool({})"}
 
 
 def _assembling(form: Any) -> Callable[[Sequence[Any]], Any]:
-    """A function of a list of numbers: they in a form."""
+    """A function that brings a list of numbers into a form."""
     scope: dict[str, Any] = {"single": np.float32}
     places = iter(range(len(list(flattened_forms((form,))))))
 
@@ -249,7 +249,7 @@ def _type_of_form(form: Any) -> Any:
 
 
 class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
-    """A formula's type, one for each."""
+    """The Numba type of a formula, one for each."""
 
     def __init__(self, scalar: ScalarFunction) -> None:
         self.scalar = scalar
@@ -274,11 +274,11 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
         )
 
     def get_call_signatures(self) -> Any:
-        """None known beforehand."""
+        """No signatures are known beforehand."""
         return (), False
 
     def get_impl_key(self, sig: Any) -> _Type:
-        """What the lowering is registered for."""
+        """The key under which the lowering is registered."""
         return self
 
     def _lower(self, context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -302,9 +302,9 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
 
 
 def _never_kept(module: Any) -> None:
-    """Tell Numba that code of this module, and what it is linked into, is for this process alone.
+    """Tell Numba that the code of this module, and code linked with it, is for this process only.
 
-    It keeps nothing on disk that has a variable of such a name.
+    Numba keeps nothing on disk that has a variable of such a name.
     """
     name = "numba.dynamic.globals.formula"
     if name not in module.globals:
@@ -332,7 +332,7 @@ def _read(context: Any, builder: Any, ty: Any, value: Any, form: Any) -> Iterato
 
 
 def _made(context: Any, builder: Any, form: Any, numbers: Iterator[Any]) -> Any:
-    """Numbers in a form."""
+    """Numbers, brought into a form."""
     if isinstance(form, Tuple):
         parts = [_made(context, builder, part, numbers) for part in form.parts]
         return context.make_tuple(builder, _type_of_form(form), parts)

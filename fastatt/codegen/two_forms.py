@@ -1,4 +1,4 @@
-"""A generated function in two forms: for small rotation angles, and for any."""
+"""A generated function in two forms: the small-angle form, and the any-angle form."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from fastatt.codegen.memory import address_of
 
 
 class TwoForms(ABC):
-    """The function that a loop calls; its form for any angle is compiled when first needed.
+    """The function that a loop calls; its any-angle form is compiled when first needed.
 
-    ``entry`` and ``any_angle`` are addresses, or Python functions where ``plain``; ``any_angle`` is
-    0 until ``compile_any_angle``. With ``one_form`` both are the same.
+    ``entry`` and ``any_angle`` are addresses, or Python functions if ``plain``; ``any_angle`` is 0
+    until ``compile_any_angle``. With ``one_form`` both are the same.
     """
 
     def __init__(self, *, plain: bool, one_form: bool = False) -> None:
         self.plain, self._lock = plain, threading.Lock()
         made = self._compiled(small_angle=True)
-        #: what is compiled so far
+        #: the forms that are compiled
         self.functions = [made]
         self.entry = made if plain else made.address
         self.any_angle: Any = self.entry if one_form else 0
@@ -30,14 +30,14 @@ class TwoForms(ABC):
 
     @abstractmethod
     def _compiled(self, *, small_angle: bool) -> Any:
-        """One of the forms: a function of Numba's, or of Python where ``plain``."""
+        """One of the forms: a function of Numba's, or of Python if ``plain``."""
 
     @abstractmethod
     def _new_memory(self) -> Sequence[NDArray[Any]]:
-        """Arrays that one thread's calls of the loop work on."""
+        """Arrays for one thread's calls of the loop."""
 
     def compile_any_angle(self) -> None:
-        """Compile the form for any angle, if it is not there."""
+        """Compile the any-angle form, if it is not compiled."""
         with self._lock:
             if self.any_angle == 0:
                 made = self._compiled(small_angle=False)
@@ -45,7 +45,7 @@ class TwoForms(ABC):
                 self.any_angle = made if self.plain else made.address
 
     def memory(self) -> list[Any]:
-        """The calling thread's memory, as the loop takes it."""
+        """The calling thread's memory, in the form that the loop takes."""
         own = self._memory
         if not hasattr(own, "places"):
             own.arrays = self._new_memory()

@@ -31,16 +31,16 @@ class LazyTrajectory:
 
     Attributes
     ----------
-    t : ndarray, shape (S,)
+    t : ndarray of shape (S,)
         Times of the saves, s.
-    q : dask.array.Array, shape (S, N, 4)
+    q : dask.array.Array of shape (S, N, 4)
         Unit quaternions, body to inertial, scalar first.
-    w : dask.array.Array, shape (S, N, 3)
+    w : dask.array.Array of shape (S, N, 3)
         Angular velocities along body axes, rad/s.
-    v, r : dask.array.Array, shape (S, N, 3)
+    v, r : dask.array.Array of shape (S, N, 3)
         Velocities along body axes, m/s, and, for a run with ``r0``, positions along inertial axes,
         m, for a scene with mass.
-    s : dask.array.Array, shape (S, N, n)
+    s : dask.array.Array of shape (S, N, n)
         States, for a scene with n states.
     method : str
         Name of the method.
@@ -159,17 +159,17 @@ def propagate(
     scene : Scene
         The bodies with their rates, torques and forces. A scene with per-body numbers is divided:
         each chunk is sent its part.
-    q0 : array_like or dask.array.Array, shape (4,) or (N, 4)
+    q0 : array_like or dask.array.Array of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`fastatt.propagate`. At least one of the initial values has a
         row for each body. NumPy arrays are sent with the graph; large arrays are better made by
         Dask.
-    w0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    w0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
-    v0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    v0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
-    r0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    r0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial positions along inertial axes, m.
-    s0 : array_like or dask.array.Array, shape (n,) or (N, n), optional
+    s0 : array_like or dask.array.Array of shape (n,) or (N, n), optional
         Initial values of the scene's states.
     dt : float
         Step size of all bodies, s.

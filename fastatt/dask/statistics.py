@@ -79,17 +79,17 @@ def drift_statistics(
     ----------
     scene : Scene
         The bodies with their rates, torques and forces.
-    q0 : array_like or dask.array.Array, shape (4,) or (N, 4)
+    q0 : array_like or dask.array.Array of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`propagate`.
-    w0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    w0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
     save_every : int
         Number of steps between two saves at which the drift is measured.
-    v0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    v0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
-    r0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    r0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial positions along inertial axes, m.
-    s0 : array_like or dask.array.Array, shape (n,) or (N, n), optional
+    s0 : array_like or dask.array.Array of shape (n,) or (N, n), optional
         Initial values of the scene's states.
     chunks : int or sequence of int, optional
         Number of bodies in a chunk, or in each, as in :func:`propagate`.
@@ -138,19 +138,19 @@ def work_precision(
     ----------
     scene : Scene
         The bodies with their rates, torques and forces.
-    q0 : array_like or dask.array.Array, shape (4,) or (N, 4)
+    q0 : array_like or dask.array.Array of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`propagate`.
-    w0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    w0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
     t_end : float
         Duration, s, above 0.
     runs : sequence of tuple
         (method, number of steps) of each row.
-    v0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    v0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
-    r0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+    r0 : array_like or dask.array.Array of shape (3,) or (N, 3), optional
         Initial positions along inertial axes, m.
-    s0 : array_like or dask.array.Array, shape (n,) or (N, n), optional
+    s0 : array_like or dask.array.Array of shape (n,) or (N, n), optional
         Initial values of the scene's states.
     t0 : float, default 0.0
         Time of the initial state, s.

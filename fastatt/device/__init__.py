@@ -1,1 +1,1 @@
-"""A run on a GPU: the same formulas as a CUDA kernel, and the memory that it works on."""
+"""Runs on a GPU: the formulas as a CUDA kernel, and the memory of the device."""

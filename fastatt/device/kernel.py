@@ -1,8 +1,9 @@
-"""A job's run as Python text that Numba compiles for a GPU: one thread a body, state in registers.
+"""The run of a job as Python text that Numba compiles for a GPU, with one thread for each body.
 
-What is computed is what ``fastatt.engine`` computes, in the same order. Products and fused
-products are written as calls that no compiler merges, so that a kernel rounds as a processor with
-fused multiplications does; functions of a library (``exp``, ``log`` ...) are the device's.
+The computation is that of ``fastatt.engine``, in the same order, with the state in registers.
+Products and fused products are written as calls that no compiler merges, so that a kernel rounds
+like a processor with fused multiplications; library functions (``exp``, ``log`` ...) are those of
+the device.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def _larger(x: ast.expr, y: ast.expr) -> ast.expr:
 class _Text(source.GraphText):
     """A graph as statements of a kernel, its constants in ``constants``.
 
-    A number in the text is of double precision, and takes Numba longer than a name does.
+    Numbers in the text would be of double precision, and take Numba longer than names.
     """
 
     def __init__(self, flat: Flat, prefix: str, constants: dict[str, Any]) -> None:
@@ -146,7 +147,7 @@ class _Writer:
         return "\n".join([*self.lines, ""])
 
     def _begin(self, state: list[str]) -> None:
-        """The body's numbers, and the state that it starts from."""
+        """The body's numbers, and its initial state."""
         job, formulas = self.job, self.formulas
         kind = job.kind
         self._add(f"h = {kind}(step)", "k = h", f"edge = {kind}(last_edge)", "t = t0")
@@ -194,13 +195,13 @@ class _Writer:
             self._worse(k, f"abs({value})")
 
     def _worse(self, row: int, value: str) -> None:
-        """Keep the larger of two numbers, or NaN."""
+        """Store the larger of two numbers, or NaN."""
         self._add(f"before = watch[{row}, body]", f"value = {value}")
         self._add("if not (before >= value or before != before):")
         self._add(f"    watch[{row}, body] = value")
 
     def _block(self, state: list[str]) -> None:
-        """Steps [n, stop), repeated in the any-angle form where angles are large."""
+        """Steps [n, stop), repeated in the any-angle form if angles are large."""
         job, formulas = self.job, self.formulas
         small_angle = (formulas.small_angle, job.monitored, "a")
         if formulas.any_angle is None:
@@ -244,14 +245,14 @@ class _Writer:
         rest = self._formulas(flat, prefix, *state)
         if noted:
             (z,) = rest
-            self._add(f"turn = selp({z} > turn, {z}, turn)")  # of NaN its state tells
+            self._add(f"turn = selp({z} > turn, {z}, turn)")  # NaN is noticed in the state
 
 
 def text(job: Job) -> tuple[str, dict[str, Any]]:
     """The kernel of a job as Python text, ``kernel(*ARGUMENTS, *tables)``, and its constants.
 
     Raises ``ValueError`` for formulas that call a function which is not traced, and for per-body
-    step sizes, saves at any times, breakpoints and a last step that is shorter.
+    step sizes, saves at given times, breakpoints and a shorter last step.
     """
     if job.own_steps:
         raise ValueError(
@@ -281,7 +282,7 @@ def kernel_of(job: Job) -> Any:
 
 
 def _scope() -> dict[str, Any]:
-    """The names in the text: Numba's functions of a device, NumPy's in its simulator."""
+    """The names in the text: Numba's functions for a device, or NumPy's in its simulator."""
     named: dict[str, Any] = {"single": np.float32, "double": np.float64, "nan": math.nan}
     if config.ENABLE_CUDASIM:
         both = {"fma": _fma, "product": np.multiply, "rint": np.rint, "floor": np.floor}

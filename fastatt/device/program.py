@@ -1,4 +1,4 @@
-"""A run on a GPU: its memory there, the launches of its kernel, and values that lie there."""
+"""A run on a GPU: the device's memory, the launches of the kernel, and values on the device."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ if TYPE_CHECKING:
     from fastatt.engine.job import Job
     from fastatt.engine.run import Run, Span
 
-_THREADS = 128  # of a block
-# of a launch, between two of which Ctrl-C is answered: about 0.1 s of many bodies, and of few
+_THREADS = 128  # threads of a block
+# body-steps of a launch, about 0.1 s for many bodies, and for few; Ctrl-C is answered in between
 _BODY_STEPS, _STEPS = 1_000_000_000, 65_536
 
 
 class Device:
     """A GPU, for the runs of one call.
 
-    ``wrap`` makes the result's arrays of the device's; without it they are copied to the host.
+    ``wrap`` makes the result's arrays from those of the device; without it they are copied to the
+    host.
     """
 
     def __init__(self, wrap: Callable[[Any], Any] | None = None) -> None:
         self.wrap = wrap
-        #: the saves of the last run, where they were not copied
+        #: the saves of the last run, if they were not copied
         self.saves: Any = None
 
     def program(self, job: Job) -> DeviceProgram:
@@ -44,17 +45,17 @@ class DeviceProgram:
     Raises ``ValueError`` for formulas that no kernel can run.
     """
 
-    #: there is no machine code of the processor's
+    #: there is no machine code for the processor
     entry = any_angle = 0
 
     def __init__(self, job: Job, device: Device) -> None:
         self.formulas, self.job, self._device = job.formulas, job, device
         self.layout = Layout(self.formulas)
-        # a kernel knows of no tiles
+        # a kernel has no tiles
         self._kernel = kernel_of(replace(job, width=1))
 
     def run(self, run: Run, span: Span) -> None:
-        """Steps of a span, from the run's arrays on the host and back to them."""
+        """Take the steps of a span, from the run's arrays on the host and back to them."""
         from numba import cuda
 
         setup = run.setup
@@ -119,7 +120,7 @@ def _fetch(there: Any, host: NDArray[Any]) -> None:
 
 
 def _check_room(needed: int, free: float) -> None:
-    """Raises ``MemoryError`` where a run's arrays do not fit the device."""
+    """Raise ``MemoryError`` if the arrays of a run do not fit into the device's memory."""
     if needed > free:
         raise MemoryError(
             f"device: the run takes {needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free; accepted: "
@@ -130,10 +131,10 @@ def _check_room(needed: int, free: float) -> None:
 def taken(device: object, given: Sequence[Any], *, stays: bool) -> tuple[Device, list[Any]]:
     """(the device, initial values in the host's memory).
 
-    Where one of the values lies on the device and ``stays``, the saves stay there too: as CuPy's
-    arrays if one is, else as Numba's.
+    If one of the values is on the device and ``stays``, the saves stay there too: as CuPy arrays if
+    one of the values is one, else as Numba arrays.
 
-    Raises ``ValueError`` for a device other than "cuda", and where there is none.
+    Raises ``ValueError`` for a device other than "cuda", and if there is none.
     """
     checks.choice("device", device, ("cuda",))
     try:

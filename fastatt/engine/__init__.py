@@ -1,1 +1,1 @@
-"""Tiles of bodies, the time loop, threads and saving."""
+"""The engine: tiles of bodies, the time loop, threads and saving."""

@@ -1,9 +1,9 @@
-"""The search of events: parts of the loop over tiles that locate crossings between steps.
+"""Location of events: parts of the loop over tiles that find zero crossings between steps.
 
 The generated step marks each lane in which a function crossed zero, or may have crossed it twice
-within one step. After a block of few steps, marked lanes go with the state at its begin to a tile
-of one vector. When that is full they march on together, each at its own time, to the step of the
-crossing, and shorter steps of the same method from there bracket it.
+within one step. After a block of a few steps, marked lanes are copied, with the state at the begin
+of the block, to a tile of one vector. When that is full its lanes take steps, each at its own time,
+up to the step with the crossing, which shorter steps of the same method from there then bracket.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ def crosses(a: Any, b: Any, direction: int) -> Any:
 def turns(a: Any, b: Any, c: Any) -> Any:
     """Whether a parabola of twice the curvature of a, b and c crosses zero between b and c.
 
-    It does wherever the function does, unless the function's curvature doubles within a step.
+    If the function crosses zero twice, the parabola does, unless the function's curvature doubles
+    within a step.
     """
     bend, slope = 2.0 * (a - 2.0 * b + c), c - b
     square, steep = bend * bend, 4.0 * slope * slope
@@ -104,7 +105,7 @@ _crosses, _turns = loop_part(crosses), loop_part(turns)
 
 @loop_part
 def begin_events(function, tile, search, base, count, step):
-    """Rows of the events of a tile: of the initial state, or as they were after so many steps."""
+    """Rows of the events of a tile: from the initial state, or as they were after some steps."""
     rows, _, _, _ = tile
     width, size, _, _, _, _ = search.shape
     n = search.numbers[EVENTS]
@@ -122,7 +123,7 @@ def begin_events(function, tile, search, base, count, step):
 
 @loop_part
 def _join_queue(tile, search, entry):
-    """Put a lane at the begin of a block into the tile of the search."""
+    """Copy a lane at the begin of a block into the tile of the search."""
     rows, wide, numbers, _ = tile
     to, wide_to, _, _ = search.searched
     width, _, n_rows, n_wide, angle_row, clock = search.shape
@@ -143,7 +144,7 @@ def _join_queue(tile, search, entry):
 
 @loop_part
 def _march(search, k, is_stepped):
-    """What to do with a lane after another step of it."""
+    """What to do with a lane after another of its steps."""
     rows, wide, _, _ = search.searched
     stepped, _, _, _ = search.trial
     _, size, _, _, angle_row, clock = search.narrow
@@ -158,7 +159,7 @@ def _march(search, k, is_stepped):
     brackets[LOW * lanes + k], brackets[HIGH * lanes + k] = 0.0, 1.0
     brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k] = b, c
     brackets[RADIUS * lanes + k] = 1.0
-    # a time is not known better
+    # the accuracy of a time is limited by its rounding
     step, steps = wide[clock * lanes + k], wide[(clock + 1) * lanes + k]
     latest = abs(wide[(clock + 2) * lanes + k] / step + steps)
     brackets[LEAST * lanes + k] = max(tolerance, latest * 2.0**-52)
@@ -177,7 +178,7 @@ def _march(search, k, is_stepped):
 
 @loop_part
 def _next_point(brackets, lanes, k):
-    """Where a bracket is halved: Oliveira and Takahashi, ACM Trans. Math. Softw. 47 (2020) 5."""
+    """The next point of a bracket (Oliveira and Takahashi, *ACM Trans. Math. Softw.* 47 (2020))."""
     low, high = brackets[LOW * lanes + k], brackets[HIGH * lanes + k]
     a, b = brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k]
     middle, radius = 0.5 * (low + high), brackets[RADIUS * lanes + k]
@@ -192,7 +193,7 @@ def _next_point(brackets, lanes, k):
 
 @loop_part
 def _narrow(brackets, lanes, k, x, value):
-    """Take the value at a point into a bracket; what to do next."""
+    """Narrow a bracket by the value at a point; returns what to do next."""
     low, high = LOW * lanes + k, HIGH * lanes + k
     if math.isnan(value):
         return NONE
@@ -206,10 +207,10 @@ def _narrow(brackets, lanes, k, x, value):
 
 @loop_part
 def _extremum(brackets, lanes, k, x, value, direction, trials):
-    """Take the value at a point on the way to an extremum; what to do next."""
+    """Use the value at a point in the search of an extremum; returns what to do next."""
     low, high, inner = LOW * lanes + k, HIGH * lanes + k, INNER * lanes + k
     at_low, at_high, at_inner = AT_LOW * lanes + k, AT_HIGH * lanes + k, AT_INNER * lanes + k
-    # the two parts of the bracket that meet at the point, from the nearest points with a value
+    # the two parts of the bracket next to the point, up to the nearest points with a value
     left = brackets[low], brackets[at_low]
     right = brackets[high], brackets[at_high]
     if trials > 1:
@@ -245,7 +246,7 @@ def _extremum(brackets, lanes, k, x, value, direction, trials):
 
 @loop_part
 def _choose_points(search):
-    """The next point of each lane in which something is searched; whether there is one."""
+    """The next point of each lane that is searched; returns whether there is one."""
     lanes, is_any = search.numbers[LANES], False
     queue, brackets = search.queue, search.brackets
     for k in range(queue[LENGTH * lanes]):
@@ -266,7 +267,7 @@ def _choose_points(search):
 
 @loop_part
 def _step_to_points(search):
-    """Shorter steps of all lanes to their points."""
+    """Take shorter steps of all lanes to their points."""
     searched, trial, shape, brackets = search.searched, search.trial, search.narrow, search.brackets
     _, wide, _, _ = searched
     _, wide_to, _, _ = trial
@@ -329,7 +330,7 @@ def _locate(search):
 
 @loop_part
 def _found_time(wide, numbers, clock, lanes, k, point):
-    """The time of a point of a lane's step; of the step's end as saves have it."""
+    """The time of a point of a lane's step; at the end of a step it is that of the saves."""
     before, step = wide[(clock + 1) * lanes + k], numbers[1]
     if point == 1.0:
         return numbers[0] + (before + 1.0) * step
@@ -338,7 +339,7 @@ def _found_time(wide, numbers, clock, lanes, k, point):
 
 @loop_part
 def _flush(search):
-    """Locate what is in the queue: times, and the final states of bodies that stop."""
+    """Locate the events in the queue: times, and the final states of bodies that stop."""
     _, wide, numbers, _ = search.searched
     rows, _, _, _ = search.trial
     times, stopped, final, diagnostics, _ = search.found
@@ -378,7 +379,7 @@ def _flush(search):
 
 @loop_part
 def _is_waiting(queue, lanes, lane, event):
-    """Whether a lane waits for the same event already."""
+    """Whether a lane is in the queue for the same event already."""
     for k in range(queue[LENGTH * lanes]):
         if queue[LANE * lanes + k] == lane and queue[EVENT * lanes + k] == event:
             return True
@@ -387,7 +388,7 @@ def _is_waiting(queue, lanes, lane, event):
 
 @loop_part
 def search_block(tile, body_of, search, block):
-    """Search the lanes that are marked after a block; bodies that stopped stay where they were."""
+    """Search the lanes that are marked after a block; bodies that have stopped keep their state."""
     rows, _, _, _ = tile
     width, size, _, _, angle_row, _ = search.shape
     times, stopped, _, _, _ = search.found
@@ -416,7 +417,7 @@ def search_block(tile, body_of, search, block):
 
 @loop_part
 def end_search(rows, search, base, count):
-    """Search what is left in the queue, and keep the rows of the events of a tile."""
+    """Search the rest of the queue, and keep the rows of the events of a tile."""
     width, size, _, _, _, _ = search.shape
     n = EVENT_ROWS * search.numbers[EVENTS]
     if search.queue[LENGTH * search.numbers[LANES]] > 0:
@@ -428,7 +429,7 @@ def end_search(rows, search, base, count):
 
 @loop_part
 def save_stopped(found, body_of, out, errors, first, count, saved):
-    """Write the final states of bodies that stopped, as saves after that hold them."""
+    """Write the final states of bodies that have stopped into all later saves."""
     _, stopped, final, _, _ = found
     for j in range(count):
         body = body_of[j]

@@ -1,4 +1,4 @@
-"""States of double precision in a run of single precision: each the sum of three numbers."""
+"""Double-precision states in a run of single precision, each as the sum of three numbers."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import Double, Single
 
-#: numbers of 24 bits that hold the 53 of one of double precision
+#: numbers with 24 bits that hold the 53 bits of a double
 PARTS = 3
 
 
 def split(x: Vector) -> Vector:
-    """Recorded numbers of double precision as those of single precision: all leading ones first."""
+    """Traced doubles as numbers of single precision, with all leading parts first."""
     parts: list[Any] = []
     for _ in range(PARTS):
         leading = [Single(a) for a in x]
@@ -32,7 +32,7 @@ def joined(x: Vector) -> Vector:
 
 
 def split_array(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Arrays (..., k) as (..., 3 k) numbers that single precision holds."""
+    """Arrays (..., k) as (..., 3 k) numbers of single precision."""
     parts, rest = [], x
     for _ in range(PARTS):
         with np.errstate(over="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""What a run watches for its events: user-defined functions at the end of each step."""
+"""Events in the generated step: user-defined functions at the end of each step."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 class Watch(NamedTuple):
-    """A user's function whose first crossing of zero is wanted, and in which direction."""
+    """A user-defined function whose first zero crossing is located, and its direction."""
 
     function: UserFunction
     direction: int
-    #: whether a body stays where it is from then on
+    #: whether a body stops at the event
     terminal: bool
 
 
 def values(scope: Scope) -> Vector:
-    """The functions that are watched, at the state after so many steps."""
+    """The functions of the events, at the state after the given number of steps."""
     if not scope.job.events:
         return ()
     t, since = scope.time(), scope.number("since")
@@ -36,16 +36,16 @@ def values(scope: Scope) -> Vector:
     p = scope.graph.inputs("double", "p", structure.turning.n_params)
     found = []
     for watch in scope.job.events:
-        # the scene's own parameters are the last of those of the rotation
+        # the scene's ``params`` are the last parameters of the rotation
         given = p[len(p) - watch.function.n_params :]
         found.append(scope.called(watch.function.given, t, own, moved[:3], moved[3:], given))
     return tuple(found)
 
 
 def after_step(scope: Scope) -> Flat:
-    """Of each function its value, that of the step before, and whether it may have crossed zero.
+    """For each function its value, that of the step before, and whether it may have crossed zero.
 
-    The inputs ("event", i) are the same after the step before.
+    The inputs ("event", i) are these results after the step before.
     """
     watches, found = scope.job.events, values(scope)
     n = len(watches)

@@ -1,4 +1,4 @@
-"""A job for the engine: a method, a representation, what acts, and the formulas of it."""
+"""A job for the engine: method, representation, rates, torques and forces, and their formulas."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from fastatt.tracing.finished import Constants, Flat, resources_of
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import Double, Graph, Number, both, choose
 
-# |m|² below which products of rates lose digits
+# below this |m|² products of rates lose digits
 _LOST = {"double": 1e-305, "single": 1e-36}
 
 
 @dataclass(frozen=True)
 class Job:
-    """All that the formulas of a run depend on, none of its numbers.
+    """Everything that the formulas of a run depend on, without its numbers.
 
-    ``kind`` is the precision of the state, "double" or "single"; ``shared`` says that all bodies
-    have the same parameters, ``alike`` numbers those that they have in common if not all, ``known``
-    says that rotation angles are known beforehand, so that those of some bodies are not monitored;
-    ``raw`` that the output is not projected onto its group, ``projects`` that the state is, now and
-    then.
+    ``kind`` is the precision of the state, "double" or "single". ``shared`` says that all bodies
+    have the same parameters; otherwise ``alike`` are the indices of those that they share.
+    ``known`` says that rotation angles are known beforehand, so that some bodies need no
+    monitoring. ``raw`` says that the output is not projected, and ``projects`` that the state is
+    projected at some steps.
     """
 
     method: Method
@@ -57,61 +57,61 @@ class Job:
     known: bool = False
     raw: bool = False
     projects: bool = False
-    #: step size and time are numbers of a tile's lanes: per-body ones, or those of a shorter step
+    #: step size and time differ between lanes: per-body step sizes, or a shorter step
     own_steps: bool = False
-    #: what is watched at the end of each step
+    #: events that are checked at the end of each step
     events: tuple[Watch, ...] = ()
-    #: rates, torques and forces are evaluated between two breakpoints, which lanes know
+    #: rates, torques and forces are evaluated between two breakpoints only
     windowed: bool = False
-    #: bodies side by side in a tile: narrower of few, which is faster and gives the same bits
+    #: bodies in a tile; fewer for small ensembles, which is faster and gives the same bits
     width: int = WIDTH
 
     @cached_property
     def formulas(self) -> Formulas:
-        """Its formulas, traced when they are asked for; a tile's width is no matter of theirs."""
+        """The formulas, traced when they are used; they do not depend on the width of a tile."""
         return _formulas(replace(self, width=WIDTH, own_steps=self.own_steps and not self.events))
 
     @property
     def is_searched(self) -> bool:
-        """Whether it takes the shorter steps by which events are located."""
+        """Whether shorter steps are needed to locate events."""
         return self.own_steps and bool(self.events)
 
     @property
     def has_any_angle_form(self) -> bool:
-        """Whether a block has another form, for lanes that the small-angle one does not do for."""
+        """Whether a block has an any-angle form in addition to the small-angle one."""
         return self.known or self.method.exponentials > 0
 
     @property
     def bounds(self) -> bool:
-        """Whether rotation angles are known from a body's own initial state."""
+        """Whether rotation angles follow from a body's initial state."""
         return self.known and not isinstance(self.structure.turning, PrescribedRate)
 
     @property
     def monitored(self) -> bool:
-        """Whether the rotation angles of steps are monitored in the small-angle form."""
+        """Whether rotation angles of steps are monitored in the small-angle form."""
         return not self.known
 
 
 @dataclass(frozen=True)
 class Forms:
-    """A step as a graph: the state after it, then its squared rotation angle if monitored."""
+    """A step as a graph: the state after it, and its squared rotation angle if monitored."""
 
     monitored: Flat
     size: int
 
     @cached_property
     def plain(self) -> Flat:
-        """The state alone, to the same bits."""
+        """The state alone, with the same bits."""
         whole = len(self.monitored.results) == self.size
         return self.monitored if whole else self.monitored.first(self.size).in_few_registers()
 
 
 class Formulas:
-    """The graphs of a job, each traced when it is asked for.
+    """The graphs of a job, each traced when it is used.
 
-    Inputs are named ("x", i) for the state that is stepped, ("p", i) parameters, ("e", i) what the
-    method prepared, ("c", i) constants of a body, ("invariants", i), ("y", i) initial values, and
-    ("t",), ("h",), ("k",), ("edge",) and ("since",).
+    Inputs are named ("x", i) for the stepped variables, ("p", i) for parameters, ("e", i) for
+    numbers that the method prepared, ("c", i) for constants of a body, ("invariants", i), ("y", i)
+    for initial values, and ("t",), ("h",), ("k",), ("edge",) and ("since",).
     """
 
     def __init__(self, job: Job) -> None:
@@ -123,7 +123,7 @@ class Formulas:
         self.handed_out = job.attitude.stored + job.structure.tail
 
     def scope(self, *, small_angle: bool = False) -> Scope:
-        """Numbers and the motion that a formula works on."""
+        """The numbers and the equations of motion of a formula."""
         job = self.job
         attitude = job.attitude.short if small_angle and job.method.exponentials else job.attitude
         return Scope(self, attitude, Graph())
@@ -145,8 +145,8 @@ class Formulas:
 
     @cached_property
     def constants(self) -> Flat:
-        """What steps need of a body's own parameters and nothing else, computed once."""
-        _ = self.small_angle  # which finds them
+        """Values in steps that depend on a body's parameters only, computed once."""
+        _ = self.small_angle  # determines the constants
         return self._constants.flat
 
     @cached_property
@@ -166,12 +166,12 @@ class Formulas:
 
     @property
     def any_angle(self) -> Forms | None:
-        """The same for any rotation angle, where that is another form."""
+        """A step or a stage for any rotation angle, if it has another form."""
         return self._any_angle if self.job.has_any_angle_form else None
 
     @cached_property
     def begin(self) -> Flat:
-        """From initial values: the state that is stepped, what is prepared, the invariants."""
+        """From initial values: the stepped variables, prepared numbers, and invariants."""
         scope = self.scope()
         y = scope.inputs("y", self.given)
         x = scope.begin(y[: self.coordinates], y[self.coordinates :])
@@ -183,19 +183,19 @@ class Formulas:
 
     @cached_property
     def extras(self) -> int:
-        """How many numbers a method prepares for a body."""
+        """Number of values that a method prepares for a body."""
         scope = self.scope()
         return len(scope.prepared(scope.number("h"), scope.inputs("x", self.size)))
 
     @cached_property
     def invariants(self) -> int:
-        """How many numbers the motion keeps."""
+        """Number of invariants."""
         scope = self.scope()
         return len(scope.invariants(scope.inputs("x", self.size)))
 
     @cached_property
     def save(self) -> Flat:
-        """What a trajectory holds, and the measures of ``engine.status``, the norm error first."""
+        """Values of a trajectory, and the measures of ``engine.status``, the norm error first."""
         scope = self.scope()
         t, since = scope.time(), scope.number("since")
         x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
@@ -206,13 +206,13 @@ class Formulas:
 
     @property
     def _regrids(self) -> bool:
-        """Whether what is stepped depends on the step size."""
+        """Whether the stepped variables depend on the step size."""
         steps = self.job.method.steps
         return steps is not None and bool(steps.prepare or steps.enter or steps.leave)
 
     @cached_property
     def leave(self) -> Flat | None:
-        """The state from the one that is stepped; None if they are the same."""
+        """The state from the stepped variables; None if they are equal."""
         if not self._regrids:
             return None
         scope = self.scope()
@@ -222,7 +222,7 @@ class Formulas:
 
     @cached_property
     def enter(self) -> Flat | None:
-        """What is stepped, and what is prepared, from the state; None if they are the same."""
+        """Stepped variables and prepared numbers from the state; None if they are equal."""
         if not self._regrids:
             return None
         scope = self.scope()
@@ -232,7 +232,7 @@ class Formulas:
 
     @cached_property
     def project(self) -> Flat | None:
-        """The state nearer to its group, and how far it had left it; None where it never is."""
+        """The projected state and its norm error; None if it is never projected."""
         if not self.job.projects:
             return None
         scope = self.scope()
@@ -245,18 +245,18 @@ class Formulas:
 
     @cached_property
     def events(self) -> Flat:
-        """The values of the functions that are watched."""
+        """The values of the functions of the events."""
         scope = self.scope()
         return scope.finished(values(scope))
 
     @cached_property
     def watch(self) -> Flat:
-        """What is kept of the functions that are watched, after another step."""
+        """The numbers that are kept of the functions of the events, after another step."""
         return after_step(self.scope())
 
     @cached_property
     def resources(self) -> list[Any]:
-        """Tables and opaque functions that the formulas call, in the order of their arrays."""
+        """Tables and functions that formulas call without tracing, in the order of their arrays."""
         return resources_of(self.small_angle.monitored, self.begin, self.save, self.events)
 
     @cached_property
@@ -266,12 +266,12 @@ class Formulas:
 
     @cached_property
     def calls(self) -> int:
-        """How many numbers opaque functions give in a step."""
+        """Number of results of calls of functions that are not traced, in a step."""
         return sum(node.op == "item" for node in self.small_angle.monitored.nodes)
 
     @cached_property
     def digest(self) -> bytes:
-        """A hash of what a step computes."""
+        """A hash of the operations of a step."""
         return hashlib.sha256(self.small_angle.plain.spelled(self.resources).encode()).digest()
 
     @property
@@ -281,14 +281,14 @@ class Formulas:
 
 
 class Scope:
-    """A graph, a job's motion on it, and the pieces of a run as formulas."""
+    """A graph, the job's equations of motion on it, and the parts of a run as formulas."""
 
     def __init__(self, formulas: Formulas, attitude: Attitude, graph: Graph) -> None:
         job = formulas.job
         self.formulas, self.graph = formulas, graph
         self.kind = job.kind
         self.job, self.attitude = job, attitude
-        # time and parameters are of double precision, what is made of the state is of its own
+        # time and parameters are of double precision, results of the state have its precision
         graph.narrow, graph.many = self.kind == "single", not job.shared
         p = graph.inputs("double", "p", formulas.parameters)
         self._bind(p, graph.input(self.kind, "h"))
@@ -305,23 +305,23 @@ class Scope:
             self.motion.evaluate_between(low, high)
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
-        """Numbers of the state's precision."""
+        """Inputs of the state's precision."""
         return self.graph.inputs(self.kind, group, n)
 
     def number(self, name: str) -> Number:
-        """A span of time in the state's precision, that all bodies share."""
+        """A time interval in the state's precision, which all bodies share."""
         return self.graph.span(self.graph.input(self.kind, name))
 
     def state(self) -> Vector:
-        """The state that is stepped."""
+        """The stepped variables."""
         return self.inputs("x", self.formulas.size)
 
     def extras(self) -> Vector:
-        """What the method prepared."""
+        """The numbers that the method prepared."""
         return self.inputs("e", self.formulas.extras)
 
     def time(self) -> Any:
-        """The time, of double precision."""
+        """The time, in double precision."""
         return self.graph.time(self.graph.input("double", "t"))
 
     def finished(self, results: Vector) -> Flat:
@@ -329,12 +329,12 @@ class Scope:
         return Flat(self.graph, results, self.kind)
 
     def parts(self, x: Vector) -> tuple[Vector, Vector]:
-        """What a method steps, and what a user's function made of its states."""
+        """What a method steps, and the state of the reducer."""
         n = len(x) - self.job.structure.reduced
         return x[:n], x[n:]
 
     def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> tuple[Vector, Any]:
-        """(state, squared turn) after one step, or one stage."""
+        """(state, squared rotation angle) after one step, or one stage."""
         steps = self.job.method.steps
         assert steps is not None
         own, auxiliary = self.parts(x)
@@ -351,10 +351,7 @@ class Scope:
         return (*y, *self._watched(t + h, y, auxiliary)), z
 
     def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
-        """What the user's function makes of a state and of what it made before.
-
-        It computes in double precision, whatever that of the run.
-        """
+        """The reducer's function of a state and of its previous state, in double precision."""
         reducer = self.job.structure.reducer
         if reducer is None:
             return ()
@@ -365,7 +362,7 @@ class Scope:
         return double_states.split(made) if is_single else made
 
     def called(self, function: Callable[..., Any], t: Any, x: Vector, *rest: Vector) -> Any:
-        """A user's function of time, attitude, angular velocity, and more, in double precision."""
+        """A user-defined function of time, attitude, angular velocity and more, in doubles."""
         q, w = self.motion.pose(t, x)
         pose = tuple(map(Double, quat.renormalise(q))), tuple(map(Double, w))
         narrow, self.graph.narrow = self.graph.narrow, False
@@ -375,19 +372,19 @@ class Scope:
             self.graph.narrow = narrow
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
-        """The state from an attitude as given and its auxiliary state."""
+        """The state from a given attitude and its auxiliary state."""
         n = self.job.structure.tail - self.job.structure.reduced
         return (*self.motion.begin(q, auxiliary[:n]), *auxiliary[n:])
 
     def prepared(self, h: Any, x: Vector) -> Vector:
-        """What the method prepares for a body."""
+        """The numbers that the method prepares for a body."""
         steps = self.job.method.steps
         if steps is None or steps.prepare is None:
             return ()
         return tuple(steps.prepare(self.motion, h, self.parts(x)[0]))
 
     def bound(self, h: Any, x: Vector) -> Any:
-        """Square of no less than what the method's limit holds for, rad² a step, of a free body."""
+        """Square of an upper bound of what the method limits, rad², for a free body."""
         motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
         assert isinstance(motion, Body)
         m = scale(h, motion.momentum_of(self.parts(x)[0])[:3])
@@ -401,21 +398,21 @@ class Scope:
         return dot(m, m) * most
 
     def entered(self, t: Any, edge: Any, x: Vector, e: Vector) -> Vector:
-        """The state as the method steps it."""
+        """The stepped variables from the state."""
         steps = self.job.method.steps
         if steps is None or steps.enter is None:
             return x
         return tuple(steps.enter(self.motion, t, 0.0, edge, x, e))
 
     def left(self, t: Any, since: Any, edge: Any, x: Vector, e: Vector) -> Vector:
-        """The state from what the method steps."""
+        """The state from the stepped variables."""
         steps = self.job.method.steps
         if steps is None or steps.leave is None:
             return x
         return tuple(steps.leave(self.motion, t, since, edge, x, e))
 
     def output(self, x: Vector) -> tuple[Vector, Any]:
-        """(what the trajectory holds, norm error)."""
+        """(the values of a trajectory, norm error)."""
         own, auxiliary = self.parts(x)
         attitude = self.attitude
 
@@ -427,11 +424,11 @@ class Scope:
         return (*y, *auxiliary), d
 
     def invariants(self, x: Vector) -> Vector:
-        """What the motion keeps."""
+        """The invariants of the motion."""
         return self.motion.invariants(self.parts(x)[0])
 
     def monitored(self, h: Any, x: Vector) -> Vector:
-        """The invariants to begin with; NaN where products underflow on which a turn depends."""
+        """The initial invariants; NaN if products underflow on which a rotation angle depends."""
         kept = self.invariants(x)
         if not kept or self.job.method.measure != "turn":
             return kept
@@ -446,5 +443,5 @@ class Scope:
 
 @lru_cache(maxsize=64)
 def _formulas(job: Job) -> Formulas:
-    """Those of a job of any width, made once a process."""
+    """The formulas of a job of any width, made once in a process."""
     return Formulas(job)

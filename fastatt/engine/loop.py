@@ -2,21 +2,21 @@
 
 A tile is a few vectors of bodies that stay in the first-level cache for many steps. It always runs
 its full width (the last body fills it up), so that every body meets the same instructions whatever
-the size of the ensemble. ``rows`` and ``wide`` hold all that a step touches, a row of lanes for
-each number (``fastatt.engine.program.Layout``).
+the size of the ensemble. ``rows`` and ``wide`` hold all numbers that a step uses, with a row of
+lanes for each (``fastatt.engine.program.Layout``).
 
-Exponentials by polynomial hold up to a rotation of π in one step; the form for any angle takes a
-root and a division more. A block of steps runs in its small-angle form, and lanes in which that did
-not suffice take the result of the other form, from the start of the block. The form for any angle
-is compiled when a lane first needs it: the loop then returns the number of that tile, to be called
-again from there. Other lanes keep what the small-angle form gave them: a fast neighbour costs time,
-never a bit. Bodies whose rotation angles are known beforehand are not monitored.
+The polynomials of the small-angle form of an exponential hold up to a rotation of π in one step;
+the any-angle form takes a root and a division more. A block of steps runs in the small-angle form,
+and lanes with larger angles repeat the block in the any-angle form. That form is compiled when a
+lane first needs it: the loop then returns the number of that tile, to be called again from there.
+Other lanes keep their results, so that the bits of a body do not depend on the other bodies of its
+tile. Bodies whose rotation angles are known beforehand are not monitored.
 
-With per-body step sizes, bodies step together, each by its own step size, to the last of its steps
-before a save, and one that is there waits. The saved state is one shorter step of the same method
-from there, on a copy: the steps of a body depend neither on its neighbours nor on the saves. At a
-breakpoint this shorter step is kept, and the steps of all bodies are counted from there. With one
-step size for all, a step in which breakpoints lie is taken in parts, which end there.
+With per-body step sizes each body takes its steps up to the last one before a save, and then waits.
+The saved state is one shorter step of the same method from there, on a copy: the steps of a body
+depend neither on other bodies nor on the saves. At a breakpoint this shorter step is kept, and the
+steps of all bodies are counted from there. With one step size for all, a step with breakpoints is
+divided there.
 """
 
 from __future__ import annotations
@@ -57,24 +57,24 @@ from fastatt.engine.stops import (
     step_to_stop,
 )
 
-#: bodies side by side in a tile at most; few bodies take one vector
+#: the most bodies in a tile; few bodies take one vector
 WIDTH = 64
 
-#: ``arrays``: the program's numbers; initial attitudes and what is carried with them, parameters,
-#: known rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,);
-#: states and diagnostics of the part, largest angle of a step, rad; of per-body steps the order of
-#: bodies, step sizes, stops, their slots or −1; parts of steps, and of which; memory of a tile
+#: ``arrays``: the program's numbers; initial attitudes and the rest of the state, parameters, known
+#: rotation angles of a step, flags; saved values (S, N, k), norm errors (S, N), status (N,); states
+#: and diagnostics of the part, largest angle of a step, rad; with per-body step sizes the order of
+#: bodies, step sizes, stops, their slots or −1; parts of steps and their steps; memory of a tile
 (
     NUMBERS, WHOLE, Q0, Y0, PARAMS, KNOWN_ANGLES, FLAGS, OUT, ERRORS, STATUS, STATES,
     DIAGNOSTIC_ROWS, LARGEST, ORDER, STEP_SIZES, STOPS, SLOTS, PARTS, PART_STEPS, ROWS, WIDE, KEPT,
     MARKS, BODY_OF, WAITING, LEFT, COPY, WIDE_COPY,
 ) = range(28)  # fmt: skip
 
-#: ``settings``: the functions for small angles and for any, or 0; steps (of per-body steps: stops)
-#: [first, last) of a run of ``n_steps``; saves every so many steps from ``origin`` on, the first in
-#: slot ``slot``; steps between two projections, 0 of none; steps of a block; the first of the parts
-#: of steps and how many there are; bodies of the part, the first of them, and of the ensemble; the
-#: lengths of what a run starts from; the layout of a tile
+#: ``settings``: the functions for small angles and for any, or 0; the steps (per body: the stops)
+#: [first, last) of a run of ``n_steps``; the steps between saves, counted from ``origin``, the
+#: first in slot ``slot``; steps between two projections, 0 for none; steps of a block; the first
+#: of the parts of steps and their number; bodies of the part, the first of them, and of the
+#: ensemble; the lengths of the initial values; the layout of a tile
 (
     SMALL, ANY, FIRST, LAST, N_STEPS, EVERY, SLOT, PROJECTION, ORIGIN, BLOCK, PART, N_PARTS, BODIES,
     BODY, ENSEMBLE, Q0_LENGTH, Y0_LENGTH, PARAMS_LENGTH, KNOWN_LENGTH, FLAGS_LENGTH,
@@ -82,12 +82,12 @@ WIDTH = 64
     IO_ROW, CLOCK_ROW, MONITOR, DIAGNOSTICS, FLAG_CODES,
 ) = range(35)  # fmt: skip
 
-#: how rotation angles are monitored: no other form for large ones, every step, known beforehand
-#: from an array, or from a row of the tile
+#: how rotation angles are monitored: not, without an any-angle form; in every step; or known
+#: beforehand, from an array or from a row of the tile
 NEVER, ALWAYS, KNOWN, BOUNDED = range(4)
 #: the first rows of the diagnostics (``fastatt.engine.status.DIAGNOSTICS``)
 ANGLE, NORM = range(2)
-#: ``limits``: the angle up to which known ones are not monitored; then bounds of the diagnostics
+#: ``limits``: the known angle up to which steps are not monitored; then bounds of the diagnostics
 QUIET, BOUNDS = range(2)
 NON_FINITE = 1
 
@@ -96,8 +96,8 @@ PI_SQUARED = math.pi * math.pi
 
 @loop_part
 def _load(source, length, size, body_of, rows, first, width):
-    """Columns of an array into rows; its last row serves all bodies after it."""
-    # lanes inside: a loop over a few columns would cost more than what it copies
+    """Copy columns of an array into rows; its last row serves all bodies after it."""
+    # the loop over lanes is the inner one, since there are few columns
     for i in range(size):
         for j in range(width):
             rows[(first + i) * width + j] = source[min(body_of[j], length - 1) * size + i]
@@ -105,14 +105,14 @@ def _load(source, length, size, body_of, rows, first, width):
 
 @loop_part
 def _raise(values, at, value):
-    """Keep the larger of two numbers, or NaN."""
+    """Store the larger of two numbers, or NaN."""
     if not (values[at] >= value or values[at] != values[at]):
         values[at] = value
 
 
 @loop_part
 def _begin(settings, limits, tile, body_of, marks, known, watched):
-    """Begin a tile: its states, and their known rotation angles; whether one may be too large.
+    """Begin a tile with its states and known rotation angles; returns whether one may be too large.
 
     ``watched`` are the states and the diagnostics of the part, and the tile's first position.
     """
@@ -141,7 +141,7 @@ def _begin(settings, limits, tile, body_of, marks, known, watched):
 
 @loop_part
 def _steps(settings, function, tile, first, last):
-    """Steps of a form, with the largest squared rotation angle of each lane."""
+    """Take steps in a form; stores the largest squared rotation angle of each lane."""
     rows, _, _, _ = tile
     width, angle_row = settings[TILE_WIDTH], settings[ANGLE_ROW]
     for j in range(width):
@@ -151,7 +151,7 @@ def _steps(settings, function, tile, first, last):
 
 @loop_part
 def _advance(settings, tile, kept, marks, unbounded, first, last):
-    """A block of steps; whether the form for any angle was there if a lane needed it."""
+    """Take a block of steps; returns False if a lane needs the any-angle form and it is missing."""
     rows, _, _, _ = tile
     width, angle_row = settings[TILE_WIDTH], settings[ANGLE_ROW]
     carried, monitored = (angle_row + 1) * width, settings[MONITOR] == ALWAYS
@@ -181,7 +181,7 @@ def _advance(settings, tile, kept, marks, unbounded, first, last):
 
 @loop_part
 def _save(settings, tile, body_of, saved, slot, steps):
-    """Write what a trajectory holds of a tile; ``saved`` are (out, errors, diagnostics, base)."""
+    """Write a tile's values to the trajectory; ``saved`` are (out, errors, diagnostics, base)."""
     rows, _, _, _ = tile
     out, errors, diagnostics, base = saved
     width, size, n = settings[TILE_WIDTH], settings[SAVED], settings[BODIES]
@@ -201,7 +201,7 @@ def _save(settings, tile, body_of, saved, slot, steps):
 
 @loop_part
 def _set_status(states, diagnostics, arrays, settings, limits, first, count):
-    """Flags of the bodies at positions from ``first`` on, from their states and diagnostics."""
+    """Set the flags of the bodies at positions from ``first`` on, from states and diagnostics."""
     status, flags = octets(arrays[STATUS]), octets(arrays[FLAGS])
     largest, body_of = doubles(arrays[LARGEST]), wholes(arrays[BODY_OF])
     size, n = settings[SIZE], settings[BODIES]
@@ -228,11 +228,11 @@ def _set_status(states, diagnostics, arrays, settings, limits, first, count):
 
 def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
     """The loop for a precision, for one step size for all or per-body ones, and with events."""
-    # of a point in a step: a step's time and the state are not known better
+    # relative tolerance of a point in a step, by the rounding of the time and of the state
     tolerance = 2.0**-50 if kind == "double" else 2.0**-22
 
     def run_tiles(arrays, settings, limits, first_tile, last_tile):
-        """Steps of a span on tiles; the tile at which the form for any angle was missing."""
+        """Take the steps of a span on tiles; returns the tile that lacked the any-angle form."""
         width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
         angle_row, io_row, clock = settings[ANGLE_ROW], settings[IO_ROW], settings[CLOCK_ROW]
         shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
@@ -312,7 +312,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                         )
                 if at >= settings[LAST]:
                     break
-                # up to the next save or projection, or the steps of each lane to the next stop
+                # up to the next save or projection, or each lane up to the next stop
                 stays, slot = False, -1
                 if per_body:
                     row = at * STOP_SIZE
@@ -336,13 +336,13 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     if part < settings[N_PARTS]:
                         end = min(end, part_steps[part])
                 while begin < end:
-                    # at multiples of a block, wherever a call begins: bits do not depend on it
+                    # blocks end at multiples, so that bits do not depend on where a call begins
                     stop = min((begin // settings[BLOCK] + 1) * settings[BLOCK], end)
                     if per_body:
                         for j in range(width):
                             stop = min(stop, left[j]) if left[j] > begin else stop
                     if events:
-                        # a parabola needs three values: the first step is searched in any case
+                        # a parabola needs three values, so that the first step is always searched
                         stop = begin + 1 if begin == settings[ORIGIN] else stop
                         for i in range(angle_row * width):
                             begun_at[i] = rows[i]
@@ -404,7 +404,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
 
 
 def _set_all_status(kind: str) -> Callable[..., Any]:
-    """The flags of a part's bodies alone, whose states came about elsewhere."""
+    """The loop that sets the flags of bodies whose states were computed elsewhere."""
 
     def set_all_status(arrays, settings, limits, first, count):
         states, diagnostics = reals(arrays[STATES], kind), reals(arrays[DIAGNOSTIC_ROWS], kind)
@@ -414,7 +414,7 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
     return set_all_status
 
 
-#: the loop is compiled anew where its parts in other files change
+#: the loop is compiled again if its parts in other files change
 _OTHERS = [Path(__file__).with_name(x).read_bytes() for x in ("crossings.py", "stops.py")]
 _POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
 _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)

@@ -1,4 +1,4 @@
-"""An ensemble's tiles and steps in pieces, on a few threads."""
+"""The tiles and steps of an ensemble in pieces, run by several threads."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from typing import Any
 
 from fastatt.threads import in_threads
 
-_PIECE = 2_000_000  # body-steps to begin with between two checks for Ctrl-C
+_PIECE = 2_000_000  # body-steps of the first piece, between two checks for Ctrl-C
 _SECONDS = 0.1  # between two checks
-# tiles of a piece, and of one whose bodies call a function: a block takes as long as that does
+# tiles of a piece, and of one whose bodies call a function, which may take any time
 _TILES, _CALLING = 64, 1
 
 
 class InterruptedRun(KeyboardInterrupt):
-    """Ctrl-C during a run: ``trajectory`` holds what was done.
+    """Ctrl-C during a run; ``trajectory`` holds the results so far.
 
-    Bodies that did not reach the end have the status ``UNFINISHED``, and NaN where they did not get
-    to.
+    Bodies that did not reach the end have the status ``UNFINISHED``, and NaN in their later saves.
     """
 
     #: (first tile, last tile, steps done)
@@ -37,10 +36,11 @@ def run_ensemble(
     *,
     calls: bool = False,
 ) -> None:
-    """All tiles and steps of a span: ``call(span, tile_first, tile_last)``.
+    """Run all tiles and steps of a span: ``call(span, tile_first, tile_last)``.
 
-    ``done`` is called with how many body-steps were taken; ``calls`` says that steps call a user's
-    function, which may take any time. Raises ``InterruptedRun`` on Ctrl-C, within a second.
+    ``done`` is called with the number of body-steps taken; ``calls`` says that steps call a
+    user-defined function, which may take any time. Raises ``InterruptedRun`` on Ctrl-C, within a
+    second.
     """
     n_bodies, width = bodies_and_width
     n_tiles = -(-n_bodies // width)

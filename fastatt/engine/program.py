@@ -1,9 +1,9 @@
-"""A job's formulas over the lanes of a tile, in one generated function.
+"""The formulas of a job over the lanes of a tile, in one generated function.
 
-The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: how a
-tile begins, a block of steps, what a save holds, the projection onto the group, the change to
-another step size, to the state and from it, and the values of the functions that are watched for
-events. ``Layout`` says where in ``rows`` and ``wide`` each number of a lane lies.
+The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: the
+begin of a tile, a block of steps, the values of a save, the projection, the conversions to another
+step size, to the state and from it, and the functions of events. ``Layout`` defines where in
+``rows`` and ``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
 
-#: arrays of a program; all but the last hold rows
+#: arrays of a program; all but the last have rows
 ROWS, WIDE, NUMBERS = range(3)
 #: the first of ``numbers``; parameters that bodies share follow, then a method's stages
 T0, H, EDGE, PARAMETERS = range(4)
-#: of lanes with a clock: the step size, the steps taken before, the time at which they began, s,
-#: and the least and the largest time at which rates, torques and forces are evaluated
+#: the clock of a lane: the step size, the steps taken before, the time at which they began, s, and
+#: the least and the largest time at which rates, torques and forces are evaluated
 CLOCK = ("dt", "before", "begin", "low", "high")
 
 Array = NDArray[Any]
 
 
 class Rows:
-    """Where the numbers of a lane lie in an array of rows, by the names of groups."""
+    """The positions of a lane's numbers in an array of rows, by the names of groups."""
 
     def __init__(self, **sizes: int) -> None:
         self.sizes, self.count = sizes, sum(sizes.values())
@@ -47,7 +47,7 @@ class Rows:
 
 
 class Layout:
-    """The memory of a tile: ``rows`` of the state's precision, ``wide`` ones of doubles."""
+    """The memory of a tile: ``rows`` in the state's precision, ``wide`` ones of doubles."""
 
     def __init__(self, formulas: Formulas) -> None:
         job = formulas.job
@@ -69,7 +69,7 @@ class Layout:
         self.wide = Rows(p=p, c=others, **own, called=formulas.calls)
 
     def row(self, group: str, i: int) -> tuple[bool, int]:
-        """(whether among the wide ones, number of the row)."""
+        """(whether in ``wide``, number of the row)."""
         if group == "y":
             return False, self.rows.first["io"] + i
         if group == "c":
@@ -120,9 +120,9 @@ class Program(TwoForms):
         return made.in_python() if self.plain else made.compiled()
 
     def _formulas(self, small_angle: bool) -> dict[str, LaneFormula]:
-        """The formulas by name; of the form for any angle the step alone."""
+        """The formulas by name; for the any-angle form the step alone."""
         forms, job = self.formulas, self.job
-        # shorter steps take the form for any angle, where there is one
+        # shorter steps take the any-angle form, if there is one
         has_small = small_angle and not (job.is_searched and job.has_any_angle_form)
         step = forms.small_angle if has_small else forms.any_angle
         assert step is not None
@@ -159,7 +159,7 @@ class Program(TwoForms):
     def _step(
         self, name: str, flat: Flat, results: list[Place], clock: str, *, even: bool
     ) -> dict[str, LaneFormula]:
-        """A step, and the calls of functions that are the same for all lanes."""
+        """A step, and calls of functions with the same arguments for all lanes."""
         job = self.job
 
         def is_shared(node: Node) -> bool:
@@ -180,7 +180,7 @@ class Program(TwoForms):
     def _formula(
         self, flat: Flat, results: list[Place], clock: str, *, even: bool = False
     ) -> LaneFormula:
-        """A formula; steps of ``even`` lanes have one clock."""
+        """A formula; steps of ``even`` lanes share one clock."""
         time = self._clock(clock) if clock else None
         names = set(flat.inputs())
         if time is not None:
@@ -189,7 +189,7 @@ class Program(TwoForms):
         return LaneFormula(flat, inputs, results, clock=time)
 
     def _clock(self, which: str) -> StepTimes:
-        """The times of a state after so many steps, a "moment", of a "step" or of a "stage"."""
+        """The times of a state after some steps, of a "moment", of a "step" or of a "stage"."""
         graph, own = Graph(), self.job.own_steps
         n, dt, begin = (graph.input("double", name) for name in ("n", "dt", "begin"))
         steps: Any = n
@@ -198,14 +198,14 @@ class Program(TwoForms):
         found = {"h": dt, "k": dt}
         if which == "stage":
             h, k, at = graph.inputs("double", "stage", 3)
-            # to a whole number first: the same bits for per-body steps and for one step for all
+            # to a whole number first, for the same bits with one step size and with per-body ones
             steps = steps + at
             found = {"h": h * dt, "k": k * dt}
         since = steps * dt
         if which == "moment":
             share = graph.input("double", "share")
             found = {"h": dt, "edge": share * dt}
-        # a result of its own, the span is rounded before it is added
+        # as a separate result, the time interval is rounded before it is added
         exact = {"whole": since, "t": begin + since}
         found["since"] = since
         kinds = ["double"] * len(exact) + [self.job.kind] * len(found)
@@ -220,7 +220,7 @@ class Program(TwoForms):
         return Place(row, WIDE if is_wide else ROWS)
 
     def _place(self, group: str, i: int = 0, *, even: bool) -> Place:
-        """Where an input lies."""
+        """The place of an input."""
         job, width = self.job, self.job.width
         if group == "p" and (job.shared or i in job.alike):
             return Place(PARAMETERS + i, NUMBERS, "shared")
@@ -245,7 +245,7 @@ class Program(TwoForms):
             yield f"{depth}for n in range(first, last):"
             i, inner = "0", depth + "    "
             if self.job.method.stages:
-                # their number comes after the resources
+                # the number of stages comes after the resources
                 yield f"{inner}for i in range(whole[{len(self.formulas.resources)}]):"
                 i, inner = "3 * i", inner + "    "
             if f"{name}_calls" in formulas:
@@ -260,7 +260,7 @@ class Program(TwoForms):
         parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter"), (WATCH, "events")]
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
-            # one loop for all, since Numba takes longer for a loop than for a condition
+            # one loop for all stages, since Numba compiles a condition faster than a loop
             yield f"    if part != {ADVANCE}:"
             yield f"        for j in range(0, {width}, {lanes}):"
             yield from (f"            if part == {part}: {call(name)}" for part, name in there)

@@ -23,18 +23,18 @@ from fastatt.engine.status import DIAGNOSTICS
 
 Array = NDArray[Any]
 
-#: steps of a block: what is done once in so many costs the cheapest step next to nothing
+#: steps of a block, so many that work once in a block takes negligible time
 BLOCK_LENGTH = 256
 
 
 @dataclass(frozen=True)
 class Span:
-    """Steps [first, last) of a run of ``n_steps``, or stops of per-body steps.
+    """Steps [first, last) of a run of ``n_steps``, or stops with per-body step sizes.
 
-    Saves are every ``save_every`` steps from ``origin`` on, with which the run began, and at the
-    end, the first in slot ``slot`` of the output: 1 where slot 0 holds the initial state, else 0.
-    The state is projected onto its group every ``projection`` steps, or never if that is 0.
-    Rotation angles are checked once a ``block`` of so many steps.
+    Saves are every ``save_every`` steps, counted from ``origin``, with which the run began, and at
+    the end. The first is in slot ``slot`` of the output: 1 if slot 0 holds the initial state, else
+    0. The state is projected every ``projection`` steps, or never if that is 0. Rotation angles are
+    checked once in a ``block`` of steps.
     """
 
     first: int
@@ -47,18 +47,18 @@ class Span:
     block: int = BLOCK_LENGTH
 
     def end_of_piece(self, first: int, steps: int) -> int:
-        """Where a piece of about so many steps ends that begins at ``first``: with a block."""
+        """The end of a piece of about ``steps`` steps from ``first`` on, at the end of a block."""
         return (first // self.block + max(1, steps // self.block)) * self.block
 
     def part(self, first: int, last: int) -> Span:
-        """Some of its steps."""
+        """The span of some of its steps."""
         return replace(self, first=first, last=last)
 
 
 class Fixed(NamedTuple):
-    """What bodies have in all runs of a plan, each (1, ...) or (N, ...).
+    """Numbers that bodies have in all runs of a plan, each (1, ...) or (N, ...).
 
-    Parameters (N, k), known rotation angles of a step, rad, and flags that they have beforehand.
+    Parameters (N, k), known rotation angles of a step, rad, and initial flags.
     """
 
     params: NDArray[np.float64]
@@ -67,9 +67,9 @@ class Fixed(NamedTuple):
 
 
 class PerBody(NamedTuple):
-    """The order in which bodies are run, their step sizes, s, and where they stop.
+    """The order in which bodies are run, their step sizes, s, and their stops.
 
-    ``stops`` are rows of ``stops.STOP_SIZE`` numbers; ``slots`` the saves, or −1.
+    ``stops`` are rows of ``stops.STOP_SIZE`` numbers; ``slots`` are the saves, or −1.
     """
 
     order: Array
@@ -79,10 +79,10 @@ class PerBody(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """Steps of one step size for all that are taken in parts.
+    """The parts of divided steps, with one step size for all bodies.
 
-    ``clocks`` are rows of ``stops.PART_SIZE`` numbers, the first of them the clock that the run
-    begins with; ``steps`` says after how many whole steps each begins, −1 of the first.
+    ``clocks`` are rows of ``stops.PART_SIZE`` numbers, the first of which is the clock at the begin
+    of the run; ``steps`` is the number of whole steps before each, −1 for the first.
     """
 
     clocks: Array
@@ -91,7 +91,7 @@ class Parts(NamedTuple):
 
 @lru_cache(maxsize=256)
 def program(job: Job, *, plain: bool) -> Program:
-    """The program of a job, made once a process; ``plain`` is without machine code."""
+    """The program of a job, made once in a process; ``plain`` is without machine code."""
     return Program(job, plain=plain)
 
 
@@ -109,10 +109,10 @@ def width_for(bodies: int, lanes: int) -> int:
 
 
 class Setup:
-    """What all runs of a plan have in common: program, tables, bounds, and the bodies' numbers.
+    """What all runs of a plan share: program, tables, bounds, and the bodies' numbers.
 
-    ``bounds`` are the rotation angle of a step, rad, up to which known ones are not monitored, and
-    those of the diagnostics.
+    ``bounds`` are the known rotation angle of a step, rad, up to which steps are not monitored, and
+    the bounds of the diagnostics.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Setup:
         self.stops = any(x.terminal for x in job.events)
         if job.events:
             if job.has_any_angle_form:
-                # a search can't be begun again
+                # a search can't be restarted
                 made.compile_any_angle()
             lanes = processor().lanes(job.kind)
             self.search = prepare(replace(job, own_steps=True, width=lanes))
@@ -201,12 +201,12 @@ class Results(NamedTuple):
 
 
 class Run:
-    """A run over some bodies of an ensemble: (first body, how many).
+    """A run over the bodies (first, number) of an ensemble.
 
-    ``q`` and ``y``, attitudes and what is carried with them, are (1, k) or (N, k); ``times`` are
-    (t0, h, share of h by which a splitting is ahead). The ``states`` (n, k) and ``diagnostics``
-    (3, n) are those of the part; ``largest_angle`` of a step, rad, is what calls found since
-    ``reset``.
+    ``q`` and ``y``, attitudes and the rest of the state, are (1, k) or (N, k). ``times`` are (t0,
+    h, share of h by which the stepped variables are ahead). ``results`` are saved values (S, N, k),
+    norm errors (S, N) and status (N,). ``states`` (n, k) and ``diagnostics`` (3, n) are those of
+    these bodies. ``largest_angle`` of a step, rad, is that of all calls since ``reset``.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class Run:
         ]  # fmt: skip
         lengths = [len(x) for x in (*start, *setup.bodies)]
         self._settings = [*bodies[::-1], results.status.size, *lengths, *setup.settings]
-        #: of events: rows of each body, found times, when bodies stop, what is saved from then on
+        #: events: rows of each body, found times, when bodies stop, their values from then on
         self._events: list[Array] = []
         if results.event_times is not None:
             n = results.status.size
@@ -248,11 +248,11 @@ class Run:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what calls found so far."""
+        """Forget the largest angle of earlier calls."""
         self.largest_angle = 0.0
 
     def part(self, span: Span, first: int, last: int) -> None:
-        """Steps of a span on the tiles [first, last); several threads may call it at a time."""
+        """Take the steps of a span on the tiles [first, last); several threads may do so."""
         made, bounds, largest = self.setup.program, self.setup.bounds, np.zeros(1)
         per_body, parts = self.per_body, self.parts
         numbers = [0, 0]
@@ -284,6 +284,6 @@ class Run:
 
 
 def _unused(n: int) -> list[Array]:
-    """Memory of a tile where only the status of n bodies is found."""
+    """Memory of a tile for setting the status of n bodies only."""
     nothing = np.zeros(0, np.int64)
     return [*(nothing for _ in range(4)), np.arange(n), *(nothing for _ in range(4))]

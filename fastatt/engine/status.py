@@ -36,9 +36,9 @@ class Status(IntFlag):
     NOT_CONVERGED : Status
         16: the iteration of an implicit step did not converge.
     NORM_LOST : Status
-        32: at a save, before projection, the norm error of a quaternion or the orthogonality error
-        of a matrix was above 1e-3, in float32 above 1e-2. Coordinates (Euler angles, rotation
-        vectors, modified Rodrigues parameters) have no norm and no such flag.
+        32: at a save or a projection, the norm error of the quaternion or the orthogonality error
+        of the matrix was above 1e-3, in float32 above 1e-2, before it was projected. Coordinates
+        (Euler angles, rotation vectors, modified Rodrigues parameters) have no such flag.
     UNFINISHED : Status
         64: the run was interrupted before the end of this body.
 

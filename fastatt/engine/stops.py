@@ -1,8 +1,8 @@
 """Stops of a run between its steps: parts of the loop over tiles.
 
 Each lane of a tile has a clock: its step size, the steps taken before, and the time at which they
-began. To get to a time between two steps, a lane takes one shorter step of the same method from
-the last of its steps before that time.
+began. To reach a time between two steps, a lane takes one shorter step of the same method from the
+last of its steps before that time.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from fastatt.codegen.call import call_generated
 #: parts of a program's function
 BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER, WATCH = range(7)
 
-#: clocks of lanes, from a row of ``wide`` on
+#: clocks of lanes, in ``wide`` from this row on
 DT, BEFORE, BEGUN, LOW, HIGH = range(5)
-#: a part of a step is a clock, how many steps are taken by it, and whether a whole step ends so
+#: a part of a step is a clock, the number of steps with it, and whether it ends a whole step
 TAKEN, ENDS, PART_SIZE = range(5, 8)
 #: a stop: its time since the start, s, and the slack of its rounding; whether it is a breakpoint;
 #: the time since the start from which steps to it are counted; then the clock of these, from BEFORE
@@ -28,7 +28,7 @@ EPS = 2.0**-52
 
 @loop_part
 def on_grid(time, slack, step):
-    """(whole steps to a time since the start, what remains); rounding leaves nothing."""
+    """(whole steps to a time since the start, the rest), where rounding leaves no rest."""
     count = math.floor(time / step * (1.0 + 4.0 * EPS))
     rest = time - count * step
     return count, rest if abs(rest) > slack else 0.0
@@ -45,7 +45,7 @@ def set_clock(shape, wide, first, values, at):
 
 @loop_part
 def count_steps(shape, tile, waiting, left, time, slack):
-    """Steps of each lane to its last before a stop; a lane without any waits. The most of them."""
+    """Count the steps of each lane to its last before a stop; returns the largest number."""
     rows, wide, _, _ = tile
     width, size, _, _, _, clock = shape
     most = 0
@@ -85,13 +85,13 @@ def copy_lane(tile, copied, shape, lane):
 
 @loop_part
 def leave_steps(function, tile, shape):
-    """Make lanes ready for a shorter step: its size is to be set before ``shorter_step``."""
+    """Prepare lanes for a shorter step; its size has to be set before ``shorter_step``."""
     _, wide, _, _ = tile
     width, _, _, _, _, clock = shape
     call_generated(function, LEAVE, tile, (0, 0))
     for j in range(width):
         before = (clock + BEFORE) * width + j
-        # the time where the shorter step begins, by those before it
+        # the time at which the shorter step begins, from the steps before it
         wide[(clock + BEGUN) * width + j] += wide[before] * wide[(clock + DT) * width + j]
         wide[before] = 0.0
 
@@ -109,7 +109,7 @@ def shorter_step(function, form, tile, shape):
 
 @loop_part
 def step_to_stop(function, form, shape, tile, copied, left, time, slack):
-    """Step a copy of a tile to a stop; whether the form that it takes was there."""
+    """Step a copy of a tile to a stop; returns whether the form that it needs is compiled."""
     _, wide, _, _ = tile
     _, wide_copy, _, _ = copied
     width, _, _, _, _, clock = shape
@@ -136,7 +136,7 @@ def step_to_stop(function, form, shape, tile, copied, left, time, slack):
 
 @loop_part
 def count_from_stop(function, shape, tile, copied, stops, row):
-    """Go on from a copy of the tile at a breakpoint, where steps to the next stop are counted."""
+    """Continue from the copy of a tile at a breakpoint, from which steps are counted."""
     rows, wide, _, _ = tile
     copy, _, _, _ = copied
     width, size, _, _, _, _ = shape

@@ -99,12 +99,12 @@ def right_jacobian(u: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    u : array_like, shape (3,) or (N, 3)
+    u : array_like of shape (3,) or (N, 3)
         Rotation vectors, rad.
 
     Returns
     -------
-    ndarray, shape (3, 3) or (N, 3, 3)
+    ndarray of shape (3, 3) or (N, 3, 3)
         Jr.
 
     Raises
@@ -130,12 +130,12 @@ def left_jacobian(u: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    u : array_like, shape (3,) or (N, 3)
+    u : array_like of shape (3,) or (N, 3)
         Rotation vectors, rad.
 
     Returns
     -------
-    ndarray, shape (3, 3) or (N, 3, 3)
+    ndarray of shape (3, 3) or (N, 3, 3)
         Jl.
 
     Raises
@@ -155,12 +155,12 @@ def right_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    u : array_like, shape (3,) or (N, 3)
+    u : array_like of shape (3,) or (N, 3)
         Rotation vectors, rad.
 
     Returns
     -------
-    ndarray, shape (3, 3) or (N, 3, 3)
+    ndarray of shape (3, 3) or (N, 3, 3)
         Jr⁻¹.
 
     Raises
@@ -180,12 +180,12 @@ def left_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    u : array_like, shape (3,) or (N, 3)
+    u : array_like of shape (3,) or (N, 3)
         Rotation vectors, rad.
 
     Returns
     -------
-    ndarray, shape (3, 3) or (N, 3, 3)
+    ndarray of shape (3, 3) or (N, 3, 3)
         Jl⁻¹.
 
     Raises
@@ -205,14 +205,14 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
 
     Parameters
     ----------
-    w : array_like, shape (3,) or (N, 3)
+    w : array_like of shape (3,) or (N, 3)
         Rates along body axes, less the bias, rad/s.
     dt : float
         Interval, s.
 
     Returns
     -------
-    ndarray, shape (6, 6) or (N, 6, 6)
+    ndarray of shape (6, 6) or (N, 6, 6)
         Φ.
 
     Raises
@@ -242,7 +242,7 @@ def process_noise(
 
     Parameters
     ----------
-    w : array_like, shape (3,) or (N, 3)
+    w : array_like of shape (3,) or (N, 3)
         Rates along body axes, rad/s.
     dt : float
         Interval, s, above 0.
@@ -256,7 +256,7 @@ def process_noise(
 
     Returns
     -------
-    ndarray, shape (6, 6) or (N, 6, 6)
+    ndarray of shape (6, 6) or (N, 6, 6)
         Q.
 
     Raises
@@ -286,9 +286,9 @@ def predict_covariance(
 
     Parameters
     ----------
-    covariance : array_like, shape (6, 6) or (N, 6, 6)
+    covariance : array_like of shape (6, 6) or (N, 6, 6)
         P, in rad and rad/s.
-    w : array_like, shape (3,) or (N, 3)
+    w : array_like of shape (3,) or (N, 3)
         Rates along body axes, less the bias, rad/s.
     dt : float
         Interval, s.
@@ -299,7 +299,7 @@ def predict_covariance(
 
     Returns
     -------
-    ndarray, shape (6, 6) or (N, 6, 6)
+    ndarray of shape (6, 6) or (N, 6, 6)
         The covariance after the interval, with Φ of :func:`transition_matrix`.
 
     Raises
@@ -315,14 +315,14 @@ def covariance_to_inertial(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    covariance : array_like, shape (6, 6) or (N, 6, 6)
+    covariance : array_like of shape (6, 6) or (N, 6, 6)
         Covariance of errors along body axes.
-    q : array_like, shape (4,) or (N, 4)
+    q : array_like of shape (4,) or (N, 4)
         Attitudes, body to inertial, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (6, 6) or (N, 6, 6)
+    ndarray of shape (6, 6) or (N, 6, 6)
         Covariance of errors along inertial axes.
 
     Raises
@@ -338,14 +338,14 @@ def covariance_to_body(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    covariance : array_like, shape (6, 6) or (N, 6, 6)
+    covariance : array_like of shape (6, 6) or (N, 6, 6)
         Covariance of errors along inertial axes, C_true = exp [δθ] C.
-    q : array_like, shape (4,) or (N, 4)
+    q : array_like of shape (4,) or (N, 4)
         Attitudes, body to inertial, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (6, 6) or (N, 6, 6)
+    ndarray of shape (6, 6) or (N, 6, 6)
         Covariance of errors along body axes.
 
     Raises

@@ -37,11 +37,11 @@ class Transition:
 
     Attributes
     ----------
-    turn : ndarray, shape (..., 4)
+    turn : ndarray of shape (..., 4)
         Quaternion δq of the step, q_end = q∘δq.
-    attitude : ndarray, shape (..., 3, 3)
+    attitude : ndarray of shape (..., 3, 3)
         Φ11.
-    bias : ndarray, shape (..., 3, 3)
+    bias : ndarray of shape (..., 3, 3)
         Φ12, s.
     """
 
@@ -65,15 +65,15 @@ class BodyTangent:
 
     Attributes
     ----------
-    q : ndarray, shape (..., 4)
+    q : ndarray of shape (..., 4)
         Attitude after the step; NaN if an implicit step did not converge.
-    w : ndarray, shape (..., 3)
+    w : ndarray of shape (..., 3)
         Angular velocity after the step, rad/s.
-    matrix : ndarray, shape (..., 6, 6)
+    matrix : ndarray of shape (..., 6, 6)
         Derivative of (δθ, δm) after the step by that before, δm = I δw, N·m·s along body axes.
-    inertia : ndarray, shape (..., 6, 3), or None
+    inertia : ndarray of shape (..., 6, 3), or None
         Derivatives of (θ, m) by the principal moments, at the same initial m.
-    torque : ndarray, shape (..., 6, P), or None
+    torque : ndarray of shape (..., 6, P), or None
         Derivatives of (θ, m) by the parameters of the torque's model, in the order of its fields.
     """
 
@@ -88,12 +88,12 @@ class BodyTangent:
 
         Parameters
         ----------
-        after : array_like, shape (..., 6)
+        after : array_like of shape (..., 6)
             Gradient λ with respect to (θ, m) after the step.
 
         Returns
         -------
-        ndarray, shape (..., 6)
+        ndarray of shape (..., 6)
             Gradient with respect to (θ, m) before the step.
         """
         return np.asarray(np.einsum("...ji,...j->...i", self.matrix, np.asarray(after)))
@@ -148,7 +148,7 @@ def sample_transitions(
 
     Parameters
     ----------
-    rates : array_like, shape (n, 3) or (N, n, 3)
+    rates : array_like of shape (n, 3) or (N, n, 3)
         Rates, rad/s, or with ``increments`` angle increments, rad, along body axes.
     dt : float or array_like
         The interval, or the intervals, s, as in :func:`fastatt.integrate_rates`.
@@ -156,7 +156,7 @@ def sample_transitions(
         A method for samples. "picard", which iterates, has no transitions.
     increments : bool, default False
         Whether ``rates`` are angle increments.
-    bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+    bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Bias that is subtracted from the rates, rad/s.
     n_threads : int, optional
         Number of threads, as in :func:`fastatt.integrate_rates`.
@@ -288,9 +288,9 @@ def body_tangent(
     ----------
     scene : Scene
         A scene with inertia, without mass and states.
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Attitudes before the step, body to inertial, of any norm above zero.
-    w0 : array_like, shape (3,) or (N, 3)
+    w0 : array_like of shape (3,) or (N, 3)
         Angular velocities before the step along body axes, rad/s.
     dt : float
         Step size, s.

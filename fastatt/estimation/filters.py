@@ -51,7 +51,7 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
 
     Parameters
     ----------
-    gyro : array_like, shape (3,) or (N, 3)
+    gyro : array_like of shape (3,) or (N, 3)
         Gyro samples, rad/s, held for ``dt``: one, or those of N filters, whose points follow each
         other in equal numbers.
     dt : float
@@ -140,14 +140,14 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Estimated attitudes, of any norm above zero.
-    q_true : array_like, shape (..., 4)
+    q_true : array_like of shape (..., 4)
         True attitudes, of any norm above zero.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         δθ along body axes, rad.
 
     Raises
@@ -191,14 +191,14 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
 
     Parameters
     ----------
-    q : array_like, shape (..., M, 4)
+    q : array_like of shape (..., M, 4)
         Attitudes, of any norm above zero; q and −q are equivalent.
-    weights : array_like, shape (..., M), optional
+    weights : array_like of shape (..., M), optional
         Weights of at least 0; the default is equal weights.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions with q0 ≥ 0: the eigenvector of Σ w q qᵀ with the largest eigenvalue.
 
     Raises
@@ -319,9 +319,9 @@ class Estimates:
 
         Parameters
         ----------
-        measured : array_like, shape (3,) or (N, 3)
+        measured : array_like of shape (3,) or (N, 3)
             Vectors along body axes.
-        reference : array_like, shape (3,) or (N, 3)
+        reference : array_like of shape (3,) or (N, 3)
             The same vectors along inertial axes.
         sigma : float
             Standard deviation of each component, in the unit of the vectors, above 0.
@@ -352,7 +352,7 @@ class Estimates:
 
         Parameters
         ----------
-        measured : array_like, shape (4,) or (N, 4)
+        measured : array_like of shape (4,) or (N, 4)
             Unit quaternions, body to inertial.
         sigma : array_like
             Standard deviation about each body axis, rad, a number or (3,), or a covariance (3, 3),
@@ -413,9 +413,9 @@ class Estimates:
 
         Parameters
         ----------
-        q : array_like, shape (4,) or (N, 4)
+        q : array_like of shape (4,) or (N, 4)
             True attitudes.
-        y : array_like, shape (K,) or (N, K)
+        y : array_like of shape (K,) or (N, K)
             True auxiliary states.
 
         Returns

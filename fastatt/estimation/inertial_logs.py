@@ -46,23 +46,23 @@ class Preintegration:
 
     Attributes
     ----------
-    duration : ndarray, shape ()
+    duration : ndarray of shape ()
         Time from i to j, s.
-    rotation : ndarray, shape (4,)
+    rotation : ndarray of shape (4,)
         ΔR as a unit quaternion.
-    velocity : ndarray, shape (3,)
+    velocity : ndarray of shape (3,)
         Δv along the body axes at i, m/s.
-    position : ndarray, shape (3,)
+    position : ndarray of shape (3,)
         Δp along the body axes at i, m.
-    rotation_gyro : ndarray, shape (3, 3)
+    rotation_gyro : ndarray of shape (3, 3)
         Derivative of ΔR, along the body axes at j, by the gyro bias.
-    velocity_gyro, velocity_accel : ndarray, shape (3, 3)
+    velocity_gyro, velocity_accel : ndarray of shape (3, 3)
         Derivatives of Δv by the two biases.
-    position_gyro, position_accel : ndarray, shape (3, 3)
+    position_gyro, position_accel : ndarray of shape (3, 3)
         Derivatives of Δp by the two biases.
-    covariance : ndarray, shape (9, 9)
+    covariance : ndarray of shape (9, 9)
         Covariance of the errors of (ΔR, Δv, Δp).
-    rows : ndarray, shape (101,)
+    rows : ndarray of shape (101,)
         All numbers.
     """
 
@@ -86,9 +86,9 @@ class Preintegration:
 
         Parameters
         ----------
-        gyro_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        gyro_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
             Increase of the gyro bias, rad/s.
-        accel_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        accel_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
             Increase of the accelerometer bias, m/s².
 
         Returns
@@ -128,17 +128,17 @@ class Preintegration:
 
         Parameters
         ----------
-        q : array_like, shape (4,) or (N, 4)
+        q : array_like of shape (4,) or (N, 4)
             Attitude at i, body to inertial.
-        v : array_like, shape (3,) or (N, 3)
+        v : array_like of shape (3,) or (N, 3)
             Velocity at i along inertial axes, m/s.
-        p : array_like, shape (3,) or (N, 3)
+        p : array_like of shape (3,) or (N, 3)
             Position at i along inertial axes, m.
-        gravity : array_like, shape (3,), default (0, 0, -9.80665)
+        gravity : array_like of shape (3,), default (0, 0, -9.80665)
             Acceleration by gravity along inertial axes, m/s².
-        gyro_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        gyro_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
             Increase of the gyro bias since the samples were added, rad/s.
-        accel_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        accel_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
             Increase of the accelerometer bias, m/s².
 
         Returns
@@ -207,7 +207,7 @@ def preintegrate(
 
     Parameters
     ----------
-    gyro : array_like, shape (n, 3) or (N, n, 3)
+    gyro : array_like of shape (n, 3) or (N, n, 3)
         Gyro samples along body axes, rad/s, each held over its interval.
     accel : array_like of the same shape, or None
         Specific force along body axes, m/s². None preintegrates the rotation only.
@@ -217,9 +217,9 @@ def preintegrate(
         Noise density σ_g, rad/√s; s √h for samples with the standard deviation s at intervals h.
     accel_noise : float, default 0.0
         Noise density σ_a, m/s^1.5.
-    gyro_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+    gyro_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Bias that is subtracted from ``gyro``, rad/s.
-    accel_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+    accel_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Bias that is subtracted from ``accel``, m/s².
     n_threads : int, optional
         Number of threads, as in :func:`fastatt.propagate`.
@@ -290,9 +290,9 @@ class Preintegrator:
         Noise density σ_g, rad/√s, as in :func:`preintegrate`.
     accel_noise : float, default 0.0
         Noise density σ_a, m/s^1.5.
-    gyro_bias : array_like, shape (3,), default (0, 0, 0)
+    gyro_bias : array_like of shape (3,), default (0, 0, 0)
         Bias that is subtracted from gyro samples, rad/s.
-    accel_bias : array_like, shape (3,), default (0, 0, 0)
+    accel_bias : array_like of shape (3,), default (0, 0, 0)
         Bias that is subtracted from accelerometer samples, m/s².
 
     Examples
@@ -325,9 +325,9 @@ class Preintegrator:
 
         Parameters
         ----------
-        gyro : array_like, shape (3,)
+        gyro : array_like of shape (3,)
             Rate along body axes, rad/s.
-        accel : array_like, shape (3,)
+        accel : array_like of shape (3,)
             Specific force along body axes, m/s².
         dt : float
             Interval over which both are held, s.

@@ -22,11 +22,11 @@ class MEKF(Estimates):
 
     Parameters
     ----------
-    q : array_like, shape (4,) or (N, 4)
+    q : array_like of shape (4,) or (N, 4)
         Attitudes, body to inertial, of any norm above zero.
-    covariance : array_like, shape (6, 6) or (N, 6, 6)
+    covariance : array_like of shape (6, 6) or (N, 6, 6)
         Covariance of (δθ, δb), in rad and rad/s.
-    bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+    bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Gyro biases, rad/s.
     angle_noise : float
         σ_v, rad/√s; a noise density of the rate, rad/s/√Hz, is the same number.
@@ -90,7 +90,7 @@ class MEKF(Estimates):
 
         Parameters
         ----------
-        gyro : array_like, shape (3,) or (N, 3)
+        gyro : array_like of shape (3,) or (N, 3)
             Gyro sample along body axes, rad/s; an increment over ``dt`` divided by ``dt``.
         dt : float
             Interval, s, above 0.
@@ -113,9 +113,9 @@ class MEKF(Estimates):
 
         Parameters
         ----------
-        q : array_like, shape (4,) or (N, 4)
+        q : array_like of shape (4,) or (N, 4)
             True attitudes.
-        bias : array_like, shape (3,) or (N, 3)
+        bias : array_like of shape (3,) or (N, 3)
             True gyro biases, rad/s.
 
         Returns

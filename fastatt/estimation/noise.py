@@ -125,9 +125,9 @@ class SimulatedGyro(NamedTuple):
 
     Attributes
     ----------
-    samples : ndarray, shape (n, 3) or (N, n, 3)
+    samples : ndarray of shape (n, 3) or (N, n, 3)
         Rates, rad/s, or increments, rad, of n intervals.
-    bias : ndarray, shape (n + 1, 3) or (N, n + 1, 3)
+    bias : ndarray of shape (n + 1, 3) or (N, n + 1, 3)
         Bias at the ends of the intervals, rad/s.
     """
 
@@ -150,7 +150,7 @@ def simulate_gyro(
 
     Parameters
     ----------
-    rates : array_like, shape (n, 3) or (N, n, 3)
+    rates : array_like of shape (n, 3) or (N, n, 3)
         Means of the true angular velocity over n intervals, rad/s; with ``increments`` its
         integrals, rad.
     dt : float
@@ -159,7 +159,7 @@ def simulate_gyro(
         σ_v, rad/√s, at least 0.
     bias_noise : float, default 0.0
         σ_u, rad/s^1.5, at least 0.
-    bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+    bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Bias at the start, rad/s.
     increments : bool, default False
         Whether ``rates`` and the samples are increments, rad, in place of mean rates.
@@ -234,7 +234,7 @@ class NoiseFit:
         B, rad/s.
     bias_noise : float or ndarray
         K, rad/s^1.5 (rate random walk).
-    deviations : ndarray, shape (3,) or (3, K)
+    deviations : ndarray of shape (3,) or (3, K)
         Standard deviations of the three towards 0. A part below its deviation can't be
         distinguished from 0.
     """
@@ -249,12 +249,12 @@ class NoiseFit:
 
         Parameters
         ----------
-        tau : array_like, shape (T,)
+        tau : array_like of shape (T,)
             Averaging times, s.
 
         Returns
         -------
-        ndarray, shape (T,) or (T, K)
+        ndarray of shape (T,) or (T, K)
             The Allan deviation.
         """
         parts = np.stack([self.angle_noise, self.bias_instability, self.bias_noise])
@@ -267,11 +267,11 @@ class AllanDeviation:
 
     Attributes
     ----------
-    tau : ndarray, shape (T,)
+    tau : ndarray of shape (T,)
         Averaging times, s.
-    deviation : ndarray, shape (T,) or (T, K)
+    deviation : ndarray of shape (T,) or (T, K)
         Allan deviation, in the unit of the samples' rate.
-    freedom : ndarray, shape (T,)
+    freedom : ndarray of shape (T,)
         Number of disjoint averages minus one; the relative deviation of a variance is √(2/freedom).
     """
 
@@ -361,7 +361,7 @@ def allan_deviation(
 
     Parameters
     ----------
-    samples : array_like, shape (n,) or (n, K)
+    samples : array_like of shape (n,) or (n, K)
         Rates, rad/s, or accelerations, m/s², of K axes or sensors; n is at least 9.
     dt : float
         Interval, s.

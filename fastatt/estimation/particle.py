@@ -32,9 +32,9 @@ class ParticleFilter:
 
     Parameters
     ----------
-    q : array_like, shape (M, 4)
+    q : array_like of shape (M, 4)
         Attitudes, body to inertial, of any norm above zero.
-    y : array_like, shape (M, K)
+    y : array_like of shape (M, K)
         Auxiliary states.
     rng : numpy.random.Generator or int, optional
         Random generator, or a seed for one.
@@ -43,11 +43,11 @@ class ParticleFilter:
 
     Attributes
     ----------
-    q : ndarray, shape (M, 4)
+    q : ndarray of shape (M, 4)
         Attitudes of the particles.
-    y : ndarray, shape (M, K)
+    y : ndarray of shape (M, K)
         Auxiliary states of the particles.
-    weights : ndarray, shape (M,)
+    weights : ndarray of shape (M,)
         Weights, whose sum is 1.
 
     References
@@ -85,11 +85,11 @@ class ParticleFilter:
 
         Parameters
         ----------
-        q : array_like, shape (4,)
+        q : array_like of shape (4,)
             Attitude, body to inertial.
-        y : array_like, shape (K,)
+        y : array_like of shape (K,)
             Auxiliary state.
-        covariance : array_like, shape (D, D)
+        covariance : array_like of shape (D, D)
             Covariance of (δθ, δy).
         n : int
             Number of particles.
@@ -119,7 +119,7 @@ class ParticleFilter:
 
         Parameters
         ----------
-        covariance : array_like, shape (D, D)
+        covariance : array_like of shape (D, D)
             Covariance of the errors.
         """
         size = 3 + self.y.shape[1]
@@ -135,7 +135,7 @@ class ParticleFilter:
         ----------
         motion : callable
             ``motion(q, y) -> (q, y)``, as for :meth:`UKF.predict`.
-        noise : array_like, shape (D, D), optional
+        noise : array_like of shape (D, D), optional
             Covariance of random errors that are added afterwards.
         """
         size = 3 + self.y.shape[1]
@@ -150,7 +150,7 @@ class ParticleFilter:
 
         Parameters
         ----------
-        log_likelihood : array_like, shape (M,)
+        log_likelihood : array_like of shape (M,)
             Logarithm of the likelihood for each particle, up to a constant.
 
         Raises
@@ -174,9 +174,9 @@ class ParticleFilter:
 
         Parameters
         ----------
-        measured : array_like, shape (3,)
+        measured : array_like of shape (3,)
             Vector along body axes.
-        reference : array_like, shape (3,)
+        reference : array_like of shape (3,)
             The same vector along inertial axes.
         sigma : float
             Standard deviation of each component, in the unit of the vectors.
@@ -192,7 +192,7 @@ class ParticleFilter:
 
         Parameters
         ----------
-        measured : array_like, shape (4,)
+        measured : array_like of shape (4,)
             Unit quaternion, body to inertial.
         sigma : array_like
             Standard deviation, as in :meth:`MEKF.update_attitude`.
@@ -219,9 +219,9 @@ class ParticleFilter:
 
         Returns
         -------
-        q : ndarray, shape (4,)
+        q : ndarray of shape (4,)
             :func:`mean_attitude` of the particles.
-        y : ndarray, shape (K,)
+        y : ndarray of shape (K,)
             Weighted mean of the auxiliary states.
         """
         return mean_attitude(self.q, self.weights), self.weights @ self.y
@@ -231,7 +231,7 @@ class ParticleFilter:
 
         Returns
         -------
-        ndarray, shape (D, D)
+        ndarray of shape (D, D)
             The covariance.
         """
         q, y = self.mean()
@@ -243,9 +243,9 @@ class ParticleFilter:
 
         Parameters
         ----------
-        q : array_like, shape (4,)
+        q : array_like of shape (4,)
             True attitude.
-        y : array_like, shape (K,)
+        y : array_like of shape (K,)
             True auxiliary state.
 
         Returns

@@ -34,7 +34,19 @@ _formula = partial(scalar_function, rewritten=True)
 
 
 class PreintegratedRotation(NamedTuple):
-    """Preintegrated rotation: time (s), ΔR, ∂φ/∂b_g (s), covariance of δφ (rad²) as ``sym3``."""
+    """Preintegrated rotation of a gyro.
+
+    Attributes
+    ----------
+    t : float
+        Time, s.
+    q : tuple of 4 float
+        ΔR as a unit quaternion.
+    jacobian : tuple of 9 float
+        Derivative ∂φ/∂b_g, s, row by row.
+    covariance : tuple of 6 float
+        Covariance of δφ, rad², in ``sym3`` order.
+    """
 
     t: Any
     q: Any
@@ -45,10 +57,20 @@ class PreintegratedRotation(NamedTuple):
 class Preintegrated(NamedTuple):
     """State of a preintegration, as nested tuples with matrices row by row.
 
-    ``rotation`` is a :class:`PreintegratedRotation`; ``v`` is Δv (m/s) and ``p`` is Δp (m); ``vg``
-    is ∂Δv/∂b_g and ``va`` ∂Δv/∂b_a; ``pg`` and ``pa`` are those of Δp; ``rv``, ``rp``, ``vv``,
-    ``vp`` and ``pp`` are the other blocks of the covariance, with ``vv`` and ``pp`` in ``sym3``
-    order.
+    Attributes
+    ----------
+    rotation : PreintegratedRotation
+        The rotation.
+    v, p : tuple of 3 float
+        Δv, m/s, and Δp, m.
+    vg, va : tuple of 9 float
+        ∂Δv/∂b_g and ∂Δv/∂b_a.
+    pg, pa : tuple of 9 float
+        ∂Δp/∂b_g and ∂Δp/∂b_a.
+    rv, rp, vp : tuple of 9 float
+        Off-diagonal blocks of the covariance.
+    vv, pp : tuple of 6 float
+        Diagonal blocks of the covariance, in ``sym3`` order.
     """
 
     rotation: Any

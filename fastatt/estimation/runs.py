@@ -24,7 +24,7 @@ class RunTangent:
 
     Parameters
     ----------
-    steps : ndarray, shape (S, ..., K, K)
+    steps : ndarray of shape (S, ..., K, K)
         Transitions, the first step's first. Those of ``sample_transitions(...).matrix`` give the
         derivative of (δθ, δb) over a gyro log.
     size : int, optional
@@ -49,12 +49,12 @@ class RunTangent:
 
         Parameters
         ----------
-        before : array_like, shape (..., D)
+        before : array_like of shape (..., D)
             Change x before the run.
 
         Returns
         -------
-        ndarray, shape (..., D)
+        ndarray of shape (..., D)
             Change after the run.
         """
         x = self._change("before", before)
@@ -67,12 +67,12 @@ class RunTangent:
 
         Parameters
         ----------
-        after : array_like, shape (..., D)
+        after : array_like of shape (..., D)
             Gradient y with respect to the state after the run.
 
         Returns
         -------
-        ndarray, shape (..., D)
+        ndarray of shape (..., D)
             Gradient with respect to the state before the run.
         """
         y = self._change("after", after)
@@ -104,9 +104,9 @@ def run_tangent(
     ----------
     scene : Scene
         A scene with inertia.
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`fastatt.propagate`.
-    w0 : array_like, shape (3,) or (N, 3)
+    w0 : array_like of shape (3,) or (N, 3)
         Initial angular velocities along body axes, rad/s.
     dt : float
         Step size, s.

@@ -105,7 +105,7 @@ class Stepper:
 
         Parameters
         ----------
-        q : array_like, shape (4,)
+        q : array_like of shape (4,)
             Attitude, body to inertial, of any norm above zero.
         *more : array_like
             w (rad/s), v (m/s), r (m) and s, as far as the scene has them.
@@ -143,7 +143,7 @@ class Stepper:
 
         Returns
         -------
-        ndarray, shape (4,)
+        ndarray of shape (4,)
             Attitude, body to inertial.
         """
         return np.array(self.read(x, self._of(body))[0])

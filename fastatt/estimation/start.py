@@ -34,9 +34,9 @@ def attitude_from_vectors(
 
     Parameters
     ----------
-    measured : array_like, shape (m, 3) or (N, m, 3)
+    measured : array_like of shape (m, 3) or (N, m, 3)
         At least two vectors along body axes, of any length above zero.
-    reference : array_like, shape (m, 3) or (N, m, 3)
+    reference : array_like of shape (m, 3) or (N, m, 3)
         The same vectors along inertial axes.
     sigma : float or array_like of shape (m,)
         Standard deviations of the directions, rad, above 0; the largest is at most 1e7 times the
@@ -44,9 +44,9 @@ def attitude_from_vectors(
 
     Returns
     -------
-    q : ndarray, shape (4,) or (N, 4)
+    q : ndarray of shape (4,) or (N, 4)
         Attitude, body to inertial.
-    covariance : ndarray, shape (3, 3) or (N, 3, 3)
+    covariance : ndarray of shape (3, 3) or (N, 3, 3)
         Covariance of δθ, rad², q_true = q∘exp(δθ).
 
     Raises
@@ -161,11 +161,11 @@ class StaticStart(NamedTuple):
 
     Attributes
     ----------
-    q : ndarray, shape (4,)
+    q : ndarray of shape (4,)
         Attitude, body to inertial.
-    bias : ndarray, shape (3,)
+    bias : ndarray of shape (3,)
         Gyro bias, rad/s, which includes the Earth's rotation.
-    covariance : ndarray, shape (6, 6)
+    covariance : ndarray of shape (6, 6)
         Covariance of (δθ, δb), rad and rad/s, as filters take it.
     gravity : float
         Mean specific force, m/s².
@@ -192,19 +192,19 @@ def static_start(
 
     Parameters
     ----------
-    gyro : array_like, shape (n, 3)
+    gyro : array_like of shape (n, 3)
         Gyro samples along body axes, rad/s; n is at least 8.
-    accel : array_like, shape (n, 3)
+    accel : array_like of shape (n, 3)
         Specific force along body axes, which points up at rest, in any unit.
-    mag : array_like, shape (n, 3), optional
+    mag : array_like of shape (n, 3), optional
         Magnetic field along body axes, in any unit.
     sigma : float or array_like of shape (2,)
         Standard deviations of the two mean directions apart from noise, rad: the accelerometer's
         bias divided by gravity, 5e-3 for 5 mg, and the calibration of the magnetometer. The noise
         is estimated from the samples and added.
-    up : array_like, shape (3,), default (0, 0, 1)
+    up : array_like of shape (3,), default (0, 0, 1)
         The direction up along inertial axes, of any length above zero.
-    field : array_like, shape (3,), optional
+    field : array_like of shape (3,), optional
         The magnetic field along inertial axes, of any length above zero; required with ``mag``.
     largest_bias : float, default 0.05
         Largest accepted mean of the gyro, rad/s.

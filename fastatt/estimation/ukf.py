@@ -39,11 +39,11 @@ class UKF(Estimates):
 
     Parameters
     ----------
-    q : array_like, shape (4,) or (N, 4)
+    q : array_like of shape (4,) or (N, 4)
         Attitudes, body to inertial, of any norm above zero.
-    y : array_like, shape (K,) or (N, K)
+    y : array_like of shape (K,) or (N, K)
         Auxiliary states, such as a gyro bias or an angular velocity.
-    covariance : array_like, shape (D, D) or (N, D, D)
+    covariance : array_like of shape (D, D) or (N, D, D)
         Covariance of (δθ, δy), D = 3 + K.
     kappa : float, default 1.0
         κ, above −D. With a negative κ the covariance may become indefinite.
@@ -121,9 +121,9 @@ class UKF(Estimates):
 
         Returns
         -------
-        q : ndarray, shape (N, 2D + 1, 4)
+        q : ndarray of shape (N, 2D + 1, 4)
             Attitudes.
-        y : ndarray, shape (N, 2D + 1, K)
+        y : ndarray of shape (N, 2D + 1, K)
             Auxiliary states.
         """
         return self._points(0.0)[:2]
@@ -175,7 +175,7 @@ class UKF(Estimates):
             ``motion(q, y) -> (q, y)`` for the M = N (2D + 1) points, (M, 4) and (M, K), with those
             of one filter in a row: :func:`gyro_motion`, :func:`scene_motion` or a user-defined
             function.
-        noise : array_like, shape (D, D) or (N, D, D)
+        noise : array_like of shape (D, D) or (N, D, D)
             Covariance of the noise.
         """
         n, size = self._P.shape[:2]
@@ -216,9 +216,9 @@ class UKF(Estimates):
         observe : callable
             ``observe(q, y)`` returns the expected measurements (M, m) at the points, (M, 4) and (M,
             K).
-        measured : array_like, shape (m,) or (N, m)
+        measured : array_like of shape (m,) or (N, m)
             The measurement.
-        noise : array_like, shape (m, m) or (N, m, m)
+        noise : array_like of shape (m, m) or (N, m, m)
             Covariance of its noise.
         gate : float, optional
             Measurements whose normalised innovation squared is larger are not used.

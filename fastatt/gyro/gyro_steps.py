@@ -29,9 +29,23 @@ _SHORT = 9.0
 
 @kernel
 def turned(q, u):
-    """Rotate a quaternion, q∘exp(u), with the short exponential if the angle is small.
+    """Rotate a quaternion by a rotation vector, q∘exp(u).
 
-    Both forms of the exponential give the same bits for a small angle.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude, body to inertial.
+    u : tuple of 3 float
+        Rotation vector along body axes, rad.
+
+    Returns
+    -------
+    tuple of 4 float
+        The rotated attitude.
+
+    Notes
+    -----
+    A small angle takes the short exponential, with the same bits as the other one.
     """
     F = type(q[0])
     if u[0] * u[0] + u[1] * u[1] + u[2] * u[2] < F(_SHORT):

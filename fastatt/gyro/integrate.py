@@ -36,12 +36,12 @@ def integrate_rates(
 
     Parameters
     ----------
-    rates : array_like, shape (n, 3) or (N, n, 3)
+    rates : array_like of shape (n, 3) or (N, n, 3)
         Rates along body axes, rad/s, at n times; with ``increments``, angle increments, rad, over n
         intervals.
     dt : float or array_like
         The interval, s, or the intervals: (n - 1,) for rates, (n,) for increments. All are above 0.
-    q0 : array_like, shape (4,) or (N, 4), default (1, 0, 0, 0)
+    q0 : array_like of shape (4,) or (N, 4), default (1, 0, 0, 0)
         Attitude at the first time, body to inertial, scalar first.
     method : str, default "previous"
         "hold", "trapezoid" (rates only), "previous", "coning2", "coning3", "coning3_optimal" (equal
@@ -61,7 +61,7 @@ def integrate_rates(
 
     Returns
     -------
-    ndarray, shape (n, 4) or (N, n, 4)
+    ndarray of shape (n, 4) or (N, n, 4)
         Attitudes at the times of the samples; for n increments (n + 1, 4) or (N, n + 1, 4).
 
     Raises

@@ -32,7 +32,7 @@ class GyroIntegrator:
 
     Parameters
     ----------
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Attitude at the first time, body to inertial, scalar first.
     dt : float, optional
         The interval, s; None if ``push`` is given the intervals.
@@ -96,7 +96,7 @@ class GyroIntegrator:
 
         Parameters
         ----------
-        rates : array_like, shape (3,) or (n, 3); (N, 3) or (N, n, 3) for N bodies
+        rates : array_like of shape (3,) or (n, 3); (N, 3) or (N, n, 3) for N bodies
             Rates, rad/s, or increments, rad.
         dt : float or array_like of shape (n,), optional
             For an integrator without ``dt``: the interval that ends at each sample, s, or one
@@ -104,7 +104,7 @@ class GyroIntegrator:
 
         Returns
         -------
-        ndarray, shape (m, 4) or (N, m, 4)
+        ndarray of shape (m, 4) or (N, m, 4)
             The next m attitudes; m is 0 if the method needs further samples.
 
         Raises
@@ -144,7 +144,7 @@ class GyroIntegrator:
 
         Returns
         -------
-        ndarray, shape (m, 4) or (N, m, 4)
+        ndarray of shape (m, 4) or (N, m, 4)
             The last m attitudes.
 
         Raises

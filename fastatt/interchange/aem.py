@@ -62,12 +62,12 @@ class AemSegment:
     ----------
     epoch : str
         Time tag at which ``t`` is 0.
-    t : ndarray, shape (S,)
+    t : ndarray of shape (S,)
         Times after the epoch, s.
-    q : ndarray, shape (S, 4)
+    q : ndarray of shape (S, 4)
         Quaternions, scalar first, from the spacecraft's frame to the other one (from REF_FRAME_B to
         REF_FRAME_A if both or neither are a spacecraft's), with the digits of the file.
-    w : ndarray, shape (S, 3), or None
+    w : ndarray of shape (S, 3), or None
         Angular velocities along the spacecraft's frame, rad/s.
     metadata : mapping of str to str
         Values by the keywords of the standard.

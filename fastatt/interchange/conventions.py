@@ -21,12 +21,12 @@ def to_scalar_last(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, scalar first.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         (x, y, z, w).
 
     Examples
@@ -43,12 +43,12 @@ def from_scalar_last(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions (x, y, z, w).
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Quaternions, scalar first.
 
     Examples
@@ -65,7 +65,7 @@ def to_scipy(q: ArrayLike) -> Rotation:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first. More than one leading axis needs SciPy 1.17.
 
     Returns
@@ -99,7 +99,7 @@ def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions, scalar first.
 
     Raises
@@ -130,12 +130,12 @@ def to_jpl(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         JPL quaternions.
 
     References
@@ -157,12 +157,12 @@ def from_jpl(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         JPL quaternions.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Quaternions, body to inertial, scalar first.
 
     Examples
@@ -179,12 +179,12 @@ def to_passive(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, scalar first, in either direction.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         q*, in the opposite direction.
 
     Examples
@@ -201,12 +201,12 @@ def to_mrp(q: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         The parameters, as :func:`fastatt.quat_to_mrp` returns them.
 
     Examples
@@ -223,12 +223,12 @@ def from_mrp(sigma: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    sigma : array_like, shape (..., 3)
+    sigma : array_like of shape (..., 3)
         The parameters, such as Basilisk's ``sigma_BN``.
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions, as :func:`fastatt.mrp_to_quat` returns them.
 
     Examples
@@ -245,14 +245,14 @@ def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Attitudes, body to inertial.
-    w : array_like, shape (..., 3)
+    w : array_like of shape (..., 3)
         Angular velocities along inertial axes, rad/s.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         Angular velocities along body axes, rad/s.
 
     Examples
@@ -269,14 +269,14 @@ def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Attitudes, body to inertial.
-    w : array_like, shape (..., 3)
+    w : array_like of shape (..., 3)
         Angular velocities along body axes, rad/s.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         Angular velocities along inertial axes, rad/s.
 
     Examples

@@ -27,7 +27,7 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
 
     Parameters
     ----------
-    angles : array_like, shape (..., 3)
+    angles : array_like of shape (..., 3)
         Angles in the order of the sequence, rad.
     sequence : str
         Three axes, as in SciPy's ``Rotation.from_euler``: lower case for rotations about fixed
@@ -36,7 +36,7 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
 
     Returns
     -------
-    ndarray, shape (..., 4)
+    ndarray of shape (..., 4)
         Unit quaternions, body to inertial, scalar first.
 
     Raises
@@ -60,14 +60,14 @@ def quat_to_euler(q: ArrayLike, sequence: str) -> NDArray[Any]:
 
     Parameters
     ----------
-    q : array_like, shape (..., 4)
+    q : array_like of shape (..., 4)
         Quaternions, body to inertial, scalar first, of any norm above zero.
     sequence : str
         Three axes, as in :func:`euler_to_quat`.
 
     Returns
     -------
-    ndarray, shape (..., 3)
+    ndarray of shape (..., 3)
         Angles in the order of the sequence, rad. The first and the third lie in [−π, π]. The second
         lies in [0, π] if the first axis is the third too, and in [−π/2, π/2] otherwise.
 

@@ -37,18 +37,18 @@ class GyroLog:
     ----------
     path : Path
         The file.
-    t : ndarray, shape (n,)
+    t : ndarray of shape (n,)
         Times from the first sample, s; where the clock was reset, one usual interval passes.
-    rates : ndarray, shape (n, 3)
+    rates : ndarray of shape (n, 3)
         Rates along body axes, rad/s.
-    dt : ndarray, shape (n - 1,)
+    dt : ndarray of shape (n - 1,)
         Intervals, s.
-    accel : ndarray, shape (n, 3), or None
+    accel : ndarray of shape (n, 3), or None
         Accelerometer, m/s² if names or the size of gravity at rest tell its unit. NaN where the log
         has no number.
-    mag : ndarray, shape (n, 3), or None
+    mag : ndarray of shape (n, 3), or None
         Magnetometer, in the log's unit. NaN where the log has no number.
-    attitudes : ndarray, shape (n, 4), or None
+    attitudes : ndarray of shape (n, 4), or None
         Attitudes in the log, unchanged.
     columns : tuple of str
         The gyro's columns.

@@ -45,13 +45,13 @@ class Comparison:
 
     Attributes
     ----------
-    t : ndarray, shape (m,)
+    t : ndarray of shape (m,)
         Times of the reference, s of the log.
-    angle : ndarray, shape (m,)
+    angle : ndarray of shape (m,)
         The remaining angle, rad.
     shift : float
         By how much the reference's clock is ahead of the log's, s.
-    body : ndarray, shape (4,)
+    body : ndarray of shape (4,)
         The rotation of the body axes: q_reference ≈ world∘q∘body with a constant world.
     aligned : tuple of bool
         Whether the motion determined ``shift``, and ``body``; otherwise clocks and axes are taken

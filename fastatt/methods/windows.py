@@ -69,15 +69,15 @@ class Iteration:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Shape of a method's window, and its formulas by kind of samples.
+    """The shape of a method's window, and its formulas by the kind of samples.
 
-    ``rates(v, h)`` and ``increments(v, h)`` give the rotation vectors (rad) from the window's start
+    ``rates(v, h)`` and ``increments(v, h)`` return rotation vectors (rad) from the window's start
     to the end of each interval, flat: v are its samples, flat (rad/s or rad), h its intervals (s),
-    the oldest first. They are plain functions, called with numbers, with recorded ones and from
-    ``@njit`` code. A method that is no such formula has an ``iteration``; one whose coefficients
-    hold for equal intervals alone is ``even``.
+    the oldest first. They are plain functions that are called with numbers, with traced ones and
+    from jitted code. A method that iterates has an ``iteration`` instead; one whose coefficients
+    hold for equal intervals only is ``even``.
 
-    Raises ``ValueError`` for a shape that the engine's chunks do not hold.
+    Raises ``ValueError`` for a shape that does not fit into the engine's chunks.
     """
 
     history: int

@@ -1,4 +1,4 @@
-"""What the pictures share: colours, a sphere, files without a display."""
+"""Common parts of pictures: colours, a sphere, files without a display."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.propagation.trajectory import Trajectory
 
-# Okabe and Ito's colours, which colour-blind readers distinguish
+# Okabe and Ito's colours, which colour-blind readers can distinguish
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 GREY = "0.6"
 _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">", "p", "h")
 
 
 def styles_of(names: Sequence[str], grey: Container[str] = ()) -> dict[str, dict[str, Any]]:
-    """Colour and marker of each name, no pair twice; those of ``grey`` are thin and grey."""
+    """Colour and marker of each name, each pair used once; those in ``grey`` are thin and grey."""
     every = list(dict.fromkeys(names))
     found = {}
     for i, name in enumerate(name for name in every if name not in grey):
@@ -36,7 +36,7 @@ def styles_of(names: Sequence[str], grey: Container[str] = ()) -> dict[str, dict
 
 
 def tints_of(values: Sequence[float]) -> dict[float, Any]:
-    """A colour of each value, in order of size, from a map that colour-blind readers can read."""
+    """A colour for each value, in order of size, from a map for colour-blind readers."""
     order = sorted(set(values))
     return dict(zip(order, colormaps["viridis"](np.linspace(0.0, 0.9, len(order))), strict=True))
 
@@ -44,7 +44,7 @@ def tints_of(values: Sequence[float]) -> dict[float, Any]:
 def space_on(
     axes: Any, elevation: float, azimuth: float, zoom: float, reach: float = 1.0
 ) -> NDArray[np.float64]:
-    """Show space without its axes, and give the direction from which it is seen, angles in deg."""
+    """Show space without its axes; returns the direction of view, from angles in deg."""
     axes.view_init(elev=elevation, azim=azimuth)
     axes.set_proj_type("ortho")
     axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
@@ -55,7 +55,7 @@ def space_on(
 
 
 def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
-    """Draw a faint unit sphere and give the direction from which it is seen."""
+    """Draw a faint unit sphere; returns the direction of view."""
     view = space_on(axes, elevation, azimuth, zoom)
     around = np.linspace(0.0, 2.0 * np.pi, 73)
     up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
@@ -65,7 +65,7 @@ def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArr
 
 
 def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:
-    """A figure of the momenta's sphere, seen from a direction, and of the plane across them."""
+    """A figure with the sphere of momenta, its direction of view, and a plane next to it."""
     figure = Figure(figsize=(13.0, 6.8), layout="constrained")
     sphere = figure.add_subplot(1, 2, 1, projection="3d")
     view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
@@ -77,21 +77,21 @@ def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:
 
 
 def axes_on(sphere: Any, names: Sequence[str]) -> None:
-    """Draw three axes out of a unit sphere, with their names."""
+    """Draw three axes from the centre of a unit sphere, with their names."""
     for axis, name in zip(np.eye(3), names, strict=True):
         sphere.plot(*np.stack([axis, 1.4 * axis], axis=1), color="k", lw=1.2)
         sphere.text(*(1.6 * axis), name, fontsize=13, ha="center", va="center")
 
 
 def curve_on(axes: Any, points: NDArray[Any], view: NDArray[Any], style: Mapping[str, Any]) -> None:
-    """A curve on the sphere: plain in front, faint behind."""
+    """Draw a curve on the sphere: solid in front, faint behind."""
     front = (points @ view > 0.0)[:, None]
     axes.plot(*np.where(front, points, np.nan).T, **style)
     axes.plot(*np.where(front, np.nan, points).T, alpha=0.25, **style)
 
 
 def check_run(run: object) -> None:
-    """Refuse what is no run with two saves.
+    """Refuse a run with fewer than two saves, or anything else.
 
     Raises ``TypeError`` or ``ValueError``.
     """

@@ -37,10 +37,10 @@ class Label:
 
 
 def write_labels(axes: Any, labels: Sequence[Label]) -> None:
-    """Write each name at the end of its curve or, where that is taken, along it.
+    """Write each name at the end of its curve or, if other things are there, along it.
 
-    Call it when everything is drawn and the axes have their scales and limits. The first names have
-    the best places.
+    Everything must be drawn before, with final scales and limits. The first names have the best
+    places.
     """
     if not labels:
         return
@@ -78,7 +78,7 @@ def _is_marked(line: Any) -> bool:
 
 
 def _pixels(transform: Any, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-    """Points (N, 2) of data as they lie in the figure."""
+    """Positions (N, 2) of data in the figure, in pixels."""
     points = np.stack([x, y], axis=1, dtype=np.float64)
     with np.errstate(all="ignore"):
         return np.asarray(transform.transform(points))
@@ -102,7 +102,7 @@ def _best_place(
     taken: Sequence[NDArray[np.float64]],
     frame: Any,
 ) -> NDArray[np.float64]:
-    """The centre of a box of half sizes ``half`` next to one of the points, the cheapest one."""
+    """The centre of a box of half sizes ``half`` next to one of the points, with the least cost."""
     found, least = points[0], np.inf
     for k, point in enumerate(points):
         if k % _EVERY:

@@ -153,7 +153,7 @@ def polhode(
         unit = m / np.linalg.norm(m, axis=-1, keepdims=True)
     for k, body in enumerate(chosen.tolist()):
         curve_on(ball, unit[:, k], view, {"color": tints[body], "lw": 1.8})
-        # two unit vectors across the momentum and each other
+        # two unit vectors orthogonal to the momentum and to each other
         across = space[:, k] @ np.linalg.svd(held[k][None].astype(np.float64))[2][1:].T
         plane.plot(*across.T, color=tints[body], lw=1.3)
         plane.plot(*across[:1].T, color=tints[body], marker="o", ms=5)
@@ -172,7 +172,7 @@ def _title(run: Trajectory) -> str:
     n = run.status.size
     flagged = np.count_nonzero(run.status)
     said = f", {flagged} flagged" if flagged else ""
-    # of each body its own, where the run has such
+    # per-body step sizes, if the run has them
     steps = dict.fromkeys(f"{x:g}" for x in (np.min(run.dt), np.max(run.dt)))
     return (
         f"{run.method}, {'1 body' if n == 1 else f'{n} bodies'}{said}, step {' to '.join(steps)} s"
@@ -189,13 +189,13 @@ def _thinned(run: Trajectory) -> Trajectory:
 
 
 def _legend(axes: Any) -> None:
-    """Above the panel, where it covers nothing."""
+    """Draw the legend above the panel, where it covers nothing."""
     place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "frameon": False}
     axes.legend(ncols=6, fontsize=9, columnspacing=1.4, handlelength=2.6, **place)
 
 
 def _percentiles(axes: Any, t: NDArray[Any], values: NDArray[Any], name: str) -> None:
-    """Bands over the bodies whose values are numbers at every save."""
+    """Bands over the bodies whose values are finite at every save."""
     kept = values[:, np.isfinite(values).all(axis=0)]
     if kept.size:
         low, quarter, middle, three, high = np.percentile(kept, (5, 25, 50, 75, 95), axis=1)
@@ -233,7 +233,7 @@ def _rates(axes: Any, run: Trajectory) -> None:
 
 
 def _of_one(run: Trajectory, values: NDArray[Any]) -> NDArray[Any]:
-    """Values (S, 3) of the only body, which an ensemble of one has an axis for."""
+    """Values (S, 3) of the only body, without the axis of an ensemble of one."""
     return np.asarray(values).reshape(len(run.t), 3)
 
 

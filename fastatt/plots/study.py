@@ -1,4 +1,4 @@
-"""Pictures of studies: work against precision, recordings, families of motions."""
+"""Pictures of studies: error against time, recordings, families of motions."""
 
 from __future__ import annotations
 
@@ -35,9 +35,20 @@ _LEAST = 1e-17  # rad, drawn in place of an error of 0, which a logarithmic axis
 
 @dataclass(frozen=True)
 class MethodCurve:
-    """One method's errors (rad) against its times per body (s) over a ladder of step sizes.
+    """One method's errors against its times over a ladder of step sizes.
 
-    ``leads``: no other method is both faster and more accurate everywhere.
+    Parameters
+    ----------
+    method : str
+        Name of the method.
+    kind : str
+        Representation and precision.
+    seconds : sequence of float
+        Times per body, s.
+    errors : sequence of float
+        Errors, rad.
+    leads : bool, default True
+        Whether no other method is both faster and more accurate everywhere.
     """
 
     method: str
@@ -49,7 +60,19 @@ class MethodCurve:
 
 @dataclass(frozen=True)
 class Panel:
-    """The ladders of an ensemble over ``t_end`` (s), and the best of all their rungs."""
+    """One panel of :func:`work_precision`.
+
+    Parameters
+    ----------
+    title : str
+        Title of the panel.
+    t_end : float
+        Duration of the runs, s.
+    ladders : sequence of MethodCurve
+        The curves.
+    frontier : MethodCurve
+        The best points of all curves.
+    """
 
     title: str
     t_end: float
@@ -59,7 +82,19 @@ class Panel:
 
 @dataclass(frozen=True)
 class Departures:
-    """One recording: each method's angle (deg) from the reference over time (s)."""
+    """One panel of :func:`recordings`.
+
+    Parameters
+    ----------
+    title : str
+        Name of the recording.
+    t : ndarray, shape (n,)
+        Times, s.
+    methods : mapping of str to ndarray
+        Each method's angle from the reference, deg.
+    maker : ndarray, shape (n,), or None
+        The angle of the manufacturer's orientation from the reference, deg.
+    """
 
     title: str
     t: NDArray[Any]
@@ -69,7 +104,17 @@ class Departures:
 
 @dataclass(frozen=True)
 class Polhode:
-    """Curves of one kinetic energy (J) on the sphere of momenta of size 1, (T, 3) each."""
+    """Polhodes of one kinetic energy.
+
+    Parameters
+    ----------
+    energy : float
+        Kinetic energy, J.
+    curves : sequence of ndarray of shape (T, 3)
+        Curves on the sphere of angular momenta of size 1.
+    separatrix : bool
+        Whether they are the separatrix.
+    """
 
     energy: float
     curves: Sequence[NDArray[Any]]
@@ -77,9 +122,18 @@ class Polhode:
 
 
 def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
-    """Error against time per body, both logarithmic, a panel for each ensemble or input.
+    """Plot error against time per body, both logarithmic, with a panel for each ensemble or input.
 
-    In a panel where a method leads nowhere it is grey, and drawn as quaternions only.
+    In a panel where a method leads nowhere it is grey, and drawn for quaternions only.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        The panels.
+    heading : str
+        Title of the picture.
+    path : Path
+        The picture's file.
     """
     columns = min(2, len(panels))
     lines = -(-len(panels) // columns)
@@ -142,10 +196,16 @@ def _points(ladder: MethodCurve) -> tuple[NDArray[Any], NDArray[Any]]:
 def polhodes(
     polhodes: Sequence[Polhode], herpolhodes: Mapping[float, NDArray[Any]], path: Path
 ) -> None:
-    """Polhodes on the sphere of angular momenta in body axes; herpolhodes in a plane in space.
+    """Plot polhodes on the sphere of angular momenta in body axes, and herpolhodes.
 
-    The latter are angular velocities perpendicular to the angular momentum, (T, 2), rad/s, by the
-    kinetic energy (J).
+    Parameters
+    ----------
+    polhodes : sequence of Polhode
+        The polhodes.
+    herpolhodes : mapping of float to ndarray of shape (T, 2)
+        Angular velocities orthogonal to the angular momentum, rad/s, by kinetic energy, J.
+    path : Path
+        The picture's file.
     """
     figure, sphere, view, plane = sphere_and_plane()
     tints = tints_of([p.energy for p in polhodes])
@@ -170,7 +230,17 @@ def polhodes(
 
 
 def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
-    """Each method's angle from the reference method over time, a panel for each recording."""
+    """Plot each method's angle from the reference over time, with a panel for each recording.
+
+    Parameters
+    ----------
+    logs : sequence of Departures
+        The recordings.
+    reference : str
+        Name of the reference method.
+    path : Path
+        The picture's file.
+    """
     columns = min(2, len(logs))
     lines = -(-len(logs) // columns)
     figure = Figure(figsize=(max(7.0, 5.6 * columns), 3.8 * lines + 0.6), layout="constrained")

@@ -19,7 +19,7 @@ def angular_velocity(
 
     Parameters
     ----------
-    q : array_like, shape (S, 4) or (S, N, 4)
+    q : array_like of shape (S, 4) or (S, N, 4)
         Attitudes, body to inertial, scalar first, time first. The sign of each quaternion does not
         matter.
     dt : float or array_like of shape (S - 1,)
@@ -31,7 +31,7 @@ def angular_velocity(
 
     Returns
     -------
-    ndarray, shape (S, 3) or (S, N, 3)
+    ndarray of shape (S, 3) or (S, N, 3)
         Angular velocities, rad/s.
 
     Raises

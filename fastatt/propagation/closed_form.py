@@ -43,11 +43,11 @@ def free_body(
 
     Parameters
     ----------
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Attitudes at t = 0, body to inertial, scalar first, of any norm above zero.
-    w0 : array_like, shape (3,) or (N, 3)
+    w0 : array_like of shape (3,) or (N, 3)
         Angular velocities at t = 0 along body axes, rad/s.
-    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
         Principal moments in any order, or tensors, kg·m².
     t : float or array_like of shape (T,)
         Time or times, s, in any order and of either sign.
@@ -65,10 +65,10 @@ def free_body(
 
     Returns
     -------
-    q : ndarray, shape (T, N, 4)
+    q : ndarray of shape (T, N, 4)
         Unit quaternions, body to inertial, scalar first. The axis T is absent for one time, and the
         axis N for one body.
-    w : ndarray, shape (T, N, 3)
+    w : ndarray of shape (T, N, 3)
         Angular velocities along body axes, rad/s, with the same leading axes.
 
     Raises
@@ -121,11 +121,11 @@ def symmetric_top(
 
     Parameters
     ----------
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Attitudes at t = 0, body to inertial, scalar first, of any norm above zero.
-    w0 : array_like, shape (3,) or (N, 3)
+    w0 : array_like of shape (3,) or (N, 3)
         Angular velocities at t = 0 along body axes, rad/s.
-    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
         Principal moments, or tensors, kg·m². Two moments are equal within 1e-12 of the largest;
         their mean is used.
     t : float or array_like of shape (T,)
@@ -141,9 +141,9 @@ def symmetric_top(
 
     Returns
     -------
-    q : ndarray, shape (T, N, 4)
+    q : ndarray of shape (T, N, 4)
         Unit quaternions, as in :func:`free_body`.
-    w : ndarray, shape (T, N, 3)
+    w : ndarray of shape (T, N, 3)
         Angular velocities along body axes, rad/s.
 
     Raises
@@ -195,16 +195,16 @@ def heavy_top(
 
     Parameters
     ----------
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Attitudes at t = 0, body to inertial, scalar first, of any norm above zero.
-    w0 : array_like, shape (3,) or (N, 3)
+    w0 : array_like of shape (3,) or (N, 3)
         Angular velocities at t = 0 along body axes, rad/s.
-    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
         Principal moments, or tensors, about the fixed point, kg·m². The moments about two axes
         normal to the arm are equal within 1e-12 of the largest; their mean is used.
     t : float or array_like of shape (T,)
         Time or times, s.
-    arm : array_like, shape (3,) or (N, 3)
+    arm : array_like of shape (3,) or (N, 3)
         Vector from the fixed point to the centre of mass along body axes, m.
     weight : float or array_like of shape (N,)
         Weight, along −z of the inertial axes, N.
@@ -219,9 +219,9 @@ def heavy_top(
 
     Returns
     -------
-    q : ndarray, shape (T, N, 4)
+    q : ndarray of shape (T, N, 4)
         Unit quaternions, as in :func:`free_body`.
-    w : ndarray, shape (T, N, 3)
+    w : ndarray of shape (T, N, 3)
         Angular velocities along body axes, rad/s.
 
     Raises

@@ -41,7 +41,7 @@ def propagate_directions(
     ----------
     scene : Scene
         A scene with a rate, without inertia, mass or states.
-    v0 : array_like, shape (3,), (M, 3) or (N, M, 3)
+    v0 : array_like of shape (3,), (M, 3) or (N, M, 3)
         Initial vectors, of any length: one, M directions seen from one body, or M from each of N
         bodies.
     dt : float
@@ -61,9 +61,9 @@ def propagate_directions(
 
     Returns
     -------
-    t : ndarray, shape (S,)
+    t : ndarray of shape (S,)
         Times of the saves, s.
-    v : ndarray, shape (S,) + v0.shape
+    v : ndarray of shape (S,) + v0.shape
         The vectors at these times.
 
     Raises

@@ -26,7 +26,7 @@ class Measure:
 
     Attributes
     ----------
-    maximum : ndarray, shape (N,)
+    maximum : ndarray of shape (N,)
         The largest value of each body.
     """
 
@@ -71,7 +71,7 @@ class Measure:
 
         Returns
         -------
-        ndarray, shape (N,)
+        ndarray of shape (N,)
             The percentile of each body, right to a factor of 2.
 
         Raises
@@ -129,9 +129,9 @@ def drift_statistics(
     ----------
     scene : Scene
         The bodies with their rates, torques and forces.
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`fastatt.propagate`.
-    w0 : array_like, shape (3,) or (N, 3), optional
+    w0 : array_like of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
     save_every : int
         Number of steps between two saves at which the drift is measured.

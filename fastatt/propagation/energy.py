@@ -27,16 +27,16 @@ def angular_momentum(
 
     Parameters
     ----------
-    w : array_like, shape (3,), (N, 3) or (S, N, 3)
+    w : array_like of shape (3,), (N, 3) or (S, N, 3)
         Angular velocities along body axes, rad/s.
-    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
         Principal moments or tensors, kg·m², as in :class:`Scene`.
-    q : array_like, shape (4,), (N, 4) or (S, N, 4), optional
+    q : array_like of shape (4,), (N, 4) or (S, N, 4), optional
         Attitudes, body to inertial. If given, the result is along inertial axes.
 
     Returns
     -------
-    ndarray, shape (3,), (N, 3) or (S, N, 3)
+    ndarray of shape (3,), (N, 3) or (S, N, 3)
         Angular momentum, N·m·s; NaN for a body whose angular velocity is not finite.
 
     Raises
@@ -69,14 +69,14 @@ def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    w : array_like, shape (3,), (N, 3) or (S, N, 3)
+    w : array_like of shape (3,), (N, 3) or (S, N, 3)
         Angular velocities along body axes, rad/s.
-    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
         Principal moments or tensors, kg·m², as in :class:`Scene`.
 
     Returns
     -------
-    ndarray, shape (), (N,) or (S, N)
+    ndarray of shape (), (N,) or (S, N)
         Kinetic energy, J; NaN for a body whose angular velocity is not finite.
 
     Raises
@@ -105,17 +105,17 @@ def potential_energy(
     scene : Scene
         A scene whose torque has a potential; each class of :mod:`fastatt.torques` says whether it
         has one. Without a torque the result is zero.
-    q : array_like, shape (4,), (N, 4) or (S, N, 4)
+    q : array_like of shape (4,), (N, 4) or (S, N, 4)
         Attitudes, body to inertial, of any norm above zero.
     t : float or array_like of shape (S,), default 0.0
         Time or times, s.
-    r : array_like, shape (3,), (N, 3) or (S, N, 3), optional
+    r : array_like of shape (3,), (N, 3) or (S, N, 3), optional
         Positions along inertial axes, m, if the torque depends on them. The energy is then that of
         torque and force together.
 
     Returns
     -------
-    ndarray, shape (), (N,) or (S, N)
+    ndarray of shape (), (N,) or (S, N)
         Potential energy, J.
 
     Raises

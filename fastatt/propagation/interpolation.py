@@ -25,11 +25,11 @@ def interpolate(
 
     Parameters
     ----------
-    t : array_like, shape (S,)
+    t : array_like of shape (S,)
         Times of the saves, s, rising or falling; at least two.
-    q : array_like, shape (S, 4) or (S, N, 4)
+    q : array_like of shape (S, 4) or (S, N, 4)
         Attitudes at the saves, body to inertial, scalar first, of either sign.
-    w : array_like, shape (S, 3) or (S, N, 3)
+    w : array_like of shape (S, 3) or (S, N, 3)
         Angular velocities at the saves along body axes, rad/s.
     times : float or array_like of shape (T,)
         Times at which attitudes are wanted, s, in any order and within ``t``.
@@ -40,9 +40,9 @@ def interpolate(
 
     Returns
     -------
-    q : ndarray, shape (T, 4) or (T, N, 4)
+    q : ndarray of shape (T, 4) or (T, N, 4)
         Unit quaternions, without the first axis if ``times`` is a number.
-    w : ndarray, shape (T, 3) or (T, N, 3)
+    w : ndarray of shape (T, 3) or (T, N, 3)
         Angular velocities along body axes, rad/s.
 
     Raises
@@ -103,9 +103,9 @@ def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[
 
     Parameters
     ----------
-    t : array_like, shape (S,)
+    t : array_like of shape (S,)
         Times of the saves, s, rising or falling; at least two.
-    s : array_like, shape (S, n) or (S, N, n)
+    s : array_like of shape (S, n) or (S, N, n)
         Numbers at the saves: ``run.s``, ``run.v`` or ``run.r``. Numbers that are not finite give
         NaN at the times that they are used for, in their own column alone.
     times : float or array_like of shape (T,)
@@ -113,7 +113,7 @@ def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[
 
     Returns
     -------
-    ndarray, shape (T, n) or (T, N, n)
+    ndarray of shape (T, n) or (T, N, n)
         The numbers at ``times``, without the first axis if ``times`` is a number.
 
     Raises

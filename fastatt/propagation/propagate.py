@@ -68,19 +68,19 @@ def propagate(
     ----------
     scene : Scene
         The bodies with their rates, torques and forces.
-    q0 : array_like, shape (4,) or (N, 4), optional
+    q0 : array_like of shape (4,) or (N, 4), optional
         Initial attitudes: quaternions from body axes to inertial axes, scalar first. Their norm may
         be any number above zero. SciPy's ``Rotation`` is accepted too. Required unless ``resume``
         provides the initial values.
-    w0 : array_like, shape (3,) or (N, 3), optional
+    w0 : array_like of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s. Required for a scene with inertia, and
         refused for a scene with a rate.
-    v0 : array_like, shape (3,) or (N, 3), optional
+    v0 : array_like of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s. Required for a scene with mass.
-    r0 : array_like, shape (3,) or (N, 3), optional
+    r0 : array_like of shape (3,) or (N, 3), optional
         Initial positions along inertial axes, m, for a scene with mass. The position is propagated
         only if ``r0`` is given.
-    s0 : array_like, shape (n,) or (N, n), optional
+    s0 : array_like of shape (n,) or (N, n), optional
         Initial values of the states of a scene with n states.
     dt : float or array_like of shape (N,)
         Step size, s. A negative step size propagates backwards in time. An array gives per-body

@@ -23,7 +23,7 @@ class Reducer:
     ----------
     function : UserFunction
         The function; ``function.straight`` says whether it is traced.
-    start : ndarray, shape (k,) or (N, k)
+    start : ndarray of shape (k,) or (N, k)
         The initial state.
     """
 
@@ -61,7 +61,7 @@ def reducer(function: Callable[..., Any], *, start: ArrayLike) -> Reducer:
         state. Its arguments are the time, s, the unit quaternion, body to inertial, the angular
         velocity along body axes, rad/s, and the state that it returned before, as tuples. The next
         state is a tuple as long as ``start``, or a number if that has one number.
-    start : array_like, shape (k,) or (N, k)
+    start : array_like of shape (k,) or (N, k)
         The state before the first step, for all bodies or for each. It may also carry constants of
         each body.
 

@@ -37,14 +37,14 @@ class Trajectory:
 
     Attributes
     ----------
-    t : ndarray, shape (S,)
+    t : ndarray of shape (S,)
         Times of the saves, s.
-    status : ndarray of uint8, shape (N,)
+    status : ndarray of uint8 of shape (N,)
         A :class:`Status` for each body; 0 if nothing went wrong.
-    norm_error : ndarray, shape (S, N)
+    norm_error : ndarray of shape (S, N)
         The norm error of the propagated state before it was projected for output: |q| − 1 for
         quaternions, ‖C Cᵀ − 1‖ for matrices.
-    state : ndarray, shape (S, N, k)
+    state : ndarray of shape (S, N, k)
         The k numbers of the attitude in the run's representation.
     dt : float or ndarray of shape (N,)
         Step size, or per-body step sizes, s.
@@ -199,7 +199,7 @@ class Trajectory:
 
         Returns
         -------
-        ndarray, shape (S, N)
+        ndarray of shape (S, N)
             The angle, rad; (S,) for one body.
 
         Raises
@@ -222,7 +222,7 @@ class Trajectory:
 
         Returns
         -------
-        ndarray, shape (S, N, 3)
+        ndarray of shape (S, N, 3)
             Rotation vectors along body axes, rad; (S, 3) for one body.
 
         Raises
@@ -239,12 +239,12 @@ class Trajectory:
 
         Parameters
         ----------
-        axis : array_like, shape (3,) or (N, 3)
+        axis : array_like of shape (3,) or (N, 3)
             A vector along body axes, of any length above zero, for all bodies or each.
 
         Returns
         -------
-        ndarray, shape (S, N, 3)
+        ndarray of shape (S, N, 3)
             Unit vectors along inertial axes; (S, 3) for one body.
 
         Raises

@@ -11,8 +11,7 @@ from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.models import Field, PackedLaw, Resources
 from fastatt.scene.time_series import TimeSeries
-from fastatt.scene.torque_models import check_unit
-from fastatt.scene.torque_record import Pose, Torque
+from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, dot, minus, product, quat, rigid, scale
 
 TabledQuaternion = Annotated[ArrayLike | TimeSeries, Field((4,), table="slopes")]

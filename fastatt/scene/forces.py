@@ -131,7 +131,7 @@ class Custom(UserModel, Force):
         are the time, s, the quaternion, the angular velocity, rad/s, the velocity along body axes,
         m/s, and the parameters, all but t as tuples. With ``uses_position`` it is ``force(t, q, w,
         v, r, p)``, with the position r along inertial axes, m.
-    params : array_like, shape (P,) or (N, P), optional
+    params : array_like of shape (P,) or (N, P), optional
         Parameters p of the function.
     uses_position : bool, default False
         Whether the function depends on the position. Attitude, velocity and position are then

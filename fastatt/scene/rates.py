@@ -35,7 +35,7 @@ class Constant(Rate):
 
     Parameters
     ----------
-    w : array_like, shape (3,) or (N, 3)
+    w : array_like of shape (3,) or (N, 3)
         Angular velocity, rad/s.
 
     Examples
@@ -58,7 +58,7 @@ class Polynomial(Rate):
 
     Parameters
     ----------
-    coefficients : array_like, shape (K, 3) or (N, K, 3)
+    coefficients : array_like of shape (K, 3) or (N, K, 3)
         c_k, rad/s^(k+1), the constant term first.
 
     Examples
@@ -81,13 +81,13 @@ class Sinusoidal(Rate):
 
     Parameters
     ----------
-    bias : array_like, shape (3,) or (N, 3)
+    bias : array_like of shape (3,) or (N, 3)
         Mean rate, rad/s.
-    amplitude : array_like, shape (3,) or (N, 3)
+    amplitude : array_like of shape (3,) or (N, 3)
         Amplitude, rad/s.
-    frequency : array_like, shape (3,) or (N, 3)
+    frequency : array_like of shape (3,) or (N, 3)
         Angular frequency, rad/s.
-    phase : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+    phase : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Phase, rad.
 
     Examples
@@ -188,7 +188,7 @@ class Slew(Rate):
 
     Parameters
     ----------
-    rotation : array_like, shape (3,) or (N, 3)
+    rotation : array_like of shape (3,) or (N, 3)
         Rotation vector of the whole slew, rad.
     duration : float or array_like of shape (N,)
         Duration T, s, above 0.
@@ -224,7 +224,7 @@ class Custom(UserModel, Rate):
     function : callable
         ``rate(t, p) -> (w1, w2, w3)``, rad/s, plain or jitted, with the time t, s, and the tuple p
         of parameters. With ``states`` it is ``rate(t, s, p) -> (rate, ds/dt)``.
-    params : array_like, shape (P,) or (N, P), optional
+    params : array_like of shape (P,) or (N, P), optional
         Parameters p of the function.
     states : int, default 0
         Number of states s of the function, which are stepped together with the attitude by methods

@@ -42,11 +42,11 @@ class Scene:
     rate : model or callable, optional
         Angular velocity as a function of time: a model of :mod:`fastatt.rates`, or a function
         ``rate(t, p) -> (w1, w2, w3)``, rad/s, with t in s and the tuple p of ``params``.
-    params : array_like, shape (P,) or (N, P), optional
+    params : array_like of shape (P,) or (N, P), optional
         Parameters of the user-defined rate or torque.
     frame : {"body", "inertial"}, default "body"
         Axes along which the rate is given: q̇ = ½ q∘w for "body", q̇ = ½ w∘q for "inertial".
-    inertia : array_like, shape (3,), (3, 3), (N, 3) or (N, 3, 3), optional
+    inertia : array_like of shape (3,), (3, 3), (N, 3) or (N, 3, 3), optional
         Principal moments or tensors, kg·m². A (3, 3) array is one tensor.
     torque : model or callable, optional
         A model of :mod:`fastatt.torques`, or a function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m

@@ -53,9 +53,9 @@ class TimeSeries:
 
     Parameters
     ----------
-    t : array_like, shape (T,)
+    t : array_like of shape (T,)
         Ascending times, s, at least 2. Look-ups are fastest if they are equally spaced.
-    values : array_like, shape (T,), (T, k) or (N, T, k)
+    values : array_like of shape (T,), (T, k) or (N, T, k)
         Samples for all bodies, or in N rows.
     kind : {"cubic", "linear"}, default "cubic"
         The interpolation. "cubic" has a continuous derivative.
@@ -229,12 +229,12 @@ class TimeSeries:
 
         Parameters
         ----------
-        times : ndarray, shape (S,)
+        times : ndarray of shape (S,)
             Times, s.
 
         Returns
         -------
-        ndarray, shape (S, k) or (S, N, k)
+        ndarray of shape (S, k) or (S, N, k)
             The interpolated numbers.
         """
         found = self._of_arrays(times[:, None], np.arange(float(self.rows)))[0]

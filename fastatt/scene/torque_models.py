@@ -13,7 +13,6 @@ from fastatt import checks
 from fastatt.scene.models import (
     Number,
     PackedLaw,
-    PositiveNumber,
     Resources,
     TabledMomentum,
     TabledVector,
@@ -24,8 +23,7 @@ from fastatt.scene.models import (
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence, Pose, Torque
 from fastatt.tracing.called import nested, points
-from fastatt.tracing.formulas import Vector, as_like, dot, minus, rigid, scale, vec3
-from fastatt.tracing.graph import apply
+from fastatt.tracing.formulas import Vector, as_like, dot, minus, rigid, vec3
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.user import UserFunction, user_function
 
@@ -110,7 +108,7 @@ class AxisDamping(Torque):
 
     Parameters
     ----------
-    coefficients : array_like, shape (3,) or (N, 3)
+    coefficients : array_like of shape (3,) or (N, 3)
         c_i, N·m·s.
 
     Examples
@@ -153,157 +151,6 @@ class QuadraticDamping(Torque):
         return rigid.quadratic_damping(pose.w, self.coefficient)
 
 
-class GravityGradient(Torque):
-    """Gravity-gradient torque τ = 3 n² o×(I o) in a circular orbit.
-
-    o is the direction from the planet to the body. At t = 0 it lies along ``radial``, and a quarter
-    of an orbit later along ``along``.
-
-    Parameters
-    ----------
-    mean_motion : float or array_like of shape (N,)
-        Mean motion n, rad/s.
-    radial : array_like, shape (3,) or (N, 3), default (1, 0, 0)
-        Unit vector along inertial axes.
-    along : array_like, shape (3,) or (N, 3), default (0, 1, 0)
-        Unit vector along inertial axes, normal to ``radial``.
-
-    References
-    ----------
-    Hughes, *Spacecraft Attitude Dynamics* (1986), §8.1.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> torque = fa.torques.GravityGradient(mean_motion=1.1e-3)
-    """
-
-    mean_motion: Number
-    radial: Vector3 = (1.0, 0.0, 0.0)
-    along: Vector3 = (0.0, 1.0, 0.0)
-    depends = Dependence.POSITION
-    axis_free = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        o = pose.to_body(rigid.orbit_direction(t, self.mean_motion, self.radial, self.along))
-        return rigid.gravity_gradient(o, pose.moments, self.mean_motion)
-
-    def check(self, name: str) -> None:
-        _check_orbit(name, self.mean_motion, "radial", self.radial, self.along)
-
-
-class KeplerGravityGradient(Torque):
-    """Gravity-gradient torque τ = 3 n² (a/r)³ o×(I o) in an elliptic orbit.
-
-    o is the direction from the planet to the body. At periapsis it lies along ``periapsis``, and it
-    rotates towards ``along``.
-
-    Parameters
-    ----------
-    mean_motion : float or array_like of shape (N,)
-        Mean motion n, rad/s.
-    eccentricity : float or array_like of shape (N,)
-        Eccentricity, 0 to 0.9.
-    periapsis : array_like, shape (3,) or (N, 3), default (1, 0, 0)
-        Unit vector along inertial axes.
-    along : array_like, shape (3,) or (N, 3), default (0, 1, 0)
-        Unit vector along inertial axes, normal to ``periapsis``.
-    mean_anomaly : float or array_like of shape (N,), default 0.0
-        Mean anomaly at t = 0, rad.
-
-    References
-    ----------
-    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> torque = fa.torques.KeplerGravityGradient(mean_motion=1.1e-3, eccentricity=0.1)
-    """
-
-    mean_motion: Number
-    eccentricity: Number
-    periapsis: Vector3 = (1.0, 0.0, 0.0)
-    along: Vector3 = (0.0, 1.0, 0.0)
-    mean_anomaly: Number = 0.0
-    depends = Dependence.POSITION
-    axis_free = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        anomaly = self.mean_motion * t + self.mean_anomaly
-        o, nearness = rigid.kepler_direction(anomaly, self.eccentricity, self.periapsis, self.along)
-        # n² a³/r³ in place of n²
-        rate = self.mean_motion * nearness * apply("sqrt", nearness)
-        return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
-
-    def check(self: Any, name: str) -> None:
-        e = self.eccentricity
-        checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
-        _check_orbit(name, self.mean_motion, "periapsis", self.periapsis, self.along)
-
-
-class GravityGradientAt(Torque):
-    """Gravity-gradient torque τ = 3 (μ/r³) o×(I o) at a given position r o.
-
-    Parameters
-    ----------
-    position : array_like of shape (3,) or (N, 3), or TimeSeries
-        Position relative to the planet's centre along inertial axes, m.
-    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
-        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
-
-    References
-    ----------
-    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> torque = fa.torques.GravityGradientAt((7.0e6, 0.0, 0.0))
-    """
-
-    position: TabledVector
-    gravitational_parameter: PositiveNumber = 3.986004418e14
-    depends = Dependence.POSITION
-    axis_free = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return _gravity_gradient(self.position, self.gravitational_parameter, pose)
-
-
-class CentralGravityGradient(Torque):
-    """Gravity-gradient torque τ = 3 (μ/r³) o×(I o) at the propagated position r o.
-
-    The position is relative to the planet's centre. The scene needs mass and a force, such as
-    :class:`fastatt.forces.CentralGravity`. Methods for which ``Method.couples`` is True accept it.
-
-    Parameters
-    ----------
-    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
-        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
-
-    References
-    ----------
-    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> scene = fa.Scene(
-    ...     inertia=(3.0, 2.0, 1.0), torque=fa.torques.CentralGravityGradient(), mass=10.0,
-    ...     force=fa.forces.CentralGravity(),
-    ... )
-    """
-
-    gravitational_parameter: PositiveNumber = 3.986004418e14
-    depends = Dependence.POSITION
-    axis_free = True
-    reads_position = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return _gravity_gradient(pose.beside.position, self.gravitational_parameter, pose)
-
-
 class HeavyTop(Torque):
     """The torque of a weight about a fixed point, τ = r × Cᵀ(0, 0, −W).
 
@@ -312,7 +159,7 @@ class HeavyTop(Torque):
 
     Parameters
     ----------
-    arm : array_like, shape (3,) or (N, 3)
+    arm : array_like of shape (3,) or (N, 3)
         Vector r from the fixed point to the centre of mass along body axes, m.
     weight : float or array_like of shape (N,)
         Weight W, along −z of the inertial axes, N.
@@ -413,7 +260,7 @@ class Sampled(Torque):
 
     Parameters
     ----------
-    torques : array_like, shape (n, 3)
+    torques : array_like of shape (n, 3)
         Torques, N·m, at the times start, start + dt, ...; one history for all bodies.
     dt : float
         Interval between the samples, s.
@@ -458,7 +305,7 @@ class Custom(UserModel, Torque):
         but t as tuples. With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, with the
         velocity v along body axes, m/s, and the position r along inertial axes, m. With ``states``
         it takes the states s before p and returns ``(torque, ds/dt)``.
-    params : array_like, shape (P,) or (N, P), optional
+    params : array_like of shape (P,) or (N, P), optional
         Parameters p of the function.
     uses_rate : bool, default True
         False promises that the function does not depend on w, so that splitting methods accept it.
@@ -533,32 +380,6 @@ class _NoTorque(Torque):
 
 
 FREE = _NoTorque()
-# tolerance of the norm of unit vectors
-_ROUNDED = 1e-3
-
-
-def check_unit(name: str, value: Any, strength: Any) -> None:
-    """Refuse vectors that have an effect and are not of unit length to a few digits."""
-    with np.errstate(over="ignore"):
-        size = np.linalg.norm(value, axis=0)
-    off = (strength != 0.0) & (np.abs(size - 1.0) > _ROUNDED)
-    checks.refuse(f"{name}: its length", size, off, "1")
-
-
-def _check_orbit(name: str, n: Any, first: str, out: Any, along: Any) -> None:
-    """Refuse an orbit of mean motion n that is not given by two orthogonal unit vectors."""
-    check_unit(f"{name}.{first}", out, n)
-    check_unit(f"{name}.along", along, n)
-    across = (np.clip(out, -1.0, 1.0) * np.clip(along, -1.0, 1.0)).sum(axis=0)
-    off = (n != 0.0) & (np.abs(across) > _ROUNDED)
-    checks.refuse(f"{name}.{first}·along", across, off, "0, vectors at right angles")
-
-
-def _gravity_gradient(r: Any, gravitational_parameter: Any, pose: Pose) -> Any:
-    """The gravity-gradient torque at a position r, m, from a point mass, along inertial axes."""
-    inverse = 1.0 / apply("sqrt", dot(r, r))
-    rate = apply("sqrt", gravitational_parameter * inverse) * inverse
-    return rigid.gravity_gradient(pose.to_body(scale(inverse, r)), pose.moments, rate)
 
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:

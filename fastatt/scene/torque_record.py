@@ -6,6 +6,9 @@ from enum import IntEnum
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
+from fastatt import checks
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene.models import Model
 from fastatt.tracing.formulas import Vector, quat
@@ -104,3 +107,15 @@ class Torque(Model):
             return self.formula(t, pose, *states)
         found = self.formula(t, pose.along_body, *states)
         return (*quat.rotate_inverse(pose.axes, found[:3]), *found[3:])
+
+
+# tolerance of the norm of unit vectors
+ROUNDED = 1e-3
+
+
+def check_unit(name: str, value: Any, strength: Any) -> None:
+    """Refuse vectors that have an effect and are not of unit length to a few digits."""
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(value, axis=0)
+    off = (strength != 0.0) & (np.abs(size - 1.0) > ROUNDED)
+    checks.refuse(f"{name}: its length", size, off, "1")

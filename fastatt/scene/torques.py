@@ -13,19 +13,21 @@ from numpy.typing import NDArray
 
 from fastatt.scene import models
 from fastatt.scene.controller import QuaternionPD
+from fastatt.scene.gravity_gradient import (
+    CentralGravityGradient,
+    GravityGradient,
+    GravityGradientAt,
+    KeplerGravityGradient,
+)
 from fastatt.scene.models import Law, Packed, Resources, Sum
 from fastatt.scene.torque_models import (
     FREE,
     AxisDamping,
-    CentralGravityGradient,
     Constant,
     ConstantInertial,
     Custom,
     Damping,
-    GravityGradient,
-    GravityGradientAt,
     HeavyTop,
-    KeplerGravityGradient,
     MagneticDipole,
     QuadraticDamping,
     Rotor,

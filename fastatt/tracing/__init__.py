@@ -1,1 +1,1 @@
-"""Formulas called once with numbers that record them, and what is made of the record."""
+"""Tracing: formulas are called once with numbers that record the operations on them."""

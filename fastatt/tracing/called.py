@@ -1,6 +1,6 @@
-"""A user's function that cannot be traced: compiled by Numba, or called back in Python.
+"""User-defined functions that can't be traced: compiled by Numba, or called back in Python.
 
-Also what tries a function in Python: its arguments at a few points, and its helpers uncompiled.
+Also functions to try them in Python: arguments at a few points, and helpers that are not compiled.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ POINTS = 8
 
 
 def nested(numbers: Sequence[Any], sizes: Sequence[int]) -> tuple[Any, ...]:
-    """Numbers in a row as arguments: of size 0 a number, else a tuple; the last is a tuple."""
+    """Successive numbers as arguments: a number for size 0, else a tuple; the last is a tuple."""
     found: list[Any] = []
     at = 0
     for k, n in enumerate(sizes):
@@ -44,14 +44,14 @@ def nested(numbers: Sequence[Any], sizes: Sequence[int]) -> tuple[Any, ...]:
 
 
 def are_numbers(values: tuple[Any, ...], n: int) -> bool:
-    """Whether values are n numbers, known or recorded."""
+    """Whether values are n numbers, known or traced."""
     return len(values) == n and all(
         isinstance(x, (Recorded, float, int, np.number)) and not isinstance(x, bool) for x in values
     )
 
 
 def in_a_row(result: Any, states: int) -> Any:
-    """What a function gives, as a tuple; one with states in one, () where it does not give two."""
+    """The result of a function as one tuple, also with states; () if these are missing."""
     if not states:
         return numbers_of(result)
     if not (isinstance(result, (tuple, list)) and len(result) == 2):
@@ -72,7 +72,7 @@ def points(
     params: NDArray[np.float64] | None,
     span: tuple[float, float] = (0.0, 10.0),
 ) -> list[list[float]]:
-    """Arguments to try a function with, in a row: the first at the begin of a span of time."""
+    """Arguments to try a function with; the first are at the begin of a time interval."""
     rng = np.random.default_rng(8)
     found = []
     for k in range(POINTS):
@@ -90,7 +90,7 @@ def points(
 
 
 def interpreted(function: Any) -> Callable[..., Any]:
-    """A function as Python runs it, what it calls that is jitted included: nothing is compiled."""
+    """A function as Python runs it, with the jitted functions that it calls in Python too."""
     inner, first, named = opened(function)
     if inner is not function:
         plain = interpreted(inner)
@@ -100,7 +100,7 @@ def interpreted(function: Any) -> Callable[..., Any]:
 
 
 def _with(plain: FunctionType, found: dict[str, Any]) -> FunctionType:
-    """The function with other values of the names that it refers to."""
+    """The function with other values of the names in it."""
     scope = plain.__globals__ | found
     closure = tuple(
         CellType(found[name]) if name in found else CellType()
@@ -112,9 +112,9 @@ def _with(plain: FunctionType, found: dict[str, Any]) -> FunctionType:
 
 
 def _renewed(function: Any, within: tuple[Any, ...] = ()) -> Any:
-    """The function with what it calls that Numba compiled before compiled anew when it is called.
+    """The function, with the jitted functions that it calls compiled anew when they are called.
 
-    Numba keeps the globals of the moment when it first compiled a function.
+    Numba keeps the globals of the time when it first compiled a function.
     """
     plain = getattr(function, "py_func", function)
     within = (*within, plain)
@@ -137,7 +137,7 @@ def _in_python(value: Any) -> Any:
 
 # compiled by Numba, or called back
 
-# what terminals read as a colour
+# colour sequences of terminals
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _REAL = types.Float, types.Integer
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -146,7 +146,7 @@ ENTRY = ctypes.CFUNCTYPE(None, _DOUBLES, _DOUBLES)
 
 
 def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
-    """The function called back in Python, where it is tried first; where it raises it gives NaN."""
+    """The function called back in Python, after a trial; an error there gives NaN."""
     sizes, n = user.sizes, user.form.results
     n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
     failed: Exception | None = None
@@ -183,7 +183,7 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
 
 
 def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
-    """The function compiled by Numba behind pointers."""
+    """The function compiled by Numba, with pointers as arguments."""
     f8 = types.float64
     *before, last = user.sizes
     signature = (*(types.UniTuple(f8, n) if n else f8 for n in before), types.UniTuple(f8, last))
@@ -212,7 +212,7 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
 
 
 def _items(inner: Any, user: UserFunction, returned: Any) -> tuple[list[str], list[str]]:
-    """How the numbers of a ``result`` are read, none if it is another form; checks of lengths."""
+    """How the numbers of ``result`` are read, none for another form; and checks of lengths."""
     form, lengths = user.form, []
 
     def numbers(kind: Any, n: int, name: str, part: Callable[[Any], Any]) -> list[str]:
@@ -237,7 +237,7 @@ def _items(inner: Any, user: UserFunction, returned: Any) -> tuple[list[str], li
 def _with_constants(
     inner: Any, n: int, first: tuple[Any, ...], named: dict[str, Any]
 ) -> FunctionType:
-    """The function of its last n arguments, the others constants."""
+    """The function of its last n arguments, with the others as constants."""
     scope = {"inner": inner} | {f"c{k}": x for k, x in enumerate((*first, *named.values()))}
     free = [f"x{k}" for k in range(n)]
     fixed = [f"c{k}" for k in range(len(first))]
@@ -254,7 +254,7 @@ def _is_row(returned: Any) -> bool:
 
 
 def _lengths(inner: Any, user: UserFunction, part: Callable[[Any], Any]) -> set[int]:
-    """How many numbers a part of its result has where it is tried and does not raise."""
+    """The lengths of a part of the function's results where it is tried without an error."""
     found = set()
     for point in points(user.sizes, None):
         with contextlib.suppress(Exception):
@@ -263,7 +263,7 @@ def _lengths(inner: Any, user: UserFunction, part: Callable[[Any], Any]) -> set[
 
 
 def _wrapper(user: UserFunction, items: Sequence[str], lengths: Sequence[str]) -> str:
-    """Text of what calls ``inner`` with numbers from memory, and keeps the items of its result."""
+    """Text of a function that calls ``inner`` with numbers from memory and stores its results."""
     count = sum(max(k, 1) for k in user.form.before) + user.n_params
     numbers = [f"given[{k}]" for k in range(count)]
     args = [
@@ -276,7 +276,7 @@ def _wrapper(user: UserFunction, items: Sequence[str], lengths: Sequence[str]) -
         f"        result = inner({', '.join(args)})",
         *lengths,
         *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
-        # no error may leave what the loop calls: the body's status says it
+        # no error may leave a function in the loop: NaN sets the body's status
         "    except Exception:",
         *(f"        made[{k}] = nan" for k in range(len(items))),
     ]
@@ -295,7 +295,7 @@ def _wrong(user: UserFunction, found: str) -> TypeError:
 
 
 def _words_of(error: Exception) -> str:
-    """Numba's reason in a line, without colours: what it says first that is not about its steps."""
+    """Numba's reason in one line, without colours: the first that is not about its steps."""
     skipped = ("Failed in ", "During: ")
     text = _COLOUR.sub("", str(error))
     lines = [x.strip() for x in text.splitlines() if not x.startswith(skipped)]

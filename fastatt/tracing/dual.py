@@ -1,12 +1,12 @@
-"""Dual numbers: recorded numbers with their derivatives along a few directions.
+"""Dual numbers: traced numbers with their derivatives in a few directions.
 
-A formula that is called with them gives its derivatives along with its value, by the same formula:
-forward differentiation (Griewank and Walther, *Evaluating Derivatives*, 2008, ch. 3), exact but for
-rounding. What is 0 by its structure drops out. Comparisons take values; the derivative of a
-number that is selected away is never used; that of a number that is not finite means nothing.
+A formula that is called with dual numbers returns its derivatives along with its value: forward
+differentiation (Griewank and Walther, *Evaluating Derivatives*, 2008, chapter 3), exact to
+rounding. Derivatives that are structurally 0 disappear. Comparisons use values; the derivative of a
+value that is not selected is not used; that of a value that is not finite has no meaning.
 
-Where a graph has lanes for directions (``Graph.lanes``) a dual number holds one derivative, with a
-lane a direction, in place of one for each: a sixth of the operations for six directions.
+In a graph with lanes for directions (``Graph.lanes``) a dual number holds one derivative with a
+lane for each direction, which takes a sixth of the operations for six directions.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ class Dual(Composed):
 
     @property
     def kind(self) -> str:
-        """Precision of the value, "" of a known one."""
+        """Precision of the value, "" for a known one."""
         return self.value.kind if isinstance(self.value, Number) else ""
 
     def precision(self) -> Callable[[Any], Any]:
-        """``type(x)``, as of its value."""
+        """``type(x)``, as for its value."""
         return self.value.precision() if isinstance(self.value, Number) else _as_is
 
     def cast(self, to: type[Number]) -> Any:
-        """It in another precision."""
+        """The number in another precision."""
         slopes = [to(slope) if isinstance(slope, Number) else slope for slope in self.slopes]
         return _dual(to(self.value), slopes)
 
@@ -97,7 +97,7 @@ class Dual(Composed):
     __hash__ = None  # type: ignore[assignment]
 
     def through(self, result: Any, slope: Any) -> Any:
-        """The result of a function of it whose derivative there is ``slope``."""
+        """The result of a function whose derivative at this number is ``slope``."""
         return _dual(result, [slope * d for d in self.slopes])
 
     def applied(self, function: str) -> Any:
@@ -134,10 +134,10 @@ class Dual(Composed):
 
     @classmethod
     def opaque(cls, function: int, results: int, args: Sequence[Any]) -> tuple[Any, ...]:
-        """A function that can't be traced: its derivatives are central differences.
+        """A function that can't be traced, with central differences as its derivatives.
 
-        An argument x is moved by 2⁻¹⁷ max(|x|, 1) to either side: where the function changes over 1
-        and by much less is known of none other, the error is some 1e-10 of a derivative.
+        An argument x is moved by 2⁻¹⁷ max(``|x|``, 1) in both directions. The error of a derivative
+        is some 1e-10 if the function changes over a scale of 1.
         """
         values = [value(x) for x in args]
         everything = [y for x in args for y in (x, *getattr(x, "slopes", ()))]
@@ -153,7 +153,7 @@ class Dual(Composed):
                 functions.opaque(function, results, [*values[:k], end, *values[k + 1 :]], like)
                 for end in (above, below)
             ]
-            # the step that was taken, not the one that was rounded
+            # the difference after rounding
             inverse = 1.0 / (above - below)
             for row, high, low in zip(slopes, *ends, strict=True):
                 slope = (high - low) * inverse
@@ -162,7 +162,7 @@ class Dual(Composed):
 
     @classmethod
     def called(cls, formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
-        """A traced function: by a rule if there is one, of one number by the chain rule."""
+        """A traced function: by a rule if there is one, else by the chain rule for one number."""
         rule = _RULES.get(function)
         if rule is not None:
             return rule(formula, *args)
@@ -170,7 +170,7 @@ class Dual(Composed):
 
 
 def _chained(formula: Callable[..., Any], x: Dual) -> Any:
-    """A function of one number by its derivative to that, whatever the number depends on."""
+    """A function of one number by its derivative and the chain rule."""
     return mapped(
         lambda y: x.through(y.value, y.slopes[0]) if isinstance(y, Dual) else y,
         formula(Dual(x.value, (1.0,))),
@@ -190,7 +190,7 @@ def _as_is(x: Any) -> Any:
 
 
 def _dual(x: Any, slopes: Sequence[Any]) -> Any:
-    """A dual number, or a plain one where no derivative is left."""
+    """A dual number, or a plain one if no derivative remains."""
     if all(not isinstance(slope, Number) and slope == 0.0 for slope in slopes):
         return x
     return Dual(x, tuple(slopes))
@@ -228,7 +228,7 @@ def _quotient(a: Any, b: Any) -> Any:
 
 
 def _applied(function: str, x: Any) -> Any:
-    """Of a known number the function by Python."""
+    """A function of a number; for a known number evaluated by Python."""
     if isinstance(x, Number):
         return graph.apply(function, x)
     return float(getattr(np, _NUMPY.get(function, function))(x))
@@ -240,7 +240,7 @@ def _raised(x: Any, power: Any) -> Any:
 
 _NUMPY = {"asin": "arcsin", "acos": "arccos"}
 
-# function: its derivative from x and f(x)
+# functions with their derivatives from x and f(x)
 _SLOPES: dict[str, Slope] = {
     "sqrt": lambda x, f: 0.5 / f,
     "exp": lambda x, f: f,
@@ -260,7 +260,7 @@ def _sincos(formula: Callable[..., Any], x: Dual) -> tuple[Any, Any]:
 
 
 def _half(formula: Callable[..., Any], z: Dual) -> tuple[Any, Any]:
-    """sin(θ/2)/θ by its polynomial; the derivative of cos(θ/2) to θ² is −¼ of it."""
+    """sin(θ/2)/θ by its polynomial; the derivative of cos(θ/2) by θ² is −¼ times it."""
     s, _ = _chained(formula, z)
     _, c = formula(z.value)
     return s, z.through(c, -0.25 * value(s))
@@ -272,7 +272,7 @@ def _atan2(formula: Callable[..., Any], y: Any, x: Any) -> Any:
     return _dual(formula(b, a), [(a * db - b * da) * inverse for db, da in pairs])
 
 
-# kernels whose derivative is shorter than their polynomial's
+# kernels whose derivatives take fewer operations than those of their polynomials
 _RULES: dict[Any, Callable[..., Any]] = {
     trig.sincos: _sincos,
     trig.sincos_bounded: _sincos,
@@ -281,14 +281,14 @@ _RULES: dict[Any, Callable[..., Any]] = {
     trig.half_sinc_cos_wide: _half,
 }
 
-# seeds and what is read
+# seeds and results
 
 
 def seed(values: Sequence[Any], size: int, first: int = 0, like: Any = None) -> tuple[Any, ...]:
-    """Numbers as dual ones of ``size`` directions: one along ``first``, the others on from it.
+    """Numbers as dual ones with ``size`` directions, from the direction ``first`` on.
 
-    Known numbers are so too; where all are known, ``like`` is a number of the graph and of the
-    precision that is meant.
+    Known numbers are included; if all are known, ``like`` is a number of the graph and of the
+    precision.
     """
     numbers = [x for x in (like, *values) if isinstance(x, Number)]
     if not numbers:
@@ -306,12 +306,12 @@ def seed(values: Sequence[Any], size: int, first: int = 0, like: Any = None) -> 
 
 
 def value(x: Any) -> Any:
-    """The value of a number, dual or plain; of tuples that of each."""
+    """The value of a number, dual or plain; for tuples that of each."""
     return mapped(lambda y: y.value if isinstance(y, Dual) else y, x)
 
 
 def derivatives(x: Any, size: int) -> tuple[Any, ...]:
-    """The ``size`` derivatives of a number; of a plain one all are 0."""
+    """The ``size`` derivatives of a number; for a plain one all are 0."""
     if isinstance(x, Condition):
         raise TraceError("the derivative of a truth value")
     if not isinstance(x, Dual):

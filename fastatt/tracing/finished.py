@@ -1,4 +1,4 @@
-"""A finished graph: what is left of it for some results, multiplications fused."""
+"""Finished graphs: the operations that some results need, with fused multiplications."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any
 from fastatt.tracing.graph import Graph, number
 from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
 
-#: operations that a value must take to be kept in memory rather than computed again
+#: least number of operations of a value that is kept in memory instead of being computed again
 _WORTH = 3
-#: results that may wait before the order is changed: a processor has 16 or 32 registers
+#: intermediate results in registers beyond which the order is changed; processors have 16 or 32
 _REGISTERS = 24
-#: operations that find something in memory, and what
+#: operations that use a resource in memory, and its kind
 _RESOURCES = {"gather": "table", "opaque": "function"}
 
 
 class Flat:
-    """What is left of a graph for some results: operations in order, multiplications fused.
+    """The operations that some results of a graph need, in order, with fused multiplications.
 
-    ``a*b + c`` becomes one ``fma`` where the product is used only there: chosen here and not by a
-    compiler, so that every form of a formula rounds alike.
+    ``a*b + c`` becomes one ``fma`` if the product has no other use. This is decided here and not by
+    a compiler, so that every form of a formula rounds alike.
     """
 
     def __init__(self, graph: Graph, results: Iterable[Any], kinds: str | Sequence[str]) -> None:
@@ -47,7 +47,7 @@ class Flat:
                 left = nodes[i].args[0]
                 k = self._negated_product(nodes, uses, left)
                 if product is None and nodes[i].op == "-" and k is not None:
-                    # −(a b) − c: the sign goes to a, for which there is an instruction
+                    # −(a b) − c: with the sign at a there is one instruction
                     a, b = nodes[k].args
                     made[left] = Node("neg", nodes[i].kind, (a,))
                     made[i] = Node("fms", nodes[i].kind, (left, b, nodes[i].args[1]))
@@ -59,17 +59,17 @@ class Flat:
 
     @classmethod
     def of(cls, made: Mapping[int, Node], ends: Sequence[int]) -> Flat:
-        """What of operations in order, fused already, is needed for the results ``ends``."""
+        """The operations, in order and fused already, that the results ``ends`` need."""
         found = cls.__new__(cls)
         found.nodes, found.results = _numbered(made, ends)
         return found
 
     def first(self, n: int) -> Flat:
-        """What the first n results need."""
+        """The operations for the first n results."""
         return Flat.of(dict(enumerate(self.nodes)), self.results[:n])
 
     def in_few_registers(self) -> Flat:
-        """The graph in an order in which few results wait."""
+        """The graph in an order with few intermediate results at a time."""
         order = _ordered(self.nodes, self.results)
         at = {i: k for k, i in enumerate(order)}
         found = Flat.__new__(Flat)
@@ -99,18 +99,18 @@ class Flat:
 
     @property
     def operations(self) -> int:
-        """Floating-point operations, an fma counted as two, selections and comparisons as one."""
+        """Floating-point operations; an fma counts as two, selections and comparisons as one."""
         free = ("const", "in", "item", "cast", "lane")
         return sum(
             0 if n.op in free else 2 if n.op in ("fma", "fms", "fnma") else 1 for n in self.nodes
         )
 
     def inputs(self) -> list[tuple[Any, ...]]:
-        """Names of the numbers that are given."""
+        """Names of the inputs."""
         return [n.args for n in self.nodes if n.op == "in"]
 
     def spelled(self, resources: Sequence[tuple[str, Any]]) -> str:
-        """All that it computes, as text; tables and functions by their places in ``resources``."""
+        """The whole computation as text, with resources by their places in ``resources``."""
         places = {key: i for i, key in enumerate(resources)}
 
         def spelled(node: Node) -> Any:
@@ -122,10 +122,10 @@ class Flat:
 
 
 def without_shared_calls(flat: Flat, is_shared: Callable[[Node], bool]) -> tuple[Flat | None, Flat]:
-    """A graph in two: the calls of opaque functions of shared inputs alone, and the rest.
+    """A graph in two parts: calls of untraced functions with shared inputs alone, and the rest.
 
-    The first gives the results of those calls, which are inputs ("called", k) of the rest; it is
-    None where there are none. No compiler takes a call of an unknown function out of a loop.
+    The first returns the results of those calls, which are inputs ("called", k) of the rest; it is
+    None if there are none. No compiler moves a call of an unknown function out of a loop.
     """
     shared: set[int] = set()
     for i, node in enumerate(flat.nodes):
@@ -144,13 +144,13 @@ def without_shared_calls(flat: Flat, is_shared: Callable[[Node], bool]) -> tuple
 
 
 def resources_of(*flats: Flat) -> list[tuple[str, Any]]:
-    """What graphs find in memory: ("table", its number) and ("function", itself)."""
+    """The resources of graphs in memory: ("table", its number) and ("function", itself)."""
     nodes = chain.from_iterable(flat.nodes for flat in flats)
     return list(dict.fromkeys((_RESOURCES[n.op], n.args[0]) for n in nodes if n.op in _RESOURCES))
 
 
 def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node], list[int]]:
-    """(operations that results need, results), numbered anew; before by the keys of ``made``."""
+    """(operations that results need, results), renumbered; before by the keys of ``made``."""
     live = set(ends)
     for i in sorted(made, reverse=True):
         if i in live:
@@ -161,12 +161,11 @@ def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node]
 
 
 class Constants:
-    """What of some graphs depends on the inputs of one group alone: to be computed once.
+    """Parts of some graphs that depend on the inputs of one group only, to be computed once.
 
-    Not what depends on those of the group alone that are numbered ``alike``.
-
-    ``without`` gives a graph in which such values are inputs (``name``, k); ``flat`` computes them.
-    No rounding changes: multiplications are fused already.
+    Parts that depend only on inputs of the group with numbers in ``alike`` are excluded.
+    ``without`` returns a graph in which such values are inputs (``name``, k); ``flat`` computes
+    them. No rounding changes, since multiplications are fused already.
     """
 
     def __init__(self, group: str, name: str, alike: Collection[int] = ()) -> None:
@@ -182,7 +181,7 @@ class Constants:
         return Flat.of(dict(enumerate(self._graph.nodes)), list(self._picked))
 
     def without(self, flat: Flat, *, more: bool = True) -> Flat:
-        """The rest of a graph; with no ``more`` only what is computed for another one is taken."""
+        """The rest of a graph; without ``more``, only values of other graphs are replaced."""
         own = self._own(flat.nodes)
         made = dict(enumerate(flat.nodes))
         wanted = set(flat.results)
@@ -200,7 +199,7 @@ class Constants:
         return Flat.of(made, flat.results)
 
     def _own(self, nodes: Sequence[Node]) -> dict[int, int]:
-        """Which operations are of the group alone: their numbers among all such."""
+        """The operations that depend on the group alone, with their numbers among these."""
         own: dict[int, int] = {}
         for i, node in enumerate(nodes):
             ops = operands(node)
@@ -216,15 +215,15 @@ class Constants:
         return own
 
 
-# an order for few registers
+# orders for few registers
 
 
 def _ordered(made: Sequence[Node], ends: Iterable[int]) -> list[int]:
-    """The operations' numbers in an order in which few results wait; ``ends`` are the results.
+    """The operations' numbers in an order with few intermediate results; ``ends`` are the results.
 
-    Results that wait take the processor's registers. Goodman and Hsu, *Code scheduling and register
-    allocation in large basic blocks* (1988): of what can be done next, what frees most; of equals
-    what was written first.
+    Intermediate results take the processor's registers. Goodman and Hsu, *Code scheduling and
+    register allocation in large basic blocks* (1988): of the possible next operations, that which
+    frees the most registers; of equal ones the first in the text.
     """
     order = range(len(made))
     free = {i for i in order if made[i].op in ("const", "in")}
@@ -255,7 +254,7 @@ def _ordered(made: Sequence[Node], ends: Iterable[int]) -> list[int]:
         for k in taken[i]:
             left[k] -= 1
             if left[k] == 1:
-                # its last user frees it, which is worth more than it was
+                # its last use frees it, which counts more
                 for j in users[k]:
                     if j not in done and not missing[j]:
                         heappush(ready, (cost(j), j))
@@ -269,7 +268,7 @@ def _ordered(made: Sequence[Node], ends: Iterable[int]) -> list[int]:
 def _waiting(
     order: Sequence[int], taken: Mapping[int, set[int]], kept: set[int], free: set[int]
 ) -> int:
-    """Most results that wait at once."""
+    """The largest number of intermediate results at a time."""
     uses = {i: int(i in kept) for i in order}
     for i in order:
         for k in taken[i]:

@@ -1,4 +1,4 @@
-"""The kernels for recorded numbers, and tuples of such numbers combined."""
+"""Kernels for traced numbers, and operations on tuples of such numbers."""
 
 from __future__ import annotations
 
@@ -27,54 +27,54 @@ trig: Any = stand_in(kernels.trig)
 vec3: Any = stand_in(kernels.vec3)
 
 Vector = tuple[Any, ...]
-#: operations between a factor and its inputs beyond which the search ends
+#: the largest number of operations between a factor and its inputs in the search
 _DEPTH = 5
 
 
 def as_like(x: Any, like: Any) -> Any:
-    """x in the precision of ``like``; of tuples each number."""
+    """x in the precision of ``like``; for tuples each number."""
     if isinstance(x, tuple):
         return tuple(as_like(y, like) for y in x)
     return kind_of(like)(x)
 
 
 def plus(*vectors: Vector) -> Vector:
-    """The sum."""
+    """Sum of vectors."""
     return tuple(reduce(lambda a, b: a + b, column) for column in zip(*vectors, strict=True))
 
 
 def minus(x: Vector, y: Vector) -> Vector:
-    """x − y."""
+    """Difference x − y."""
     return tuple(a - b for a, b in zip(x, y, strict=True))
 
 
 def opposite(x: Vector) -> Vector:
-    """−x."""
+    """Opposite vector −x."""
     return tuple(-a for a in x)
 
 
 def scale(k: Any, x: Vector) -> Vector:
-    """k x."""
+    """Multiple k x."""
     return tuple(k * a for a in x)
 
 
 def product(x: Vector, y: Vector) -> Vector:
-    """x_i y_i."""
+    """Elementwise product x_i y_i."""
     return tuple(a * b for a, b in zip(x, y, strict=True))
 
 
 def axpy(k: Any, x: Vector, y: Vector) -> Vector:
-    """k x + y."""
+    """Sum k x + y."""
     return tuple(k * a + b for a, b in zip(x, y, strict=True))
 
 
 def dot(x: Vector, y: Vector) -> Any:
-    """Σ x_i y_i."""
+    """Scalar product Σ x_i y_i."""
     return reduce(lambda a, b: a + b, (a * b for a, b in zip(x, y, strict=True)))
 
 
 def weighted(weights: Sequence[float], vectors: Sequence[Vector]) -> tuple[float, Vector]:
-    """(k, y) with k y = Σ weights[i] vectors[i], k the largest weight, a product a vector less."""
+    """(k, y) with k y = Σ weights[i] vectors[i] and the largest weight k, to save products."""
     terms = [(w, v) for w, v in zip(weights, vectors, strict=True) if w != 0.0]
     k, first = max(terms, key=lambda term: abs(term[0]))
     rest = [(w, v) for w, v in terms if v is not first]
@@ -82,7 +82,7 @@ def weighted(weights: Sequence[float], vectors: Sequence[Vector]) -> tuple[float
 
 
 def largest(vectors: Iterable[Vector]) -> Vector:
-    """Of each number the one that is largest in size."""
+    """For each component the number of largest size."""
     return reduce(
         lambda x, y: tuple(
             choose(abs(a) > abs(b), a, b) if isinstance(a, Recorded) or isinstance(b, Recorded)
@@ -94,10 +94,10 @@ def largest(vectors: Iterable[Vector]) -> Vector:
 
 
 def onto(y: Vector, x: Vector, k: Vector | None = None) -> Vector:
-    """y_i + x_i, or y_i + k_i x_i, where x_i is a sum of products each product by itself.
+    """y_i + x_i, or y_i + k_i x_i; if x_i is a sum of products, each product is added by itself.
 
-    k goes into factors that do not depend on the state: once for all bodies that share them. Where
-    a product has none, the sum is made first.
+    k is multiplied to factors that do not depend on the state, once for all bodies that share them.
+    If a product has none, the sum is computed first.
     """
     made = []
     for a, b, c in zip(y, x, k or (1.0,) * len(y), strict=True):
@@ -120,7 +120,7 @@ def _onto(y: Any, x: Any, k: Any) -> Any:
 
 
 def _scaled(k: Any, x: Any) -> Any:
-    """k x, k multiplied to a factor of x that does not depend on the state; None without one."""
+    """k x, with k at a factor of x that does not depend on the state; None without one."""
     if isinstance(k, float) or (isinstance(x, Number) and _is_given(x.graph, x.at, _DEPTH)):
         return k * x
     op, taken = _parts(x)
@@ -132,7 +132,7 @@ def _scaled(k: Any, x: Any) -> Any:
 
 
 def _is_given(graph: Graph, at: int, depth: int) -> bool:
-    """Whether it is soon seen that an operation takes parameters, times and constants alone."""
+    """Whether a short search shows an operation of parameters, times and constants only."""
     node = graph.nodes[at]
     if node.op == "in":
         return bool(node.args[0] != "x")
@@ -141,7 +141,7 @@ def _is_given(graph: Graph, at: int, depth: int) -> bool:
 
 
 def _parts(x: Any) -> tuple[str, list[Any]]:
-    """The operation of a sum, a product or an opposite, and what it is of."""
+    """The operation of a sum, a product or an opposite, and its operands."""
     node = x.graph.nodes[x.at] if isinstance(x, Number) else None
     if node is None or node.op not in ("+", "-", "*", "neg"):
         return "", []

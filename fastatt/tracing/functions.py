@@ -1,4 +1,4 @@
-"""Functions of recorded numbers that are no operator: powers, remainders, look-ups, calls."""
+"""Functions of traced numbers that are not operators: powers, remainders, look-ups, calls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fastatt.tracing.nodes import Composed, Recorded, TraceError, composed_of
 
 
 def raised(x: Any, power: Any) -> Any:
-    """x to the power of a whole number or of half of one, at most 64 in size."""
+    """x to a whole or half power of size at most 64."""
     if isinstance(power, Recorded):
         raise TraceError("a power that is not known beforehand")
     if isinstance(x, Composed):
@@ -33,17 +33,17 @@ def raised(x: Any, power: Any) -> Any:
 
 
 def divided(x: Any, y: Any) -> tuple[Any, Any]:
-    """(x // y, x % y) as Python's: the whole number below, and a remainder of the sign of y.
+    """(x // y, x % y) as in Python: the whole number below, and a remainder with the sign of y.
 
-    With fused multiplications the remainder is Python's to the bit while |x/y| < 2⁵³; without, they
-    are those of x moved by an ulp. By 0 the remainder is NaN.
+    With fused multiplications the remainder has Python's bits while ``|x/y|`` < 2⁵³; without, the
+    results are those of x moved by an ulp. Division by 0 gives a remainder of NaN.
     """
     below, size = y < 0.0, abs(y)
     dividend = choose(below, -x, x)
     whole = dividend / size
     whole = apply("floor", whole) if isinstance(whole, Recorded) else math.floor(whole)
     rest = dividend - whole * size
-    # a quotient may be rounded up to the next whole number, never down below one
+    # a quotient may be rounded up to the next whole number, but never down below one
     past = rest < 0.0
     rest = choose(past, rest + size, rest)
     return choose(past, whole - 1.0, whole), choose(below, -rest, rest)
@@ -60,12 +60,12 @@ def larger(a: Any, b: Any) -> Any:
 
 
 def gather(table: int, index: Any, kind: str) -> Any:
-    """The number at a whole ``index`` (a number of double precision) of an array of numbers."""
+    """The number at a whole ``index`` (a number of double precision) of an array."""
     return _made(index.graph, "gather", kind, table, index.at)
 
 
 def lane(x: Number, k: int) -> Any:
-    """The number in lane k of one that has a lane a direction."""
+    """The number in lane k of a value that has a lane for each direction."""
     return _made(x.graph, "lane", x.kind, k, x.at)
 
 
@@ -79,7 +79,7 @@ def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tu
 
 
 def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
-    """``formula(*args)``, the traced form of ``function``, or what is shorter there."""
+    """``formula(*args)``, the traced form of ``function``, or a shorter equivalent."""
     composed = composed_of(*args)
     if composed is not None:
         return composed.called(formula, function, args)

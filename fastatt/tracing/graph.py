@@ -1,8 +1,8 @@
-"""Numbers that remember how they were made: formulas called with them leave a graph of operations.
+"""Graphs of operations, and the numbers that record them when formulas are called.
 
-Equal operations are one, zeros and ones that are known beforehand drop out, order is otherwise
-kept. A number is ``Double`` or ``Single``; a Python float is a constant of whatever precision it
-meets, so that known numbers are folded by Python itself.
+Equal operations are merged, known zeros and ones are simplified, and the order is kept otherwise. A
+number is ``Double`` or ``Single``; a Python float is a constant in the precision of the other
+operand, so that Python itself evaluates operations of constants.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from fastatt.tracing.nodes import (
 
 
 class Graph:
-    """Operations in the order of their making.
+    """Operations in the order in which they were recorded.
 
-    ``lanes`` is how many directions of dual numbers go side by side as one number, 0 if none do:
-    inputs ("direction", k) are then 1 in lane k and 0 in others.
+    ``lanes`` is the number of directions of dual numbers that one number holds, 0 for none: inputs
+    ("direction", k) are then 1 in lane k and 0 in the others.
 
-    Where numbers of two precisions meet, the result has the wider one; or, if the graph is
-    ``narrow``, the narrower, but for sums of what is made of a time (``time``) and a ``span`` of
-    it. Sines of what is made of a time are narrow too if the graph is ``many``, for many bodies.
-    A graph for machine code alone may be ``native`` (``fastatt.tracing.native``). While a graph is
-    ``strict``, as for a user's function, 0 x, 0/x and x − x are operations: of NaN they are NaN.
+    An operation on numbers of two precisions has the wider one. If the graph is ``narrow``, it has
+    the narrower one, except for sums of values that depend on a time (``time``) and a time interval
+    (``span``). Sines of values that depend on a time are narrow too if the graph is ``many``, for
+    many bodies. A graph for machine code only may be ``native`` (``fastatt.tracing.native``). While
+    a graph is ``strict``, as for a user-defined function, 0 x, 0/x and x − x are operations, since
+    they are NaN for a NaN.
     """
 
     def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
@@ -50,8 +51,8 @@ class Graph:
         self._of_time: list[tuple[bool, bool]] = []
 
     def add(self, op: str, kind: str, *args: Any) -> int:
-        """Number of the operation, made if it was not there."""
-        # 0.0 and -0.0 are equal as keys, and NaN is not itself
+        """The number of an operation, which is added if it is new."""
+        # 0.0 and -0.0 are equal as keys, and NaN does not equal itself
         key = (op, kind, tuple(map(float.hex, args)) if op == "const" else args)
         found = self._known.get(key)
         if found is None:
@@ -60,7 +61,7 @@ class Graph:
         return found
 
     def input(self, kind: str, *name: Any) -> Number:
-        """A number that is given: ``name`` is what a program finds it by."""
+        """An input; ``name`` is the name by which a program finds it."""
         return _of(self, self.add("in", kind, *name), kind)  # type: ignore[no-any-return]
 
     def inputs(self, kind: str, group: str, n: int) -> tuple[Number, ...]:
@@ -68,11 +69,11 @@ class Graph:
         return tuple(self.input(kind, group, i) for i in range(n))
 
     def time(self, t: Number) -> Number:
-        """A number that is a time from now on."""
+        """Mark a number as a time."""
         return self._marked(self._times, t)
 
     def span(self, h: Number) -> Number:
-        """A number that is a span of time from now on."""
+        """Mark a number as a time interval."""
         return self._marked(self._spans, h)
 
     def _marked(self, among: set[int], x: Number) -> Number:
@@ -81,7 +82,7 @@ class Graph:
         return x
 
     def of_time(self, at: int) -> tuple[bool, bool]:
-        """Whether an operation depends on a time, and whether on spans of time alone."""
+        """Whether an operation depends on a time, and whether on time intervals only."""
         for i in range(len(self._of_time), at + 1):
             parts = [self._of_time[k] for k in operands(self.nodes[i])]
             timed = i in self._times or any(a for a, _ in parts)
@@ -91,7 +92,7 @@ class Graph:
 
 
 class _Deciding(threading.local):
-    """What answers where Python asks whether a condition holds, set while ways are followed."""
+    """Answers whether a condition holds when Python asks, while execution paths are followed."""
 
     by: Callable[[Any], bool] | None = None
 
@@ -111,7 +112,7 @@ def _lifted(x: Any, like: Number) -> Number:
 
 
 def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
-    """Both as numbers of one precision: see ``Graph``."""
+    """Both operands as numbers of one precision; see ``Graph``."""
     like = a if isinstance(a, Number) else b
     a, b = _lifted(a, like), _lifted(b, like)
     if a.kind != b.kind:
@@ -137,12 +138,12 @@ def _is(x: Any, value: float) -> bool:
 
 
 def _drops_out(x: Any) -> bool:
-    """Whether 0 x, 0/x and x − x are 0 whatever x is."""
+    """Whether 0 x, 0/x and x − x are 0 for any x."""
     return not (isinstance(x, Number) and x.graph.strict)
 
 
 def _negative(x: Any) -> Any:
-    """y where x is −y, else None."""
+    """y if x is −y, else None."""
     if isinstance(x, Number) and x.graph.nodes[x.at].op == "neg":
         return -x
     return None
@@ -165,7 +166,7 @@ def _difference(a: Any, b: Any) -> Any:
         return -b
     same = isinstance(a, Number) and isinstance(b, Number) and a.at == b.at
     if same and _drops_out(a):
-        return 0.0  # the bracket of a constant rate disappears
+        return 0.0  # the bracket of a constant rate is zero
     if (y := _negative(b)) is not None:
         return _sum(a, y)
     return _binary("-", a, b)
@@ -180,7 +181,7 @@ def _product(a: Any, b: Any) -> Any:
                 return y
             if _is(x, -1.0):
                 return -y
-        # a sign goes outwards, where a sum takes it up: −k b next to k b is one product
+        # signs move outwards, where sums absorb them, so that −k b and k b share a product
         elif (positive := _negative(x)) is not None and not isinstance(y, Composed):
             return -_product(positive, y)
     return _binary("*", a, b)
@@ -215,14 +216,14 @@ class Number(Recorded):
     graph: Graph
 
     def __new__(cls, x: Any) -> Any:
-        """x in this precision: what ``type(y)(x)`` means in a kernel."""
+        """x in this precision, the meaning of ``type(y)(x)`` in a kernel."""
         if isinstance(x, Number):
             return x if x.kind == cls.kind else _made(x.graph, "cast", cls.kind, x.at)
         return x.cast(cls) if isinstance(x, Composed) else cls.rounded(x)
 
     @staticmethod
     def rounded(x: Any) -> float:
-        """A known number as one of this precision: kernels test what is left of the smallest."""
+        """A known number rounded to this precision, for kernels that test the smallest number."""
         return float(x)
 
     __add__, __radd__ = _sum, _turned(_sum)
@@ -267,7 +268,7 @@ class Single(Number):
 
 
 def both(a: Any, b: Any) -> Any:
-    """a and b, of conditions."""
+    """a and b, for conditions."""
     for x, y in ((a, b), (b, a)):
         if isinstance(x, (bool, np.bool_)):
             return y if x else False
@@ -275,7 +276,7 @@ def both(a: Any, b: Any) -> Any:
 
 
 def either(a: Any, b: Any) -> Any:
-    """a or b, of conditions."""
+    """a or b, for conditions."""
     for x, y in ((a, b), (b, a)):
         if isinstance(x, (bool, np.bool_)):
             return True if x else y
@@ -306,7 +307,7 @@ class Condition:
     at: int
     graph: Graph
 
-    # in arithmetic 1 or 0, as in Python
+    # 1 or 0 in arithmetic, as in Python
     __add__ = __radd__ = _as_number(operator.add)
     __mul__ = __rmul__ = _as_number(operator.mul)
     __sub__, __rsub__ = _as_number(operator.sub), _as_number(_turned(operator.sub))
@@ -332,7 +333,7 @@ class Condition:
         return deciding.by(self)
 
     def __index__(self) -> int:
-        """1 or 0, of the place in a tuple."""
+        """1 or 0, as an index of a tuple."""
         return int(bool(self))
 
 
@@ -356,7 +357,7 @@ def _condition(graph: Graph, op: str, *args: int) -> Condition:
 
 
 def choose(test: Any, a: Any, b: Any) -> Any:
-    """``a if test else b``, of numbers, conditions and tuples of them."""
+    """``a if test else b``, for numbers, conditions and tuples of them."""
     if isinstance(test, Recorded):
         test = test != 0.0
     if not isinstance(test, Condition):
@@ -389,7 +390,7 @@ def choose(test: Any, a: Any, b: Any) -> Any:
         raise TraceError(f"a choice between {type(a).__name__} and {type(b).__name__}")
     if a == b:
         return a
-    # two constants: of the precision of what is compared
+    # two constants have the precision of the compared numbers
     kind = _compared(test)
     ends = [test.graph.add("const", kind, float(x)) for x in (a, b)]
     return _made(test.graph, "select", kind, test.at, *ends)

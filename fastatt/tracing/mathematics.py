@@ -1,4 +1,4 @@
-"""``math``, ``numpy`` and Python's own functions for recorded numbers."""
+"""``math``, ``numpy`` and Python's builtins for traced numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _INSTRUCTIONS = {
 
 
 def is_recorded(*values: Any) -> bool:
-    """Whether a number among some, or among tuples of some, is not known beforehand."""
+    """Whether one of the values, or a part of a tuple, is a traced number."""
     return any(
         isinstance(x, (Recorded, Condition)) or arrays.is_array(x)
         for x in graph.flattened(list(values))
@@ -30,7 +30,7 @@ def is_recorded(*values: Any) -> bool:
 
 
 def kind_of(x: Any) -> Any:
-    """``type(x)``: a number's precision; of a constant, what leaves numbers as they are."""
+    """``type(x)``: the precision of a number; for a constant a function that changes nothing."""
     if isinstance(x, Recorded):
         return x.precision()
     if isinstance(x, (float, int)) and not isinstance(x, bool):
@@ -39,7 +39,7 @@ def kind_of(x: Any) -> Any:
 
 
 def refused(name: str) -> Callable[..., Any]:
-    """What replaces a function that is unknown here: it can be named, not called."""
+    """Replaces an unknown function: it can be referred to, but not called."""
 
     def refuse(*_: Any, **__: Any) -> Any:
         raise TraceError(f"{name}, which is not among the functions that are known here")
@@ -48,7 +48,7 @@ def refused(name: str) -> Callable[..., Any]:
 
 
 class Mathematics:
-    """Replaces ``math`` or ``numpy``: what vectorises here in place of what does not there."""
+    """Replaces ``math`` or ``numpy``, with functions that vectorise."""
 
     def __init__(self, module: Any) -> None:
         self._module = module
@@ -63,7 +63,7 @@ class Mathematics:
         if not callable(value):
             return value
 
-        # numpy's is another function
+        # numpy's function of this name is another one
         known = label if label == "math.remainder" else name
 
         def call(*args: Any, **named: Any) -> Any:
@@ -85,7 +85,7 @@ class Mathematics:
 
 
 def formula_of(name: str, n_arguments: int) -> Callable[..., Any] | None:
-    """What a function of ``math`` or ``numpy`` is for recorded numbers, None of an unknown one."""
+    """A function of ``math`` or ``numpy`` for traced numbers; None for an unknown one."""
     if name in _FORMULAS:
         return _FORMULAS[name]
     if n_arguments == 1 and name in _INSTRUCTIONS:
@@ -115,13 +115,13 @@ def _nan(x: Any) -> Any:
     return x != x  # noqa: PLR0124
 
 
-# Python's give the first of equals, and the first where one is NaN; numpy's give NaN
+# Python's give the first of equal numbers, and the first if one is NaN; numpy's give NaN
 _least = _of_all(lambda a, b: graph.choose(b < a, b, a))
 _most = _of_all(lambda a, b: graph.choose(b > a, b, a))
 
 
 def _extreme(better: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
-    """The second of two numbers where it is better, or the k-th of them is NaN."""
+    """The second of two numbers if it is better, or if the k-th of them is NaN."""
     return lambda *pair: graph.choose(graph.either(better(*pair[::-1]), _nan(pair[k])), *pair[::-1])
 
 
@@ -138,16 +138,16 @@ def _fmod(x: Any, y: Any) -> Any:
 
 
 def _remainder(x: Any, y: Any) -> Any:
-    """What is left of x by the nearest whole number of y, the even one of two."""
+    """The remainder of x by the nearest multiple of y, the even one of two."""
     size = abs(y)
     rest = x - graph.apply("rint", x / size) * size
-    # a quotient may be rounded to halfway between two whole numbers
+    # a quotient may be rounded to the middle between two whole numbers
     rest = graph.choose(rest > 0.5 * size, rest - size, rest)
     return graph.choose(rest < -0.5 * size, rest + size, rest)
 
 
 def _fsum(values: Any) -> Any:
-    """The sum with what rounding loses of each addition."""
+    """The sum, with the rounding error of each addition added."""
     from fastatt.kernels import compensated
     from fastatt.tracing.trace import stand_in
 
@@ -160,7 +160,7 @@ def _fsum(values: Any) -> Any:
 
 
 def _copysign(x: Any, y: Any) -> Any:
-    """Of a zero y the sign is not seen, as anywhere in compiled formulas."""
+    """The sign of a zero y is ignored, as in all compiled formulas."""
     size = abs(x)
     return graph.choose(y < 0.0, -size, size)
 
@@ -173,7 +173,7 @@ def _log(x: Any, base: Any = None) -> Any:
 
 
 def _other_side(x: Any) -> Any:
-    """The other leg of a right triangle whose longest side is 1; the product loses nothing."""
+    """The other leg of a right triangle with hypotenuse 1, by a product without cancellation."""
     return graph.apply("sqrt", (1.0 - x) * (1.0 + x))
 
 
@@ -182,7 +182,7 @@ def _to(kind: type[graph.Number]) -> Callable[[Any], Any]:
 
 
 def _sines(x: Any) -> tuple[Any, Any]:
-    """(sin x, cos x); NaN where neighbouring numbers are so far apart that no digit is left."""
+    """(sin x, cos x); NaN if neighbouring numbers are so far apart that no digit remains."""
     most = {"double": 2.0**50, "single": 2.0**21}.get(getattr(x, "kind", ""), math.inf)
     known = graph.both(x < most, x > -most)
     s, c = _kernel("sincos")(x)
@@ -265,8 +265,8 @@ def _isinstance(x: Any, kinds: Any) -> bool:
 
 
 def _builtins() -> dict[str, Any]:
-    """Python's own names: what works on recorded numbers as on floats, by name."""
-    # numpy's own methods import what they need when they are called
+    """Python's builtins by name, in forms that work on traced numbers as on floats."""
+    # numpy's methods import modules when they are called
     as_they_are = (
         "__import__", "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "filter", "int",
         "iter", "len", "list", "map", "next", "range", "reversed", "set", "slice", "sorted", "str",

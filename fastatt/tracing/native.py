@@ -1,4 +1,4 @@
-"""Kernels that are shorter of some numbers: an instruction or two on bits, fused, or of phases."""
+"""Shorter forms of some kernels: bit operations, fused operations, and sines of phases."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _split_product(a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """The formula in graphs that are for machine code alone; None in any other."""
+    """The formula in graphs that are for machine code only; None in any other."""
 
     def shorter(*args: Any) -> Any:
         numbers = flattened(args)
@@ -53,9 +53,9 @@ def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _of_phase(x: Any) -> tuple[Any, Any] | None:
-    """What ``trig.sincos`` gives, of single precision: the angle alone needs the other.
+    """``trig.sincos`` in single precision, for which only the angle needs double precision.
 
-    None unless the angle grows with time and its sine is wanted in single precision.
+    None unless the angle grows with time and its sine is needed in single precision.
     """
     if not (isinstance(x, Double) and x.graph.narrow and x.graph.many and x.graph.of_time(x.at)[0]):
         return None
@@ -67,7 +67,7 @@ def _of_phase(x: Any) -> tuple[Any, Any] | None:
     return s * C + c * S, c * C - s * S
 
 
-#: what gives as much as a kernel, or more of it; None where that does not hold
+#: functions that are at least as accurate as a kernel; they return None where they don't apply
 SHORTER: dict[Any, Callable[..., Any]] = {
     trig.powers_of_two: _in_machine_code(_powers_of_two),
     trig.octaves: _in_machine_code(_octaves),

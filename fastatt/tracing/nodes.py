@@ -1,4 +1,4 @@
-"""What graphs are made of: operations by name, and recorded numbers as Python sees them."""
+"""The parts of graphs: operations by name, and traced numbers as Python sees them."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ LIBRARY = ("exp", "log", "tan", "tanh", "sinh", "cosh", "asin", "acos")
 
 
 class TraceError(TypeError):
-    """What was called can't be traced: a branch on a number, a loop, an unknown function."""
+    """A function can't be traced: a branch on a number, a loop or an unknown function."""
 
-    #: "file:line" of the user's, where it is known; it is part of the message
+    #: "file:line" in the user's code, if it is known; it is part of the message
     where = ""
 
 
 class Node(NamedTuple):
-    """One operation: its name, the precision of its result ("" of a condition), its operands."""
+    """An operation: its name, the precision of its result ("" for a condition), its operands."""
 
     op: str
     kind: str
     args: tuple[Any, ...]
 
 
-# of an operation that is no arithmetic: which of its arguments are operations
+# for operations that are not arithmetic: which of their arguments are operations
 SPECIAL: dict[str, Callable[[tuple[Any, ...]], tuple[int, ...]]] = {
     "const": lambda args: (),
     "in": lambda args: (),
     "gather": lambda args: args[1:],
     "opaque": lambda args: args[2:],
-    # (k, x): what x is in lane k
+    # (k, x): the value of x in lane k
     "lane": lambda args: args[1:],
     "item": lambda args: args[:1],
 }
 
 
 def operands(node: Node) -> tuple[int, ...]:
-    """Numbers of the operations that a node takes."""
+    """Numbers of the operations that are a node's operands."""
     return SPECIAL[node.op](node.args) if node.op in SPECIAL else node.args
 
 
@@ -53,7 +53,7 @@ def renamed(node: Node, taken: Sequence[int]) -> Node:
     return Node(node.op, node.kind, (*rest, *taken))
 
 
-# recorded numbers
+# traced numbers
 
 _OPERATORS = ("add", "sub", "mul", "truediv", "mod", "floordiv", "pow")
 _ARITHMETIC = (
@@ -72,7 +72,7 @@ def boxed(x: Any) -> Any:
 
 
 def each(formula: Callable[..., Any], *values: Any) -> Any:
-    """A formula of numbers on arrays that broadcast."""
+    """A formula of numbers, applied to arrays that broadcast."""
     boxes = np.broadcast_arrays(*map(boxed, values))
     made = np.empty(boxes[0].shape, dtype=object)
     for k in np.ndindex(made.shape):
@@ -81,7 +81,7 @@ def each(formula: Callable[..., Any], *values: Any) -> Any:
 
 
 def _on_arrays(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """An operation that is done with each element of an array."""
+    """An operation that is applied to each element of an array."""
 
     def call(x: Any, y: Any) -> Any:
         return each(operation, x, y) if isinstance(y, np.ndarray) else operation(x, y)
@@ -90,7 +90,7 @@ def _on_arrays(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any
 
 
 def functions_of_numbers() -> Any:
-    """``fastatt.tracing.functions``, which is made of what is here."""
+    """``fastatt.tracing.functions``, which imports this module."""
     from fastatt.tracing import functions
 
     return functions
@@ -101,10 +101,10 @@ def _part_of(function: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any]
 
 
 class Recorded:
-    """A number that is not known beforehand: of a graph, or composed of some that are."""
+    """A traced number: of a graph, or composed of numbers of a graph."""
 
     __slots__ = ()
-    # numpy's numbers and arrays leave operations to it
+    # numpy's numbers and arrays call its operators
     __array_ufunc__ = None
     __hash__ = None  # type: ignore[assignment]
 
@@ -114,7 +114,7 @@ class Recorded:
                 setattr(cls, name, _on_arrays(vars(cls)[name]))
 
     def precision(self) -> Callable[[Any], Any]:
-        """``type(x)``: what gives a number, or a constant, in the precision of x."""
+        """``type(x)``: a function that converts to the precision of x."""
         return type(self)
 
     def __pos__(self) -> Any:
@@ -151,10 +151,10 @@ class Recorded:
 
 
 class Composed(Recorded):
-    """A number composed of numbers of a graph: a dual number, to which functions hand it over.
+    """A number composed of numbers of a graph, such as a dual number.
 
     Its class has ``cast``, ``applied``, ``raised``, ``chosen``, ``larger``, ``opaque`` and
-    ``called`` in place of the functions of such names.
+    ``called``, which replace the functions of these names.
     """
 
     __slots__ = ()
@@ -165,5 +165,5 @@ class Composed(Recorded):
 
 
 def composed_of(*values: Any) -> Any:
-    """The class of the first that is composed, None if none is."""
+    """The class of the first composed number, None if there is none."""
     return next((type(x) for x in values if isinstance(x, Composed)), None)

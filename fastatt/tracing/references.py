@@ -1,6 +1,7 @@
-"""What a function refers to: it is traced again where that has changed.
+"""The values that a function refers to; it is traced again if they have changed.
 
-Another process that gets a function by value has no file to trace it from: it gets its source too.
+Another process that receives a function by value has no file to trace it from, and receives its
+source.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _COMPARED = (*_NUMBERS, np.ndarray, tuple, list)
 
 
 def opened(function: Any) -> tuple[Any, tuple[Any, ...], dict[str, Any]]:
-    """(function, first arguments, named ones) of a partial, a method or an object with __call__."""
+    """(function, first and named arguments) of a partial, a method or an object with __call__."""
     if isinstance(function, functools.partial):
         inner, first, named = opened(function.func)
         return inner, (*first, *function.args), {**named, **function.keywords}
@@ -55,26 +56,26 @@ def is_library(plain: FunctionType) -> bool:
 
 
 def referred_to(plain: FunctionType) -> dict[str, Any]:
-    """Values of a function's names, apart from its own variables: globals, then closures."""
+    """Values of a function's names that are not local variables: globals, then closures."""
     names = names_of(plain)
     found = {name: plain.__globals__[name] for name in names if name in plain.__globals__}
     for name, cell in zip(plain.__code__.co_freevars, plain.__closure__ or (), strict=True):
         try:
             found[name] = cell.cell_contents
-        except ValueError:  # it has no value yet
+        except ValueError:  # the name has no value yet
             continue
     return found
 
 
 def _itself(value: Any) -> tuple[int, Any]:
-    """What is equal for the same object alone, which it keeps so that none takes its place."""
+    """A value that is equal for the same object only, and keeps it alive."""
     return id(value), value
 
 
 def snapshot(function: Any, seen: set[Any] | None = None) -> Any:
-    """Values to compare: numbers and arrays among globals and closures, of functions called too.
+    """Values to compare: numbers and arrays among globals and closures, also of called functions.
 
-    Of objects and modules those are the attributes whose names are in the function.
+    For objects and modules these are the attributes whose names are in the function.
     """
     inner, first, named = opened(function)
     if inner is not function:
@@ -94,7 +95,7 @@ def snapshot(function: Any, seen: set[Any] | None = None) -> Any:
 
 def _value(value: Any, names: set[str], seen: set[Any]) -> Any:
     if isinstance(value, _NUMBERS):
-        return repr(value)  # NaN is itself
+        return repr(value)  # equal for NaN
     if isinstance(value, np.ndarray):
         return value.shape, value.dtype.str, value.tobytes()
     if isinstance(value, (tuple, list)):
@@ -103,7 +104,7 @@ def _value(value: Any, names: set[str], seen: set[Any]) -> Any:
 
 
 def _attributes(value: Any, names: set[str], seen: set[Any]) -> Any:
-    """An object's attributes whose names are among some; of what is compared the value."""
+    """An object's attributes with given names, and for comparable ones their values."""
     if isinstance(value, (*_NUMBERS, np.ndarray, tuple, list)):
         return _value(value, names, seen)
     held = {} if value in (math, np) else getattr(value, "__dict__", {})
@@ -114,7 +115,7 @@ def _attributes(value: Any, names: set[str], seen: set[Any]) -> Any:
 
 
 def sources(functions: Iterable[Callable[..., Any]]) -> dict[str, str]:
-    """Texts, by file, of functions and of those that they call, but for what can be imported."""
+    """Texts, by file, of functions and of those that they call, except importable ones."""
     found: dict[str, str] = {}
     seen: set[FunctionType] = set()
     todo: list[Any] = list(functions)
@@ -139,8 +140,8 @@ def _imported(function: Any, plain: FunctionType) -> bool:
 
 
 def keep(texts: dict[str, str]) -> None:
-    """Have texts found as those of their files, where these are not."""
+    """Make texts available as those of their files, if these do not exist."""
     for file, text in texts.items():
         if text and not linecache.getlines(file):
-            # as of a notebook's cell: there is no file whose change would be looked for
+            # as for a notebook's cell, without a file that is checked for changes
             linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)

@@ -1,10 +1,10 @@
-"""The source of a function rewritten where Python itself would have to know a number.
+"""Rewriting of a function's source where Python itself would have to know a number.
 
 ``a if c else b`` becomes a choice, ``and``, ``or``, ``not`` and chained comparisons become
-operations, an ``if`` whose branches only assign becomes choices of what they assign. Where a
-condition is known when the function is called, only what Python would evaluate is evaluated. All
-else stays as it is: where Python asks whether a condition holds, ``tracing.trace`` follows both
-execution paths.
+operations, and an ``if`` whose branches only assign becomes choices of the assigned values. If a
+condition is known when the function is called, only those parts are evaluated that Python would
+evaluate. Everything else stays: where Python asks whether a condition holds, ``tracing.trace``
+follows both execution paths.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from fastatt.tracing.nodes import TraceError
 
 _OPERATORS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
 _ASSIGNING = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.If, ast.Pass)
-# what catches errors would catch those of tracing; what changes a variable elsewhere would do so
-# once for each execution path
+# statements that catch errors would catch those of tracing; those that change a variable elsewhere
+# would do so once for each execution path
 _REFUSED: dict[type[ast.AST], str] = {
     ast.Try: "try",
     ast.TryStar: "try",
@@ -44,7 +44,7 @@ UNSET = "__unset"
 
 
 def located(message: str, file: str, line: int) -> TraceError:
-    """The error with where it happened, and the source line."""
+    """The error with its place and the source line."""
     text = linecache.getline(file, line).strip()
     error = TraceError(f"{message} ({file}:{line}{f': {text}' if text else ''})")
     error.where = f"{file}:{line}"
@@ -58,9 +58,9 @@ def name_of(code: types.CodeType) -> str:
 
 @functools.lru_cache(maxsize=4096)
 def rewritten(code: types.CodeType) -> types.CodeType:
-    """Code of a module that defines the function ``code`` is of, rewritten.
+    """The rewritten code of a module that defines the function of ``code``.
 
-    Raises ``TraceError`` where its source can't be read or has a statement that is not accepted.
+    Raises ``TraceError`` if its source can't be read or has a statement that is not accepted.
     """
     definition = _definition(code)
     for node in ast.walk(definition):
@@ -80,7 +80,7 @@ def _definition(code: types.CodeType) -> ast.FunctionDef:
     found = [f for f in _functions(text) if _fits(f, code, names)]
     if len(found) != 1:
         raise TraceError(f"{code.co_name}: its source can't be read")
-    # what was read is kept: the copy is rewritten
+    # the parsed tree is cached, so that a copy is rewritten
     body = _copied(found[0].body)
     a = found[0].args
     arguments = ast.arguments(
@@ -118,7 +118,7 @@ def _functions(text: str) -> list[ast.FunctionDef | ast.Lambda]:
 
 
 def _fits(node: ast.FunctionDef | ast.Lambda, code: types.CodeType, names: tuple[str, ...]) -> bool:
-    """Whether a definition is that of the code: by its place, its name and its arguments."""
+    """Whether a definition is that of the code, by its place, its name and its arguments."""
     a = node.args
     if tuple(x.arg for x in (*a.posonlyargs, *a.args, *a.kwonlyargs)) != names:
         return False
@@ -130,7 +130,7 @@ def _fits(node: ast.FunctionDef | ast.Lambda, code: types.CodeType, names: tuple
     body = node.body
     start, end = (body.lineno, body.col_offset), (body.end_lineno, body.end_col_offset)
     places = [p for p in code.co_positions() if p[0] is not None and p[3]]
-    # of lambdas on one line, the one whose expression holds all that the code does
+    # among lambdas on one line, the one whose expression contains all names of the code
     return all(
         start <= (line, column) and (last_line, last) <= end
         for line, last_line, column, last in places
@@ -138,7 +138,7 @@ def _fits(node: ast.FunctionDef | ast.Lambda, code: types.CodeType, names: tuple
 
 
 def _locals(definition: ast.FunctionDef) -> set[str]:
-    """Names of variables, but those of the precision of a number."""
+    """Names of variables, except those of the precision of a number."""
     names: set[str] = set()
     precisions: set[str] = set()
     for node in ast.walk(definition):
@@ -158,7 +158,7 @@ def _is_type(e: ast.expr) -> bool:
 
 
 class _Rewriting(ast.NodeTransformer):
-    """``local`` are the function's variables: a call of one may do more than give a number."""
+    """``local`` are the function's variables; calling one may have side effects."""
 
     def __init__(self, local: set[str]) -> None:
         self._local = local
@@ -225,7 +225,7 @@ class _Rewriting(ast.NodeTransformer):
         return [branch("__yes", e.body), branch("__no", e.orelse), after]
 
     def _is_pure(self, e: ast.AST) -> bool:
-        """Whether code can be evaluated where Python would not: its calls change nothing."""
+        """Whether code can be evaluated where Python would not: its calls have no side effects."""
         for node in ast.walk(e):
             if isinstance(node, ast.Call):
                 root = node.func
@@ -237,7 +237,7 @@ class _Rewriting(ast.NodeTransformer):
         return True
 
     def _only_assigned(self, e: ast.If) -> list[str]:
-        """The names that an ``if`` assigns, none where its branches do more than that."""
+        """The names that an ``if`` assigns; none if its branches do more than that."""
         parts = [*e.body, *e.orelse]
         nodes = [x for part in parts for x in ast.walk(part)]
         stored = [x for x in nodes if isinstance(getattr(x, "ctx", None), ast.Store)]
@@ -251,7 +251,7 @@ class _Rewriting(ast.NodeTransformer):
 
 
 def _as_assignment(e: ast.stmt) -> ast.stmt:
-    """``x += y`` as ``x = x + y``: a list would be changed for both branches."""
+    """``x += y`` as ``x = x + y``, since a list would be changed for both branches."""
     if not isinstance(e, ast.AugAssign) or not isinstance(e.target, ast.Name):
         return e
     name = e.target.id
@@ -260,7 +260,7 @@ def _as_assignment(e: ast.stmt) -> ast.stmt:
 
 
 def _at(made: Any, where: ast.AST) -> Any:
-    """A new node, and what is new in it, at the place of an old one."""
+    """A new node, and its new parts, at the place of an old one."""
     made = ast.copy_location(made, where)
     return ast.fix_missing_locations(made)
 
@@ -271,7 +271,7 @@ def _later(e: ast.expr) -> ast.expr:
 
 
 def _joined(where: ast.AST, name: str, parts: list[ast.expr]) -> ast.expr:
-    """``name(a, lambda: name(b, lambda: c))``, which evaluates no more than is needed."""
+    """``name(a, lambda: name(b, lambda: c))``, which evaluates only what is needed."""
     *others, last = parts
     for part in reversed(others):
         last = _call(where, name, part, _later(last))

@@ -1,6 +1,6 @@
-"""A graph's operations as Python text that can be read and run, on floats and on arrays.
+"""A graph's operations as Python text, for reading and for running on floats and arrays.
 
-``a*b + c`` is one multiplication and one addition here, where the machine code may fuse them.
+``a*b + c`` is a multiplication and an addition here, where machine code may fuse them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fastatt.tracing.nodes import COMPARISONS, Node, operands
 
 _DEPTH = 5  # operations nested in one expression
 _LENGTH = 80  # characters of an expression beyond which it gets a separate line
-# what is no call of a function, of the operands a, b and c
+# operations that are not calls of functions, with the operands a, b and c
 _FORMS = {
     "fma": "a * b + c",
     "fms": "a * b - c",
@@ -30,7 +30,7 @@ _FORMS = {
 
 
 class _Operands(ast.NodeTransformer):
-    """Puts expressions in the place of the names a, b and c."""
+    """Replaces the names a, b and c by expressions."""
 
     def __init__(self, operands: Sequence[ast.expr]) -> None:
         self._operands = operands
@@ -42,7 +42,7 @@ class _Operands(ast.NodeTransformer):
 class GraphText:
     """A graph as a Python function: ``names`` of its arguments, its ``lines``, its ``results``.
 
-    Values in between are named ``prefix`` and a number.
+    Intermediate values are named ``prefix`` and a number.
     """
 
     def __init__(self, flat: Flat, prefix: str = "t") -> None:
@@ -63,7 +63,7 @@ class GraphText:
         return "\n".join([*self.lines, f"return {', '.join(self.results)}"])
 
     def _line(self, i: int, made: ast.expr, depth: int) -> tuple[ast.expr, int]:
-        """An expression, or the name of the line that it has for itself."""
+        """An expression, or the name of the line that it gets."""
         if depth == 0:
             return made, 0
         once = self._uses[i] == 1 and i not in self.flat.results
@@ -74,7 +74,7 @@ class GraphText:
         return ast.Name(name), 0
 
     def _expression(self, node: Node, name: str | None) -> tuple[ast.expr, int]:
-        """(what computes an operation, how deep it is nested)."""
+        """(the expression of an operation, its depth)."""
         op = node.op
         if name is not None:
             return ast.Name(name), 0
@@ -105,23 +105,23 @@ class GraphText:
         return call_of(name, *args)
 
     def function_name(self, function: Any) -> str:
-        """Name of an opaque function."""
+        """Name of a function that is not traced."""
         name = _identifier(getattr(function, "name", "opaque"))
         others = [f for f in self.functions if _identifier(getattr(f, "name", "opaque")) == name]
         return name if len(others) == 1 else f"{name}_{others.index(function)}"
 
 
 def table_name(key: Any) -> str:
-    """Name of the array of a table: a number, or one that a user's function refers to."""
+    """Name of the array of a table: a number, or one in a user-defined function."""
     return f"table{getattr(key, 'digest', key)}"
 
 
 def function(flat: Flat, tables: Mapping[int, Any] | None = None) -> Callable[..., tuple[Any, ...]]:
     """The graph as a Python function of its inputs, in the order of ``flat.inputs()``.
 
-    It takes floats or arrays that broadcast, of either precision, and computes in theirs as IEEE
-    754 has it: a division by 0 is no error. ``tables`` are the arrays that the graph reads; its
-    opaque functions are called with floats.
+    It takes floats or arrays that broadcast, of either precision, and computes in theirs by IEEE
+    754: a division by 0 is not an error. ``tables`` are the arrays that the graph reads; functions
+    that are not traced are called with floats.
     """
     text = GraphText(flat)
     comma = "," if len(text.results) == 1 else ""
@@ -139,13 +139,13 @@ def function(flat: Flat, tables: Mapping[int, Any] | None = None) -> Callable[..
             own = {**scope, "where": _where(kind)}
             exec(program, own)
             by_precision[kind] = own["flat"]
-        # scalars of numpy divide by 0 and overflow as arrays do
+        # NumPy scalars divide by 0 and overflow as arrays do
         with np.errstate(all="ignore"):
             results = by_precision[kind](*(x if x.ndim else x[()] for x in values))
         floats = all(isinstance(x, (float, int)) and not isinstance(x, np.generic) for x in given)
         if floats:
             return tuple(map(float, results))
-        # a constant is a float as in the text
+        # constants are floats, as in the text
         return tuple(kind.type(x) if type(x) is float else x for x in results)
 
     return call
@@ -165,7 +165,7 @@ def _where(kind: Any) -> Callable[[Any, Any, Any], Any]:
 
 
 def _each(opaque: Any) -> Callable[..., tuple[Any, ...]]:
-    """A function of floats for arrays: element by element."""
+    """A function of floats, applied to each element of arrays."""
 
     def call(*args: Any) -> tuple[Any, ...]:
         if not any(isinstance(x, np.ndarray) for x in args):
@@ -232,5 +232,5 @@ def _uses(flat: Flat) -> list[int]:
 
 
 def call_of(name: str, *args: ast.expr) -> ast.expr:
-    """A call."""
+    """A call of a function by its name."""
     return ast.Call(ast.Name(name), list(args), [])

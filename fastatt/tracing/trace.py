@@ -1,11 +1,10 @@
-"""Kernels and user-defined functions as formulas: called with recorded numbers, they leave a graph.
+"""Kernels and user-defined functions as formulas: called with traced numbers, they record a graph.
 
 Choices are rewritten as operations (``tracing.rewriting``). Where Python still asks whether a
 condition holds, the function is called again for each answer, and its result is chosen from those
-of all execution paths: early returns, loops that end early. What a function refers to is replaced:
-jitted functions by their Python ones, ``math``, ``numpy`` and Python's own functions by those that
-know recorded numbers. Globals have the values of the moment when the formula is made, as with
-Numba.
+of all execution paths, such as early returns and loops that end early. Names in a function are
+replaced: jitted functions by their Python ones; ``math``, ``numpy`` and Python's builtins by those
+for traced numbers. Globals have their values of the time when the formula is made, as with Numba.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from fastatt.tracing.nodes import Recorded, TraceError
 from fastatt.tracing.references import opened, referred_to, snapshot
 from fastatt.tracing.rewriting import UNSET, located, name_of, rewritten
 
-MAX_ANSWERS = 64  # on one execution path through a function
+MAX_ANSWERS = 64  # conditions on one execution path through a function
 MAX_PATHS = 256
 
 
@@ -50,7 +49,7 @@ def _truth(x: Any) -> Any:
     return x != 0.0 if isinstance(x, Recorded) else x
 
 
-# what rewritten code calls, by the names there
+# functions that rewritten code calls, by their names there
 
 
 def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
@@ -61,7 +60,7 @@ def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
 
 
 def _chosen(test: Condition, a: Any, b: Any) -> Any:
-    """``a if test else b``; what can't be chosen from takes an execution path each."""
+    """``a if test else b``; values that can't be chosen from take an execution path each."""
     try:
         return graph.choose(test, a, b)
     except TraceError:
@@ -83,7 +82,7 @@ def _negation(x: Any) -> Any:
 
 
 def _branch(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
-    """Values of the names that an ``if`` assigns; an unknown condition runs both branches."""
+    """Values of the names that an ``if`` assigns; both branches run for an unknown condition."""
     test = _truth(test)
     if not isinstance(test, Condition):
         return yes() if test else no()
@@ -91,7 +90,7 @@ def _branch(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
 
 
 def _merged(test: Condition, a: Any, b: Any) -> Any:
-    # a name without a value in one branch can only be used after the other
+    # a name without a value in one branch can only be used after the other branch
     if a is _UNSET or b is _UNSET:
         return a if b is _UNSET else b
     return a if a is b else _chosen(test, a, b)
@@ -109,14 +108,14 @@ _CALLED: dict[str, Any] = {
 
 
 def all_paths(run: Callable[[], Any]) -> Any:
-    """What a function gives, chosen from what each execution path gives.
+    """The result of a function, chosen from those of all execution paths.
 
-    Raises ``TraceError`` where there are more than a few hundred.
+    Raises ``TraceError`` if there are more than a few hundred.
     """
     count = 0
 
     def below(known: list[bool]) -> Any:
-        """The result of the paths that begin with some answers; later ones are yes first."""
+        """The result of the paths that begin with given answers; later answers are yes first."""
         nonlocal count
         count += 1
         if count > MAX_PATHS:
@@ -125,7 +124,7 @@ def all_paths(run: Callable[[], Any]) -> Any:
         conditions: list[Condition] = []
 
         def decide(condition: Condition) -> bool:
-            """Whether a condition holds on this path: the same whenever it is asked."""
+            """Whether a condition holds on this path; the answer is the same each time."""
             node, at = condition.graph.nodes[condition.at], condition.at
             if node.op == "not":
                 return not decide(graph.negated(condition))
@@ -156,7 +155,7 @@ def all_paths(run: Callable[[], Any]) -> Any:
 
 
 class ModuleProxy:
-    """Replaces a module: what ``instead`` makes of each thing that it holds."""
+    """Replaces a module; ``instead`` replaces each of its values."""
 
     def __init__(self, module: types.ModuleType, instead: Callable[[Any], Any]) -> None:
         self._module, self._instead = module, instead
@@ -167,7 +166,7 @@ class ModuleProxy:
 
 
 class ObjectProxy(ModuleProxy):
-    """Replaces the object whose method is traced: it can be read, not changed."""
+    """Replaces the object whose method is traced: it can be read, but not changed."""
 
     def __init__(self, held: Any) -> None:
         self.__dict__.update(_module=held, _instead=stand_in)
@@ -177,7 +176,7 @@ class ObjectProxy(ModuleProxy):
 
 
 def stand_in(value: Any) -> Any:
-    """What takes the place of something that a traced function refers to."""
+    """The replacement of a value that a traced function refers to."""
     if value is math or value is np:
         return Mathematics(value)
     if isinstance(value, CPUDispatcher):
@@ -193,7 +192,7 @@ def stand_in(value: Any) -> Any:
 
 
 def _mathematical(value: Any) -> Any:
-    """Of a function of ``math`` or ``numpy``, or of Python's own, what replaces it; else None."""
+    """The replacement of a function of ``math``, ``numpy`` or Python; None for another value."""
     name = getattr(value, "__name__", None)
     if not callable(value) or not isinstance(name, str):
         return None
@@ -206,7 +205,7 @@ def _mathematical(value: Any) -> Any:
 
 
 def _frozen(value: Any) -> Any:
-    """A constant as it is now, which the traced function can't change."""
+    """A copy of a constant, which the traced function can't change."""
     if isinstance(value, np.ndarray):
         copy = value.copy()
         copy.flags.writeable = False
@@ -230,24 +229,24 @@ def _lazily(function: Any) -> Callable[..., Any]:
     formula: Callable[..., Any] | None = None
 
     def call(*args: Any, **named: Any) -> Any:
-        # a list would be changed once for each execution path
+        # a list would be changed on each execution path
         args = tuple(tuple(x) if isinstance(x, list) else x for x in args)
-        nonlocal formula  # as it was when it was first called
+        nonlocal formula  # the formula at the first call
         formula = formula or traceable(function)
         return formula(*args, **named) if named else functions.called(formula, function, args)
 
     return call
 
 
-# formulas, and the values of a function's names for which they were made
+# formulas, with the values of a function's names for which they were made
 _TRACED: WeakKeyDictionary[Any, tuple[Any, Callable[..., Any]]] = WeakKeyDictionary()
 
 
 def traceable(function: Any) -> Callable[..., Any]:
-    """A function for recorded numbers.
+    """A function for traced numbers.
 
-    Raises ``TraceError``, from here or when it is called, where the function can't be recorded:
-    it says what can't, and in which line of which file.
+    Raises ``TraceError``, from here or when it is called, if the function can't be traced. The
+    message says why, and in which line of which file.
     """
     inner, first, named = opened(function)
     if inner is not function:
@@ -266,7 +265,7 @@ def traceable(function: Any) -> Callable[..., Any]:
 def _with_arguments(
     formula: Callable[..., Any], first: tuple[Any, ...], named: dict[str, Any]
 ) -> Callable[..., Any]:
-    """A formula with its first and some named arguments given: numbers, arrays, an object."""
+    """A formula with its first arguments and some named ones fixed: numbers, arrays, an object."""
     given = tuple(map(_argument, first))
     known = {name: _argument(x) for name, x in named.items()}
     return lambda *args, **more: formula(*given, *args, **known, **more)
@@ -289,7 +288,7 @@ def _traced(plain: types.FunctionType) -> Callable[..., Any]:
     if plain.__kwdefaults__:
         made.__kwdefaults__ = {k: stand_in(x) for k, x in plain.__kwdefaults__.items()}
 
-    # the kept formula must not keep the function
+    # the cached formula must not keep the function alive
     place = plain.__code__.co_filename, plain.__code__.co_firstlineno
 
     def call(*args: Any, **named: Any) -> Any:

@@ -1,6 +1,6 @@
-"""What a formula becomes for arguments of some forms: a graph, or three of them around a loop.
+"""Formulas for arguments of given forms: a graph, or three of them around a loop.
 
-The form of a number is its kind, that of a tuple its class and the forms of its parts.
+The form of a number is its kind; that of a tuple is its class with the forms of its parts.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ class Tuple(NamedTuple):
 
 
 class Recurrence:
-    """A formula that does a step with each row of a table of constants, and is compiled as a loop.
+    """A formula that takes a step with each row of a table of constants, compiled as a loop.
 
-    ``begin(*args)`` gives (x, e): what moves, and what a step needs in addition to the arguments;
-    ``step(x, e, row, *args)`` the next x, and ``end(x, e, *args)`` the result. x and e are numbers
-    in tuples, nested at will, dual ones too. Called with recorded numbers it writes all steps out.
+    ``begin(*args)`` returns (x, e): the changing numbers, and those that a step needs in addition
+    to the arguments. ``step(x, e, row, *args)`` returns the next x, and ``end(x, e, *args)`` the
+    result. x and e are numbers in tuples, nested in any way, also dual ones. Called with traced
+    numbers, all steps are written out.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Recurrence:
         self.table = tuple(map(tuple, table))
 
     def __call__(self, *args: Any) -> Any:
-        """Written out."""
+        """All steps, written out."""
         x, e = self.begin(*args)
         for row in self.table:
             x = self.step(x, e, row, *args)
@@ -57,10 +58,10 @@ class Recurrence:
 
 
 class Loop(NamedTuple):
-    """What stands before a recurrence's end: its begin, and its step for each row of the table.
+    """The graphs before the end of a recurrence: its begin, and its step for each row of the table.
 
-    ``begin`` gives the numbers ("s", 0), ("s", 1), ...; ``step`` takes them and ("row", k) and
-    gives the first of them anew. Those of ``wide`` have a lane a direction.
+    ``begin`` returns the numbers ("s", 0), ("s", 1), ...; ``step`` takes them and ("row", k) and
+    returns new values of the first of them. Those in ``wide`` have a lane for each direction.
     """
 
     begin: Flat
@@ -70,10 +71,10 @@ class Loop(NamedTuple):
 
 
 class Traced(NamedTuple):
-    """A formula for arguments of some forms: its graph, the form of its result, its lanes.
+    """A formula for arguments of given forms: its graph, the form of its result, its lanes.
 
-    The graph of a recurrence is that of its end, after ``loop``. The arguments' numbers are its
-    inputs ("x", k).
+    The graph of a recurrence is that of its end, after ``loop``. The arguments are the inputs ("x",
+    k).
     """
 
     flat: Flat
@@ -89,11 +90,11 @@ class Traced(NamedTuple):
 
     @property
     def resources(self) -> list[tuple[str, Any]]:
-        """What its graphs find in memory."""
+        """The resources of its graphs in memory."""
         return resources_of(*self.flats)
 
     def spelled(self, resources: Sequence[tuple[str, Any]]) -> str:
-        """All that it computes, as text; tables and functions by their places."""
+        """The whole computation as text, with tables and functions by their places."""
         rest = None if self.loop is None else (sorted(self.loop.wide), self.loop.table)
         return repr((self.lanes, rest, [flat.spelled(resources) for flat in self.flats]))
 
@@ -101,9 +102,9 @@ class Traced(NamedTuple):
 def trace(
     formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = ""
 ) -> Traced:
-    """A formula for arguments of some forms; ``widest`` 0: no lanes for directions.
+    """Trace a formula for arguments of given forms; with ``widest`` 0 without lanes for directions.
 
-    ``kind`` is that of all its results; without, each has its own.
+    ``kind`` is that of all results; by default each result has its own kind.
     """
     constants = "single" if set(flattened_forms(forms)) == {"single"} else "double"
     if isinstance(formula, Recurrence) and len(formula.table) > 1:
@@ -114,7 +115,7 @@ def trace(
 
 
 def flattened_forms(forms: Sequence[Any]) -> Iterator[str]:
-    """The kinds of the numbers of some forms, in order."""
+    """The kinds of the numbers of given forms, in order."""
     for form in forms:
         if isinstance(form, Tuple):
             yield from flattened_forms(form.parts)
@@ -143,7 +144,7 @@ def _ended(graph: Graph, found: Any, constants: str, kind: str = "") -> tuple[An
 
 
 def _result(x: Any, constants: str, numbers: list[Any]) -> Any:
-    """The form of a result, its numbers added to ``numbers``, known ones of kind ``constants``."""
+    """The form of a result; its numbers are added to ``numbers``."""
     if isinstance(x, (tuple, list)):
         cls = type(x) if hasattr(x, "_fields") else tuple
         return Tuple(cls, tuple(_result(part, constants, numbers) for part in x))
@@ -160,7 +161,7 @@ def _result(x: Any, constants: str, numbers: list[Any]) -> Any:
 
 
 def _lanes(flats: Sequence[Flat]) -> int:
-    """A power of 2 that holds the directions that go into graphs, and those that are asked for."""
+    """The power of 2 that holds the directions of the graphs' inputs and results."""
     nodes = itertools.chain.from_iterable(flat.nodes for flat in flats)
     asked = (
         node.args[1 if node.op == "in" else 0]
@@ -174,7 +175,7 @@ def _lanes(flats: Sequence[Flat]) -> int:
 
 
 class _Leaf(NamedTuple):
-    """A number that crosses from one graph to the next: its kind, how many derivatives it has."""
+    """A number passed from one graph to the next: its kind, and its number of derivatives."""
 
     kind: str
     slopes: int
@@ -194,7 +195,7 @@ def _recurring(formula: Recurrence, forms: Sequence[Any], constants: str, widest
         after = flattened(formula.step(*given, row, *_arguments(graph, forms)))
         if len(after) != len(moving):
             raise TraceError(f"a step from {len(moving)} numbers to {len(after)}")
-        # a number may get its derivatives in the first step
+        # a number may acquire derivatives in the first step
         grown = [
             _Leaf(a.kind, max(a.slopes, _slopes(y))) for a, y in zip(moving, after, strict=True)
         ]
@@ -213,7 +214,7 @@ def _recurring(formula: Recurrence, forms: Sequence[Any], constants: str, widest
 
 
 def _kind(x: Any) -> str:
-    """Precision of a number, "" of a known one."""
+    """Precision of a number, "" for a known one."""
     if isinstance(x, Condition):
         raise TraceError("a truth value that goes from step to step")
     parts = (x.value, *x.slopes) if isinstance(x, Dual) else (x,)
@@ -227,7 +228,7 @@ def _slopes(x: Any) -> int:
 def _crossed(
     graph: Graph, values: Any, moving: Sequence[_Leaf], fixed: Sequence[_Leaf]
 ) -> tuple[Any, Any]:
-    """(x, e) as inputs of another graph; a known number of e is what it was."""
+    """(x, e) as inputs of another graph; known numbers of e stay known."""
     places = itertools.count()
     x, e = values
 
@@ -256,7 +257,7 @@ def _apart(graph: Graph, values: Sequence[Any], leaves: Sequence[_Leaf]) -> Flat
 
 
 def plain(traced: Traced, tables: Mapping[int, Any]) -> Callable[[Sequence[Any]], list[Any]]:
-    """The results from the arguments' numbers, floats or arrays; of one traced without lanes."""
+    """The results from the arguments' numbers, for a formula that is traced without lanes."""
     runs = [(function(flat, tables=tables), flat.inputs()) for flat in traced.flats]
 
     def call(numbers: Sequence[Any]) -> list[Any]:

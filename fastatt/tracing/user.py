@@ -1,8 +1,8 @@
-"""A user's rate, torque, force, potential or reducer: traced where possible, else called.
+"""User-defined rates, torques, forces, potentials and reducers: traced if possible, else called.
 
-A traced function is compared with what Python gives at a few points before it is trusted. One that
-can't be traced is compiled by Numba and called for each body (``UserFunction.reason`` says
-why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python.
+A traced function is compared with its results in Python at a few points before it is used. A
+function that can't be traced is compiled by Numba and called for each body (``UserFunction.reason``
+says why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from fastatt.tracing.nodes import Recorded, TraceError
 from fastatt.tracing.references import opened, snapshot
 from fastatt.tracing.trace import traceable
 
-# of a component, relative to its largest over the points; a wrong formula is off by far more
+# tolerance of a component, relative to its largest value; a wrong formula differs by far more
 _TOLERANCE = 1e-9
 
 
 class Signature(NamedTuple):
-    """What a function takes before its parameters (0: a number, n: a tuple of n) and gives.
+    """A function's arguments before its parameters (0: a number, n: a tuple), and its results.
 
-    ``results`` 0: as many as it has parameters. One that ``carries`` states gives two tuples, the
-    second of their time derivatives; ``results`` are then the numbers of both.
+    ``results`` 0 means as many as there are parameters. A function that ``carries`` states returns
+    two tuples, the second with their time derivatives; ``results`` are then the numbers of both.
     """
 
     call: str
@@ -56,7 +56,7 @@ class Signature(NamedTuple):
     states: int = 0
 
     def with_states(self, n: int) -> Signature:
-        """That of a function which takes n states too, before its parameters."""
+        """The signature of a function that also takes n states, before its parameters."""
         if not n:
             return self
         call, given = self.call.replace(", p)", ", s, p)"), n if self.carries else 0
@@ -80,7 +80,7 @@ FORMS = {
     "event at position": Signature("event(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
 }
 
-# what a function was made of, and for which values of its names
+# user-defined functions with the values of their names for which they were made
 _KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int, int], tuple[Any, UserFunction]]] = (
     WeakKeyDictionary()
 )
@@ -93,11 +93,11 @@ def user_function(
     params: NDArray[np.float64] | None = None,
     states: int = 0,
 ) -> UserFunction:
-    """A user's function, made once for a number of parameters and the values that it refers to.
+    """A user-defined function, made once for a number of parameters and its names' values.
 
-    ``form`` is a key of ``FORMS``. ``params``, (P,) or (N, P), are some that it will be called
-    with: it is tried with them; ``states`` is how many states it takes. Raises ``TypeError`` where
-    it is no function, does not compile, or gives something else than as many numbers as it should.
+    ``form`` is a key of ``FORMS``. ``params``, (P,) or (N, P), are parameters with which the
+    function is tried, and ``states`` is the number of states that it takes. Raises ``TypeError`` if
+    it is not a function, does not compile, or does not return the right number of results.
     """
     inner = opened(function)[0]
     if not isinstance(getattr(inner, "py_func", inner), FunctionType):
@@ -107,7 +107,7 @@ def user_function(
         )
     try:
         made = _KNOWN.setdefault(function, {})
-    except TypeError:  # an object that has no hash or no weak reference
+    except TypeError:  # an object without a hash or weak references
         made = {}
     key, now = (form, n_params, states), snapshot(function)
     before, found = made.get(key, (None, None))
@@ -118,11 +118,11 @@ def user_function(
 
 
 class UserFunction:
-    """A user's function, for formulas that are recorded.
+    """A user-defined function in traced formulas.
 
-    ``straight`` says whether it is traced, ``reason`` why it is not. One that is not is in a
-    graph as ``("opaque", self, ...)`` and is called at ``address``, as ``void(double* arguments,
-    double* results)``.
+    ``straight`` says whether it is traced, and ``reason`` why it is not. A function that is not
+    traced is in a graph as ``("opaque", self, ...)`` and is called at ``address``, as
+    ``void(double* arguments, double* results)``.
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class UserFunction:
         inner = opened(function)[0]
         self.name = getattr(function, "__name__", getattr(inner, "__name__", self.argument))
         self.reason = ""
-        #: arrays of the tables that it reads, and times at which there is something in them
+        #: arrays of the tables that it reads, and the time interval of their samples
         self.tables: dict[Any, NDArray[np.float64]] = {}
         self.span = 0.0, 10.0
         self._formula: Callable[..., Any] | None = None
@@ -158,30 +158,29 @@ class UserFunction:
 
     @property
     def straight(self) -> bool:
-        """Whether its formulas are traced."""
+        """Whether it is traced."""
         return self._formula is not None
 
     @property
     def address(self) -> int:
-        """Where the compiled function lies, of one that is not traced."""
+        """Address of the compiled function, if it is not traced."""
         return int(self._compiled.address)
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Of each argument 0 for a number, n for a tuple of n."""
+        """For each argument 0 for a number, n for a tuple of n."""
         return (*self.form.before, self.n_params)
 
     @property
     def described(self) -> str:
-        """How messages name it: ``spin(t, p)``."""
+        """Its name in messages: ``spin(t, p)``."""
         return self.form.call.replace(self.argument, self.name, 1)
 
     def call(self, *args: Any) -> Any:
-        """What it gives of recorded numbers, the parameters a tuple: 3 numbers, a potential one.
+        """Its result for traced numbers: 3 numbers, or one for a potential.
 
-        Of a function that carries states their time derivatives follow.
-
-        A function that is not traced computes in double precision, and gives doubles.
+        The time derivatives of its states follow, if it has states. A function that is not traced
+        computes in double precision.
         """
         args = tuple(tuple(x) if isinstance(x, (tuple, list)) else x for x in args)
         numbers = graph.flattened(list(args))
@@ -192,7 +191,7 @@ class UserFunction:
             except TraceError:
                 if not isinstance(like, Number):
                     raise
-                # known numbers are folded in Python, which refuses 1/0 and the root of −1
+                # Python evaluates operations of known numbers, and refuses 1/0 and the root of −1
                 made = [
                     x if isinstance(x, Recorded) else graph.number(like.graph, x, like.kind)
                     for x in numbers
@@ -210,7 +209,7 @@ class UserFunction:
         return self.call(*before[: len(self.form.before)], p)
 
     def __call__(self, *numbers: float) -> tuple[float, ...]:
-        """What a function that is not traced gives of floats, all its arguments' in a row."""
+        """The result of a function that is not traced, for all its arguments' numbers in a row."""
         given = (ctypes.c_double * max(1, len(numbers)))(*numbers)
         made = (ctypes.c_double * self.form.results)()
         ENTRY(self.address)(given, made)
@@ -219,7 +218,7 @@ class UserFunction:
     def _checked(
         self, function: Callable[..., Any], params: NDArray[np.float64] | None
     ) -> Callable[..., Any]:
-        """The function traced; raises ``TraceError`` where it can't be, or can't be trusted."""
+        """The traced function; raises ``TraceError`` if it can't be traced or is wrong."""
         recorded, states = _strict(traceable(function)), self.form.states
 
         def formula(*args: Any) -> Any:
@@ -261,7 +260,7 @@ class UserFunction:
 
 
 def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """The formula with a user's arithmetic as Python has it, where numbers may be NaN."""
+    """The formula with Python's arithmetic for user-defined functions, where numbers may be NaN."""
 
     def call(*args: Any) -> Any:
         found = (x.graph for x in graph.flattened(list(args)) if isinstance(x, Number))
@@ -278,11 +277,11 @@ def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _agree(asked: NDArray[np.float64], found: NDArray[np.float64]) -> bool:
-    """Whether values are the same but for rounding, (points, results)."""
+    """Whether values (points, results) are equal to rounding."""
     if ((np.isnan(asked) != np.isnan(found)) | (np.isinf(asked) != np.isinf(found))).any():
         return False
     size = np.abs(np.where(np.isfinite(asked), asked, 0.0)).max(axis=0)
-    # a component that is 0 but for rounding, where others are not
+    # a component that is 0 to rounding, while others are not
     bound = _TOLERANCE * size + 16 * np.finfo(np.float64).eps * size.max()
     finite = np.isfinite(asked)
     gap = np.abs(np.where(finite, found, 0.0) - np.where(finite, asked, 0.0))

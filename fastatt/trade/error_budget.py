@@ -129,11 +129,11 @@ def error_budget(
 
     Parameters
     ----------
-    rates : array_like, shape (n, 3)
+    rates : array_like of shape (n, 3)
         One log of at least 27 samples along body axes, rad/s.
     dt : float or array_like of shape (n - 1,)
         The interval, or the intervals, s.
-    q0 : array_like, shape (4,), default (1, 0, 0, 0)
+    q0 : array_like of shape (4,), default (1, 0, 0, 0)
         Attitude at the first sample.
     method : str, default "previous"
         The method whose error is estimated.

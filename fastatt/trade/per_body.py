@@ -41,9 +41,9 @@ class PerBodySteps:
     ----------
     method : str or Method
         The method.
-    dt : ndarray, shape (N,)
+    dt : ndarray of shape (N,)
         Step sizes, s.
-    n_steps : ndarray, shape (N,)
+    n_steps : ndarray of shape (N,)
         Numbers of steps.
     t0 : float
         Time of the initial state, s.
@@ -107,9 +107,9 @@ def per_body_steps(
     ----------
     scene : Scene
         A scene with inertia.
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`fastatt.propagate`.
-    w0 : array_like, shape (3,) or (N, 3)
+    w0 : array_like of shape (3,) or (N, 3)
         Initial angular velocities along body axes, rad/s.
     t_end : float
         Duration, s, above 0.
@@ -118,11 +118,11 @@ def per_body_steps(
         that are stay below it by a factor of 1.5, and others can exceed it.
     method : str or Method, optional
         A method that takes steps. The default is rk8, or else the first that fits.
-    v0 : array_like, shape (3,) or (N, 3), optional
+    v0 : array_like of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
-    r0 : array_like, shape (3,) or (N, 3), optional
+    r0 : array_like of shape (3,) or (N, 3), optional
         Initial positions along inertial axes, m.
-    s0 : array_like, shape (n,) or (N, n), optional
+    s0 : array_like of shape (n,) or (N, n), optional
         Initial values of the scene's states.
     t0 : float, default 0.0
         Time of the initial state, s.

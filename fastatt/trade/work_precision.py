@@ -170,17 +170,17 @@ def work_precision(
     ----------
     scene : Scene
         The bodies with their rates, torques and forces.
-    q0 : array_like, shape (4,) or (N, 4)
+    q0 : array_like of shape (4,) or (N, 4)
         Initial attitudes, as in :func:`fastatt.propagate`.
-    w0 : array_like, shape (3,) or (N, 3), optional
+    w0 : array_like of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
     t_end : float
         Duration, s, above 0.
-    v0 : array_like, shape (3,) or (N, 3), optional
+    v0 : array_like of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
-    r0 : array_like, shape (3,) or (N, 3), optional
+    r0 : array_like of shape (3,) or (N, 3), optional
         Initial positions along inertial axes, m.
-    s0 : array_like, shape (n,) or (N, n), optional
+    s0 : array_like of shape (n,) or (N, n), optional
         Initial values of the scene's states.
     t0 : float, default 0.0
         Time of the initial state, s.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
-import importlib
 import math
 
 import numpy as np
@@ -190,10 +188,3 @@ def test_one_column_and_silence():
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=message):
         call()
-
-
-@pytest.mark.parametrize("name", ["filters", "noise", "runs", "start"])
-def test_examples_of_the_docstrings(name):
-    found = doctest.testmod(importlib.import_module(f"fastatt.estimation.{name}"))
-    assert found.attempted > 0
-    assert found.failed == 0

@@ -294,7 +294,7 @@ BODY = fa.Scene(inertia=MOMENTS)
         (
             lambda: estimation.body_tangent(BODY, np.tile(Q, (2, 1)), np.zeros((3, 3)), H),
             ValueError,
-            "q: found rows q 2, w 3, scene 1",
+            "q0: found rows q0 2, w0 3, scene 1",
         ),
         (
             lambda: estimation.body_tangent(CURVED, Q, M, H),

@@ -82,7 +82,7 @@ def test_one_body_has_no_axis_of_bodies():
 @pytest.mark.parametrize(("trajectory", "scene"), [("traj", None), (None, BODIES.scene)])
 def test_refuses_what_is_neither(trajectory, scene):
     trajectory = run("magnus4") if trajectory else trajectory
-    name = "scene" if scene is None else "trajectory"
+    name = "scene" if scene is None else "run"
     with pytest.raises(TypeError, match=rf"{name}: found None; accepted"):
         fa.drift(trajectory, scene)
 

@@ -1,0 +1,167 @@
+"""Every public name has a numpydoc docstring that fits its signature, with examples that run."""
+
+from __future__ import annotations
+
+import doctest
+import enum
+import importlib
+import inspect
+import types
+
+import griffe
+import pytest
+
+import fastatt as fa
+
+#: modules whose functions and classes are public, in addition to the names of ``fastatt`` itself
+MODULES = [
+    "closed_form", "dask", "estimation", "forces", "gyro_steps", "interchange", "plots", "rates",
+    "torques",
+]  # fmt: skip
+#: modules of kernels that are building blocks of the others
+BLOCKS = {"compensated", "elliptic", "moser_veselov"}
+#: methods that packages of the library call on each other's objects
+INTERNAL = {
+    "Event": {"watch"},
+    "Plan": {"calls", "end", "equations", "is_short", "results", "started", "times", "trajectory",
+             "warn_after", "warn_of_first", "width", "about"},
+    "Reducer": {"begin", "columns", "watching"},
+    "Scene": {"carried", "dependence", "memo", "packed"},
+}  # fmt: skip
+OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def module_names(name, module):
+    """Public functions and classes of a module."""
+    for each in getattr(module, "__all__", None) or vars(module):
+        found = getattr(module, each)
+        defined = inspect.unwrap(getattr(found, "py_func", found))
+        here = getattr(defined, "__module__", None) == module.__name__
+        if not each.startswith("_") and (hasattr(module, "__all__") or here):
+            yield f"{name}.{each}", found
+
+
+def public_names():
+    """Objects by their public names."""
+    found = {name: getattr(fa, name) for name in fa.__all__}
+    for name in MODULES:
+        module = importlib.import_module("fastatt.dask") if name == "dask" else getattr(fa, name)
+        found |= module_names(name, module)
+    found |= module_names("estimation.preintegration", fa.estimation.preintegration)
+    for name in set(fa.kernels.__all__) - BLOCKS:
+        found |= module_names(f"kernels.{name}", getattr(fa.kernels, name))
+    return {
+        name: getattr(value, "py_func", value)
+        for name, value in found.items()
+        if callable(value) and not isinstance(value, types.GenericAlias)
+    }
+
+
+def members(name, value):
+    """Public methods and properties of a class, its bases in the library included."""
+    if not inspect.isclass(value) or issubclass(value, (enum.Enum, Exception, tuple)):
+        return
+    for base in value.__mro__:
+        if base.__module__.startswith("fastatt"):
+            for each, found in vars(base).items():
+                function = getattr(found, "__func__", getattr(found, "func", found))
+                hidden = each.startswith("_") or each in INTERNAL.get(value.__name__, ())
+                is_member = callable(function) or isinstance(found, property)
+                if is_member and not hidden and not is_model(value) and in_source(base, each):
+                    yield f"{name}.{each}", found
+
+
+def is_model(value):
+    """Whether a class is a rate, torque or force, whose methods are for other models."""
+    from fastatt.scene.models import Model
+
+    return issubclass(value, Model)
+
+
+def in_source(base, name):
+    """Whether a name is defined as a function, not as the default value of a field."""
+    return f"def {name}(" in inspect.getsource(base)
+
+
+PUBLIC = public_names()
+FUNCTIONS = {name: f for name, f in PUBLIC.items() if not inspect.isclass(f)}
+CLASSES = {name: c for name, c in PUBLIC.items() if inspect.isclass(c)}
+MEMBERS = {k: v for name, value in CLASSES.items() for k, v in members(name, value)}
+METHODS = {
+    name: getattr(f, "__func__", f)
+    for name, f in MEMBERS.items()
+    if inspect.isfunction(getattr(f, "__func__", f))
+}
+PROPERTIES = {name: f for name, f in MEMBERS.items() if name not in METHODS}
+
+
+def sections(value):
+    """Sections of a docstring by their kinds."""
+    text = inspect.getdoc(value)
+    assert text, "has no docstring"
+    parsed = griffe.Docstring(text).parse("numpy", warnings=False)
+    return {section.kind.value: section.value for section in parsed}
+
+
+def entries(documented):
+    """Names with their types, of a section of parameters, attributes or results."""
+    for entry in documented:
+        assert entry.annotation, f"{entry.name}: has no type"
+        assert entry.description, f"{entry.name}: has no description"
+    return [entry.name.lstrip("*") for entry in documented]
+
+
+def parameters(value):
+    """Names of a function's or a class's parameters, as its signature has them."""
+    return [name for name in inspect.signature(value).parameters if name not in ("self", "cls")]
+
+
+def gives_something(value):
+    """Whether a function returns a value; kernels have no annotations and always do."""
+    return inspect.signature(value).return_annotation not in ("None", None)
+
+
+def check_function(value):
+    found = sections(value)
+    assert entries(found.get("parameters", [])) == parameters(value)
+    if gives_something(value):
+        assert entries(found["returns"]) is not None
+    else:
+        assert "returns" not in found
+
+
+@pytest.mark.parametrize("name", sorted(FUNCTIONS))
+def test_functions(name):
+    check_function(FUNCTIONS[name])
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_methods(name):
+    check_function(METHODS[name])
+
+
+def test_properties():
+    assert [name for name, value in PROPERTIES.items() if not inspect.getdoc(value)] == []
+
+
+@pytest.mark.parametrize("name", sorted(CLASSES))
+def test_classes(name):
+    """What users make has its parameters, what functions return its attributes."""
+    value = CLASSES[name]
+    found = sections(value)
+    if issubclass(value, (Exception, enum.Enum)):
+        return
+    if "parameters" in found:
+        assert entries(found["parameters"]) == parameters(value)
+    else:
+        assert entries(found["attributes"])
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_examples(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = inspect.getdoc(PUBLIC[name]) or ""
+    example = doctest.DocTestParser().get_doctest(text, {}, name.replace(".", "_"), None, 0)
+    printed = []
+    doctest.DocTestRunner(optionflags=OPTIONS).run(example, out=printed.append)
+    assert not printed, "".join(printed)
