@@ -229,8 +229,9 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
     Examples
     --------
     >>> import fastatt as fa
-    >>> fa.estimation.transition_matrix([0.0, 0.0, 0.0], 0.1)[0].tolist()
-    [1.0, 0.0, 0.0, -0.1, 0.0, 0.0]
+    >>> phi = fa.estimation.transition_matrix([0.0, 0.0, 0.0], 0.1)
+    >>> phi.shape, float(phi[0, 3])
+    ((6, 6), -0.1)
     """
     return _over(_transition, w, dt)
 

@@ -99,8 +99,8 @@ def to_data_sheet(value: ArrayLike, unit: str) -> Any:
     Examples
     --------
     >>> from fastatt import estimation as es
-    >>> round(es.to_data_sheet(4.3633e-05, "deg/sqrt(h)"), 3)
-    0.15
+    >>> print(f"{es.to_data_sheet(4.3633e-05, 'deg/sqrt(h)'):.2f} deg/√h")
+    0.15 deg/√h
     """
     return _figure(value) / _one_of(unit)
 

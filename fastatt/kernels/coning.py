@@ -113,9 +113,7 @@ def rates_quadratic(w0, w1, w2, t1, t2):
         Rate at ``t1``, rad/s.
     w2 : tuple of 3 float
         Rate at ``t2``, rad/s.
-    t1 : float
-        Time, s.
-    t2 : float
+    t1, t2 : float
         Time, s.
 
     Returns
@@ -144,11 +142,7 @@ def rates_cubic(w0, w1, w2, w3, t1, t2, t3):
         Rate at ``t2``, rad/s.
     w3 : tuple of 3 float
         Rate at ``t3``, rad/s.
-    t1 : float
-        Time, s.
-    t2 : float
-        Time, s.
-    t3 : float
+    t1, t2, t3 : float
         Time, s.
 
     Returns

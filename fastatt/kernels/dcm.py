@@ -17,9 +17,7 @@ def mul(a, b):
 
     Parameters
     ----------
-    a : tuple of 9 float
-        Matrix, row by row.
-    b : tuple of 9 float
+    a, b : tuple of 9 float
         Matrix, row by row.
 
     Returns
@@ -37,9 +35,7 @@ def add(a, b):
 
     Parameters
     ----------
-    a : tuple of 9 float
-        Matrix, row by row.
-    b : tuple of 9 float
+    a, b : tuple of 9 float
         Matrix, row by row.
 
     Returns

@@ -60,9 +60,7 @@ def dot(p, q):
 
     Parameters
     ----------
-    p : tuple of 4 float
-        Quaternion.
-    q : tuple of 4 float
+    p, q : tuple of 4 float
         Quaternion.
 
     Returns
@@ -436,9 +434,7 @@ def angle(p, q):
 
     Parameters
     ----------
-    p : tuple of 4 float
-        Unit quaternion.
-    q : tuple of 4 float
+    p, q : tuple of 4 float
         Unit quaternion.
 
     Returns

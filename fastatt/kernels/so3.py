@@ -61,9 +61,7 @@ def second_order(b, c, v):
 
     Parameters
     ----------
-    b : float
-        Coefficient.
-    c : float
+    b, c : float
         Coefficient.
     v : tuple of 3 float
         Vector.
@@ -93,13 +91,9 @@ def second_order_apply(b, c, v, x):
 
     Parameters
     ----------
-    b : float
+    b, c : float
         Coefficient.
-    c : float
-        Coefficient.
-    v : tuple of 3 float
-        Vector.
-    x : tuple of 3 float
+    v, x : tuple of 3 float
         Vector.
 
     Returns

@@ -82,9 +82,7 @@ def product(a, b):
 
     Parameters
     ----------
-    a : tuple of 9 float
-        Matrix, row by row.
-    b : tuple of 9 float
+    a, b : tuple of 9 float
         Matrix, row by row.
 
     Returns
