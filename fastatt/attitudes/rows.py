@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fastatt.attitudes.attitude import Attitude, composed
-from fastatt.tracing.formulas import Vector, dcm, quat
+from fastatt.tracing.formulas import Vector, dcm, quat, two_rows
 
 
 def compose(x: Vector, q: Vector) -> Vector:
@@ -14,16 +14,16 @@ def compose(x: Vector, q: Vector) -> Vector:
 
 
 def to_dcm(x: Vector) -> Any:
-    return dcm.close_rows(x[:3], x[3:])
+    return two_rows.close_rows(x[:3], x[3:])
 
 
 def finish(x: Vector) -> Any:
-    a, b = dcm.orthonormalise_rows(*dcm.orthonormalise_rows(x[:3], x[3:]))
-    return dcm.close_rows(a, b), dcm.norm_error(to_dcm(x))
+    a, b = two_rows.orthonormalise_rows(*two_rows.orthonormalise_rows(x[:3], x[3:]))
+    return two_rows.close_rows(a, b), dcm.norm_error(to_dcm(x))
 
 
 def restore(x: Vector) -> Any:
-    a, b = dcm.orthonormalise_rows(x[:3], x[3:])
+    a, b = two_rows.orthonormalise_rows(x[:3], x[3:])
     return (*a, *b), dcm.norm_error(to_dcm(x))
 
 

@@ -17,7 +17,7 @@ from fastatt.dask.chunks import Bodies, like
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
-from fastatt.propagation.event import Event, check_steps, events_of
+from fastatt.propagation.event import Event, events_of
 from fastatt.propagation.initial import INITIAL
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
@@ -225,7 +225,6 @@ def propagate(
     watched = events_of(events)
     record, named = sent(scene, method, representation, compensated, normalise, watched)
     clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
-    check_steps(watched, as_scene(scene), clock.ends)
     begin = checks.real("t0", t0)
     flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
     given = (q0, w0, v0, r0, s0)

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numba import config
 
-from fastatt.engine.job import Forms, Job
+from fastatt.engine.job import Job
 from fastatt.engine.status import DIAGNOSTICS
 from fastatt.tracing import source
-from fastatt.tracing.finished import Flat
+from fastatt.tracing.finished import Flat, Forms
 from fastatt.tracing.nodes import LIBRARY, Node
 
 #: arguments of a kernel before its tables
@@ -252,12 +252,13 @@ def text(job: Job) -> tuple[str, dict[str, Any]]:
     """The kernel of a job as Python text, ``kernel(*ARGUMENTS, *tables)``, and its constants.
 
     Raises ``ValueError`` for formulas that call a function which is not traced, and for per-body
-    step sizes, saves at given times, breakpoints and a shorter last step.
+    step sizes, saves at given times, breakpoints, sampled controllers and a shorter last step.
     """
     if job.own_steps:
         raise ValueError(
-            'device: found "cuda" with a dt of each body, save_at, breakpoints or a t_end of no '
-            "whole number of steps; accepted: one dt, n_steps, save_every"
+            'device: found "cuda" with a dt of each body, save_at, breakpoints, a sampled '
+            "controller or a t_end of no whole number of steps; accepted: one dt, n_steps, "
+            "save_every"
         )
     for group, function in job.formulas.resources:
         if group == "function":

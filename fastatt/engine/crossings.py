@@ -13,8 +13,33 @@ from typing import Any, NamedTuple
 
 from fastatt._jit import loop_part
 from fastatt.codegen.call import call_generated
+from fastatt.engine.brackets import (
+    AT_HIGH,
+    AT_LOW,
+    AT_POINT,
+    BRACKET,
+    EXTREMUM,
+    FOUND,
+    HIGH,
+    LEAST,
+    LOW,
+    MARCH,
+    MOST,
+    NONE,
+    PASS,
+    POINT,
+    RADIUS,
+    ROTATED,
+    find_extremum,
+    is_crossed,
+    is_turned,
+    narrow_bracket,
+    next_point,
+)
 from fastatt.engine.stops import (
     ADVANCE,
+    BEFORE,
+    BEGUN,
     DT,
     SAVE,
     WATCH,
@@ -41,18 +66,9 @@ EVENT_ROWS = 3
 #: direction and whether it is terminal
 FUNCTION, EVENTS, LANES, OF_EACH = range(4)
 
-#: rows of brackets: ends and the values there, a point between them and its value, the next point
-#: and its value, the radius of the bisection, the width that ends it, the largest squared rotation
-#: angle of a step
-LOW, HIGH, AT_LOW, AT_HIGH, INNER, AT_INNER, POINT, AT_POINT, RADIUS, LEAST, ROTATED = range(11)
 #: rows of the queue: lane, body, position, event, steps before the block and up to its end, what
 #: is done with the lane, evaluations; its length comes after them
 LANE, BODY, POSITION, EVENT, FIRST, END, DOING, TRIALS, LENGTH = range(9)
-#: what is done: a step; a step known to have no crossing; the extremum within a step is searched; a
-#: crossing is bracketed; nothing was found; a crossing was
-MARCH, PASS, EXTREMUM, BRACKET, NONE, FOUND = range(6)
-#: evaluations of an extremum, and of a bracket, at most
-_FEW, _MOST = 10, 80
 #: in place of the value before the first: a bend that calls for a search of the first step
 UNKNOWN = 1e18
 
@@ -80,29 +96,6 @@ class Search(NamedTuple):
     io: Any
 
 
-def crosses(a: Any, b: Any, direction: int) -> Any:
-    """Whether a function that goes from a to b reaches or leaves zero, rising, falling or both."""
-    rises, falls = (a <= 0.0) & (b >= 0.0), (a >= 0.0) & (b <= 0.0)
-    if direction == 0:
-        return rises | falls
-    return rises if direction > 0 else falls
-
-
-def turns(a: Any, b: Any, c: Any) -> Any:
-    """Whether a parabola of twice the curvature of a, b and c crosses zero between b and c.
-
-    If the function crosses zero twice, the parabola does, unless the function's curvature doubles
-    within a step.
-    """
-    bend, slope = 2.0 * (a - 2.0 * b + c), c - b
-    square, steep = bend * bend, 4.0 * slope * slope
-    product = bend * (b + c)
-    return (product > 0.0) & (steep < square) & (4.0 * product < steep + square)
-
-
-_crosses, _turns = loop_part(crosses), loop_part(turns)
-
-
 @loop_part
 def begin_events(function, tile, search, base, count, step):
     """Rows of the events of a tile: from the initial state, or as they were after some steps."""
@@ -122,9 +115,32 @@ def begin_events(function, tile, search, base, count, step):
 
 
 @loop_part
+def keep_begin(rows, search):
+    """Keep the state of a tile, which lanes that are searched or that stopped go back to."""
+    width, _, _, _, angle_row, _ = search.shape
+    for i in range(angle_row * width):
+        search.begun_at[i] = rows[i]
+
+
+@loop_part
+def begin_stretch(rows, body_of, search, count):
+    """Search the step that follows a breakpoint in any case: what is watched may bend there."""
+    width, size, _, _, angle_row, _ = search.shape
+    _, stopped, _, _, _ = search.found
+    n = search.numbers[EVENTS]
+    for j in range(n * width):
+        value = rows[size * width + j]
+        rows[(size + n) * width + j] = UNKNOWN if value >= 0.0 else -UNKNOWN
+    for j in range(count):
+        if stopped[body_of[j]] == stopped[body_of[j]]:
+            for i in range(angle_row):
+                rows[i * width + j] = search.begun_at[i * width + j]
+
+
+@loop_part
 def _join_queue(tile, search, entry):
     """Copy a lane at the begin of a block into the tile of the search."""
-    rows, wide, numbers, _ = tile
+    rows, wide, _, _ = tile
     to, wide_to, _, _ = search.searched
     width, _, n_rows, n_wide, angle_row, clock = search.shape
     lanes, queue = search.numbers[LANES], search.queue
@@ -137,9 +153,9 @@ def _join_queue(tile, search, entry):
         to[i * lanes + k] = search.begun_at[at] if i < angle_row else rows[at]
     for i in range(n_wide):
         wide_to[i * lanes + k] = wide[i * width + lane]
-    wide_to[clock * lanes + k] = numbers[1]
-    wide_to[(clock + 1) * lanes + k] = float(entry[FIRST])
-    wide_to[(clock + 2) * lanes + k] = numbers[0]
+    before = (clock + BEFORE) * lanes + k
+    queue[END * lanes + k] += int(wide_to[before])
+    wide_to[before] += float(entry[FIRST])
 
 
 @loop_part
@@ -160,88 +176,21 @@ def _march(search, k, is_stepped):
     brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k] = b, c
     brackets[RADIUS * lanes + k] = 1.0
     # the accuracy of a time is limited by its rounding
-    step, steps = wide[clock * lanes + k], wide[(clock + 1) * lanes + k]
-    latest = abs(wide[(clock + 2) * lanes + k] / step + steps)
+    at_steps = (clock + BEFORE) * lanes + k
+    step, begun = wide[(clock + DT) * lanes + k], wide[(clock + BEGUN) * lanes + k]
+    latest = abs(begun / step + wide[at_steps])
     brackets[LEAST * lanes + k] = max(tolerance, latest * 2.0**-52)
     queue[TRIALS * lanes + k] = 0
     if not is_stepped:
-        if _crosses(b, c, search.numbers[OF_EACH + 2 * event]):
+        if is_crossed(b, c, search.numbers[OF_EACH + 2 * event]):
             return BRACKET
-        if _turns(a, b, c):
+        if is_turned(a, b, c):
             return EXTREMUM
     for i in range(size):
         rows[i * lanes + k] = stepped[i * lanes + k]
     rows[last], rows[before] = c, b
-    wide[(clock + 1) * lanes + k] += 1.0
-    return NONE if wide[(clock + 1) * lanes + k] >= queue[END * lanes + k] else MARCH
-
-
-@loop_part
-def _next_point(brackets, lanes, k):
-    """The next point of a bracket (Oliveira and Takahashi, *ACM Trans. Math. Softw.* 47 (2020))."""
-    low, high = brackets[LOW * lanes + k], brackets[HIGH * lanes + k]
-    a, b = brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k]
-    middle, radius = 0.5 * (low + high), brackets[RADIUS * lanes + k]
-    brackets[RADIUS * lanes + k] = 0.5 * radius
-    slack = max(radius - 0.5 * (high - low), 0.0)
-    point = low - a * ((high - low) / (b - a))
-    side = 1.0 if middle >= point else -1.0
-    away = max(0.2 * (high - low) ** 2, brackets[LEAST * lanes + k])
-    point = point + side * away if away <= abs(middle - point) else middle
-    return point if abs(point - middle) <= slack else middle - side * slack
-
-
-@loop_part
-def _narrow(brackets, lanes, k, x, value):
-    """Narrow a bracket by the value at a point; returns what to do next."""
-    low, high = LOW * lanes + k, HIGH * lanes + k
-    if math.isnan(value):
-        return NONE
-    if (value > 0.0) == (brackets[AT_LOW * lanes + k] > 0.0) and value != 0.0:
-        brackets[low], brackets[AT_LOW * lanes + k] = x, value
-    else:
-        brackets[high], brackets[AT_HIGH * lanes + k] = x, value
-    is_wide = brackets[high] - brackets[low] > 4.0 * brackets[LEAST * lanes + k]
-    return BRACKET if value != 0.0 and is_wide else FOUND
-
-
-@loop_part
-def _extremum(brackets, lanes, k, x, value, direction, trials):
-    """Use the value at a point in the search of an extremum; returns what to do next."""
-    low, high, inner = LOW * lanes + k, HIGH * lanes + k, INNER * lanes + k
-    at_low, at_high, at_inner = AT_LOW * lanes + k, AT_HIGH * lanes + k, AT_INNER * lanes + k
-    # the two parts of the bracket next to the point, up to the nearest points with a value
-    left = brackets[low], brackets[at_low]
-    right = brackets[high], brackets[at_high]
-    if trials > 1:
-        if x < brackets[inner]:
-            right = brackets[inner], brackets[at_inner]
-        else:
-            left = brackets[inner], brackets[at_inner]
-    for a, b, c, d in ((left[0], left[1], x, value), (x, value, right[0], right[1])):
-        if _crosses(b, d, direction):
-            brackets[low], brackets[at_low] = a, b
-            brackets[high], brackets[at_high] = c, d
-            brackets[RADIUS * lanes + k] = c - a
-            return BRACKET
-    if trials > 1 and abs(brackets[at_inner]) < abs(value):
-        if x < brackets[inner]:
-            brackets[low], brackets[at_low] = x, value
-        else:
-            brackets[high], brackets[at_high] = x, value
-    else:
-        brackets[low], brackets[at_low] = left
-        brackets[high], brackets[at_high] = right
-        brackets[inner], brackets[at_inner] = x, value
-    # the vertex of the parabola through the three
-    p, q = brackets[inner] - brackets[low], brackets[inner] - brackets[high]
-    u = p * (brackets[at_inner] - brackets[at_high])
-    v = q * (brackets[at_inner] - brackets[at_low])
-    point = brackets[inner] - 0.5 * (p * u - q * v) / (u - v)
-    brackets[POINT * lanes + k] = point
-    bends = (u - v) * (p * q) * brackets[at_inner] > 0.0
-    inside = brackets[low] < point < brackets[high] and abs(point - brackets[inner]) > 1e-7
-    return EXTREMUM if bends and inside and trials < _FEW else PASS
+    wide[at_steps] += 1.0
+    return NONE if wide[at_steps] >= queue[END * lanes + k] else MARCH
 
 
 @loop_part
@@ -253,10 +202,10 @@ def _choose_points(search):
         point, doing = POINT * lanes + k, queue[DOING * lanes + k]
         if doing == BRACKET:
             at_low, at_high = brackets[AT_LOW * lanes + k], brackets[AT_HIGH * lanes + k]
-            if at_low == 0.0 or at_high == 0.0 or queue[TRIALS * lanes + k] >= _MOST:
+            if at_low == 0.0 or at_high == 0.0 or queue[TRIALS * lanes + k] >= MOST:
                 queue[DOING * lanes + k] = FOUND
                 continue
-            brackets[point] = _next_point(brackets, lanes, k)
+            brackets[point] = next_point(brackets, lanes, k)
         elif doing == EXTREMUM and queue[TRIALS * lanes + k] == 0:
             brackets[point] = 0.5
         if doing in (BRACKET, EXTREMUM):
@@ -303,7 +252,7 @@ def _locate(search):
             copy_tile(search.searched, search.trial, search.narrow)
             call_generated(function, ADVANCE, search.trial, (0, 1))
             for k in range(lanes):
-                wide[(clock + 1) * lanes + k] += 1.0
+                wide[(clock + BEFORE) * lanes + k] += 1.0
         elif _choose_points(search):
             _step_to_points(search)
         else:
@@ -317,10 +266,10 @@ def _locate(search):
             if marching and doing <= PASS:
                 doing = _march(search, k, doing == PASS)
             elif not marching and doing == BRACKET:
-                doing = _narrow(brackets, lanes, k, point, value)
+                doing = narrow_bracket(brackets, lanes, k, point, value)
             elif not marching and doing == EXTREMUM:
                 direction, trials = search.numbers[OF_EACH + 2 * event], queue[TRIALS * lanes + k]
-                doing = _extremum(brackets, lanes, k, point, value, direction, trials)
+                doing = find_extremum(brackets, lanes, k, point, value, direction, trials)
             queue[DOING * lanes + k] = doing
     for k in range(n):
         # the end of the bracket that is nearer to zero
@@ -329,12 +278,13 @@ def _locate(search):
 
 
 @loop_part
-def _found_time(wide, numbers, clock, lanes, k, point):
+def _found_time(wide, clock, lanes, k, point):
     """The time of a point of a lane's step; at the end of a step it is that of the saves."""
-    before, step = wide[(clock + 1) * lanes + k], numbers[1]
+    step, before = wide[(clock + DT) * lanes + k], wide[(clock + BEFORE) * lanes + k]
+    begun = wide[(clock + BEGUN) * lanes + k]
     if point == 1.0:
-        return numbers[0] + (before + 1.0) * step
-    return numbers[0] + before * step + point * step
+        return begun + (before + 1.0) * step
+    return begun + before * step + point * step
 
 
 @loop_part
@@ -353,7 +303,7 @@ def _flush(search):
         body, event = queue[BODY * lanes + k], queue[EVENT * lanes + k]
         if queue[DOING * lanes + k] == FOUND:
             point = brackets[POINT * lanes + k]
-            times[body * events + event] = _found_time(wide, numbers, clock, lanes, k, point)
+            times[body * events + event] = _found_time(wide, clock, lanes, k, point)
             stops = stops or search.numbers[OF_EACH + 2 * event + 1] != 0
     forward, (io_row, saved) = (1.0 if numbers[1] > 0.0 else -1.0), search.io
     if stops:

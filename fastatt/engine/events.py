@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from fastatt.engine.crossings import crosses, turns
+from fastatt.engine.brackets import crosses, turns
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import Double, choose

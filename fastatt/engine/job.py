@@ -29,7 +29,7 @@ from fastatt.scene.equations import (
     motion_of,
 )
 from fastatt.scene.rates import is_constant
-from fastatt.tracing.finished import Constants, Flat, resources_of
+from fastatt.tracing.finished import Constants, Flat, Forms, resources_of
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import Double, Graph, Number, both, choose
 
@@ -61,6 +61,8 @@ class Job:
     own_steps: bool = False
     #: events that are checked at the end of each step
     events: tuple[Watch, ...] = ()
+    #: whether it takes the shorter steps by which events are located
+    is_searched: bool = False
     #: rates, torques and forces are evaluated between two breakpoints only
     windowed: bool = False
     #: bodies in a tile; fewer for small ensembles, which is faster and gives the same bits
@@ -69,12 +71,8 @@ class Job:
     @cached_property
     def formulas(self) -> Formulas:
         """The formulas, traced when they are used; they do not depend on the width of a tile."""
-        return _formulas(replace(self, width=WIDTH, own_steps=self.own_steps and not self.events))
-
-    @property
-    def is_searched(self) -> bool:
-        """Whether shorter steps are needed to locate events."""
-        return self.own_steps and bool(self.events)
+        own = self.own_steps and not self.events
+        return _formulas(replace(self, width=WIDTH, own_steps=own, is_searched=False))
 
     @property
     def has_any_angle_form(self) -> bool:
@@ -90,20 +88,6 @@ class Job:
     def monitored(self) -> bool:
         """Whether rotation angles of steps are monitored in the small-angle form."""
         return not self.known
-
-
-@dataclass(frozen=True)
-class Forms:
-    """A step as a graph: the state after it, and its squared rotation angle if monitored."""
-
-    monitored: Flat
-    size: int
-
-    @cached_property
-    def plain(self) -> Flat:
-        """The state alone, with the same bits."""
-        whole = len(self.monitored.results) == self.size
-        return self.monitored if whole else self.monitored.first(self.size).in_few_registers()
 
 
 class Formulas:
@@ -231,6 +215,16 @@ class Formulas:
         return scope.finished((*scope.entered(scope.time(), scope.number("edge"), x, e), *e))
 
     @cached_property
+    def update(self) -> Flat | None:
+        """The state after a sample time; None of a job without any."""
+        if self.job.structure.turning.law.sampling is None:
+            return None
+        scope = self.scope()
+        own, auxiliary = scope.parts(scope.state())
+        assert isinstance(scope.motion, Coupled)
+        return scope.finished((*scope.motion.updated(scope.time(), own), *auxiliary))
+
+    @cached_property
     def project(self) -> Flat | None:
         """The projected state and its norm error; None if it is never projected."""
         if not self.job.projects:
@@ -257,7 +251,8 @@ class Formulas:
     @cached_property
     def resources(self) -> list[Any]:
         """Tables and functions that formulas call without tracing, in the order of their arrays."""
-        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events)
+        update = () if self.update is None else (self.update,)
+        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events, *update)
 
     @cached_property
     def is_timed(self) -> bool:
@@ -272,7 +267,9 @@ class Formulas:
     @cached_property
     def digest(self) -> bytes:
         """A hash of the operations of a step."""
-        return hashlib.sha256(self.small_angle.plain.spelled(self.resources).encode()).digest()
+        flats = [self.small_angle.plain, *([] if self.update is None else [self.update])]
+        spelled = "".join(flat.spelled(self.resources) for flat in flats)
+        return hashlib.sha256(spelled.encode()).digest()
 
     @property
     def operations(self) -> int:

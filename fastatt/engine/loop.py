@@ -50,6 +50,8 @@ from fastatt.engine.stops import (
     STOP_SIZE,
     TAKEN,
     TIME,
+    UPDATE,
+    UPDATES,
     count_from_stop,
     count_steps,
     on_grid,
@@ -251,7 +253,6 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
         tile = rows, wide, numbers, whole
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
         if events:
-            begun_at = reals(arrays[crossings.BEGUN_AT], kind)
             times, stopped = doubles(arrays[crossings.TIMES]), doubles(arrays[crossings.STOPPED])
             final = reals(arrays[crossings.FINAL], kind)
             searched_rows, trial_rows = arrays[crossings.SEARCH_ROWS], arrays[crossings.TRIAL_ROWS]
@@ -268,7 +269,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                 doubles(arrays[crossings.BRACKETS]),
                 found,
                 reals(arrays[crossings.HISTORY], kind),
-                begun_at,
+                reals(arrays[crossings.BEGUN_AT], kind),
                 (io_row, settings[SAVED]),
             )
         for number in range(first_tile, last_tile):
@@ -300,6 +301,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                 since = settings[FIRST] - settings[ORIGIN]
                 crossings.begin_events(small, tile, search, base, count, since)
             at, slot = settings[FIRST], -1
+            is_bent = at == settings[ORIGIN]
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
             while True:
@@ -319,10 +321,17 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     time, slack = stops[row + TIME] - stops[row + COUNTED_FROM], stops[row + SLACK]
                     begin, end = 0, count_steps(shape, tile, waiting, left, time, slack)
                 elif part < settings[N_PARTS] and part_steps[part] == at:
+                    if events:
+                        crossings.keep_begin(rows, search)
                     call_generated(small, LEAVE, tile, (at + ahead, 0))
                     row = part * PART_SIZE
                     set_clock(shape, wide, DT, parts, row)
+                    if parts[row + UPDATES] != 0.0:
+                        call_generated(small, UPDATE, tile, (at, 0))
                     call_generated(small, ENTER, tile, (at, 0))
+                    if events:
+                        crossings.begin_stretch(rows, body_of, search, count)
+                        is_bent = True
                     begin, end = at, at + int(parts[row + TAKEN])
                     stays = parts[row + ENDS] == 0.0
                     ahead = end - at if stays else 0
@@ -342,10 +351,9 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                         for j in range(width):
                             stop = min(stop, left[j]) if left[j] > begin else stop
                     if events:
-                        # a parabola needs three values, so that the first step is always searched
-                        stop = begin + 1 if begin == settings[ORIGIN] else stop
-                        for i in range(angle_row * width):
-                            begun_at[i] = rows[i]
+                        # a parabola needs three values: such a step is always searched
+                        stop, is_bent = begin + 1 if is_bent else stop, False
+                        crossings.keep_begin(rows, search)
                     if not _advance(settings, tile, kept, marks, unbounded, begin, stop):
                         return number
                     if events:
@@ -415,7 +423,8 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
 
 
 #: the loop is compiled again if its parts in other files change
-_OTHERS = [Path(__file__).with_name(x).read_bytes() for x in ("crossings.py", "stops.py")]
+_PARTS = ("brackets.py", "crossings.py", "stops.py")
+_OTHERS = [Path(__file__).with_name(x).read_bytes() for x in _PARTS]
 _POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
 _SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 

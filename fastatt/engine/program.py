@@ -2,8 +2,8 @@
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: the
 begin of a tile, a block of steps, the values of a save, the projection, the conversions to another
-step size, to the state and from it, and the functions of events. ``Layout`` defines where in
-``rows`` and ``wide`` each number of a lane lies.
+step size, to the state and from it, the functions of events, and the jump of states at a sample
+time. ``Layout`` defines where in ``rows`` and ``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fastatt.codegen.two_forms import TwoForms
 from fastatt.engine.crossings import EVENT_ROWS
 from fastatt.engine.job import Formulas, Job
 from fastatt.engine.status import SAVED
-from fastatt.engine.stops import ADVANCE, BEGIN, ENTER, LEAVE, PROJECT, SAVE, WATCH
+from fastatt.engine.stops import ADVANCE, BEGIN, ENTER, LEAVE, PROJECT, SAVE, UPDATE, WATCH
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
@@ -154,6 +154,7 @@ class Program(TwoForms):
         if job.own_steps:
             add("leave", forms.leave, "moment", x=forms.size)
             add("enter", forms.enter, "moment", x=forms.size, e=forms.extras)
+            add("update", None if job.is_searched else forms.update, "moment", x=forms.size)
         return found
 
     def _step(
@@ -258,6 +259,7 @@ class Program(TwoForms):
         yield "def run(part, rows, wide, numbers, whole, first, last):"
         parts = [(BEGIN, "constants"), (BEGIN, "begin"), (SAVE, "save")]
         parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter"), (WATCH, "events")]
+        parts += [(UPDATE, "update")]
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
             # one loop for all stages, since Numba compiles a condition faster than a loop

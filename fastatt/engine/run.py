@@ -160,7 +160,7 @@ class Setup:
                 # a search can't be restarted
                 made.compile_any_angle()
             lanes = processor().lanes(job.kind)
-            self.search = prepare(replace(job, own_steps=True, width=lanes))
+            self.search = prepare(replace(job, own_steps=True, is_searched=True, width=lanes))
             each = [int(x) for watch in job.events for x in watch[1:]]
             self.search_numbers = [self.search.entry, len(job.events), lanes, *each]
             if not config.DISABLE_JIT:

@@ -13,15 +13,18 @@ from fastatt._jit import loop_part
 from fastatt.codegen.call import call_generated
 
 #: parts of a program's function
-BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER, WATCH = range(7)
+BEGIN, ADVANCE, SAVE, PROJECT, LEAVE, ENTER, WATCH, UPDATE = range(8)
 
 #: clocks of lanes, in ``wide`` from this row on
 DT, BEFORE, BEGUN, LOW, HIGH = range(5)
-#: a part of a step is a clock, the number of steps with it, and whether it ends a whole step
-TAKEN, ENDS, PART_SIZE = range(5, 8)
-#: a stop: its time since the start, s, and the slack of its rounding; whether it is a breakpoint;
-#: the time since the start from which steps to it are counted; then the clock of these, from BEFORE
+#: a part of a step is a clock, the number of steps with it, whether it ends a whole step, and
+#: whether it begins at a sample time, at which states jump
+TAKEN, ENDS, UPDATES, PART_SIZE = range(5, 9)
+#: a stop: its time since the start, s, and the slack of its rounding; whether it is a breakpoint,
+#: or one that is a sample time; the time since the start from which steps to it are counted; then
+#: the clock of these, from BEFORE
 TIME, SLACK, BREAKS, COUNTED_FROM, COUNT, _, _, _, STOP_SIZE = range(9)
+BREAK, SAMPLE = 1, 2
 
 EPS = 2.0**-52
 
@@ -144,4 +147,6 @@ def count_from_stop(function, shape, tile, copied, stops, row):
     for i in range(size * width):
         rows[i] = copy[i]
     set_clock(shape, wide, BEFORE, stops, row + COUNT)
+    if stops[row - STOP_SIZE + BREAKS] == SAMPLE:
+        call_generated(function, UPDATE, tile, (0, 0))
     call_generated(function, ENTER, tile, (0, 0))

@@ -217,6 +217,11 @@ def single_step(
     record = method_of(scene, method, attitude, need="is_stepped")
     if position and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
+    if scene.sampling is not None:
+        raise ValueError(
+            "scene: found a sampled controller; accepted: a scene without, with the torque that "
+            "your loop computes at sample times among its params"
+        )
     kind = checks.precision(dtype)
     position = position or scene.needs_position
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)

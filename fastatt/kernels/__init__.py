@@ -29,13 +29,14 @@ if TYPE_CHECKING:
         so3,
         sym3,
         trig,
+        two_rows,
         vec3,
     )
 
 __all__ = [
     "axis_angle", "compensated", "coning", "dcm", "elliptic", "error_state", "euler313",
     "free_body", "heavy_top", "moser_veselov", "mrp", "quat", "rigid", "so3", "sym3", "trig",
-    "vec3",
+    "two_rows", "vec3",
 ]  # fmt: skip
 
 

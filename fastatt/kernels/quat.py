@@ -18,10 +18,8 @@ def mul(p, q):
 
     Parameters
     ----------
-    p : tuple of 4 float
-        Left factor.
-    q : tuple of 4 float
-        Right factor.
+    p, q : tuple of 4 float
+        Left and right factor.
 
     Returns
     -------
@@ -126,10 +124,8 @@ def turn_first(q, c, s):
     ----------
     q : tuple of 4 float
         Unit quaternion, body to inertial.
-    c : float
-        Cosine of half the rotation angle.
-    s : float
-        Sine of half the rotation angle.
+    c, s : float
+        Cosine and sine of half the rotation angle.
 
     Returns
     -------
@@ -147,10 +143,8 @@ def turn_third(q, c, s):
     ----------
     q : tuple of 4 float
         Unit quaternion, body to inertial.
-    c : float
-        Cosine of half the rotation angle.
-    s : float
-        Sine of half the rotation angle.
+    c, s : float
+        Cosine and sine of half the rotation angle.
 
     Returns
     -------
@@ -176,7 +170,7 @@ def exp_short(u):
 
     Notes
     -----
-    Beyond π the result is meaningless. See :func:`exp` for any angle and for the error.
+    Beyond π the result is meaningless. See :func:`exp` for any angle and the error.
     """
     s, c = half_sinc_cos(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     return c, s * u[0], s * u[1], s * u[2]
@@ -282,7 +276,7 @@ def normalise(q):
 
 @kernel
 def renormalise(q):
-    """One Newton step to unit norm, q (3 − ``|q|²``)/2.
+    """One Newton step to unit norm, q (3 − ``|q|²``)/2: a norm of 1 + e becomes 1 − 3e²/2.
 
     Parameters
     ----------
@@ -293,10 +287,6 @@ def renormalise(q):
     -------
     tuple of 4 float
         The quaternion.
-
-    Notes
-    -----
-    A norm of 1 + e becomes 1 − 3e²/2.
     """
     F = type(q[0])
     f = F(1.5) - F(0.5) * dot(q, q)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine.run import Parts
+from fastatt.scene.models import Sampling
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -21,6 +22,7 @@ class Breaks(NamedTuple):
     ``since`` are these times counted from the begin of the run, with ``slack`` for their rounding.
     The rates, torques and forces of a stretch are evaluated from ``low`` to ``high`` only, which
     lie next to its two breakpoints.
+    ``sampled`` says which of them begin at a sample time, at which states jump.
     """
 
     times: NDArray[np.float64]
@@ -28,16 +30,26 @@ class Breaks(NamedTuple):
     slack: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    sampled: NDArray[np.bool_]
 
 
 @lru_cache(maxsize=64)
-def breaks_of(breakpoints: tuple[float, ...], begin: float, duration: float) -> Breaks:
+def breaks_of(
+    breakpoints: tuple[float, ...],
+    begin: float,
+    duration: float,
+    sampling: Sampling | None = None,
+) -> Breaks:
     """Select the sorted ``breakpoints`` inside a run of a ``duration``, s, of either sign.
 
     A breakpoint that coincides with the begin or the end, to rounding, does not divide the run, but
     limits the time window.
+    Times of ``sampling`` are breakpoints too, and the begin may be one.
     """
     every = np.array(breakpoints, dtype=np.float64)
+    is_sample = np.zeros(every.size, dtype=bool)
+    if sampling is not None:
+        every, is_sample = _with_samples(every, begin, duration, sampling)
     edges = np.concatenate([[-np.inf], every, [np.inf]])
     low, high = np.nextafter(edges[:-1], np.inf), np.nextafter(edges[1:], -np.inf)
     sign = math.copysign(1.0, duration)
@@ -48,40 +60,68 @@ def breaks_of(breakpoints: tuple[float, ...], begin: float, duration: float) -> 
     first = int((since <= slack).sum() if sign > 0.0 else (since < -slack).sum())
     stretches = first + int(sign) * np.arange(inside.sum() + 1)
     order = np.flatnonzero(inside)[:: int(sign)]
+    at_begin = is_sample[np.abs(since) <= slack].any()
     return Breaks(
         np.concatenate([[begin], every[order]]),
         np.concatenate([[0.0], since[order]]),
         np.concatenate([[0.0], slack[order]]),
         low[stretches],
         high[stretches],
+        np.concatenate([[at_begin], is_sample[order]]),
     )
+
+
+def _with_samples(
+    breakpoints: NDArray[np.float64], begin: float, duration: float, sampling: Sampling
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Breakpoints and sample times in order, those that are equal to rounding once; which are."""
+    period, start = sampling
+    first, last = sorted((begin, begin + duration))
+    k = np.arange(math.floor((first - start) / period), math.ceil((last - start) / period) + 1)
+    slack = 16.0 * _EPS * (np.abs(breakpoints) + abs(begin))
+    nearest = start + np.rint((breakpoints - start) / period) * period
+    apart = breakpoints[np.abs(breakpoints - nearest) > slack]
+    every = np.concatenate([apart, start + k * period])
+    order = np.argsort(every)
+    return every[order], order >= apart.size
 
 
 @lru_cache(maxsize=64)
 def parts_of(
-    breakpoints: tuple[float, ...], begin: float, h: float, n_steps: int, end: float | None
+    breakpoints: tuple[float, ...],
+    begin: float,
+    h: float,
+    n_steps: int,
+    end: float | None,
+    sampling: Sampling | None = None,
 ) -> Parts:
     """The parts of those steps that breakpoints or the end of the run divide.
 
     ``end`` is the time of the end since the begin of the run, s, if it is not a whole step.
     """
-    found = breaks_of(breakpoints, begin, n_steps * h if end is None else end)
-    clocks: list[tuple[float, ...]] = [(h, 0, begin, found.low[0], found.high[0], 0, 0)]
+    found = breaks_of(breakpoints, begin, n_steps * h if end is None else end, sampling)
+    clocks: list[tuple[float, ...]] = [(h, 0, begin, found.low[0], found.high[0], 0, 0, 0)]
     steps = [-1]
     # the step that is divided, if any, and the time that its parts reached; the next whole step
     divided, reached, resumes = -1, 0.0, -1
 
-    def add(step: int, *clock: float) -> None:
-        clocks.append(clock)
+    # of the stretches that begin at a sample time: whether no part begins there yet
+    jumps = found.sampled.copy()
+
+    def add(step: int, stretch: int, *clock: float) -> None:
+        window = found.low[stretch], found.high[stretch]
+        clocks.append((*clock[:3], *window, *clock[3:], jumps[stretch]))
         steps.append(step)
+        jumps[stretch] = False
 
     def whole_steps(step: int, stretch: int) -> None:
-        add(step, h, 0, begin, found.low[stretch], found.high[stretch], 0, 0)
+        add(step, stretch, h, 0, begin, 0, 0)
 
     def part(step: int, until: float, stretch: int, ends: bool) -> None:
-        window = found.low[stretch], found.high[stretch]
-        add(step, until - reached, -step, begin + reached, *window, 1, ends)
+        add(step, stretch, until - reached, -step, begin + reached, 1, ends)
 
+    if jumps[0]:
+        whole_steps(0, 0)
     for k in range(1, found.since.size):
         since = float(found.since[k])
         slack = float(found.slack[k])

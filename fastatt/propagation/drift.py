@@ -13,6 +13,7 @@ from fastatt.arrays import angle_between, quat_rotate
 from fastatt.attitudes.attitude import same
 from fastatt.propagation.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.reaction_wheels import ReactionWheels
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Torque
@@ -130,10 +131,13 @@ def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
 def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     torque = scene.torque
     wheels = torque.wheel_momentum if isinstance(torque, Torque) else None
-    if scene.inertia is None or not (scene.torque is None or wheels):
+    is_driven = isinstance(torque, ReactionWheels)
+    if scene.inertia is None or not (torque is None or wheels or is_driven):
         return None
     inside = angular_momentum(trajectory.w, scene.inertia)
-    if wheels is not None:
+    if isinstance(torque, ReactionWheels):
+        inside = inside + torque.momentum(trajectory.s)
+    elif wheels is not None:
         inside = inside + _of_wheels(wheels(), trajectory)
     total = quat_rotate(trajectory.q, inside)
     change = np.linalg.norm(total - total[0], axis=-1)

@@ -147,18 +147,6 @@ def events_of(events: Event | Sequence[Event]) -> tuple[Event, ...]:
     return tuple(found)
 
 
-def check_steps(events: Sequence[Event], scene: Scene, ends: float | None) -> None:
-    """Refuse events, with ``ValueError``, in a run that divides some of its steps."""
-    if not events:
-        return
-    if scene.breakpoints:
-        raise ValueError("events: found with a scene that has breakpoints; accepted: without")
-    if ends is not None:
-        raise ValueError(
-            "events: found with a t_end that is no whole number of steps; accepted: a whole number"
-        )
-
-
 def watching(packed: Packed, watches: Sequence[Watch]) -> Packed:
     """The structure and parameters of a scene, with those that its events need."""
     found = dict(packed.resources)

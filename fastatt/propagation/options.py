@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.attitudes import Attitude
 from fastatt.engine.run import Parts, PerBody, Span
+from fastatt.engine.stops import BREAK
 from fastatt.methods.method import Method
 from fastatt.propagation.breakpoints import Breaks, breaks_of, parts_of
 from fastatt.propagation.event import Event
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from fastatt.device.program import Device
@@ -130,9 +132,9 @@ class Clock:
         """The step size, s, or per-body step sizes (N,)."""
         return self.h
 
-    def parts(self, begin: float, breakpoints: tuple[float, ...]) -> Parts:
+    def parts(self, begin: float, scene: Scene) -> Parts:
         """The steps that are divided, for the engine; step 0 begins at ``begin``."""
-        return parts_of(breakpoints, begin, self.h, self.end, self.ends)
+        return parts_of(scene.breakpoints, begin, self.h, self.end, self.ends, scene.sampling)
 
     def longest(self, begin: float) -> float:
         """The largest ``|t|`` of the run, s."""
@@ -178,10 +180,12 @@ class PerBodyClock(Clock):
         breaks, saves = self.breaks, self.at.size
         # stops after the last save are not reached
         crossed = np.abs(breaks.since) < np.abs(self.since).max(initial=0.0)
-        crossed[0] = False
+        # where the run begins states may jump
+        crossed[0] &= breaks.sampled[0]
         since = np.concatenate([self.since, breaks.since[crossed]])
         order = np.argsort(np.abs(since), kind="stable")
         since, is_break = since[order], order >= saves
+        divides = is_break & (since != 0.0)
         slack = np.concatenate([self.slack, breaks.slack[crossed]])[order]
         legs = np.diff(since, prepend=0.0)
         most = np.abs(legs / self.h)
@@ -191,9 +195,10 @@ class PerBodyClock(Clock):
         times = np.repeat(since, parts) - np.repeat(legs / parts, parts) * left
         slots = np.full(times.size, -1)
         slots[ends] = np.where(is_break, -1, order)
-        stretch: NDArray[np.int64] = np.repeat(np.cumsum(is_break) - is_break, parts)
+        stretch: NDArray[np.int64] = np.repeat(np.cumsum(divides) - divides, parts)
         breaking = np.zeros(times.size)
-        breaking[ends] = is_break
+        kinds = np.concatenate([np.zeros(saves), BREAK + breaks.sampled[crossed]])[order]
+        breaking[ends] = kinds
         columns = [times, np.repeat(slack, parts), breaking, breaks.since[stretch], 0.0 * times]
         columns += [x[stretch] for x in (breaks.times, breaks.low, breaks.high)]
         return np.stack(columns, axis=1), slots
@@ -256,7 +261,7 @@ def clock_of(
     save_at: Any,
     begin: float,
     bodies: int,
-    breakpoints: tuple[float, ...],
+    scene: Scene,
 ) -> Clock:
     """The clock of a run of ``bodies`` from time ``begin``.
 
@@ -304,7 +309,7 @@ def clock_of(
         at=at,
         since=since,
         slack=slack,
-        breaks=breaks_of(breakpoints, begin, end),
+        breaks=breaks_of(scene.breakpoints, begin, end, scene.sampling),
     )
 
 

@@ -22,7 +22,7 @@ from fastatt.engine.run import Fixed, Results, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
 from fastatt.propagation.closed_forms import Evaluation
-from fastatt.propagation.event import check_steps, watching
+from fastatt.propagation.event import watching
 from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Given, initial
 from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions
@@ -88,8 +88,12 @@ class Plan:
         self.damped = limits.decay(scene, clock.steps)
         self._rates = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))
-        check_steps(choice.events, scene, clock.ends)
-        divides = bool(scene.breakpoints) or clock.ends is not None
+        if scene.sampling is not None and clock.h < 0.0:
+            raise ValueError(
+                f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
+                "holds can't be found backwards"
+            )
+        divides = bool(scene.breakpoints or scene.sampling) or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,
@@ -255,8 +259,8 @@ class Plan:
         per_body, parts = None, None
         if isinstance(clock, PerBodyClock):
             per_body = clock.per_body(self.n_bodies)
-        elif self.job.own_steps:
-            parts = clock.parts(t0, self.scene.breakpoints)
+        elif self.job.own_steps or self.job.events:
+            parts = clock.parts(t0, self.scene)
         times, state = (t0, clock.h, share), (given.q, given.y)
         run = Run(self._setup, bodies, state, times, results, per_body, parts)
         if start is not None:
@@ -371,6 +375,7 @@ class Plan:
             "dtype": self.kind.name,
             "t_end": self.clock.ends,
             "breakpoints": list(self.scene.breakpoints),
+            "sampling": None if self.scene.sampling is None else list(self.scene.sampling),
             "r0": "r" in self.carried,
             "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }

@@ -150,8 +150,7 @@ def propagate(
     events : Event or sequence of Event, optional
         Events made by :func:`fastatt.event`. ``Trajectory.event_times`` holds the time at which
         each body first meets each event. Accepted with methods that take steps, and not together
-        with per-body step sizes, breakpoints, a shorter last step, ``save_at``, ``resume`` or
-        ``device``.
+        with per-body step sizes, ``save_at``, ``resume`` or ``device``.
 
     Returns
     -------
@@ -226,9 +225,7 @@ def propagate(
             carried["reduced"] = reduce.begin(kind)
             same_number({**carried, "q0": start})
         given = Given.of(start, carried, kind)
-        clock = clock_of(
-            dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene.breakpoints
-        )
+        clock = clock_of(dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene)
         position = r0 is not None
     else:
         # the initial values are those of the earlier run, and saves are counted from its end

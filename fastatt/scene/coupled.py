@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fastatt.attitudes import Attitude
-from fastatt.scene.equations import EquationsOfMotion, Structure, motion_of
+from fastatt.scene.equations import Body, EquationsOfMotion, Structure, motion_of
 from fastatt.scene.forces import squares_of_rates
 from fastatt.scene.models import Law
 from fastatt.scene.torque_record import ALONE, Beside
@@ -72,6 +72,14 @@ class Coupled(EquationsOfMotion):
         found = self.inner.field(given, a, beside)
         n = len(found) - self._states
         return (*found[:n], *translated, *found[n:])
+
+    def updated(self, t: Any, x: Vector) -> Vector:
+        """The state after a sample time, of a body: its states jump, all else goes on."""
+        assert isinstance(self.inner, Body)
+        a, moved = self._split(x)
+        base, n = self.inner.base(a), self.plain.size
+        states = self.inner.updated_states(t, base[:n], base[n:], self._named(moved))
+        return (*x[: len(x) - self._states], *states)
 
     def base(self, x: Vector) -> Vector:
         a, moved = self._split(x)

@@ -276,6 +276,13 @@ class Body(EquationsOfMotion):
         found = law.formula(self.instant(t), pose, self.torque_numbers, states=beside.states)
         return tuple(as_like(x, a[0]) for x in found)
 
+    def updated_states(self, t: Any, a: Vector, m: Vector, beside: Beside) -> Vector:
+        """The law's states after a sample time, at attitude a and momentum m without low parts."""
+        pose = Pose(self.plain, a, self.angular_velocity(m), self.moments, beside, self.axes_given)
+        law = self.structure.law
+        found = law.updated(self.instant(t), pose, self.torque_numbers, beside.states)
+        return tuple(as_like(x, a[0]) for x in found)
+
     def momentum_rate(self, t: Any, a: Vector, m: Vector, beside: Beside = ALONE) -> Vector:
         """ṁ = m×w + τ at an attitude a and a momentum m, then the derivatives of the states."""
         own: Vector = rigid.gyroscopic(m, self.gyroscopic)

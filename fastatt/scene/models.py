@@ -81,6 +81,13 @@ TabledVector = Annotated[ArrayLike | TimeSeries, Field((3,), table="values")]
 TabledMomentum = Annotated[ArrayLike | TimeSeries, Field((3,), table="slopes")]
 
 
+class Sampling(NamedTuple):
+    """Times at which states jump: start + k period for all whole k, s."""
+
+    period: float
+    start: float
+
+
 @dataclass_transform(frozen_default=True)
 class Model:
     """Base of all models; fields that are annotated with a ``Field`` are parameters.
@@ -96,6 +103,8 @@ class Model:
     #: number of states of a rate or a torque. Its formula takes them last, and returns their time
     #: derivatives after the rate or torque, in one tuple
     states: ClassVar[int] = 0
+    #: when its states jump, by ``update``, of one whose states do
+    sampling: ClassVar[Sampling | None] = None
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True)(cls)
@@ -113,6 +122,10 @@ class Model:
     def evaluate(self, *state: Any) -> Any:
         """The formula along the axes of the state."""
         return self.formula(*state)
+
+    def update(self, t: Any, pose: Any, states: Vector) -> Any:
+        """The states after a sample time, of those before."""
+        return states
 
     def check(self, name: str) -> None:
         """Refuse impossible numbers; fields are NumPy arrays with the body's index last."""
@@ -285,6 +298,32 @@ class Law:
         return (*acting, *(slope for term in terms for slope in term[3:]))
 
     @cached_property
+    def sampling(self) -> Sampling | None:
+        """When its states jump.
+
+        Raises ``ValueError`` for parts whose states jump at different times.
+        """
+        found = {leaf.model.sampling for leaf in self.leaves()} - {None}
+        if len(found) > 1:
+            listed = ", ".join(f"{x.period} s from {x.start} s" for x in sorted(found))
+            raise ValueError(
+                f"torque: found controllers that are sampled every {listed}; accepted: one period "
+                "and one start of all"
+            )
+        return found.pop() if found else None
+
+    def updated(self, t: Any, pose: Any, p: Any, states: Vector) -> Vector:
+        """The states after a sample time, of those before."""
+        if not self.parts:
+            return tuple(self.numbers(t, p).update(t, pose, states)) if self.states else ()
+        at = 0
+        found: list[Any] = []
+        for law, own in self.split(p):
+            found += law.updated(t, pose, own, states[at : at + law.states])
+            at += law.states
+        return tuple(found)
+
+    @cached_property
     def reads_position(self) -> bool:
         """Whether it depends on the position."""
         return any(leaf.model.reads_position for leaf in self.leaves())
@@ -322,15 +361,21 @@ def resources_of(function: UserFunction) -> Resources:
 
 
 def pack(
-    model: Any, base: type[Model], n_bodies: int | None, resources: Resources | None = None
+    model: Any,
+    base: type[Model],
+    n_bodies: int | None,
+    resources: Resources | None = None,
+    argument: str = "",
 ) -> Packed:
     """Check the parameters of a model, a subclass of ``base``, and lay them out flat.
+
+    ``argument`` names it in messages; the default is its kind.
 
     Raises ``TypeError`` if it is not a model, ``ValueError`` for numbers that are not finite or of
     the wrong shape.
     """
     found: Resources = {} if resources is None else resources
-    return Packed(*_pack(model, base, n_bodies, base.kind, found), found)
+    return Packed(*_pack(model, base, n_bodies, argument or base.kind, found), found)
 
 
 def _pack(

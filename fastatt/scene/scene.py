@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -159,6 +160,8 @@ class Scene:
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
                 f"{carried}, the number of its states, or a function that takes them"
             )
+        # refuses two clocks
+        _ = self.sampling
         object.__setattr__(self, "states", carried)
         # computed once, since it takes long for many bodies
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
@@ -262,14 +265,17 @@ class Scene:
         """
         structure = self.packed(None).structure
         laws = (structure.turning.law, structure.force)
-        leaves = [leaf for law in laws if law is not None for leaf in law.leaves()]
-        found = [value for leaf in leaves for value in leaf.model.values]
-        return tuple(value for value in found if isinstance(value, UserFunction))
+        return tuple(f for law in laws if law is not None for f in _functions_of(law))
 
     @property
     def moves(self) -> bool:
         """Whether the velocity is propagated."""
         return self.mass is not None
+
+    @property
+    def sampling(self) -> models.Sampling | None:
+        """When states of a sampled controller jump."""
+        return self._law.sampling if self.rate is None else None
 
     @property
     def is_coupled(self) -> bool:
@@ -358,6 +364,16 @@ def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str])
     return scene(*given)
 
 
+def _functions_of(law: Law) -> Iterator[UserFunction]:
+    """User-defined functions of a law, and of the controllers in it."""
+    for leaf in law.leaves():
+        for value in leaf.model.values:
+            if isinstance(value, UserFunction):
+                yield value
+            elif isinstance(value, Law):
+                yield from _functions_of(value)
+
+
 def _own_functions(value: Any) -> list[Any]:
     """The user-defined functions in a scene's argument."""
     if isinstance(value, models.Model):
@@ -398,6 +414,9 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
             name: _of_rows(getattr(value, name), rows, len(field.shape))
             for name, field in value.fields.items()
         }
+        # the model of a controller within another
+        inner = {x.name: getattr(value, x.name) for x in fields(value)}  # type: ignore[arg-type]
+        numbers |= {k: _of_rows(x, rows) for k, x in inner.items() if isinstance(x, models.Model)}
         return replace(value, **numbers)  # type: ignore[type-var]
     if isinstance(value, TimeSeries):
         return value[rows] if value.form.own else value

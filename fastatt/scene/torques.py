@@ -20,6 +20,8 @@ from fastatt.scene.gravity_gradient import (
     KeplerGravityGradient,
 )
 from fastatt.scene.models import Law, Packed, Resources, Sum
+from fastatt.scene.reaction_wheels import ReactionWheels
+from fastatt.scene.sampled_control import SampledControl
 from fastatt.scene.torque_models import (
     FREE,
     AxisDamping,
@@ -110,7 +112,8 @@ def pack(model: Any, n_bodies: int | None, resources: Resources | None = None) -
 __all__ = [
     "AxisDamping", "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",
     "GravityGradient", "GravityGradientAt", "HeavyTop", "KeplerGravityGradient", "MagneticDipole",
-    "QuadraticDamping", "QuaternionPD", "Rotor", "Sampled", "Sum",
+    "QuadraticDamping", "QuaternionPD", "ReactionWheels", "Rotor", "Sampled", "SampledControl",
+    "Sum",
 ]  # fmt: skip
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from heapq import heapify, heappop, heappush
 from itertools import chain
 from typing import Any
@@ -158,6 +160,20 @@ def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node]
     place = {i: k for k, i in enumerate(sorted(live))}
     nodes = [renamed(made[i], [place[k] for k in operands(made[i])]) for i in place]
     return nodes, [place[i] for i in ends]
+
+
+@dataclass(frozen=True)
+class Forms:
+    """A step as a graph: the state after it, then its squared rotation angle if monitored."""
+
+    monitored: Flat
+    size: int
+
+    @cached_property
+    def plain(self) -> Flat:
+        """The state alone, to the same bits."""
+        whole = len(self.monitored.results) == self.size
+        return self.monitored if whole else self.monitored.first(self.size).in_few_registers()
 
 
 class Constants:

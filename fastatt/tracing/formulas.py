@@ -15,6 +15,7 @@ from fastatt.tracing.trace import stand_in
 compensated: Any = stand_in(kernels.compensated)
 coning: Any = stand_in(kernels.coning)
 dcm: Any = stand_in(kernels.dcm)
+two_rows: Any = stand_in(kernels.two_rows)
 euler313: Any = stand_in(kernels.euler313)
 free_body: Any = stand_in(kernels.free_body)
 heavy_top: Any = stand_in(kernels.heavy_top)

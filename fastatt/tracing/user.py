@@ -44,8 +44,9 @@ _TOLERANCE = 1e-9
 class Signature(NamedTuple):
     """A function's arguments before its parameters (0: a number, n: a tuple), and its results.
 
-    ``results`` 0 means as many as there are parameters. A function that ``carries`` states returns
-    two tuples, the second with their time derivatives; ``results`` are then the numbers of both.
+    ``results`` 0 means as many as there are parameters, −1 as many as states. A function that
+    ``carries`` states returns two tuples, the second with their time derivatives; ``results`` are
+    then the numbers of both.
     """
 
     call: str
@@ -59,10 +60,10 @@ class Signature(NamedTuple):
         """The signature of a function that also takes n states, before its parameters."""
         if not n:
             return self
-        call, given = self.call.replace(", p)", ", s, p)"), n if self.carries else 0
-        return self._replace(
-            call=call, before=(*self.before, n), results=self.results + given, states=given
-        )
+        call, given = self.call.replace(", w, p)", ", w, s, p)"), n if self.carries else 0
+        call = call.replace("rate(t, p)", "rate(t, s, p)").replace(", r, p)", ", r, s, p)")
+        results = n if self.results < 0 else self.results + given
+        return self._replace(call=call, before=(*self.before, n), results=results, states=given)
 
 
 FORMS = {
@@ -71,6 +72,7 @@ FORMS = {
     "torque at position": Signature(
         "torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m", carries=True
     ),
+    "command": Signature("command(t, q, w, s, p)", (0, 4, 3), -1, "N·m"),
     "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),

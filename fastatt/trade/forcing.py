@@ -47,7 +47,8 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     chance = np.random.default_rng(0).uniform(size=count)
     times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
     # both sides of each breakpoint, where jumps are declared
-    breaks = breaks_of(problem.ensemble.scene.breakpoints, problem.t0, problem.t_end)
+    scene = problem.ensemble.scene
+    breaks = breaks_of(scene.breakpoints, problem.t0, problem.t_end, scene.sampling)
     times = np.sort(np.concatenate([times, breaks.high[:-1], breaks.low[1:]]))
     run = problem.run(case, n_steps, save_at=times)
     signs = np.where((run.q[1:] * run.q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)

@@ -324,8 +324,3 @@ def test_what_is_refused():
         fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t: t)])
     with pytest.raises(ValueError, match="no position is carried"):
         fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t, q, w, v, r, p: t)])
-    timed = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=push, breakpoints=(0.5,))
-    with pytest.raises(ValueError, match="events: found with a scene that has breakpoints"):
-        fa.propagate(timed, Q0, W0, **given)
-    with pytest.raises(ValueError, match="events: found with a t_end that is no whole number"):
-        fa.plan(BODY, N, dt=0.1, t_end=0.95, events=EVENTS)

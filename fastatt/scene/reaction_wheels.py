@@ -1,0 +1,383 @@
+"""Reaction wheels: flywheels in the body whose speeds are states, driven by motors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fastatt import checks
+from fastatt.scene import models
+from fastatt.scene.inertia import is_tensor
+from fastatt.scene.models import Field, Law, PackedLaw, Resources, join, resources_of
+from fastatt.scene.torque_record import Pose, Torque, check_unit
+from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
+from fastatt.tracing.graph import apply, choose
+from fastatt.tracing.user import FORMS, UserFunction, user_function
+
+#: a number of each wheel
+_OfWheels = Annotated[ArrayLike, Field((-1,))]
+_Rows = Annotated[ArrayLike, Field((-1, 3))]
+
+# of the largest speed: where the torque that accelerates falls to 0
+_FADE = 0.01
+
+
+class ReactionWheels(Torque):
+    """Reaction wheels that turn about axes fixed in the body, driven by motors against friction.
+
+    The state of wheel k is its angular momentum about its axis a_k, relative to inertial space:
+    h_k = J_k (Ω_k + a_k·w), N·m·s, with its speed Ω_k relative to the body. With the net torque
+    u_k of motor and friction, Hughes (1986), §3.4::
+
+        ḣ_k = u_k,    u_k = command_k − viscous_k Ω_k − coulomb_k Ω_k / √(Ω_k² + coulomb_speed_k²),
+        I ẇ = −w×(I w + Σ a_k h_k) − Σ a_k u_k + other torques
+
+    so that the angular momentum C (I w + Σ a_k h_k) of body and wheels is constant in inertial axes
+    unless other torques act. ``inertia`` of the scene is I, the spacecraft's inertia **without**
+    the wheels' inertia about their axes; ``body_inertia`` takes that off the inertia of the whole.
+
+    A run takes the initial h as ``s0``, the states of the command after them, and gives them as
+    ``run.s``; ``momenta`` and ``speeds`` convert.
+
+    Parameters
+    ----------
+    axes : array_like
+        Unit vectors a_k along body axes, (K, 3) of any number of wheels, or (N, K, 3); normalised
+        here, and refused where a length is further than 1e-3 from 1.
+    inertia : array_like
+        J_k about the axes, kg·m², above 0: a number for all wheels, (K,), or of each body (N, 1) or
+        (N, K). So are all that follow but ``command`` and ``params``.
+    command : callable, Torque or None
+        What motors are commanded. A function ``command(t, q, w, s, p)`` gives a torque on each
+        wheel, N·m, as a tuple of K, or a number of one wheel; s is the tuple of the speeds Ω,
+        rad/s. A model of ``fastatt.torques`` gives the torque that the motors are to exert on the
+        body, N·m, which the pseudo-inverse of the axes distributes over the wheels; it may carry
+        states, such as a PID controller written with ``Custom(function, params, states=3)``, and
+        may be sampled, ``SampledControl``. None leaves the motors off.
+    params : array_like, optional
+        (P,) or (N, P), of a ``command`` that is a function: its argument p.
+    viscous : array_like
+        Coefficient of viscous friction, N·m·s, 0 or more.
+    coulomb : array_like
+        Coulomb friction, N·m, 0 or more.
+    coulomb_speed : array_like
+        Speed, rad/s, above 0, over which Coulomb friction changes its sign: the torque is within
+        2 % of ``coulomb`` from five times this speed on. It is smooth, so that methods keep their
+        order with steps shorter than the time in which a wheel passes this speed.
+    max_torque : array_like, optional
+        Largest torque of a motor, N·m, above 0: commands beyond are cut off.
+    max_speed : array_like, optional
+        Speed, rad/s, above 0, up to which a motor accelerates its wheel: over the last hundredth of
+        it the accelerating torque falls linearly to 0.
+
+    Raises
+    ------
+    ValueError
+        For axes that are no unit vectors, and for numbers of another shape or sign.
+    TypeError
+        For a command that is neither a function nor a model.
+
+    Notes
+    -----
+    A limit that is reached within a step leaves a corner there, which costs that step its order. A
+    wheel at rest that friction holds is not at rest exactly: it creeps at the speed at which the
+    smooth friction balances the motor.
+
+    Examples
+    --------
+    Three wheels take up the momentum of a body that is brought to rest:
+
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> wheels = fa.torques.ReactionWheels(
+    ...     np.eye(3), 0.01, fa.torques.QuaternionPD(1.0, 2.0), viscous=1e-6, max_torque=0.1
+    ... )
+    >>> body = fa.Scene(inertia=wheels.body_inertia((2.0, 1.5, 1.0)), torque=wheels)
+    >>> w0 = [0.05, -0.1, 0.02]
+    >>> run = fa.propagate(
+    ...     body, [1, 0, 0, 0], w0, s0=wheels.momenta(0.0, w0), dt=0.1, n_steps=600
+    ... )
+    >>> print(np.abs(run.w[-1]).max() < 1e-6, run.s[-1].round(2))
+    True [ 0.1  -0.15  0.02]
+    """
+
+    axes: _Rows
+    inertia: _OfWheels
+    command: Callable[..., Any] | Torque | None = None
+    params: Annotated[ArrayLike | None, Field((-1,))] = None
+    viscous: _OfWheels = 0.0
+    coulomb: _OfWheels = 0.0
+    coulomb_speed: _OfWheels = 1.0
+    max_torque: Annotated[ArrayLike | None, Field((-1,))] = None
+    max_speed: Annotated[ArrayLike | None, Field((-1,))] = None
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        name = f"{argument}: ReactionWheels"
+        axes = self._unit_axes(name)
+        count = axes.shape[-2]
+        limits = {
+            key: getattr(self, key)
+            for key in ("max_torque", "max_speed")
+            if getattr(self, key) is not None
+        }
+        columns: dict[str, NDArray[np.float64]] = {
+            "axes": axes.reshape(*axes.shape[:-2], -1),
+            "inertia": _each(f"{name}.inertia", self.inertia, count, above_zero=True),
+            "viscous": _each(f"{name}.viscous", self.viscous, count),
+            "coulomb": _each(f"{name}.coulomb", self.coulomb, count),
+            "coulomb_speed": _each(
+                f"{name}.coulomb_speed", self.coulomb_speed, count, above_zero=True
+            ),
+            "max_torque": np.zeros(0),
+            "max_speed": np.zeros(0),
+            "distribution": np.zeros(0),
+            "params": np.zeros(0),
+        }
+        for key, value in limits.items():
+            columns[key] = _each(f"{name}.{key}", value, count, above_zero=True)
+        command: Any = None
+        label = f"{name}.command"
+        if isinstance(self.command, models.Model):
+            if self.params is not None:
+                raise ValueError(f"{name}.params: found beside a model; accepted: with a function")
+            packed = models.pack(self.command, Torque, n_bodies, resources, argument=label)
+            command, columns["params"] = packed.structure, packed.params
+            inverse = -np.linalg.pinv(axes)  # of rows a_k: (3, K)
+            columns["distribution"] = np.swapaxes(inverse, -1, -2).reshape(*axes.shape[:-2], -1)
+        elif self.command is not None:
+            if not callable(self.command):
+                raise TypeError(
+                    f"{label}: found {checks.brief(self.command)}; accepted: a function "
+                    f"{FORMS['command'].call} or a model of fastatt.torques"
+                )
+            given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
+            columns["params"] = given
+            command = user_function(self.command, "command", given.shape[-1], given, count)
+            resources.update(resources_of(command))
+        states = count + (command.states if isinstance(command, Law) else 0)
+        sizes = tuple(column.shape[-1] for column in columns.values())
+        nothing: dict[str, Any] = dict.fromkeys(columns)
+        driven = _Driven(**nothing, command=command, states=states)
+        law = Law(driven, sizes, (None,) * len(sizes))
+        return law, join(list(columns.values()), n_bodies, name)
+
+    def _unit_axes(self, name: str) -> NDArray[np.float64]:
+        axes = models.numbers(f"{name}.axes", self.axes)
+        if axes.ndim not in (2, 3) or axes.shape[-1] != 3 or not axes.size:
+            raise ValueError(
+                f"{name}.axes {checks.shape(axes)}; accepted: (K, 3), or (N, K, 3) per body"
+            )
+        check_unit(f"{name}.axes", np.moveaxis(axes, -1, 0), 1.0)
+        return np.asarray(axes / np.linalg.norm(axes, axis=-1, keepdims=True))
+
+    def _numbers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Unit axes (K, 3) or (N, K, 3), and inertia (K,) or (N, K)."""
+        axes = self._unit_axes("axes")
+        return axes, _each("inertia", self.inertia, axes.shape[-2], above_zero=True)
+
+    def momenta(self, speeds: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
+        """Angular momenta of the wheels about their axes, h = J (Ω + a·w).
+
+        Parameters
+        ----------
+        speeds : array_like, shape (..., K)
+            Speeds Ω relative to the body, rad/s; a number for all wheels.
+        w : array_like, shape (..., 3)
+            Angular velocities along body axes, rad/s.
+
+        Returns
+        -------
+        ndarray, shape (..., K)
+            Angular momenta, N·m·s: ``s0`` of a run, if the command has no states.
+
+        Examples
+        --------
+        >>> import fastatt as fa
+        >>> wheels = fa.torques.ReactionWheels([[0, 0, 1]], 0.1)
+        >>> wheels.momenta(speeds=20.0, w=[0, 0, 0.5]).round(6)
+        array([2.05])
+        """
+        axes, inertia = self._numbers()
+        along = np.einsum("...ki,...i->...k", axes, np.asarray(w, dtype=np.float64))
+        return np.asarray(inertia * (np.asarray(speeds, dtype=np.float64) + along))
+
+    def speeds(self, s: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
+        """Speeds of the wheels relative to the body, Ω = h/J − a·w.
+
+        Parameters
+        ----------
+        s : array_like, shape (..., n)
+            States of a run, ``Trajectory.s``, whose first K are those of the wheels.
+        w : array_like, shape (..., 3)
+            Angular velocities along body axes, rad/s.
+
+        Returns
+        -------
+        ndarray, shape (..., K)
+            Speeds, rad/s.
+
+        Examples
+        --------
+        >>> import fastatt as fa
+        >>> wheels = fa.torques.ReactionWheels([[0, 0, 1]], 0.1)
+        >>> wheels.speeds(s=[2.05], w=[0, 0, 0.5]).round(6)
+        array([20.])
+        """
+        axes, inertia = self._numbers()
+        along = np.einsum("...ki,...i->...k", axes, np.asarray(w, dtype=np.float64))
+        return np.asarray(np.asarray(s)[..., : axes.shape[-2]] / inertia - along)
+
+    def momentum(self, s: ArrayLike) -> NDArray[np.float64]:
+        """Angular momentum of all wheels along body axes, Σ a_k h_k.
+
+        Parameters
+        ----------
+        s : array_like, shape (..., n)
+            States of a run, ``Trajectory.s``, whose first K are those of the wheels.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            Angular momentum, N·m·s.
+
+        Examples
+        --------
+        >>> import fastatt as fa
+        >>> fa.torques.ReactionWheels([[0, 0, 1], [1, 0, 0]], 0.1).momentum([2.0, 0.5])
+        array([0.5, 0. , 2. ])
+        """
+        axes = self._unit_axes("axes")
+        return np.asarray(np.einsum("...k,...ki->...i", np.asarray(s)[..., : axes.shape[-2]], axes))
+
+    def body_inertia(self, inertia: ArrayLike) -> NDArray[np.float64]:
+        """``inertia`` of the scene: that of the whole spacecraft less Σ J_k a_k a_kᵀ.
+
+        Parameters
+        ----------
+        inertia : array_like, shape (3,), (3, 3), (N, 3) or (N, 3, 3)
+            Moments or tensors of the spacecraft with the wheels held, kg·m².
+
+        Returns
+        -------
+        ndarray, shape (3, 3) or (N, 3, 3)
+            Tensors without the moments of the wheels about their axes, kg·m².
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import fastatt as fa
+        >>> wheels = fa.torques.ReactionWheels([[0, 0, 1]], 0.1)
+        >>> np.diag(wheels.body_inertia((2.0, 2.0, 1.5)))
+        array([2. , 2. , 1.4])
+        """
+        given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
+        tensor = given if is_tensor(given) else given[..., None] * np.eye(3)
+        axes, moments = self._numbers()
+        return np.asarray(tensor - np.einsum("...k,...ki,...kj->...ij", moments, axes, axes))
+
+
+class _Driven(Torque):
+    """Wheels as formulas take them."""
+
+    axes: _Rows
+    inertia: _OfWheels
+    viscous: _OfWheels
+    coulomb: _OfWheels
+    coulomb_speed: _OfWheels
+    max_torque: _OfWheels
+    max_speed: _OfWheels
+    #: rows of motors' torques by the torque on the body that is commanded
+    distribution: _Rows
+    params: _OfWheels
+    command: Law | UserFunction | None = None
+    states: int = 0  # type: ignore[misc]
+
+    @property
+    def sampling(self) -> Any:  # type: ignore[override]
+        """That of a command that is a model."""
+        return self.command.sampling if isinstance(self.command, Law) else None
+
+    @property
+    def reads_position(self) -> bool:  # type: ignore[override]
+        """That of a command that is a model."""
+        return isinstance(self.command, Law) and self.command.reads_position
+
+    def evaluate(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+        count, body = len(self.inertia), pose.along_body
+        momenta, more = states[:count], states[count:]
+        speeds = tuple(
+            h / j - dot(a, body.w) for h, j, a in zip(momenta, self.inertia, self.axes, strict=True)
+        )
+        motors, slopes = self._commanded(t, pose, speeds, more)
+        motors = tuple(self._within_limits(k, u, speeds[k]) for k, u in enumerate(motors))
+        friction = tuple(
+            c * x + f * x / apply("sqrt", slow * slow + x * x)
+            for c, f, slow, x in zip(
+                self.viscous, self.coulomb, self.coulomb_speed, speeds, strict=True
+            )
+        )
+        net = tuple(u - f for u, f in zip(motors, friction, strict=True))
+        inside = plus(*(scale(h, a) for h, a in zip(momenta, self.axes, strict=True)))
+        reaction = plus(*(scale(-u, a) for u, a in zip(net, self.axes, strict=True)))
+        torque = plus(vec3.cross(inside, body.w), reaction)
+        if pose.axes is not None:
+            torque = quat.rotate_inverse(pose.axes, torque)
+        return (*torque, *net, *slopes)
+
+    def update(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+        count = len(self.inertia)
+        made = self.command.updated(t, pose, self.params, states[count:])
+        return (*states[:count], *made)
+
+    def _commanded(self: Any, t: Any, pose: Pose, speeds: Vector, states: Vector) -> Any:
+        """Torques that are commanded of the motors, and the time derivatives of states."""
+        if self.command is None:
+            return (0.0,) * len(speeds), ()
+        if isinstance(self.command, Law):
+            found = self.command.formula(t, pose, self.params, states=states)
+            torque = found[:3] if pose.axes is None else quat.rotate(pose.axes, found[:3])
+            return tuple(dot(row, torque) for row in self.distribution), found[3:]
+        body = pose.along_body
+        found = self.command.call(t, body.quaternion, body.w, speeds, self.params)
+        found = found if isinstance(found, tuple) else (found,)
+        return as_like(tuple(found), pose.moments[0]), ()
+
+    def _within_limits(self: Any, k: int, torque: Any, speed: Any) -> Any:
+        """A motor's torque within what it can give."""
+        if self.max_torque:
+            torque = _clipped(torque, self.max_torque[k])
+        if self.max_speed:
+            forward = choose(torque < 0.0, -speed, speed)
+            room = (self.max_speed[k] - forward) * (1.0 / _FADE) / self.max_speed[k]
+            torque = torque * choose(room < 0.0, 0.0, choose(room > 1.0, 1.0, room))
+        return torque
+
+
+# messages name a model by its class
+_Driven.__name__ = ReactionWheels.__name__
+
+
+def _clipped(x: Any, limit: Any) -> Any:
+    return choose(x > limit, limit, choose(x < -limit, -limit, x))
+
+
+def _or_none(value: Any) -> Any:
+    return () if value is None else value
+
+
+def _each(name: str, value: Any, count: int, *, above_zero: bool = False) -> NDArray[np.float64]:
+    """A number of each of the wheels, (K,) or (N, K)."""
+    found = models.numbers(name, value)
+    if found.ndim > 2 or found.shape[-1:] not in ((), (1,), (count,)) or not found.size:
+        raise ValueError(
+            f"{name} {checks.shape(found)}; accepted: a number, ({count},) of the wheels, and of "
+            f"each body (N, 1) or (N, {count})"
+        )
+    if above_zero:
+        checks.refuse(name, found, found <= 0.0, "above 0")
+    else:
+        checks.refuse(name, found, found < 0.0, "0 or more")
+    return np.broadcast_to(found, (*found.shape[:-1], count))

@@ -1,0 +1,131 @@
+"""A sampled controller: its torque is computed at sample times and held in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fastatt import checks
+from fastatt.scene import models
+from fastatt.scene.models import Field, Law, PackedLaw, Resources, Sampling
+from fastatt.scene.torque_models import Custom
+from fastatt.scene.torque_record import Pose, Torque
+from fastatt.tracing.formulas import Vector, quat
+
+
+class SampledControl(Torque):
+    """A controller that is evaluated at sample times start + k period, with a zero-order hold.
+
+    At each sample time within the run, its begin included, the controller is evaluated at the state
+    of that moment, and its torque, fixed in the body, is held until the next. Steps end at sample
+    times as at ``breakpoints``, so that a method keeps its order whatever ``dt`` is: one that
+    divides the period costs nothing, any other one step more for each sample.
+
+    Its states come in this order: the torque that is held, three numbers, N·m along body axes; then
+    the controller's memory. A run takes them as ``s0``: where it begins between two sample times,
+    the torque that ``s0`` gives is held up to the first. What is saved at a sample time are the
+    states before they jump.
+
+    Parameters
+    ----------
+    control : callable or Torque
+        A function ``torque(t, q, w, p)``, N·m along body axes, as ``Scene`` takes it; one with
+        memory, ``torque(t, q, w, s, p) -> (torque, next s)``, two tuples, is a discrete-time
+        controller, whose memory s changes at sample times alone. Or a model of ``fastatt.torques``
+        without states, such as ``QuaternionPD``.
+    period : float
+        s, above 0.
+    params : array_like, optional
+        (P,) or (N, P), of a function: its argument p.
+    states : int
+        How many numbers of memory the function has.
+    start : float
+        A sample time, s, on the clock of ``t0``.
+
+    Raises
+    ------
+    ValueError
+        For a period that is not above 0, for a model with states, and, by the scene, for two
+        controllers with different sample times.
+    TypeError
+        For what is neither a function nor a model.
+
+    Notes
+    -----
+    A run goes forwards only: a negative ``dt`` is refused, as are ``fa.single_step`` and
+    ``device="cuda"``. Åström, Wittenmark, *Computer-Controlled Systems* (1997), §2.3.
+
+    Examples
+    --------
+    Proportional-derivative control at 2 Hz, on a body about its third axis:
+
+    >>> import fastatt as fa
+    >>> pd = fa.torques.SampledControl(fa.torques.QuaternionPD(0.5, 1.0), period=0.5)
+    >>> body = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=pd)
+    >>> q0, w0 = [0.8, 0.0, 0.0, 0.6], [0.0, 0.0, 0.0]
+    >>> run = fa.propagate(body, q0, w0, s0=[0, 0, 0], dt=0.1, n_steps=12, save_every=4)
+    >>> print(run.t.round(1), run.s[:, 2].round(3))
+    [0.  0.4 0.8 1.2] [ 0.    -0.3   -0.142 -0.052]
+    """
+
+    control: Callable[..., Any] | Torque
+    period: float
+    params: Annotated[ArrayLike | None, Field((-1,))] = None
+    states: int = 0  # type: ignore[misc]
+    start: float = 0.0
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        name = f"{argument}: SampledControl"
+        period = checks.above_zero(f"{name}.period", self.period, "above 0, s")
+        start = checks.real(f"{name}.start", self.start)
+        memory = checks.whole(f"{name}.states", self.states, 0)
+        control, is_model = self.control, isinstance(self.control, models.Model)
+        if is_model and (self.params is not None or memory):
+            raise ValueError(
+                f"{name}: found params or states beside a model; accepted: with a function"
+            )
+        if not is_model:
+            if not callable(control):
+                raise TypeError(
+                    f"{name}.control: found {checks.brief(control)}; accepted: a function "
+                    "torque(t, q, w, p) or a model of fastatt.torques"
+                )
+            control = Custom(control, self.params, states=memory)
+        label = f"{name}.control"
+        law, params = models.pack(control, Torque, n_bodies, resources, argument=label)[:2]
+        if is_model and law.states:
+            raise ValueError(
+                f"{label}: found a model with {law.states} states; accepted: a model without, or "
+                "a function with memory"
+            )
+        held = _Held(None, law, Sampling(period, start), 3 + memory)
+        return Law(held, (params.shape[-1],), (None,)), params
+
+
+class _Held(Torque):
+    """A controller whose torque is held, as formulas take it."""
+
+    params: Annotated[ArrayLike | None, Field((-1,))]
+    control: Law
+    sampling: Sampling  # type: ignore[misc]
+    states: int  # type: ignore[misc]
+
+    @property
+    def reads_position(self) -> bool:  # type: ignore[override]
+        """That of the controller."""
+        return self.control.reads_position
+
+    def formula(self, t: Any, pose: Pose, states: Vector) -> Any:
+        return (*states[:3], *np.zeros(self.states))
+
+    def update(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+        found = self.control.formula(t, pose, self.params, states=states[3:])
+        torque = found[:3] if pose.axes is None else quat.rotate(pose.axes, found[:3])
+        return (*torque, *found[3:])
+
+
+# messages name a model by its class
+_Held.__name__ = SampledControl.__name__

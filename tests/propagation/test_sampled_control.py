@@ -1,0 +1,227 @@
+"""Controllers whose torque is computed at sample times and held in between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import fastatt as fa
+from fastatt.propagation.breakpoints import breaks_of
+from fastatt.scene.models import Sampling
+
+J = np.array([[2.0, 0.1, -0.2], [0.1, 1.5, 0.15], [-0.2, 0.15, 1.2]])
+Q0 = np.array([0.8, 0.0, 0.6, 0.0])
+W0 = np.array([0.4, -0.3, 0.5])
+PERIOD, END = 0.25, 2.0
+GAINS = (0.8, 0.3, 1.5)
+
+
+def pid(t, q, w, s, p):
+    """A discrete-time controller: s is the sum of the error, and the number of samples."""
+    error = [2.0 * q[0] * x for x in q[1:]]
+    torque = [-p[0] * e - p[1] * s[k] - p[2] * w[k] for k, e in enumerate(error)]
+    return torque, (*(s[k] + PERIOD * e for k, e in enumerate(error)), s[3] + 1.0)
+
+
+def sampled(**options):
+    control = fa.torques.SampledControl(pid, PERIOD, GAINS, states=4, **options)
+    return fa.Scene(inertia=J, torque=control)
+
+
+SCENE = sampled()
+S0 = np.zeros(7)
+
+
+def slope(t, y, torque):
+    q, w = y[:4], y[4:]
+    spin = np.linalg.solve(J, torque - np.cross(w, J @ w))
+    return np.concatenate([0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))]), spin])
+
+
+def truth(end, held=(0.0, 0.0, 0.0), memory=(0.0,) * 4, start=0.0):
+    """(q, w, s) by DOP853 from one sample time to the next; the first is at ``start``."""
+    y, t, torque = np.concatenate([Q0, W0]), 0.0, np.array(held)
+    edges = [start + k * PERIOD for k in range(100)]
+    for until in [*(x for x in edges if x < end), end]:
+        if until > t:
+            y = solve_ivp(slope, (t, until), y, "DOP853", args=(torque,), rtol=1e-13, atol=1e-14).y[
+                :, -1
+            ]
+        y[:4] /= np.linalg.norm(y[:4])
+        t = until
+        if until < end:
+            found, memory = pid(t, y[:4], y[4:], memory, GAINS)
+            torque = np.array(found)
+    return y[:4], y[4:], np.array([*torque, *memory])
+
+
+def apart(run, wanted):
+    q, w, s = wanted
+    errors = fa.angle_between(run.q[-1], q), np.abs(run.w[-1] - w).max()
+    return max(*errors, np.abs(run.s[-1] - s).max())
+
+
+WANTED = truth(END)
+
+
+# steps that divide the period, that it divides, and that do neither
+@pytest.mark.parametrize("dt", [0.05, 0.25, 0.5, 0.07, 0.031, 0.4])
+def test_any_step_size_gives_the_same_motion(dt):
+    run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=dt, t_end=END, method="rk8")
+    assert run.s[-1, 6] == 8.0  # samples
+    assert apart(run, WANTED) < (1e-11 if dt < 0.2 else 1e-7)
+
+
+@pytest.mark.parametrize(("method", "steps"), [("rk4", (16, 64)), ("rk8", (2, 8))])
+@pytest.mark.parametrize("shift", [0, 1], ids=["dividing", "other"])
+def test_methods_keep_their_order(method, steps, shift):
+    errors = [
+        apart(fa.propagate(SCENE, Q0, W0, s0=S0, dt=END / n, n_steps=n, method=method), WANTED)
+        for n in (8 * steps[0] + shift, 8 * steps[1] + shift)
+    ]
+    if method == "rk8":
+        assert max(errors) < 1e-11
+    else:
+        assert errors[1] < errors[0] / 4.0**3.7
+
+
+def test_samples_on_another_clock():
+    """Where the run begins between two of them, the torque of ``s0`` is held at first."""
+    scene, held = sampled(start=0.1), (0.1, -0.2, 0.05)
+    run = fa.propagate(scene, Q0, W0, s0=[*held, 0, 0, 0, 0], dt=0.03, t_end=END, method="rk8")
+    assert apart(run, truth(END, held, start=0.1)) < 1e-11
+    late = sampled(start=-3.0)
+    run = fa.propagate(late, Q0, W0, s0=S0, t0=7.0, dt=0.03, t_end=END, method="rk8")
+    assert apart(run, WANTED) < 1e-11
+
+
+def test_saves_hold_what_was_before_the_jump():
+    run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=0.05, n_steps=15, save_every=5, method="rk8")
+    assert run.s[:, 6].tolist() == [0.0, 1.0, 2.0, 3.0]
+    first = pid(0.0, Q0, W0, (0.0,) * 4, GAINS)
+    np.testing.assert_allclose(run.s[1], [*first[0], *first[1]], rtol=0.0, atol=1e-15)
+
+
+def test_runs_in_pieces_have_the_same_bits():
+    n = 70
+    rng = np.random.default_rng(3)
+    q0, w0 = rng.normal(size=(n, 4)), rng.normal(size=(n, 3))
+    q0 /= np.linalg.norm(q0, axis=1)[:, None]
+    given = {"s0": np.zeros((n, 7)), "dt": 0.05, "method": "rk8"}
+    whole = fa.propagate(SCENE, q0, w0, **given, n_steps=40, save_every=1)
+    seen = []
+    fa.propagate(
+        SCENE, q0, w0, **given, n_steps=40, save_every=1,
+        on_save=lambda run: seen.append(run.s.copy()),
+    )  # fmt: skip
+    np.testing.assert_array_equal(np.concatenate(seen), whole.s)
+    # on from a sample time, and from a time between two
+    for steps in (15, 17):
+        first = fa.propagate(SCENE, q0, w0, **given, n_steps=steps)
+        rest = fa.propagate(SCENE, dt=0.05, n_steps=40 - steps, method="rk8", resume=first)
+        np.testing.assert_array_equal(rest.s[-1], whole.s[-1])
+        np.testing.assert_array_equal(rest.q[-1], whole.q[-1])
+
+    def other(t, q, w, s, p):
+        torque, memory = pid(t, q, w, s, p)
+        return [0.5 * x for x in torque], memory
+
+    changed = fa.torques.SampledControl(other, PERIOD, GAINS, states=4)
+    with pytest.raises(ValueError, match=r"^scene: differs from that of the run"):
+        fa.propagate(
+            fa.Scene(inertia=J, torque=changed), dt=0.05, n_steps=5, method="rk8", resume=first
+        )
+    one = fa.propagate(SCENE, q0[41], w0[41], s0=S0, dt=0.05, n_steps=40, method="rk8")
+    np.testing.assert_array_equal(one.s[-1], whole.s[-1, 41])
+
+
+def test_saves_at_any_times_and_per_body_steps():
+    at = [0.0, 0.1, 0.25, 0.6, END]
+    run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=0.03, t_end=END, save_at=at, method="rk8")
+    for k in (1, 2, 3, 4):
+        q, _, s = truth(at[k])
+        assert fa.angle_between(run.q[k], q) < 1e-11
+        np.testing.assert_allclose(run.s[k], s, rtol=0.0, atol=1e-11)
+    assert run.s[0].tolist() == S0.tolist()
+    two = fa.propagate(SCENE, [Q0, Q0], W0, s0=S0, dt=[0.05, 0.04], n_steps=[40, 50], method="rk8")
+    for body in range(2):
+        assert fa.angle_between(two.q[-1, body], WANTED[0]) < 1e-11
+        np.testing.assert_allclose(two.s[-1, body], WANTED[2], rtol=0.0, atol=1e-11)
+
+
+def test_breakpoints_that_are_sample_times_to_rounding_count_once():
+    found = breaks_of((0.25, 0.3, 0.7), 0.0, 1.0, Sampling(0.1, 0.0))
+    np.testing.assert_allclose(found.times, np.sort([0.25, *np.arange(10) / 10]), rtol=1e-15)
+    assert (found.sampled == (found.times != 0.25)).all()
+
+
+def pulse(t, q, w, p):
+    return (0.3 if 0.5 < t < 0.9 else 0.0), 0.0, 0.0
+
+
+def test_breakpoints_beside_samples():
+    """One of them is a sample time, and where they are equal there is one jump."""
+    law = fa.torques.SampledControl(pid, PERIOD, GAINS, states=4)
+    both = fa.torques.Sum((fa.torques.Custom(pulse, uses_rate=False), law))
+    scene = fa.Scene(inertia=J, torque=both, breakpoints=(0.5, 0.9))
+    runs = [
+        fa.propagate(scene, Q0, W0, s0=S0, dt=dt, t_end=END, method="rk8") for dt in (0.01, 0.037)
+    ]
+    assert all(run.s[-1, 6] == 8.0 for run in runs)
+    assert fa.angle_between(runs[0].q[-1], runs[1].q[-1]) < 1e-12
+    assert fa.angle_between(runs[0].q[-1], WANTED[0]) > 1e-3
+
+
+def test_a_model_is_sampled_and_wheels_follow():
+    """What wheels are commanded is held too, and the momentum of all of it stays."""
+    pd = fa.torques.QuaternionPD((0.8, 0.6, 0.5), 1.2, limit=0.3)
+    plain = fa.Scene(inertia=J, torque=fa.torques.SampledControl(pd, PERIOD))
+    wheels = fa.torques.ReactionWheels(np.eye(3), 0.01, fa.torques.SampledControl(pd, PERIOD))
+    driven = fa.Scene(inertia=J, torque=wheels)
+    h0 = wheels.momenta(0.0, W0)
+    with_wheels = fa.propagate(
+        driven, Q0, W0, s0=[*h0, 0, 0, 0], dt=0.05, n_steps=40, save_every=5, method="rk8"
+    )
+    assert fa.drift(with_wheels, driven).momentum.max() < 1e-12
+    held = with_wheels.s[:, 3:]
+    rates = np.diff(with_wheels.s[:, :3], axis=0) / PERIOD
+    np.testing.assert_allclose(rates, -held[1:], atol=1e-12)
+    alone = fa.propagate(plain, Q0, W0, s0=[0, 0, 0], dt=0.05, n_steps=5, method="rk8")
+    np.testing.assert_allclose(alone.s[-1], held[1], atol=1e-12)
+    # by axis: the first sample is limited along two axes
+    first = fa.propagate(plain, Q0, W0, s0=[0, 0, 0], dt=0.05, n_steps=1, method="rk8")
+    unlimited = -np.array((0.8, 0.6, 0.5)) * Q0[1:] - 1.2 * W0
+    assert (np.abs(unlimited) > 0.3).tolist() == [True, False, True]
+    np.testing.assert_allclose(first.s[-1], np.clip(unlimited, -0.3, 0.3), atol=1e-15)
+
+
+def test_advice_takes_such_scenes():
+    advice = fa.recommend(SCENE, Q0, W0, s0=S0, t_end=END, tol=1e-7)
+    run = fa.propagate(SCENE, Q0, W0, s0=S0, **advice.arguments)
+    assert fa.angle_between(run.q[-1], WANTED[0]) < 1e-7
+    assert fa.check_convergence(SCENE, Q0, W0, s0=S0, dt=0.1, n_steps=20, method="rk4").passed
+
+
+def test_what_is_refused():
+    with pytest.raises(ValueError, match=r"^dt: found -0.1 with a sampled controller; accepted"):
+        fa.propagate(SCENE, Q0, W0, s0=S0, dt=-0.1, n_steps=1)
+    with pytest.raises(ValueError, match=r"^scene: found a sampled controller; accepted"):
+        fa.single_step(SCENE)
+    with pytest.raises(ValueError, match=r"SampledControl.period: found 0.0; accepted: above 0"):
+        sampled_pd(period=0.0)
+    with pytest.raises(TypeError, match=r"SampledControl.control: found 3; accepted: a function"):
+        fa.Scene(inertia=J, torque=fa.torques.SampledControl(3, 0.1))
+    with pytest.raises(ValueError, match=r"found params or states beside a model"):
+        sampled_pd(period=0.1, params=(1.0,))
+    law = fa.torques.Custom(lambda t, q, w, s, p: ((0.0, 0.0, 0.0), s), states=4)
+    with pytest.raises(ValueError, match=r"found a model with 4 states; accepted: a model without"):
+        fa.Scene(inertia=J, torque=fa.torques.SampledControl(law, 0.1))
+    two = [fa.torques.SampledControl(fa.torques.Damping(1.0), period) for period in (0.1, 0.2)]
+    with pytest.raises(ValueError, match=r"sampled every 0.1 s from 0.0 s, 0.2 s from 0.0 s"):
+        fa.Scene(inertia=J, torque=fa.torques.Sum(two))
+
+
+def sampled_pd(**options):
+    pd = fa.torques.QuaternionPD(1.0, 1.0)
+    return fa.Scene(inertia=J, torque=fa.torques.SampledControl(pd, **options))

@@ -1,0 +1,243 @@
+"""Reaction wheels beside SciPy's DOP853 and what their motion keeps."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import fastatt as fa
+
+WHOLE = np.array([[2.0, 0.1, -0.2], [0.1, 1.5, 0.15], [-0.2, 0.15, 1.2]])
+AXES = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.48, -0.6, 0.64]])
+INERTIA = np.array([0.02, 0.03, 0.025, 0.02])
+FRICTION = {"viscous": (1e-3, 2e-3, 0.0, 1e-3), "coulomb": 0.01, "coulomb_speed": 2.0}
+Q0 = np.array([0.8, 0.0, 0.6, 0.0])
+W0 = np.array([0.3, -0.2, 0.4])
+SPEEDS = np.array([6.0, -10.0, 3.0, 1.0])
+RUN = {"dt": 0.02, "n_steps": 250, "method": "rk8"}
+
+
+def spin_up(t, q, w, s, p):
+    return (
+        p[0] * math.sin(t),
+        -p[0] * w[0],
+        p[1] * (20.0 - s[2]),
+        0.1 * q[1] * s[0] - 0.02 * s[3],
+    )
+
+
+def pid(t, q, w, s, p):
+    """Proportional, integral and derivative control; s is the integral of the error."""
+    error = tuple(2.0 * q[0] * x for x in q[1:])
+    torque = tuple(-p[0] * e - p[1] * s[k] - p[2] * w[k] for k, e in enumerate(error))
+    return torque, error
+
+
+def wheels(**options):
+    return fa.torques.ReactionWheels(AXES, INERTIA, **options)
+
+
+DRIVEN = wheels(command=spin_up, params=(0.3, 0.02), **FRICTION)
+SCENE = fa.Scene(inertia=DRIVEN.body_inertia(WHOLE), torque=DRIVEN)
+S0 = DRIVEN.momenta(SPEEDS, W0)
+
+
+def truth(end, motors, n_more=0, scene_torque=None):
+    """(q, w, speeds, more) at the end by DOP853, from Euler's equation of the whole spacecraft.
+
+    Its unknowns are the speeds, whose equations J (Ω̇ + a·ẇ) = u are solved together with it.
+    """
+    tensor, count = WHOLE, len(AXES)
+    mass = np.zeros((3 + count, 3 + count))
+    mass[:3, :3], mass[:3, 3:] = tensor, AXES.T * INERTIA
+    mass[3:, :3], mass[3:, 3:] = INERTIA[:, None] * AXES, np.diag(INERTIA)
+
+    def slope(t, y):
+        q, w, speeds = y[:4] / np.linalg.norm(y[:4]), y[4:7], y[7 : 7 + count]
+        net, changes = motors(t, tuple(q), tuple(w), tuple(speeds), tuple(y[7 + count :]))
+        inside = tensor @ w + AXES.T @ (INERTIA * speeds)
+        outer = np.zeros(3) if scene_torque is None else scene_torque(t)
+        found = np.linalg.solve(mass, np.concatenate([outer - np.cross(w, inside), net]))
+        a, v = y[0], y[1:4]
+        turned = 0.5 * np.concatenate([[-v @ w], a * w + np.cross(v, w)])
+        return np.concatenate([turned, found, changes])
+
+    begin = np.concatenate([Q0, W0, SPEEDS, np.zeros(n_more)])
+    y = solve_ivp(slope, (0.0, end), begin, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return y[:4] / np.linalg.norm(y[:4]), y[4:7], y[7 : 7 + count], y[7 + count :]
+
+
+def friction(speeds):
+    x = np.array(speeds)
+    return np.array(FRICTION["viscous"]) * x + 0.01 * x / np.hypot(x, 2.0)
+
+
+def agree(run, model, wanted, within):
+    q, w, speeds, more = wanted
+    assert fa.angle_between(run.q[-1], q) < within
+    np.testing.assert_allclose(run.w[-1], w, atol=within, rtol=0.0)
+    found = model.speeds(run.s[-1], run.w[-1])
+    np.testing.assert_allclose(found, speeds, atol=30.0 * within, rtol=0.0)
+    np.testing.assert_allclose(run.s[-1][len(AXES) :], more, atol=within, rtol=0.0)
+
+
+def test_a_commanded_spin_up_is_that_of_dop853():
+    def motors(t, q, w, speeds, more):
+        return np.array(spin_up(t, q, w, speeds, (0.3, 0.02))) - friction(speeds), more
+
+    run = fa.propagate(SCENE, Q0, W0, s0=S0, **RUN)
+    assert SCENE.states == 4
+    assert not run.has_flags
+    agree(run, DRIVEN, truth(5.0, motors), 1e-10)
+
+
+def test_motors_have_limits():
+    limited = wheels(
+        command=spin_up, params=(0.3, 0.02), max_torque=(0.1, 0.02, 0.2, 0.1), max_speed=8.0
+    )
+    scene = fa.Scene(inertia=limited.body_inertia(WHOLE), torque=limited)
+
+    def motors(t, q, w, speeds, more):
+        u = np.clip(spin_up(t, q, w, speeds, (0.3, 0.02)), *([-1], [1]) * limits)
+        room = (8.0 - np.sign(u) * np.array(speeds)) / 0.08
+        return u * np.clip(room, 0.0, 1.0), more
+
+    limits = np.array([0.1, 0.02, 0.2, 0.1])
+    run = fa.propagate(scene, Q0, W0, s0=S0, **RUN | {"dt": 0.0025, "n_steps": 2000})
+    # corners cost the steps in which they lie their order
+    agree(run, limited, truth(5.0, motors), 1e-6)
+    # a wheel that the body's own acceleration takes beyond its largest speed is not driven there
+    held = fa.propagate(scene, Q0, W0, s0=S0, **RUN, save_every=1)
+    speeds = limited.speeds(held.s, held.w)[:, 2]
+    beyond = (speeds[:-1] > 8.0) & (speeds[1:] > 8.0)
+    assert 7.9 < speeds[-1] < speeds.max() < 8.1
+    assert beyond.any()
+    assert np.abs(np.diff(held.s[:, 2])[beyond]).max() == 0.0
+
+
+@pytest.mark.parametrize("inertia", [WHOLE, (2.0, 1.5, 1.2)], ids=["tensor", "moments"])
+def test_angular_momentum_in_inertial_axes_is_constant(inertia):
+    scene = fa.Scene(inertia=DRIVEN.body_inertia(inertia), torque=DRIVEN)
+    run = fa.propagate(scene, Q0, W0, s0=S0, **RUN, save_every=25)
+    assert fa.drift(run, scene).momentum.max() < 1e-12
+    inside = run.w @ DRIVEN.body_inertia(inertia) + DRIVEN.momentum(run.s)
+    total = fa.quat_rotate(run.q, inside)
+    assert np.abs(total - total[0]).max() < 1e-12
+    # momentum has gone from wheels to the body and back
+    assert np.ptp(DRIVEN.momentum(run.s), axis=0).min() > 0.05
+
+
+def test_energy_is_what_motors_and_friction_leave():
+    """d(T)/dt = Σ u Ω: of body and wheels together, integrated by Simpson's rule."""
+    run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=0.005, n_steps=1000, save_every=1, method="rk8")
+    speeds = DRIVEN.speeds(run.s, run.w)
+    energy = fa.kinetic_energy(run.w, SCENE.inertia) + (0.5 * run.s**2 / INERTIA).sum(axis=-1)
+    net = [
+        np.array(spin_up(t, q, w, s, (0.3, 0.02))) - friction(s)
+        for t, q, w, s in zip(run.t, run.q, run.w, speeds, strict=True)
+    ]
+    power = (np.array(net) * speeds).sum(axis=-1)
+    work = (power[:-1:2] + 4.0 * power[1::2] + power[2::2]).sum() * 0.005 / 3.0
+    assert abs(energy[-1] - energy[0]) > 0.05
+    assert energy[-1] - energy[0] == pytest.approx(work, abs=1e-9)
+
+
+def test_friction_alone_takes_energy():
+    idle = wheels(**FRICTION)
+    scene = fa.Scene(inertia=idle.body_inertia(WHOLE), torque=idle)
+    run = fa.propagate(scene, Q0, W0, s0=S0, **RUN | {"save_every": 5})
+    energy = fa.kinetic_energy(run.w, scene.inertia) + (0.5 * run.s**2 / INERTIA).sum(axis=-1)
+    assert (np.diff(energy) < 0.0).all()
+
+
+def test_a_model_commands_the_torque_on_the_body():
+    """PID control by four wheels, of each body with gains of its own, beside a disturbance."""
+    gains = np.array([[0.8, 0.2, 1.2], [0.5, 0.1, 1.0]])
+    push = (0.02, 0.0, -0.01)
+    model = wheels(command=fa.torques.Custom(pid, gains, states=3), **FRICTION)
+    terms = fa.torques.Sum((fa.torques.Constant(push), model))
+    scene = fa.Scene(inertia=model.body_inertia(WHOLE), torque=terms)
+    assert scene.states == 7
+    assert [f.straight for f in scene.functions] == [True]
+    s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(3)])
+    run = fa.propagate(scene, [Q0, Q0], W0, s0=s0, **RUN)
+    for body, p in enumerate(gains):
+
+        def motors(t, q, w, speeds, more, p=p):
+            torque, changes = pid(t, q, w, more, p)
+            return -np.linalg.pinv(AXES.T) @ torque - friction(speeds), changes
+
+        wanted = truth(5.0, motors, 3, lambda t: np.array(push))
+        one = fa.propagate(scene[[body]], Q0, W0, s0=s0, **RUN)
+        agree(one, model, wanted, 1e-10)
+        np.testing.assert_array_equal(one.q[-1], run.q[-1, body])
+
+
+def test_numbers_of_each_body():
+    axes = np.stack([AXES, AXES[[1, 2, 0, 3]]])
+    own = fa.torques.ReactionWheels(
+        axes, INERTIA, spin_up, (0.3, 0.02), coulomb=[[0.0], [0.01]], max_torque=0.2
+    )
+    scene = fa.Scene(inertia=own.body_inertia(WHOLE), torque=own)
+    s0 = own.momenta(SPEEDS, W0)
+    assert s0.shape == (2, 4)
+    run = fa.propagate(scene, [Q0, Q0], W0, s0=s0, **RUN)
+    for body in range(2):
+        one = fa.torques.ReactionWheels(
+            axes[body], INERTIA, spin_up, (0.3, 0.02), coulomb=(0.0, 0.01)[body], max_torque=0.2
+        )
+        alone = fa.Scene(inertia=one.body_inertia(WHOLE), torque=one)
+        found = fa.propagate(alone, Q0, W0, s0=s0[body], **RUN)
+        assert fa.angle_between(found.q[-1], run.q[-1, body]) < 1e-14
+        np.testing.assert_allclose(found.s[-1], run.s[-1, body], rtol=0.0, atol=1e-14)
+    np.testing.assert_array_equal(scene[[1]].torque.axes, axes[[1]])
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    back = own.speeds(run.s, run.w)
+    assert back.shape == (1, 2, 4)
+    np.testing.assert_allclose(own.momenta(back, run.w), run.s, atol=1e-14)
+
+
+def test_a_command_may_depend_on_the_position():
+    law = fa.torques.Custom(lambda t, q, w, v, r, p: (-0.1 * r[0], 0.0, 0.0), uses_position=True)
+    three = fa.torques.ReactionWheels(np.eye(3), 0.1, law)
+    scene = fa.Scene(
+        inertia=(3.0, 2.0, 1.0), torque=three, mass=2.0, force=lambda t, q, w, v, p: (0.0, 0.0, 0.0)
+    )
+    run = fa.propagate(
+        scene, [1, 0, 0, 0], [0, 0, 0], v0=[1.0, 0.0, 0.0], r0=[0, 0, 0], s0=[0, 0, 0], **RUN
+    )
+    np.testing.assert_allclose(run.s[-1], [0.1 * 5.0**2 / 2.0, 0.0, 0.0], atol=1e-14)
+
+
+def test_one_wheel_takes_a_number():
+    one = fa.torques.ReactionWheels([[0, 0, 1]], 0.1, lambda t, q, w, s, p: 0.2)
+    scene = fa.Scene(inertia=one.body_inertia((2.0, 2.0, 2.1)), torque=one)
+    run = fa.propagate(scene, [1, 0, 0, 0], [0, 0, 0.35], s0=one.momenta(10.0, [0, 0, 0.35]), **RUN)
+    # about one axis all is closed: the body without the wheel has 2 kg·m²
+    assert run.w[-1, 2] == pytest.approx(0.35 - 0.2 / 2.0 * 5.0, abs=1e-14)
+    speed = 10.0 + 0.2 * 5.0 * (1.0 / 0.1 + 1.0 / 2.0)
+    assert one.speeds(run.s, run.w)[-1, 0] == pytest.approx(speed, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"axes": [1.0, 0.0, 0.0]}, ValueError, r"ReactionWheels.axes .*accepted: \(K, 3\)"),
+        ({"axes": [[2.0, 0.0, 0.0]]}, ValueError, r"ReactionWheels.axes: its length"),
+        ({"inertia": [1.0, 2.0]}, ValueError, r"inertia .*accepted: a number, \(4,\) of the"),
+        ({"inertia": 0.0}, ValueError, r"inertia is 0.0; accepted: above 0"),
+        ({"viscous": -1.0}, ValueError, r"viscous is -1.0; accepted: 0 or more"),
+        ({"max_torque": [1, 1, 1, 0]}, ValueError, r"max_torque\[3\] is 0"),
+        ({"command": 3.0}, TypeError, r"command: found 3.0; accepted: a function command\("),
+        ({"command": lambda t, q, w, s, p: (t, t)}, TypeError, r"a tuple of 4 floats"),
+        ({"command": fa.torques.Damping(1.0), "params": 1.0}, ValueError, r"params: found beside"),
+    ],
+)
+def test_what_is_refused(options, error, message):
+    given = {"axes": AXES, "inertia": INERTIA} | options
+    with pytest.raises(error, match=message):
+        fa.Scene(inertia=WHOLE, torque=fa.torques.ReactionWheels(**given))
