@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 # directions from a point in which a name may stand, the first ones preferred
 _SIDES = ((1, 0), (1, -1), (1, 1), (0, -1), (0, 1), (-1, -1), (-1, 1), (-1, 0))
-_GAP = 6.0  # pixels between a point and its name
+_GAP = 7.0  # pixels between a point and its name
 _SPACING = 4.0  # pixels between the points that represent a curve
 _MARKER = 5.0  # pixels from a marker's middle to its corners
 _EVERY = 4  # of these points a name may stand next to
