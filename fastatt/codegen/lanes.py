@@ -19,8 +19,9 @@ from numba import types
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import Emitter, pointers_of, raised, write
 from fastatt.codegen.instructions import REALS, Code
+from fastatt.codegen.lines import write_lines
 from fastatt.codegen.memory import DTYPES, LINE
-from fastatt.codegen.modules import Emission, generated
+from fastatt.codegen.modules import generated
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.traced import Traced
@@ -96,19 +97,23 @@ class LaneProgram(NamedTuple):
 
     def compiled(self) -> Any:
         """Numba's ``CFunc``, compiled or loaded from disk."""
-        arrays = [types.CPointer(TYPES[kind]) for kind in self.arrays]
-        memory = arrays if self.resources is None else [*arrays, _WHOLE]
+        memory = [types.CPointer(TYPES[kind]) for kind in self.arrays]
         keys = self.resources or ()
-        key = [repr((tuple(self.shape), self.arrays, [key[0] for key in keys]))]
-        emissions: dict[str, Emission] = {}
-        for name, x in self.formulas.items():
+        key = [self.text, repr((tuple(self.shape), self.arrays, [key[0] for key in keys]))]
+        for x in self.formulas.values():
             places = sorted(x.inputs.items()), *x[2:6]
             clock = x.clock and (x.clock.flat.spelled(()), x.clock.names)
             key += [x.graph.spelled(keys), repr((places, clock))]
-            whole = [types.int64] * (len(arrays) + (x.clock is not None))
-            emissions[name] = (*memory, *whole), partial(_emit, self, x)
+        memory += [] if self.resources is None else [_WHOLE]
         arguments = types.int64, *memory, *[types.int64] * self.numbers
-        return generated(self.text, arguments, emissions, "\0".join(key))
+        names = ", ".join(f"a{i}" for i in range(len(arguments)))
+        text = f"def run({names}):\n    lines({names})\n"
+        return generated(text, arguments, {"lines": (arguments, self._write)}, "\0".join(key))
+
+    def _write(self, code: Code, args: Sequence[Any]) -> None:
+        """Write the text with its formulas."""
+        calls = {name: partial(_emit, self, x, code) for name, x in self.formulas.items()}
+        write_lines(code, self.text, args, calls)
 
     def in_python(self) -> Callable[..., None]:
         """The function on NumPy's arrays, ``whole`` a list of the resources; nothing is fused."""

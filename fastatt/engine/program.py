@@ -259,21 +259,19 @@ class Program(TwoForms):
         parts = [(BEGIN, "constants"), (BEGIN, "begin"), (SAVE, "save")]
         parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter"), (WATCH, "events")]
         there = [(part, name) for part, name in parts if name in formulas]
-        if there:
-            # one loop for all, since Numba takes longer for a loop than for a condition
-            yield f"    if part != {ADVANCE}:"
-            yield f"        for j in range(0, {width}, {lanes}):"
-            yield from (f"            if part == {part}: {call(name)}" for part, name in there)
-            yield "        return"
+        for part, name in there:
+            yield f"    if part == {part}:"
+            yield f"        for j in range(0, {width}, {lanes}): {call(name)}"
+        yield f"    if part == {ADVANCE}:"
         if "even_step" not in formulas:
-            yield from steps("step", "    ")
+            yield from steps("step", "        ")
             return
-        yield "    even = True"
-        yield f"    for j in range({width}):"
+        yield "        even = True"
+        yield f"        for j in range({width}):"
         for name in CLOCK[:3]:
             k = self.layout.wide.first[name] * width
-            yield f"        even = even and wide[{k} + j] == wide[{k}]"
-        yield "    if even:"
-        yield from steps("even_step", "        ")
-        yield "    else:"
-        yield from steps("step", "        ")
+            yield f"            even = even and wide[{k} + j] == wide[{k}]"
+        yield "        if even:"
+        yield from steps("even_step", "            ")
+        yield "        else:"
+        yield from steps("step", "            ")
