@@ -24,7 +24,7 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ import numba
 from numba import cfunc
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
 from numba.core.types import void
 from numba.extending import intrinsic
 
@@ -95,10 +96,22 @@ def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], No
     return intrinsic(scope["emission"])
 
 
+@contextlib.contextmanager
+def _optimised_once() -> Iterator[None]:
+    """Numba optimises each function alone, and then the module; one function needs it once."""
+    codegen = cpu_target.target_context.codegen()
+    codegen._function_pass_manager = functools.partial(codegen._function_pass_manager, opt=0)  # noqa: SLF001
+    try:
+        yield
+    finally:
+        del codegen._function_pass_manager  # noqa: SLF001
+
+
 def _in_memory(text: str, arguments: Sequence[Any], names: Mapping[str, Any]) -> Any:
     scope = dict(names)
     exec(compile(text, "<fastatt>", "exec"), scope)
-    return cfunc(void(*arguments))(scope["run"])
+    with _optimised_once():
+        return cfunc(void(*arguments))(scope["run"])
 
 
 def _kept(
@@ -113,8 +126,8 @@ def _kept(
         _write(source, text.encode())
     if not (may_write or numba.config.CACHE_DIR):
         source = _copied(source)
-    where = _numba_folder(source)
-    for file in where.glob(f"{name}.*.nb?"):
+    where, *files = _numba_files(source)
+    for file in filter(Path.exists, files):
         if not _is_whole(file):
             file.unlink(missing_ok=True)
     for _ in range(2):
@@ -126,7 +139,7 @@ def _kept(
         else:
             if not found.cache_hits:
                 with contextlib.suppress(OSError):
-                    for file in where.glob(f"{name}.*.nb?"):
+                    for file in filter(Path.exists, files):
                         _mark(file).touch()
                     _trim(path)
             return found
@@ -144,16 +157,23 @@ def _imported(
     sys.modules[name] = module
     try:
         exec(compile(text, str(source), "exec"), module.__dict__)
-        return cfunc(void(*arguments), cache=True)(module.__dict__["run"])
+        with _optimised_once():
+            return cfunc(void(*arguments), cache=True)(module.__dict__["run"])
     finally:
         del sys.modules[name]
 
 
-def _numba_folder(source: Path) -> Path:
-    """Where Numba keeps the machine code of a module."""
+def _numba_files(source: Path) -> tuple[Path, Path, Path]:
+    """Where Numba keeps the machine code of a module: the folder, an index, and the code.
+
+    They are found by name: a list of all files of a full folder takes longer than to load them.
+    """
     scope: dict[str, Any] = {}
     exec(compile("def run(): pass", str(source), "exec"), scope)
-    return Path(FunctionCache(scope["run"]).cache_path)
+    cache = FunctionCache(scope["run"])
+    folder = Path(cache.cache_path)
+    name = cache._impl.filename_base  # noqa: SLF001
+    return folder, folder / f"{name}.nbi", folder / f"{name}.1.nbc"
 
 
 def _mark(file: Path) -> Path:
@@ -288,7 +308,7 @@ def _all_files() -> list[Path]:
     roots = {path, path / _INSIDE}
     for source in itertools.islice(path.glob(f"{_PREFIX}*.py"), 1):
         with contextlib.suppress(RuntimeError):  # Numba has no folder
-            roots.add(_numba_folder(source))
+            roots.add(_numba_files(source)[0])
     files = [file for root in roots for file in root.glob(f"{_PREFIX}*.*")]
     return [*files, *path.glob("*.part")]
 

@@ -31,7 +31,11 @@ def height(t, q, w, p):
 
 
 EVENTS = [fa.event(first_rate), fa.event(height, -1), fa.event(height, 1)]
-FREE = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, save_every=50)
+
+
+@pytest.fixture(scope="module")
+def free():
+    return fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, save_every=50)
 
 
 def still(t, q, w, p):
@@ -55,7 +59,7 @@ def euler(t, y):
     return np.array([*(0.5 * k for k in (*turned, last)), *(np.cross(MOMENTS * w, w) / MOMENTS)])
 
 
-def test_times_are_those_of_dop853():
+def test_times_are_those_of_dop853(free):
     def of(event):
         def g(t, y):
             return event.function(t, y[:4], y[4:], ())
@@ -69,9 +73,9 @@ def test_times_are_those_of_dop853():
             max_step=0.02, events=[of(x) for x in EVENTS],
         )  # fmt: skip
         wanted = [x[0] if x.size else np.nan for x in made.t_events]
-        np.testing.assert_allclose(FREE.event_times[body], wanted, rtol=0.0, atol=1e-11)
-    assert np.isnan(FREE.event_times).any()
-    assert np.isfinite(FREE.event_times).sum() > N
+        np.testing.assert_allclose(free.event_times[body], wanted, rtol=0.0, atol=1e-11)
+    assert np.isnan(free.event_times).any()
+    assert np.isfinite(free.event_times).sum() > N
 
 
 def test_time_of_a_coning_body_is_that_of_its_closed_form():
@@ -83,35 +87,35 @@ def test_time_of_a_coning_body_is_that_of_its_closed_form():
     assert abs(found - 1.0 / m) < 1e-9
 
 
-def test_the_run_is_the_same_to_the_bit():
+def test_the_run_is_the_same_to_the_bit(free):
     plain = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", save_every=50)
-    assert np.array_equal(FREE.q, plain.q)
-    assert np.array_equal(FREE.w, plain.w)
-    assert np.array_equal(FREE.status, plain.status)
+    assert np.array_equal(free.q, plain.q)
+    assert np.array_equal(free.w, plain.w)
+    assert np.array_equal(free.status, plain.status)
 
 
-def test_a_body_has_the_times_that_it_has_in_an_ensemble():
+def test_a_body_has_the_times_that_it_has_in_an_ensemble(free):
     for body in (0, 33, 69):
         alone = fa.propagate(BODY, Q0[body], W0[body], **RUN, method="rk8", events=EVENTS)
         assert alone.event_times.shape == (3,)
-        np.testing.assert_array_equal(alone.event_times, FREE.event_times[body])
+        np.testing.assert_array_equal(alone.event_times, free.event_times[body])
     threads = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, n_threads=2)
-    np.testing.assert_array_equal(threads.event_times, FREE.event_times)
+    np.testing.assert_array_equal(threads.event_times, free.event_times)
 
 
 @pytest.mark.parametrize("method", fa.methods_for(BODY, need="is_stepped"))
-def test_every_method_locates_to_its_order(method):
+def test_every_method_locates_to_its_order(method, free):
     found = fa.propagate(BODY, Q0, W0, **RUN, method=method, events=EVENTS).event_times
     order = fa.METHODS[method].order
     bound = {2: 2e-2, 4: 2e-5}.get(order, 1e-6 if order == 6 else 1e-9)
-    assert np.array_equal(np.isnan(found), np.isnan(FREE.event_times))
-    assert np.nanmax(abs(found - FREE.event_times)) < bound
+    assert np.array_equal(np.isnan(found), np.isnan(free.event_times))
+    assert np.nanmax(abs(found - free.event_times)) < bound
     if order == 4:
         fine = fa.propagate(
             BODY, Q0, W0, dt=0.01, n_steps=1000, method=method, events=EVENTS
         ).event_times
-        coarse = np.nanmax(abs(found - FREE.event_times))
-        assert np.nanmax(abs(fine - FREE.event_times)) < coarse / 10.0
+        coarse = np.nanmax(abs(found - free.event_times))
+        assert np.nanmax(abs(fine - free.event_times)) < coarse / 10.0
 
 
 @pytest.mark.parametrize(
@@ -279,13 +283,13 @@ def test_a_scene_with_states(moves):
     assert run.event_times[0] == pytest.approx(crossing.t_events[0][0], abs=1e-9)
 
 
-def test_single_precision_and_compensated_runs():
+def test_single_precision_and_compensated_runs(free):
     single = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, dtype="float32")
-    same = np.isnan(single.event_times) == np.isnan(FREE.event_times)
+    same = np.isnan(single.event_times) == np.isnan(free.event_times)
     assert same.mean() > 0.98  # a touch is found or not
-    assert np.nanmedian(abs(single.event_times - FREE.event_times)) < 1e-5
+    assert np.nanmedian(abs(single.event_times - free.event_times)) < 1e-5
     carried = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, compensated=True)
-    np.testing.assert_allclose(carried.event_times, FREE.event_times, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(carried.event_times, free.event_times, rtol=0.0, atol=1e-11)
 
 
 def test_a_function_that_is_not_traced():
@@ -299,12 +303,12 @@ def test_a_function_that_is_not_traced():
     assert abs(times(counted) - 1.3) < 1e-8
 
 
-def test_a_plan_and_a_reducer_beside_events():
+def test_a_plan_and_a_reducer_beside_events(free):
     plan = fa.plan(BODY, N, **RUN, method="rk8", events=EVENTS)
-    np.testing.assert_array_equal(plan(Q0, W0).event_times, FREE.event_times)
+    np.testing.assert_array_equal(plan(Q0, W0).event_times, free.event_times)
     count = fa.reducer(lambda t, q, w, s: s[0] + 1.0, start=0.0)
     run = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, reduce=count)
-    np.testing.assert_array_equal(run.event_times, FREE.event_times)
+    np.testing.assert_array_equal(run.event_times, free.event_times)
     assert (run.reduced == RUN["n_steps"]).all()
 
 
