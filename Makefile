@@ -18,7 +18,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 # bytecode too: else each of the tests' processes would compile all that it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv test pythons commands trade bench leaderboard extremes cases scale hostile bench-smoke lint \
+.PHONY: help venv test pythons commands trade bench leaderboard extremes cases scale pictures hostile bench-smoke lint \
 	format types layers docs readme clean
 
 help:  ## this list
@@ -69,7 +69,7 @@ bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 	$(BIN)/pytest bench
 
 leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 8 minutes: bench/LEADERBOARD.md
-	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench
+	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench --pictures fastatt/docs/pictures
 
 extremes: $(VENV)/.test  ## every method at the extremes, a minute: bench/EXTREMES.md
 	PYTHONPATH=tests $(BIN)/python -m extremes $(if $(FASTATT_SMOKE),--quick,--long)
@@ -80,7 +80,16 @@ cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.m
 scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench/SCALE.md
 	$(BIN)/python bench/scale.py $(if $(FASTATT_SMOKE),--small)
 
-hostile: $(VENV)/.test  ## advice where a rate or torque jumps, five minutes: the table of docs/methods.md
+pictures: $(VENV)/.test  ## the pages' pictures, five minutes: fastatt/docs/pictures
+	$(BIN)/fastatt trade --scene coning --scene free --scene top --scene torqued --out $(RESULTS) \
+		$(if $(FASTATT_SMOKE),--quick)
+	cp $(RESULTS)/trade.png $(RESULTS)/bodies.png fastatt/docs/pictures
+	$(BIN)/python bench/polhodes.py
+	$(BIN)/python bench/tumbling.py
+	$(BIN)/python bench/leaderboard_picture.py
+	$(BIN)/python bench/work_precision.py --draw
+
+hostile: $(VENV)/.test  ## advice where a rate or torque jumps, five minutes: the table of guides/choose-method.md
 	$(BIN)/python bench/hostile.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed
@@ -102,8 +111,8 @@ types: $(VENV)/.lint  ## mypy
 layers: $(VENV)/.lint  ## which module may import which
 	$(BIN)/lint-imports
 
-docs: $(VENV)/.lint  ## the reference of all public names, from their docstrings: results/reference
-	$(BIN)/python -W error::UserWarning -W "ignore:Error parsing type annotation" -m pdoc -d numpy -o $(RESULTS)/reference fastatt
+docs: $(VENV)/.lint  ## the pages and the reference of all public names, as a site: results/site
+	$(BIN)/mkdocs build --quiet --strict
 
 clean:  ## remove the environment, caches and results
 	rm -rf $(VENV) .fastatt_cache .numba_cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache \

@@ -25,12 +25,13 @@ from typing import Any
 
 import numpy as np
 from leaderboard_contestants import OURS, PACKAGES, contestants, missing, our_loop
+from leaderboard_picture import picture
 from leaderboard_problems import MANY, ONE, PROBLEMS, Log, Problem
-from leaderboard_report import TARGETS, Row, page, picture, ranking, read_rows, write_rows
+from leaderboard_report import TARGETS, Row, page, ranking, read_rows, write_rows
 from leaderboard_single import single_table
 from leaderboard_solvers import Contestant, Run
 
-from fastatt.trade.measure import machine, machine_line
+from fastatt.trade.measure import machine_line
 
 _LONGEST = 0.25  # seconds of a call, beyond which a ladder ends
 _LONG = 0.05  # seconds of a call that is timed in the least number of rounds
@@ -267,6 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--package", action="append", choices=PACKAGES, help="default: all")
     parser.add_argument("--out", type=Path, default=Path("results"), help="folder of the figures")
     parser.add_argument("--page", type=Path, help="folder of the page; default: that of --out")
+    parser.add_argument("--pictures", type=Path, help="folder of the picture; default: --out")
     parser.add_argument("--budget", type=float, default=10.0, help="timing of each problem, s")
     parser.add_argument("--quick", action="store_true", help="few bodies and settings, one round")
     parser.add_argument("--keep", action="store_true", help="keep the CSV's other problems")
@@ -301,11 +303,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = page(rows, where, single.read_text(encoding="utf-8") if single.exists() else "")
     folder = options.page or options.out
     (folder / "LEADERBOARD.md").write_text(text, encoding="utf-8")
-    picture(
-        rows,
-        "Time at equal error, one core of " + machine()["processor"],
-        folder / "leaderboard.png",
-    )
+    pictures = options.pictures or options.out
+    pictures.mkdir(parents=True, exist_ok=True)
+    picture(text, pictures / "leaderboard.png")
 
 
 if __name__ == "__main__":

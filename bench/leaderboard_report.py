@@ -1,4 +1,4 @@
-"""What the leaderboard's rows say: curves, winners, the tables and the picture."""
+"""What the leaderboard's rows say: curves, winners and the tables."""
 
 from __future__ import annotations
 
@@ -14,10 +14,6 @@ from leaderboard_problems import MANY, ONE
 
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 MODES = {ONE: "one", MANY: "ensemble"}
-# Okabe and Ito's colours, told apart by colour-blind readers
-_COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#999999")
-_COLOURS += ("#7F3C00", "#4B0092")
-_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">")
 _TIE, _MOST = 1.1, 1000.0
 _FIGURES = ("error", "p50", "p95", "seconds", "work")
 _SETTINGS = {
@@ -282,7 +278,8 @@ def page(rows: Sequence[Row], where: str, single: str) -> str:
     """Markdown: rules, libraries, the table, each problem, single precision."""
     parts = ["# Time at equal error", f"`make leaderboard` writes this page. {where}", _RULES]
     parts += ["## Libraries", "\n".join(_libraries()), "## Who is first", table(rows)]
-    parts.append("![time at equal error](leaderboard.png)")
+    parts.append("![time at equal error](../fastatt/docs/pictures/leaderboard.png)")
+    parts.append("`python bench/leaderboard_picture.py` draws the picture from the tables below.")
     for name, title in _problems(rows).items():
         own = [row for row in rows if row.problem == name]
         parts += [f"## {title}", f"Reference: {own[0].reference}."]
@@ -297,62 +294,3 @@ def page(rows: Sequence[Row], where: str, single: str) -> str:
             single,
         ]
     return "\n\n".join(parts).rstrip() + "\n"
-
-
-def picture(rows: Sequence[Row], heading: str, path: Path) -> None:
-    """Each library's best error against its time, a panel for each problem."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
-    problems = _problems(rows)
-    columns = min(3, len(problems))
-    lines = -(-len(problems) // columns)
-    figure = Figure(figsize=(4.9 * columns, 3.7 * lines + 1.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(lines, columns, squeeze=False).ravel()
-    looks = {
-        name: {"color": _COLOURS[i], "marker": _MARKERS[i], "ms": 4.5, "lw": 1.3}
-        for i, name in enumerate(PACKAGES)
-    }
-    drawn = set()
-    for axes, (name, title) in zip(panels, problems.items(), strict=False):
-        own = [row for row in rows if row.problem == name]
-        log = _is_log(own)
-        for mode in MODES:
-            for package, look in looks.items():
-                points = [
-                    (r.error, r.seconds) for r in own if (r.package, r.mode) == (package, mode)
-                ]
-                if not points:
-                    continue
-                drawn.add(package)
-                curve = sorted(points) if log else envelope(points)
-                style = dict(look, ls="none") if log else dict(look)
-                if mode == ONE and not log:
-                    style |= {"ls": "--", "markerfacecolor": "white"}
-                errors, seconds = zip(*curve, strict=True)
-                axes.plot([t * 1e6 for t in seconds], [max(e, 1e-16) for e in errors], **style)
-        for k, r in enumerate(sorted(own, key=lambda row: row.seconds) if log else []):
-            at, (side, shift) = (r.seconds * 1e6, r.error), (("right", -5), ("left", 5))[k % 2]
-            axes.annotate(r.method, at, (shift, 3), textcoords="offset points", fontsize=7, ha=side)
-        if log:
-            axes.margins(x=0.45, y=0.12)
-        unit = "sample" if log else "body"
-        axes.set(xscale="log", yscale="log", xlabel=f"time per {unit}, µs", ylabel="error, rad")
-        axes.set_title(title, fontsize=10)
-        axes.grid(visible=True, alpha=0.3)
-        if not log:
-            axes.set_ylim(1e-15, 1.0)
-            for target in TARGETS:
-                axes.axhline(target, color="0.5", lw=0.8, ls=":", zorder=0)
-    for axes in panels[len(problems) :]:
-        axes.remove()
-    entries = {name: Line2D([], [], **looks[name]) for name in PACKAGES if name in drawn}
-    entries["ensemble in one call"] = Line2D([], [], color="0.3", marker="o", ms=4.5)
-    entries["one body a call"] = Line2D(
-        [], [], color="0.3", ls="--", marker="o", ms=4.5, markerfacecolor="white"
-    )
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=5)
-    figure.suptitle(heading, fontsize=11)
-    figure.savefig(path, dpi=100)

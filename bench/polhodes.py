@@ -1,6 +1,6 @@
 """The picture of free bodies of the pages: polhodes and herpolhodes, in closed form.
 
-python bench/polhodes.py bench/polhodes.png
+python bench/polhodes.py      # fastatt/docs/pictures/polhodes.png
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from fastatt.propagation import closed_form
 from fastatt.propagation.energy import angular_momentum, kinetic_energy
 from fastatt.trade.ensembles import TRIAXIAL
 
+PICTURES = Path(__file__).parents[1] / "fastatt" / "docs" / "pictures"
 _QUAT = (1.0, 0.0, 0.0, 0.0)
 # of the momentum from axis 1 to axis 3, deg; at 45 the energy of TRIAXIAL is that about axis 2
 _LATITUDES = (12.0, 24.0, 36.0, 45.0, 54.0, 66.0, 78.0)
@@ -65,4 +66,5 @@ def herpolhodes() -> dict[float, NDArray[np.float64]]:
 
 
 if __name__ == "__main__":
-    plots.polhodes(polhodes(), herpolhodes(), Path(sys.argv[1]))
+    path = Path(sys.argv[1]) if sys.argv[1:] else PICTURES / "polhodes.png"
+    plots.polhodes(polhodes(), herpolhodes(), path)

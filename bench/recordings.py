@@ -76,7 +76,7 @@ def follow(r: Recording) -> tuple[np.ndarray, np.ndarray]:
     start = es.static_start(
         r.rates[rest], r.accel[rest], r.mag[rest], field=known, sigma=(5e-3, 2e-2)
     )
-    ahrs = es.MEKF(start.q, start.P, bias=start.bias, angle_noise=3e-3, bias_noise=1e-5)
+    ahrs = es.MEKF(start.q, start.covariance, bias=start.bias, angle_noise=3e-3, bias_noise=1e-5)
     every = max(1, round(LEAST / float(np.mean(r.dt))))
     q = np.empty((len(r.rates) - r.still + 1, 4))
     q[0] = start.q

@@ -1,6 +1,6 @@
 """Cost against scale: bodies, steps, threads, calls, memory.
 
-    python bench/scale.py                    # a minute: bench/SCALE.md and scale.png
+    python bench/scale.py                    # a minute: bench/SCALE.md and its picture
     python bench/scale.py --small --out DIR  # seconds
 
 A free body by rk4, in double precision. A cell is the median over calls that fill a tenth of a
@@ -22,9 +22,16 @@ from statistics import median
 from time import perf_counter
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 import fastatt as fa
+from fastatt.plots.drawing import COLOURS, save
+from fastatt.plots.labels import Label, write_labels
 from fastatt.threads import default_threads
+from fastatt.trade.measure import machine_line, processor_line
+
+PICTURES = Path(__file__).parents[1] / "fastatt" / "docs" / "pictures"
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
 STEPS = (1, 100, 10_000)
@@ -129,32 +136,31 @@ def table(found, bodies):
 
 
 def picture(found, path):
-    import matplotlib as mpl
+    """Time against bodies: a colour for each number of steps, a line style for each of threads."""
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    figure.suptitle(f"Free bodies by rk4, float64, {processor_line()}")
+    axes = figure.subplots()
+    colours = dict(zip(STEPS, COLOURS, strict=False))
+    threads = sorted({key[0] for key in found})
+    styles = dict(
+        zip(threads, ({"ls": "-", "marker": "o"}, {"ls": "--", "marker": "s"}), strict=False)
+    )
+    labels = []
+    for k, steps in dict.fromkeys(key[:2] for key in found):
+        points = [(n, x) for (*kind, n), x in found.items() if kind == [k, steps]]
+        x, y = np.transpose(points)
+        axes.loglog(x, y, color=colours[steps], **styles[k], ms=4)
+        if k == threads[0]:
+            labels.append(Label(f"{steps} step{'s' * (steps > 1)}", x, y, colours[steps]))
+    axes.set(xlabel="bodies", ylabel="time per body and step, ns")
+    axes.grid(visible=True, alpha=0.3)
+    shown = [Line2D([], [], color="k", **styles[k], ms=4) for k in threads]
+    axes.legend(shown, [f"{k} thread{'s' * (k > 1)}" for k in threads], frameon=False)
+    write_labels(axes, labels)
+    save(figure, path)
 
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    kinds = list(dict.fromkeys(key[:2] for key in found))
-    colours = dict(zip(STEPS, ("#0072b2", "#d55e00", "#009e73"), strict=True))
-    for threads, steps in kinds:
-        points = [(n, x) for (*kind, n), x in found.items() if kind == [threads, steps]]
-        axes.loglog(
-            *zip(*points, strict=True),
-            "-o" if threads == 1 else "--s",
-            color=colours[steps],
-            markersize=4,
-            label=f"{steps} step{'s' * (steps > 1)}, {threads} thread{'s' * (threads > 1)}",
-        )
-    axes.set_xlabel("bodies")
-    axes.set_ylabel("time a body-step, ns")
-    axes.grid(visible=True, which="major", alpha=0.3)
-    axes.legend()
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-
-
-def report(bodies, least, folder):
+def report(bodies, least, folder, pictures):
     found, few, big = cells(bodies, least), overheads(least), large(bodies[-1])
     threads = max(key[0] for key in found)
     middle = bodies[-3]
@@ -164,12 +170,13 @@ def report(bodies, least, folder):
         "# Cost against scale",
         "",
         "Made by `make scale`: a free body by rk4, final state, double precision.",
+        f"Measured on {machine_line()}.",
         "",
         "## Nanoseconds a body-step, by number of bodies",
         "",
         *table(found, bodies),
         "",
-        "![time a body-step against bodies](scale.png)",
+        "![time per body and step against bodies](../fastatt/docs/pictures/scale.png)",
         "",
         "## Microseconds a call, of one step",
         "",
@@ -186,12 +193,12 @@ def report(bodies, least, folder):
         f"| {middle:.0e} bodies: speed of {threads} threads over one | {one / several:.2f} |",
     ]
     (folder / "SCALE.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    picture(found, folder / "scale.png")
+    picture(found, pictures / "scale.png")
 
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description="cost against bodies, steps and threads")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent)
+    parser.add_argument("--out", type=Path, help="folder; default: those of page and picture")
     parser.add_argument("--small", action="store_true", help="to 10^3 bodies, a call a cell")
     parser.add_argument("--large", type=int, help="one run of so many bodies, printed as JSON")
     given = parser.parse_args(arguments)
@@ -199,7 +206,8 @@ def main(arguments=None):
         print(json.dumps(of_large(given.large)))
     else:
         bodies = [10**k for k in range(4 if given.small else 8)]
-        report(bodies, 0.0 if given.small else 0.1, given.out)
+        least = 0.0 if given.small else 0.1
+        report(bodies, least, given.out or Path(__file__).parent, given.out or PICTURES)
 
 
 if __name__ == "__main__":

@@ -29,11 +29,11 @@ __all__ = [
     "angular_velocity", "check_convergence", "checkpoint", "closed_form", "dcm_to_quat", "drift",
     "drift_statistics", "error_budget", "estimation", "euler313_to_quat", "euler_to_quat", "event",
     "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
-    "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude", "methods_for",
-    "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy", "propagate",
-    "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse", "quat_to_dcm",
-    "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector", "rates",
-    "read_gyro_log", "recommend", "reducer", "rotation_vector_to_quat", "runge_kutta",
+    "interpolate", "interpolate_states", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
+    "methods_for", "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy",
+    "propagate", "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse",
+    "quat_to_dcm", "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector",
+    "rates", "read_gyro_log", "recommend", "reducer", "rotation_vector_to_quat", "runge_kutta",
     "single_step", "to_file", "to_scipy", "torques", "work_precision",
 ]  # fmt: skip
 
@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from fastatt.propagation import closed_form
     from fastatt.propagation.angular_velocity import angular_velocity
     from fastatt.propagation.choice_of_method import methods_for
+    from fastatt.propagation.directions import propagate_directions
     from fastatt.propagation.drift import Drift, drift
     from fastatt.propagation.drift_statistics import DriftStatistics, drift_statistics
     from fastatt.propagation.energy import (
@@ -80,9 +81,9 @@ if TYPE_CHECKING:
     from fastatt.propagation.event import Event, event
     from fastatt.propagation.histories import to_file
     from fastatt.propagation.inspect_step import inspect_step
-    from fastatt.propagation.interpolation import interpolate
+    from fastatt.propagation.interpolation import interpolate, interpolate_states
     from fastatt.propagation.plan import Plan
-    from fastatt.propagation.propagate import plan, propagate, propagate_directions
+    from fastatt.propagation.propagate import plan, propagate
     from fastatt.propagation.reducer import Reducer, reducer
     from fastatt.propagation.resume import checkpoint
     from fastatt.propagation.trajectory import Trajectory

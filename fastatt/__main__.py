@@ -4,7 +4,7 @@ import sys
 
 
 def main() -> int:
-    """Run one command; Ctrl-C ends it with one line, while modules are still imported too."""
+    """Run one command. Ctrl-C ends it with one line, also while modules are being imported."""
     try:
         from fastatt.cli import main as run
 

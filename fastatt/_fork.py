@@ -1,8 +1,8 @@
-"""``os.fork`` in a process with threads: a child inherits locks, not the threads that hold them.
+"""Forks of a process with threads: a child inherits locks, but not the threads that hold them.
 
-Modules are imported when they are first needed, and Numba compiles behind a lock: a fork waits
-until all other threads have finished compiling and importing modules of fastatt or the compiler. It
-never waits for other modules: one whose import runs a whole program may take arbitrarily long.
+Modules are imported when they are first needed, and Numba compiles under a lock. A fork therefore
+waits until all other threads have finished compiling and importing modules of fastatt or the
+compiler. It does not wait for other modules: an import that runs a whole program may never end.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _AWAITED = ("fastatt", "numba", "llvmlite")
 
 
 def _imported_elsewhere() -> list[str]:
-    """Names of those modules that other threads import at the moment."""
+    """Names of the modules that other threads are importing."""
     found = []
     for name, lock_of in list(_bootstrap._module_locks.items()):  # noqa: SLF001
         lock = lock_of() if name.partition(".")[0] in _AWAITED else None
@@ -38,7 +38,7 @@ _held: list[Any] = []
 
 def _before() -> None:
     while True:
-        # nothing is held while something is waited for: who imports may compile, and the reverse
+        # no lock is held while waiting: an importing thread may compile, and a compiling one import
         compiler = _compiler_lock()
         if compiler is not None:
             compiler.acquire()
@@ -62,6 +62,6 @@ def _after() -> None:
 
 
 def guard() -> None:
-    """Let forks of this process wait for other threads, where there are forks."""
+    """Let forks of this process wait for other threads, on systems that have forks."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(before=_before, after_in_parent=_after, after_in_child=_after)

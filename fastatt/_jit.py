@@ -36,12 +36,12 @@ _PARTS = Path(__file__), Path(__file__).parent / "codegen" / "call.py"
 def address_loop(
     signature: Any, function: Callable[..., Any], *constants: Any
 ) -> Callable[..., Any]:
-    """A loop over arrays that it takes by their addresses, kept on disk by Numba.
+    """Compile a loop that takes arrays by their addresses; Numba keeps it on disk.
 
-    It calls functions of its file, of ``codegen/call.py``, and generated code by address. Numba
-    notices an edit of the loop's file; a hash of the others and of the imported ``constants`` is
-    part of its name. A call releases the GIL. Without a compiler it is the Python function, which
-    takes arrays.
+    The loop calls functions of its file, functions of ``codegen/call.py``, and generated code by
+    address. Numba notices an edit of the loop's file; a hash of the other files and of the imported
+    ``constants`` is part of its name. A call releases the GIL. Without a compiler the result is the
+    Python function, which takes arrays.
     """
     if config.DISABLE_JIT:
         return function
@@ -59,7 +59,7 @@ def address_loop(
 
 def _called(found: Any) -> Callable[..., Any]:
     call = found.ctypes
-    call.function = found  # it lives as long as its machine code
+    call.function = found  # the machine code lives as long as this reference
     return call  # type: ignore[no-any-return]
 
 
@@ -86,9 +86,9 @@ def _sources() -> tuple[int, int]:
 def _kept(dispatcher: Any) -> None:
     """Keep machine code on disk as long as no source of the package changes.
 
-    Numba checks the function's file alone: an edit of a kernel would go unseen by its callers.
-    Without a writable folder nothing is kept. The folder is found when the function is first
-    compiled: for all kernels at once it would take as long as importing them.
+    Numba checks the function's own file only, so that callers would not notice an edit of a kernel.
+    Without a writable folder nothing is kept. The folder is determined when a function is first
+    compiled, since doing so for all kernels at import would take as long as importing them.
     """
     compile_signature = dispatcher.compile
     first = True
@@ -106,10 +106,10 @@ def _kept(dispatcher: Any) -> None:
 
 
 def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
-    """Compile a scalar kernel: callable from Python, inlined into any jitted caller.
+    """Compile a scalar kernel, which is callable from Python and inlined into any jitted caller.
 
-    A kernel takes floats and tuples of floats and keeps their precision (constants are written
-    ``type(x)(0.5)``, so an integer would truncate them: it is refused).
+    A kernel takes floats and tuples of floats and keeps their precision. Constants are written
+    ``type(x)(0.5)``; an integer would truncate them and is refused.
     """
     dispatcher = njit(**_INLINED)(function)
     if cache and not config.DISABLE_JIT:
@@ -118,10 +118,10 @@ def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
 
 
 def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> Any:
-    """Compile a function that calls formulas' graphs, whose roundings stay as they are there.
+    """Compile a function that calls generated formulas, without changing their roundings.
 
-    Numba would put a kernel's ``fastmath`` on their operations too. ``spliced`` makes it a piece of
-    the functions that call it, which saves its own machine code.
+    Numba would apply a kernel's ``fastmath`` to their operations too. ``spliced`` inlines the
+    function into its callers, without machine code of its own.
     """
     options = {**_INLINED, "fastmath": False, "inline": "always" if spliced else "never"}
     return _of_floats(njit(**options)(function), function.__name__)
@@ -153,23 +153,23 @@ def plain(function: Any) -> Callable[..., Any]:
 
 
 def recompile(function: Callable[..., Any]) -> Any:
-    """A user's function with the kernels' options, so that LLVM can inline and fuse it."""
+    """Compile a user-defined function with the kernels' options, so that LLVM can inline it."""
     return njit(**_INLINED)(getattr(function, "py_func", function))
 
 
 def with_options_of(dispatcher: Any, function: Callable[..., Any]) -> Any:
-    """A function jitted as another one is."""
+    """Compile a function with the options of another one."""
     options = {k: x for k, x in dispatcher.targetoptions.items() if k != "nopython"}
     return njit(**options)(function)
 
 
 def helper(function: Any) -> Any:
-    """A function for ``@njit`` code that is inlined into its caller."""
+    """A function for jitted code that is inlined into its caller."""
     return register_jitable(**_INLINED)(function)
 
 
 def enough(name: str, size: int) -> Any:
-    """A check for ``@njit`` code that an array has so many numbers; formulas check no length."""
+    """A check for jitted code that an array has enough numbers; formulas do not check lengths."""
     message = f"{name}: found fewer than {size} numbers; accepted: {size}"
 
     @helper

@@ -1,4 +1,4 @@
-"""Formulas over the rows of arrays: conversions, angles, products, for one attitude or many."""
+"""Conversions, angles and products of attitudes, for one attitude or arrays of them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from fastatt import checks
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.tracing.formulas import dcm, euler313, mrp, quat
 
-# by how much an element of CᵀC may be off
+# the largest error of an element of CᵀC
 _NOT_ORTHOGONAL = 0.01
 
 
 def on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:
-    """A formula on rows (..., n) that broadcast: (..., after), or (...) where it gives a number."""
+    """Apply a formula to rows (..., n) that broadcast: gives (..., after), or (...) for None."""
     inputs = {f"x{k}": x.shape[-1] for k, x in enumerate(given)}
     kind = kind_of(np.result_type(*given))
     return rows(formula, inputs, (after,), kind)(*given)[0]
@@ -25,7 +25,7 @@ def on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[An
 
 @cache
 def _of_unit(formula: Any) -> Any:
-    """A formula whose first argument is a quaternion, of its unit quaternion."""
+    """A formula of which the first argument, a quaternion, is normalised."""
     return lambda q, *more: formula(quat.normalise(q), *more)
 
 
@@ -39,23 +39,70 @@ def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
 
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
-    """Direction cosine matrices (..., 3, 3) of quaternions (..., 4), of any length but zero."""
+    """Convert quaternions to direction cosine matrices.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Matrices C with v_i = C v_b.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_to_dcm([1.0, 0.0, 0.0, 1.0]).round(3) + 0.0
+    array([[ 0., -1.,  0.],
+           [ 1.,  0.,  0.],
+           [ 0.,  0.,  1.]])
+    """
     found = on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
     return found.reshape((*found.shape[:-1], 3, 3))
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
-    """Unit quaternions (..., 4) with q0 ≥ 0 of rotations (..., 3, 3), by Shepperd's method.
+    """Convert direction cosine matrices to quaternions.
 
-    Raises ``ValueError`` for matrices of no rotation: of left-handed axes, or where an element of
-    CᵀC differs from that of the identity by more than 0.01.
+    Parameters
+    ----------
+    C : array_like, shape (..., 3, 3)
+        Rotation matrices, body to inertial.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions with q0 ≥ 0.
+
+    Raises
+    ------
+    ValueError
+        If a matrix is not a rotation: its axes are left-handed, or an element of CᵀC differs from
+        that of the identity by more than 0.01.
+
+    References
+    ----------
+    Shepperd, "Quaternion from rotation matrix", *Journal of Guidance and Control* 1 (1978) 223.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.dcm_to_quat([[1, 0, 0], [0, -1, 0], [0, 0, -1]]).tolist()
+    [0.0, 1.0, 0.0, 0.0]
     """
     return quaternions_of(_rotations("C", C))
 
 
 def _rotations(name: str, C: Any) -> NDArray[Any]:
     found = floats(name, C, (3, 3))
-    with np.errstate(all="ignore"):  # a matrix that is not finite gives such a quaternion
+    with np.errstate(all="ignore"):  # matrices that are not finite give NaN
         size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
         gram = np.swapaxes(found, -1, -2) @ found
         error = np.abs(gram - np.eye(3)).max(axis=(-2, -1))
@@ -70,64 +117,271 @@ def _rotations(name: str, C: Any) -> NDArray[Any]:
 
 
 def quaternions_of(found: NDArray[Any]) -> NDArray[Any]:
-    """Unit quaternions of matrices that propagation may have left without orthogonality."""
+    """Unit quaternions of matrices that may not be orthogonal after propagation."""
     return on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
 
 
 def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
-    """Unit quaternions (..., 4) of 3-1-3 angles (φ, θ, ψ), rad, (..., 3)."""
+    """Convert 3-1-3 Euler angles to quaternions.
+
+    Parameters
+    ----------
+    angles : array_like, shape (..., 3)
+        (φ, θ, ψ), rad, with C = Rz(φ) Rx(θ) Rz(ψ).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions, body to inertial, scalar first.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    See Also
+    --------
+    euler_to_quat : Angles of any sequence.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.euler313_to_quat([0.0, 1.0, 0.0]).round(4).tolist()
+    [0.8776, 0.4794, 0.0, 0.0]
+    """
     return on_rows(euler313.to_quat, floats("angles", angles, (3,)), after=4)
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
-    """3-1-3 angles (φ, θ, ψ), rad, (..., 3), θ in [0, π], of quaternions (..., 4) not 0.
+    """Convert quaternions to 3-1-3 Euler angles.
 
-    Quaternions are normalised first: their length does not count.
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        (φ, θ, ψ), rad, with θ in [0, π].
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    See Also
+    --------
+    quat_to_euler : Angles of any sequence.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_to_euler313([2.0, 2.0, 0.0, 0.0]).round(4).tolist()
+    [0.0, 1.5708, 0.0]
     """
     return on_rows(_of_unit(euler313.from_quat), floats("q", q, (4,)), after=3)
 
 
 def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
-    """Unit quaternions (..., 4) of rotation vectors (..., 3), rad, any angle."""
+    """Convert rotation vectors to quaternions.
+
+    Parameters
+    ----------
+    u : array_like, shape (..., 3)
+        Rotation vectors, rad, of any length.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions exp(u), scalar first.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.rotation_vector_to_quat([0.0, 0.0, 1.0]).round(4).tolist()
+    [0.8776, 0.0, 0.0, 0.4794]
+    """
     return on_rows(quat.exp, floats("u", u, (3,)), after=4)
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
-    """Rotation vectors (..., 3), rad, of at most π, of quaternions (..., 4)."""
+    """Convert quaternions to rotation vectors.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, scalar first, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Rotation vectors, rad, of length at most π.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_to_rotation_vector([1.0, 0.0, 0.0, 1.0]).round(4).tolist()
+    [0.0, 0.0, 1.5708]
+    """
     return on_rows(quat.log, floats("q", q, (4,)), after=3)
 
 
 def mrp_to_quat(sigma: ArrayLike) -> NDArray[Any]:
-    """Unit quaternions (..., 4) of modified Rodrigues parameters (..., 3) of any length."""
+    """Convert modified Rodrigues parameters to quaternions.
+
+    Parameters
+    ----------
+    sigma : array_like, shape (..., 3)
+        σ = e tan(φ/4), of any length.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions, body to inertial, scalar first.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.mrp_to_quat([0.0, 0.0, 1.0]).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
     return on_rows(mrp.to_quat, floats("sigma", sigma, (3,)), after=4)
 
 
 def quat_to_mrp(q: ArrayLike) -> NDArray[Any]:
-    """Modified Rodrigues parameters e tan(φ/4), |σ| ≤ 1, (..., 3), of quaternions (..., 4) not 0.
+    """Convert quaternions to modified Rodrigues parameters.
 
-    At exactly half a turn, |σ| = 1, the axis keeps the sign of the vector part.
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        σ = e tan(φ/4) with ``|σ|`` ≤ 1. At a rotation angle of exactly π, the axis has the sign of
+        the vector part.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_to_mrp([0.8, 0.0, 0.6, 0.0]).round(6).tolist()
+    [0.0, 0.333333, 0.0]
     """
     return on_rows(_of_unit(mrp.from_quat), floats("q", q, (4,)), after=3)
 
 
 def normalised(q: NDArray[Any]) -> NDArray[Any]:
-    """Unit quaternions of q (..., 4), of any length but zero."""
+    """Quaternions (..., 4) of any norm above zero, normalised."""
     scaled = q / np.abs(q).max(axis=-1, keepdims=True)
     return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
-    """Hamilton products p∘q of quaternions (..., 4) that broadcast against each other."""
+    """Hamilton product p∘q of quaternions.
+
+    Parameters
+    ----------
+    p : array_like, shape (..., 4)
+        Left factors, scalar first.
+    q : array_like, shape (..., 4)
+        Right factors; the leading axes broadcast against those of ``p``.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        The products.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not broadcast.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_multiply([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
     return _product(quat.mul, "p", p, "q", q, 4)
 
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
-    """v_i = q∘v_b∘q*/|q|²: vectors (..., 3) of the body along inertial axes, q (..., 4) not 0."""
+    """Rotate vectors from body axes to inertial axes, v_i = q∘v_b∘q*/``|q|²``.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, of any norm above zero.
+    v : array_like, shape (..., 3)
+        Vectors along body axes; the leading axes broadcast against those of ``q``.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        The vectors along inertial axes.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not broadcast.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_rotate([1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0]).round(6).tolist()
+    [0.0, 1.0, 0.0]
+    """
     return _product(_of_unit(quat.rotate), "q", q, "v", v, 3)
 
 
 def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
-    """v_b = q*∘v_i∘q/|q|²: inertial vectors (..., 3) along body axes, q (..., 4) not 0."""
+    """Rotate vectors from inertial axes to body axes, v_b = q*∘v_i∘q/``|q|²``.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, of any norm above zero.
+    v : array_like, shape (..., 3)
+        Vectors along inertial axes; the leading axes broadcast against those of ``q``.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        The vectors along body axes.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not broadcast.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.quat_rotate_inverse([1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0]).round(6).tolist()
+    [1.0, 0.0, 0.0]
+    """
     return _product(_of_unit(quat.rotate_inverse), "q", q, "v", v, 3)
 
 
@@ -150,15 +404,37 @@ def _check_broadcast(p_name: str, left: NDArray[Any], name: str, right: NDArray[
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
-    """Geodesic angle between attitudes, rad in [0, π]; correct below 1e-8 and near π.
+    """Geodesic angle between attitudes.
 
-    ``a`` and ``b`` are quaternions (..., 4), of any length but zero, or rotations (..., 3, 3), and
-    broadcast against each other. Absolute error at most 1e-15 rad between quaternions; between
-    matrices the entries' own rounding, some 2e-16, counts on top. Gives (...), or a float for one
-    pair.
+    Parameters
+    ----------
+    a : array_like, shape (..., 4) or (..., 3, 3)
+        Quaternions of any norm above zero, or rotation matrices.
+    b : array_like, shape (..., 4) or (..., 3, 3)
+        Attitudes that broadcast against ``a``, in either form.
 
-    Raises ``ValueError`` for other shapes and for matrices of no rotation, ``TypeError`` for other
-    things than numbers.
+    Returns
+    -------
+    float or ndarray, shape (...)
+        The angle in [0, π], rad; a float for one pair.
+
+    Raises
+    ------
+    ValueError
+        If a shape is another one, or a matrix is not a rotation.
+    TypeError
+        If an argument does not consist of numbers.
+
+    Notes
+    -----
+    The absolute error between quaternions is at most 1e-15 rad, also below 1e-8 rad and near π.
+    Between matrices the rounding of their elements, some 2e-16, adds to it.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> round(fa.angle_between([1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]), 6)
+    1.570796
     """
     p, q = as_quat("a", a), as_quat("b", b)
     _check_broadcast("a", p, "b", q)
@@ -171,7 +447,7 @@ def _angle(p: Any, q: Any) -> Any:
 
 
 def as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Quaternions (..., 4) of quaternions or of rotations (..., 3, 3)."""
+    """Quaternions (..., 4) from quaternions or rotation matrices (..., 3, 3)."""
     found = checks.numbers(name, value, "real numbers")
     if found.shape[-2:] == (3, 3):
         return quaternions_of(_rotations(name, found))

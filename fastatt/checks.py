@@ -1,4 +1,4 @@
-"""Checks of arguments: a refusal names the argument, the value found and the accepted ones."""
+"""Checks of arguments. An error message names the argument, what was found and what is accepted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from datetime import timedelta
 from difflib import get_close_matches
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ _PRECISIONS = _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
 
 def choice(name: str, value: object, accepted: Iterable[str]) -> str:
-    """One of a few words; the nearest is offered in place of another."""
+    """One of several words; the message for another one suggests the most similar word."""
     words = list(accepted)
     if not isinstance(value, str) or value not in words:
         raise ValueError(
@@ -32,7 +32,7 @@ def choice(name: str, value: object, accepted: Iterable[str]) -> str:
 
 
 def nearest(value: object, words: Iterable[str]) -> str:
-    """The end of a message that offers the word most like a value; empty where none is."""
+    """The end of a message, which suggests the most similar word; empty if there is none."""
     by_form = {word.casefold(): word for word in words}
     form = value.casefold()[:60] if isinstance(value, str) else ""
     found = get_close_matches(form, by_form, n=1)
@@ -40,7 +40,7 @@ def nearest(value: object, words: Iterable[str]) -> str:
 
 
 def whole(name: str, value: Any, least: int) -> int:
-    """A whole number not below ``least`` that 64 bits hold."""
+    """A whole number of at least ``least`` that fits into 64 bits."""
     try:
         if isinstance(value, (bool, np.bool_)):
             raise TypeError
@@ -67,7 +67,7 @@ def real(name: str, value: Any, *, zero: bool = True) -> float:
 def above_zero(
     name: str, value: Any, accepted: str = "a number above 0", *, finite: bool = True
 ) -> float:
-    """A number above 0, ``finite`` or not."""
+    """A number above 0, which need not be finite unless ``finite``."""
     number = real(name, value) if finite else any_real(name, value, accepted)
     if not number > 0.0:
         raise ValueError(f"{name}: found {number}; accepted: {accepted}")
@@ -77,7 +77,7 @@ def above_zero(
 def any_real(name: str, value: Any, accepted: str) -> float:
     """A number, finite or not."""
     try:
-        # text, truth, times and arrays of one number are floats to Python and NumPy
+        # Python and NumPy convert text, booleans, times and arrays of one number to floats
         kind = np.asarray(value).dtype.kind
         if kind not in "fiuO" or np.ndim(value) or np.ma.is_masked(value):
             raise TypeError
@@ -87,7 +87,7 @@ def any_real(name: str, value: Any, accepted: str) -> float:
 
 
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
-    """float64 or float32: ``dtype``, or without one float32 where all arrays have it."""
+    """float64 or float32: ``dtype`` if given, else float32 if all arrays have it."""
     if dtype is None:
         kinds = {a.dtype for a in arrays if isinstance(a, np.ndarray)}
         return _SINGLE if kinds == {_SINGLE} else _DOUBLE
@@ -103,8 +103,8 @@ def array(
 ) -> Floats:
     """A float array of one of the shapes, such as "a number, (3,) or (N, 3)".
 
-    ``tails`` are these shapes (−1: any length but 0) where the text does not give them. All numbers
-    are finite, unless others are to be flagged.
+    ``tails`` are these shapes (−1: any length but 0) if the text does not give them. All numbers
+    must be finite, unless ``flag``.
     """
     found = numbers(name, value, f"real numbers of shape {shapes}")
     for tail in tails or _tails(shapes):
@@ -116,7 +116,7 @@ def array(
 
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
-    """A float32 or float64 array of real numbers; masked ones are NaN."""
+    """A float32 or float64 array of real numbers; masked numbers become NaN."""
     if type(value) is np.ndarray and value.dtype in _PRECISIONS:
         return value
     try:
@@ -134,13 +134,13 @@ def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
 
 
 def finite(name: str, value: Floats) -> None:
-    """Refuse the first number that is not finite."""
+    """Refuse numbers that are not finite, naming the first."""
     if not all_finite(value):
         refuse(name, value, ~np.isfinite(value), "finite numbers")
 
 
 def refuse(name: str, value: Floats, bad: Any, accepted: str) -> None:
-    """Refuse the first bad number of an array, if there is one."""
+    """Raise ``ValueError`` for the first bad number of an array, if there is one."""
     if np.any(bad):
         where = tuple(map(int, np.argwhere(bad)[0]))
         place = list(where) if where else ""
@@ -150,7 +150,7 @@ def refuse(name: str, value: Floats, bad: Any, accepted: str) -> None:
 def all_finite(*values: Floats) -> bool:
     """Whether all numbers are finite."""
     for value in values:
-        # a sum of few numbers takes less time than NumPy does to begin
+        # summing few numbers in Python takes less time than calling NumPy
         if value.size <= 16 and math.isfinite(sum(value.ravel().tolist())):
             continue
         if not np.isfinite(value).all():
@@ -161,23 +161,24 @@ def all_finite(*values: Floats) -> bool:
 def attitudes(
     name: str, value: ArrayLike, shapes: str = "(4,) or (N, 4)", *, flag: bool = False
 ) -> Floats:
-    """Quaternions, finite and not zero; others pass where bodies are to be flagged for them.
+    """Quaternions, finite and not zero unless ``flag``.
 
-    A SciPy ``Rotation`` from body to inertial components is taken as its quaternions.
+    A SciPy ``Rotation`` from body to inertial components is converted to quaternions.
     """
     if hasattr(value, "as_quat"):
         value = np.roll(value.as_quat(), 1, axis=-1)
     q = array(name, value, shapes, flag=flag)
-    zero = False if flag else (q == 0.0).all(axis=-1)
-    if np.any(zero):
-        where = [int(i) for i in np.argwhere(zero)[0]] or ""
+    # four zeros at least; column by column: a third of the time of NumPy's any along rows of four
+    has_zeros = not flag and np.count_nonzero(q) <= q.size - 4
+    if has_zeros and not (found := reduce(np.logical_or, q.T)).all():
+        where = [int(i) for i in np.argwhere(~found.T)[0]] or ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
     return q
 
 
 @lru_cache(maxsize=256)
 def _tails(shapes: str) -> list[tuple[int, ...]]:
-    """Shapes as they are written in a message; a letter is any length but 0."""
+    """The shapes in the text of a message; a letter is any length but 0."""
     found: list[tuple[int, ...]] = [()] if shapes.startswith("a number") else []
     for written in re.findall(r"\(([^)]*)\)", shapes):
         lengths = [part.strip() for part in written.split(",") if part.strip()]
@@ -193,7 +194,7 @@ def _fits(shape: tuple[int, ...], tail: tuple[int, ...]) -> bool:
 
 
 def _not_numbers(name: str, value: object, accepted: str) -> TypeError:
-    # a duration's number is of any unit
+    # the number of a duration has no known unit
     if isinstance(value, timedelta) or getattr(getattr(value, "dtype", None), "kind", "") == "m":
         accepted += ", of a duration in s: duration / np.timedelta64(1, 's')"
     return TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
@@ -205,6 +206,6 @@ def shape(found: NDArray[Any]) -> str:
 
 
 def brief(value: object) -> str:
-    """A value in a message, on one line."""
+    """A value as a message shows it, on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."

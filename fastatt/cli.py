@@ -44,7 +44,7 @@ _KINDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; 0 on success, 2 on bad input with one clear line on standard error."""
+    """Run one command; returns 0 on success, 2 after one line on standard error on bad input."""
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             arguments.run(arguments)
             sys.stdout.flush()
     except BrokenPipeError:
-        # the rest of the output would fail again at the exit
+        # at exit, flushing the rest of the output would fail again
         with suppress(OSError, ValueError):  # the stream may be no file
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print("fastatt: standard output was closed before the end", file=sys.stderr)
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _print_warning(message: Warning | str, *about: object, **more: object) -> None:
-    """A warning as one line, without its place in the source."""
+    """Print a warning as one line, without its place in the source."""
     print(f"fastatt: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
@@ -278,7 +278,7 @@ def _integrate(arguments: argparse.Namespace) -> None:
 
 
 def _own_scene(arguments: argparse.Namespace) -> Scene | None:
-    """The scene that the options describe; None where there are none."""
+    """The scene that the options describe; None without such options."""
     given = {name: getattr(arguments, name) for name in ("inertia", "torque", "rate", "frame")}
     words = {name: value for name, value in given.items() if value is not None}
     if arguments.scene_file is not None:
@@ -299,7 +299,7 @@ def _own_scene(arguments: argparse.Namespace) -> Scene | None:
 
 
 def _ensemble(arguments: argparse.Namespace, scene: Scene) -> tuple[Any, Any]:
-    """Attitudes and, of bodies, angular velocities: from files, else random ones."""
+    """Attitudes and, for bodies, angular velocities: from files, else random."""
     generator = np.random.default_rng(0)
     q0 = None if arguments.q0 is None else read_rows("--q0", arguments.q0, 4)
     w0 = None if arguments.w0 is None else read_rows("--w0", arguments.w0, 3)
@@ -324,7 +324,7 @@ def _recommend(arguments: argparse.Namespace) -> None:
 
 
 def _trade_own(arguments: argparse.Namespace, scene: Scene) -> None:
-    """Work and precision on a scene of the user's own."""
+    """Measure work and precision on the user's scene."""
     for name in ("scene", "log"):
         if getattr(arguments, name) is not None:
             raise ValueError(f"--{name}: found with a scene of your own; accepted: one of them")

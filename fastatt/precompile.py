@@ -1,7 +1,7 @@
 """Compile the usual programs beforehand, in parallel processes.
 
-A run decides what it compiles, so each case is run for a few steps: one body, and ensembles with
-shared and with per-body parameters; one body rotates too far for the small-angle form.
+Each case is run for a few steps, since a run decides what it compiles: one body, and ensembles with
+shared and with per-body parameters. One body rotates too far for the small-angle form.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from fastatt.scene import rates, torques
 from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads, progress_bar
 
-# of a whole tile; that of 2 to 32 bodies is narrower, and compiled when it is needed
+# a whole tile; the narrower program of 2 to 32 bodies is compiled when it is needed
 _BODIES = WIDTH
 _STEPS = 3
 # away from the poles of Euler's angles
@@ -61,7 +61,7 @@ SCENES: Mapping[str, Callable[[Any], Scene]] = {
 class Task:
     """A case to compile: a method on a scene, or on one of ``SCENES`` by its name.
 
-    A method for logs has no scene; without a method it is the functions of arrays.
+    A method for logs has no scene. A task without a method compiles the functions of arrays.
     """
 
     scene: Scene | str | None
@@ -104,7 +104,7 @@ def _steps(task: Task, scene: Scene, n: int) -> None:
     # conversions of the states
     _ = found.q, found.w, found.dcm
     drift(found, scene)
-    # beyond any limit of the small-angle form
+    # beyond the limit of the small-angle form of any method
     if w is not None:
         w[0] *= 2000.0
     run(dt=20.0 if w is None else 0.01)
@@ -114,7 +114,7 @@ def _log(task: Task) -> None:
     scenes = METHODS[task.method].scenes
     for increments, wanted in ((False, "sampled rates"), (True, "increments")):
         if wanted in scenes:
-            # one log is integrated in another way than many
+            # the loop for one log differs from that for many
             for data in np.full((2000, 3), 1e-3), np.full((32, 20, 3), 1e-3):
                 integrate_rates(
                     data, 0.01, method=task.method, increments=increments, dtype=task.dtype,
@@ -156,7 +156,7 @@ def usual(*, everything: bool = False) -> list[Task]:
 
 
 def of_scene(scene: Scene, name: str = "", *, everything: bool = False) -> list[Task]:
-    """Every method that fits a scene, or one of ``SCENES`` by its name."""
+    """Every method that fits a scene, which is given itself or by its name in ``SCENES``."""
     sent = replace(scene)  # without the scene's caches
     return [
         Task(name or sent, method, representation, dtype)
@@ -177,13 +177,13 @@ def _run_alone(task: bytes) -> None:
 def precompile(
     tasks: Sequence[Task], *, processes: int | None = None, progress: bool = False
 ) -> str:
-    """Compile the programs of tasks; gives their number, size and folder as text.
+    """Compile the programs of tasks; returns their number, size and folder as text.
 
-    Raises ``ValueError`` where nothing can be kept.
+    Raises ``ValueError`` if programs can't be kept on disk.
     """
     if modules.folder() is None:
         raise ValueError(where())
-    # pickled here, where an error is raised: in the pool's thread it may wait for ever
+    # pickled here, since an error in the pool's thread might block
     sent = [pickle.dumps(task) for task in tasks]
     workers = max(1, min(processes or default_threads(), len(tasks)))
     before, _ = modules.usage()
@@ -192,14 +192,14 @@ def precompile(
         ProcessPoolExecutor(workers, mp_context=spawn) as pool,
         progress_bar(progress, len(tasks), "case") as done,
     ):
-        # an error cancels the tasks that have not begun
+        # after an error, tasks that have not begun are cancelled
         for _ in pool.map(_run_alone, sent):
             done(1)
     return f"{modules.usage()[0] - before} programs made; {where()}"
 
 
 def where() -> str:
-    """Number, size and folder of the programs that are kept."""
+    """Number, size and folder of the programs on disk."""
     folder = modules.folder()
     if folder is None:
         return f"nothing is kept: {modules.reason()}"

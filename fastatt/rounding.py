@@ -12,20 +12,20 @@ from contextvars import ContextVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-#: rad of rounding beyond which a motion in closed form is reported as wrong
+#: rad; a closed form with a larger rounding error is reported as wrong
 LOST = 0.1
-#: largest share of a step by which the time may be rounded
+#: the largest rounding of the time, as a share of the step size
 SHARE = 1e-3
-#: a list that takes warnings in place of Python's
+#: a list that collects warnings in place of Python's
 heard: ContextVar[list[str] | None] = ContextVar("heard", default=None)
 
 
 class StepWarning(UserWarning):
-    """A step beyond what the method can do, or too small for the precision."""
+    """Warns of a step that is beyond the method's limit, or too small for the precision."""
 
 
 def warn(text: str) -> None:
-    """Warn of something, in the first line outside this package."""
+    """Issue a warning that points to the first line outside this package."""
     if (listed := heard.get()) is not None:
         listed.append(text)
         return
@@ -37,7 +37,7 @@ def warn(text: str) -> None:
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """List warnings that are raised within."""
+    """Collect the warnings that are issued within the context in a list."""
     texts: list[str] = []
     before = heard.set(texts)
     try:
@@ -47,12 +47,12 @@ def noted() -> Iterator[list[str]]:
 
 
 def most_turned(dtype: DTypeLike) -> float:
-    """Largest rotation angle of one exponential, rad: its rounding is ``LOST``."""
+    """The largest rotation angle of one exponential, rad, at which rounding reaches ``LOST``."""
     return LOST / float(np.finfo(dtype).eps)
 
 
 def of_angles(angles: NDArray[np.float64], dtype: DTypeLike) -> str:
-    """A warning of rotation angles of one step, rad; "" while half of their digits are right."""
+    """The warning of rotation angles of a step, rad; "" if half of their digits are right."""
     eps = float(np.finfo(dtype).eps)
     most = float(np.max(angles, initial=0.0, where=np.isfinite(angles)))
     if most * eps <= math.sqrt(eps):
@@ -64,7 +64,7 @@ def of_angles(angles: NDArray[np.float64], dtype: DTypeLike) -> str:
 
 
 def of_times(longest: float, h: float) -> str:
-    """A warning of times up to ``longest`` s in steps of h; "" while their rounding is small."""
+    """The warning of times up to ``longest`` s in steps of h; "" if their rounding is small."""
     tick = math.ulp(longest)
     if tick <= SHARE * abs(h):
         return ""

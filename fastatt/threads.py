@@ -1,7 +1,7 @@
-"""Pieces of work on a few threads, with progress and interruption between pieces.
+"""Work in parallel threads, with progress and interruption between its parts.
 
-Compiled loops release the GIL: a small pool that calls them nests under other schedulers, without
-Numba's threads.
+Compiled loops release the GIL. A small pool of Python threads works under other schedulers too,
+unlike Numba's threads.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from threading import Event
 
@@ -17,27 +17,30 @@ from fastatt import checks
 
 
 def default_threads() -> int:
-    """Processors this process may use."""
+    """The number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def number_of(n_threads: int | None) -> int:
-    """A number of threads, all by default.
+    """A number of threads; None gives all processors.
 
-    Raises ``ValueError`` or ``TypeError`` for what is none.
+    Raises ``ValueError`` or ``TypeError`` for anything else.
     """
     return default_threads() if n_threads is None else checks.whole("n_threads", n_threads, 1)
 
 
-@contextmanager
-def progress_bar(wanted: bool, total: int, unit: str) -> Iterator[Callable[[int], object]]:
-    """A tqdm bar's ``update``, or a function that does nothing.
+def progress_bar(
+    wanted: bool, total: int, unit: str
+) -> AbstractContextManager[Callable[[int], object]]:
+    """The ``update`` of a tqdm bar, or a function that does nothing.
 
-    Raises ``ImportError`` when a bar is wanted and tqdm is not installed.
+    Raises ``ImportError`` if a bar is wanted and tqdm is not installed.
     """
-    if not wanted:
-        yield lambda done: None
-        return
+    return _bar(total, unit) if wanted else nullcontext(lambda done: None)
+
+
+@contextmanager
+def _bar(total: int, unit: str) -> Iterator[Callable[[int], object]]:
     try:
         from tqdm import tqdm
     except ImportError:
@@ -49,7 +52,7 @@ def progress_bar(wanted: bool, total: int, unit: str) -> Iterator[Callable[[int]
 
 
 def each_in_threads(calls: Iterable[Callable[[], object]], n_threads: int) -> None:
-    """Make calls, in their order; where one raises, those that were not begun are dropped."""
+    """Make calls in their order; if one raises, those that have not begun are dropped."""
 
     def task(call: Callable[[], object], stop: Event) -> None:
         if not stop.is_set():
@@ -59,7 +62,7 @@ def each_in_threads(calls: Iterable[Callable[[], object]], n_threads: int) -> No
 
 
 def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:
-    """Run tasks, each of which checks the event between its pieces and stops when it is set."""
+    """Run tasks, each of which checks the event between its parts and stops when it is set."""
     stop = Event()
     if n_threads == 1 or len(tasks) == 1:
         for task in tasks:

@@ -8,9 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import fastatt as fa
 from fastatt import plots
+from fastatt.plots.drawing import GREY
 from fastatt.trade.ensembles import BODY_SCENES, study
 from fastatt.trade.measure import Case, write_csv
 
@@ -27,6 +29,8 @@ import per_body_steps
 import polhodes
 import recordings
 import scale
+import tumbling
+import work_precision
 
 
 def test_the_method_table(tmp_path, capsys):
@@ -103,7 +107,7 @@ def test_scale_tells_cost_calls_and_memory(tmp_path, monkeypatch):
     """A cell of each size and number of steps; the largest ensemble's own process left out."""
     monkeypatch.setattr(scale, "large", scale.of_large)
     monkeypatch.setattr(scale, "MOST", 10_000)
-    scale.report([1, 10, 100], 0.0, tmp_path)
+    scale.report([1, 10, 100], 0.0, tmp_path, tmp_path)
     lines = (tmp_path / "SCALE.md").read_text(encoding="utf-8").splitlines()
     rows = [line.split("|")[1:-1] for line in lines if line.startswith("| 1 | ")]
     assert [row[1].strip() for row in rows[:3]] == ["1", "100", "10000"]
@@ -266,3 +270,45 @@ def test_mutations_are_noticed_or_survive(tmp_path, monkeypatch, capsys):
         assert noticed == (":1 (byte 7): '1'" in mutation)
         assert noticed or outcome.strip() == "survived"
     assert lines[-1] == "Counter({'noticed': 2, 'survived': 2})"
+
+
+# pictures
+
+
+def test_the_handle_tumbles_about_its_angular_momentum():
+    """Which stays along Z, while the stem, the intermediate axis, points up and then down."""
+    moments, centre = tumbling.handle()
+    assert moments[0] < moments[1] < moments[2]
+    assert centre[1] > 0.0
+    run = tumbling.motion(60)
+    momentum = fa.quat_rotate(run.q, moments * run.w)
+    along = momentum / np.linalg.norm(momentum[0])
+    assert np.abs(along - (0.0, 0.0, 1.0)).max() < 1e-12
+    stem = run.dcm[:, 2, 1]
+    assert stem[0] > 0.99
+    assert stem.min() < -0.99
+
+
+def test_the_tumbling_handle_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["tumbling.py", str(tmp_path / "a.gif")])
+    monkeypatch.setenv("FASTATT_SMOKE", "1")
+    tumbling.main()
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 4
+
+
+def test_work_precision_is_drawn_from_its_file(tmp_path, monkeypatch):
+    """Each method once, ours in colour and the others in grey, faster to the left."""
+    figures = []
+    monkeypatch.setattr(work_precision, "save", lambda figure, path: figures.append(figure))
+    rows = work_precision.read(work_precision.HERE / "work_precision.csv")
+    work_precision.write(rows, tmp_path / "work_precision.csv")
+    work_precision.main(["--draw", f"--out={tmp_path}"])
+    (figure,) = figures
+    assert "1 thread of " in figure.get_suptitle()
+    for axes, (name, methods) in zip(figure.axes, work_precision.METHODS.items(), strict=True):
+        assert axes.get_xlabel() == "time per body, µs"
+        names = {text.get_text() for text in axes.texts}
+        peers = {f"{library} {method}" for library, method in work_precision.PEERS.items()}
+        assert names == {*methods, *peers}, name
+        assert sum(line.get_color() == GREY for line in axes.lines) == len(peers)

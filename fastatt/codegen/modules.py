@@ -67,7 +67,7 @@ def generated(
     emissions : the functions that it calls by name, as (types of arguments, emission).
     key : what the emissions depend on.
     """
-    digest = hashlib.sha256(f"{text}\0{key}\0{_surroundings()}".encode()).hexdigest()[:40]
+    digest = hashlib.sha256(f"{text}\0{key}\0{surroundings()}".encode()).hexdigest()[:40]
     names = {name: _emitting(*emission) for name, emission in emissions.items()}
     found = None
     with global_compiler_lock:  # one thread at a time, and none while the process forks
@@ -247,7 +247,7 @@ def _trim(path: Path) -> None:
 
 
 @functools.cache
-def _surroundings() -> str:
+def surroundings() -> str:
     """What the machine code of any text depends on: processor, versions, the emitter's sources."""
     folder = Path(__file__).parent
     files = (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)

@@ -28,6 +28,7 @@ from numba.extending import NativeValue, models, register_model, typeof_impl, un
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import POINTERS, write
 from fastatt.codegen.instructions import Code
+from fastatt.codegen.kept_formulas import Formula, keep_variable, mark
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
 from fastatt.tracing.graph import flattened
@@ -39,7 +40,7 @@ _TYPES = {**TYPES, "truth": types.boolean}
 _KINDS = {of: kind for kind, of in TYPES.items()}
 
 
-class ScalarFunction:
+class ScalarFunction(Formula):
     """A formula as a function for ``@njit`` code, and for Python.
 
     ``function`` is a kernel, or a plain function of recorded numbers, called as it stands; with
@@ -50,13 +51,13 @@ class ScalarFunction:
     ``arrays`` names the arguments that may be arrays too, of one axis, in place of tuples of so
     many numbers: the first so many are read, and must be there.
 
-    Code that calls it holds the formula as it was then, which may have been edited when another
-    process runs: Numba keeps no such code on disk. Of ``@njit(cache=True)`` it warns so.
+    Code that calls it holds the formula as it was then. What Numba keeps of such code on disk is
+    loaded where the formula is still the same (``kept_formulas``). Where it reads tables or calls a
+    user's function, which lie at addresses of this process, Numba keeps nothing, and warns of
+    ``@njit(cache=True)``. ``constants`` are what the callers of the formula hold besides it.
 
     To choose from two by an ``if``, write a function that calls both.
     """
-
-    __name__: str
 
     def __init__(
         self,
@@ -65,8 +66,10 @@ class ScalarFunction:
         *,
         arrays: Mapping[str, int] | None = None,
         rewritten: bool = False,
+        constants: str = "",
     ) -> None:
         functools.update_wrapper(self, function)
+        self.constants = constants
         self._function = function
         self._rewritten = rewritten or isinstance(function, CPUDispatcher)
         self.tables = {
@@ -282,8 +285,11 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
         forms = self._forms(sig.args)
         traced = self.scalar.traced(forms)
         code = Code(builder)
-        _never_kept(builder.module)
         keys, pointers = traced.resources, {}
+        if keys:
+            _never_kept(builder.module)
+        else:
+            mark(context, builder.module, self.scalar, forms)
         for key, at in zip(keys, addresses(keys, self.scalar.tables), strict=True):
             pointer = context.add_dynamic_addr(builder, at, info=self.scalar.__name__)
             pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])
@@ -298,19 +304,13 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
 def _never_kept(module: Any) -> None:
     """Tell Numba that code of this module, and what it is linked into, is for this process alone.
 
-    It keeps nothing on disk that has a variable of such a name; ``llvm.used`` are those that no
-    pass may take out.
+    It keeps nothing on disk that has a variable of such a name.
     """
     name = "numba.dynamic.globals.formula"
-    if name in module.globals:
-        return
-    byte = ir.IntType(8)
-    mark = ir.GlobalVariable(module, byte, name)
-    mark.linkage, mark.initializer = "internal", ir.Constant(byte, 0)
-    marks = ir.ArrayType(byte.as_pointer(), 1)
-    used = ir.GlobalVariable(module, marks, "llvm.used")
-    used.linkage, used.section = "appending", "llvm.metadata"
-    used.initializer = ir.Constant(marks, [mark])
+    if name not in module.globals:
+        held = ir.GlobalVariable(module, ir.IntType(8), name)
+        held.linkage, held.initializer = "internal", ir.Constant(ir.IntType(8), 0)
+        keep_variable(module, held, "llvm.compiler.used")
 
 
 def _taken(builder: Any, form: Any, value: Any) -> Iterator[Any]:

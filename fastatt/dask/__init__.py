@@ -1,8 +1,8 @@
-"""Ensembles in chunks, lazily, on Dask: several processes of one machine, or many machines.
+"""Lazy ensembles in chunks, on Dask: several processes of one machine, or many machines.
 
-Each chunk runs on one thread of a worker, so a worker with k threads runs k chunks at a time. The
-first chunk in a process loads the compiled loop, or compiles it. Results are those of the library's
-own calls, bit for bit, whatever the chunks. Warnings reach the process that asked.
+Each chunk runs on one thread of a worker, so that a worker with k threads runs k chunks at a time.
+The first chunk in a process loads the compiled loop, or compiles it. Results have the same bits as
+those of :func:`fastatt.propagate`, whatever the chunks. Warnings reach the client's process.
 """
 
 try:

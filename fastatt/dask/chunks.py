@@ -1,4 +1,4 @@
-"""Bodies in chunks: what is sent to workers, and Dask arrays of what comes of it."""
+"""Ensembles in chunks: the tasks that are sent to workers, and Dask arrays of their results."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from fastatt import checks, rounding
 from fastatt.propagation.initial import INITIAL, initial
 from fastatt.scene.scene import Scene, as_scene
 
-# bodies of a chunk: 0.5 s of a thousand steps, 6 MB of states
+# bodies of a chunk, for 0.5 s of a thousand steps and 6 MB of states
 _CHUNK = 100_000
-#: in place of states that Dask computes
+#: replaces states that Dask computes
 _LATER = "later"
 
 
@@ -39,13 +39,13 @@ class Part:
 
 @dataclass(eq=False)
 class Work:
-    """What is done with each chunk: sent to a worker once, with a scene that all bodies share."""
+    """The function that is applied to each chunk, with a scene that all bodies share; sent once."""
 
     function: Callable[..., Any]
     scene: Scene | None
 
     def __call__(self, part: Part, *lazy: Any) -> Any:
-        """What the function gives of a chunk."""
+        """Apply the function to a chunk."""
         scene = self.scene if part.scene is None else part.scene
         computed = iter(lazy)
         states = [next(computed) if isinstance(x, str) else x for x in part.states]
@@ -70,7 +70,7 @@ def _warn(text: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Initial states in chunks: Dask arrays, or what all bodies share."""
+    """Initial states in chunks: Dask arrays, or values that all bodies share."""
 
     scene: Scene
     given: tuple[Any, ...]
@@ -78,7 +78,7 @@ class Bodies:
 
     @classmethod
     def of(cls, scene: Scene, values: Sequence[Any], chunks: Any, *, flag: bool) -> Bodies:
-        """From numpy arrays, which are checked, and Dask arrays, whose shapes are.
+        """Initial states from checked NumPy arrays and Dask arrays of checked shapes.
 
         Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
         """
@@ -95,20 +95,20 @@ class Bodies:
         if not rows:
             raise ValueError("q0: found one body; accepted: (N, 4), or another with N rows")
         n = max(rows)
-        scene.packed(n)  # which refuses other numbers of bodies
+        scene.packed(n)  # raises for another number of bodies
         sizes = _sizes(chunks, n, [x for x in lazy.values() if x.ndim == 2 and len(x) == n])
         given = tuple(_chunked(known[k], n, sizes) if k in known else None for k in INITIAL)
         return cls(scene, given, sizes)
 
     def mapped(self, function: Callable[..., Any]) -> Any:
-        """``function(scene, states)`` of each chunk, as a Dask array of a block each."""
+        """``function(scene, states)`` of each chunk, as a Dask array with one block for each."""
         ends = np.cumsum(self.sizes).tolist()
         own = self.scene.packed(None).params.ndim == 2
         lazy = [x for x in self.given if isinstance(x, da.Array)]
         work = delayed(Work(function, None if own else self.scene), traverse=False)
         name = f"bodies-{uuid4().hex}"
         graph: dict[Any, Any] = {}
-        # numpy states are part of each task: a further task would take milliseconds
+        # NumPy states are part of each task, since a further task would take milliseconds
         for i, (a, b) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
             part = Part(
                 a, b, self.scene[a:b] if own else None, [_rows(x, a, b) for x in self.given]
@@ -128,13 +128,13 @@ class Bodies:
         return runs.map_blocks(getattr, name, chunks=chunks, new_axis=new, meta=meta)
 
     def merged(self, merge: Callable[..., Any], function: Callable[..., Any]) -> Any:
-        """``merge(results)`` of what all chunks give, to be computed."""
+        """``merge(results)`` of the results of all chunks, as a lazy value."""
         blocks = self.mapped(function).to_delayed().tolist()
         return delayed(merge, pure=False)(blocks)
 
 
 def _sizes(chunks: Any, n: int, lazy: list[Any]) -> tuple[int, ...]:
-    """Bodies of each chunk."""
+    """The number of bodies of each chunk."""
     if chunks is None and lazy:
         return tuple(map(int, lazy[0].chunks[0]))
     if isinstance(chunks, str) or not np.iterable(chunks):
@@ -147,7 +147,7 @@ def _sizes(chunks: Any, n: int, lazy: list[Any]) -> tuple[int, ...]:
 
 
 def _chunked(x: Any, n: int, sizes: tuple[int, ...]) -> Any:
-    """An array whose chunks, if it has any, are those of bodies; or one row, which all share."""
+    """An array with the chunks of the bodies, or one row, which all share."""
     if x.ndim == 2 and len(x) < n:
         x = x[0]
     return x.rechunk((sizes, -1)[2 - x.ndim :]) if isinstance(x, da.Array) else x
@@ -161,10 +161,10 @@ def _rows(x: Any, first: int, last: int) -> Any:
 
 
 def like(x: Any) -> Any:
-    """An array of ones in place of one that Dask computes; all else as it is."""
+    """An array of ones in place of one that Dask computes; anything else is returned as it is."""
     return np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
 
 
 def _nothing(ndim: int, kind: Any) -> NDArray[Any]:
-    """An empty array that shows Dask what blocks are."""
+    """An empty array with the type of the blocks, for Dask."""
     return np.empty((0,) * ndim, dtype=kind)

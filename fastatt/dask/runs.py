@@ -1,4 +1,4 @@
-"""Runs in chunks: attitudes as Dask arrays."""
+"""Propagation in chunks, with attitudes as Dask arrays."""
 
 from __future__ import annotations
 
@@ -27,30 +27,23 @@ from fastatt.scene.scene import Scene, as_scene
 
 @dataclass(frozen=True, eq=False)
 class LazyTrajectory:
-    """What a run will give, a Dask collection in chunks of bodies.
-
-    ``compute()``, as ``dask.compute`` of it, gives the :class:`fastatt.Trajectory`;
-    ``dask.persist`` leaves the chunks on the workers. Its attributes are Dask arrays, but ``t``.
+    """The trajectory of a lazy run, a Dask collection in chunks of bodies.
 
     Attributes
     ----------
-    t : ndarray
-        (S,), s.
-    q, dcm : dask.array.Array
-        (S, N, 4), unit quaternions, and (S, N, 3, 3), matrices, body to inertial.
-    w : dask.array.Array
-        (S, N, 3), rad/s, body axes.
-    v, r : dask.array.Array
-        (S, N, 3), m/s along body axes and, of a run with r0, m along inertial axes; of a scene with
-        mass.
-    s : dask.array.Array
-        (S, N, n), of a scene with n states.
-    status : dask.array.Array
-        (N,), a flag of each body.
-    event_times : dask.array.Array
-        (N, E), s, of a run with events.
+    t : ndarray, shape (S,)
+        Times of the saves, s.
+    q : dask.array.Array, shape (S, N, 4)
+        Unit quaternions, body to inertial, scalar first.
+    w : dask.array.Array, shape (S, N, 3)
+        Angular velocities along body axes, rad/s.
+    v, r : dask.array.Array, shape (S, N, 3)
+        Velocities along body axes, m/s, and, for a run with ``r0``, positions along inertial axes,
+        m, for a scene with mass.
+    s : dask.array.Array, shape (S, N, n)
+        States, for a scene with n states.
     method : str
-        The method's name.
+        Name of the method.
     """
 
     t: NDArray[np.float64]
@@ -59,7 +52,7 @@ class LazyTrajectory:
     runs: Any = field(repr=False)
     bodies: Bodies = field(repr=False)
     dtype: Any
-    #: how many events were looked for
+    #: the number of events
     events: int = 0
 
     def __getattr__(self, name: str) -> Any:
@@ -79,16 +72,27 @@ class LazyTrajectory:
 
     @property
     def status(self) -> Any:
-        """A flag of each body, (N,)."""
+        """Status of each body: (N,)."""
         return self.bodies.array(self.runs, "status", (), np.uint8, ())
 
     @property
     def event_times(self) -> Any:
-        """Times of events, s, (N, E), of a run with some."""
+        """Times of the events, s: (N, E). For a run with events."""
         return self.bodies.array(self.runs, "event_times", (), np.float64, (self.events,))
 
     def compute(self, **options: Any) -> Trajectory:
-        """The run's trajectory; ``options`` are those of ``dask.compute``."""
+        """Run and return the trajectory.
+
+        Parameters
+        ----------
+        **options : dict
+            Keyword arguments of ``dask.compute``.
+
+        Returns
+        -------
+        Trajectory
+            The trajectory of the whole ensemble.
+        """
         (found,) = dask.compute(self, **options)
         return found  # type: ignore[no-any-return]
 
@@ -100,7 +104,7 @@ class LazyTrajectory:
 
 
 def _joined(runs: Sequence[Trajectory]) -> Trajectory:
-    """Trajectories of chunks side by side."""
+    """The trajectories of chunks, joined."""
 
     def all_of(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(run, name) for run in runs], axis=1)
@@ -148,27 +152,64 @@ def propagate(
     invalid: str = "raise",
     events: Event | Sequence[Event] = (),
 ) -> LazyTrajectory:
-    """Propagate an ensemble in chunks of bodies, when it is computed.
+    """Propagate an ensemble in chunks of bodies, lazily.
 
     Parameters
     ----------
-    scene : the scene; of one with numbers per body each chunk is sent its part.
-    q0, w0, v0, r0, s0 : as of :func:`fastatt.propagate`, numpy or Dask arrays, one of them with a
-        row for each body. Numpy arrays travel with the graph; what is large is better made by Dask.
-    chunks : bodies of a chunk, or of each; None takes those of the first Dask array, else 100 000.
-    dt, n_steps, t_end : numbers, the same for all bodies.
-    method, representation, save_every, dtype, t0, compensated, normalise, invalid, events : as of
-        :func:`fastatt.propagate`. With ``invalid`` "raise" a bad body in a Dask array
-        fails its chunk, and the error has a note of which bodies those are.
+    scene : Scene
+        The bodies with their rates, torques and forces. A scene with per-body numbers is divided:
+        each chunk is sent its part.
+    q0 : array_like or dask.array.Array, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`. At least one of the initial values has a
+        row for each body. NumPy arrays are sent with the graph; large arrays are better made by
+        Dask.
+    w0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
+    v0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like or dask.array.Array, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    dt : float
+        Step size of all bodies, s.
+    n_steps : int, optional
+        Number of steps. Give either ``n_steps`` or ``t_end``.
+    t_end : float, optional
+        Duration of the run, s, as in :func:`fastatt.propagate`.
+    chunks : int or sequence of int, optional
+        Number of bodies in a chunk, or in each. The default is the chunks of the first Dask array,
+        or else 100 000.
+    method : str or Method, optional
+        The method, as in :func:`fastatt.propagate`.
+    representation : str or Attitude, default "quat"
+        The representation, as in :func:`fastatt.propagate`.
+    save_every : int, optional
+        Number of steps between saves, as in :func:`fastatt.propagate`.
+    dtype : {float64, float32}, optional
+        Precision, as in :func:`fastatt.propagate`.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    compensated : bool, default False
+        Compensate rounding, as in :func:`fastatt.propagate`.
+    normalise : {"output", "never"} or int, default "output"
+        When the state is projected, as in :func:`fastatt.propagate`.
+    invalid : {"raise", "flag"}, default "raise"
+        As in :func:`fastatt.propagate`. With "raise", a bad body in a Dask array fails its chunk,
+        and the error has a note of the chunk's bodies.
+    events : Event or sequence of Event, optional
+        Events, as in :func:`fastatt.propagate`.
 
     Returns
     -------
     LazyTrajectory
-        With the bits that ``fastatt.propagate`` gives: ``compute()`` makes it a ``Trajectory``.
+        The lazy results, with the same bits as those of :func:`fastatt.propagate`; ``compute()``
+        returns a :class:`Trajectory`.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    ValueError, TypeError
+        If an argument does not fit.
 
     Examples
     --------
@@ -207,7 +248,7 @@ def sent(
     normalise: str | int = "output",
     events: tuple[Event, ...] = (),
 ) -> tuple[Method, str | Method]:
-    """A method that fits the whole ensemble, and how it is sent."""
+    """A method that fits the whole ensemble, and the form in which it is sent."""
     record = chosen(
         as_scene(scene), method, representation, compensated, normalise, events=events
     ).method
@@ -215,6 +256,6 @@ def sent(
 
 
 def _propagated(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Trajectory:
-    """The trajectory of a chunk, which says its rates without the scene."""
+    """The trajectory of a chunk, with its rates as numbers, without the scene."""
     run = run_chunk(scene, **dict(zip(INITIAL, states, strict=True)), n_threads=1, **options)
     return replace(run, carried={"w": run.w, **run.carried}, packed=None, end=None)

@@ -34,10 +34,20 @@ _OPTIONS = (
 
 @dataclass(frozen=True)
 class Drifts:
-    """Drifts over all saves of all bodies, as ``fastatt.drift`` defines them.
+    """The drift over all saves of all bodies, as :func:`fastatt.drift` defines it.
 
-    Each is a ``Measure`` of one row, with ``maximum`` (1,) and ``percentile(p)`` (1,), or None
-    where the scene does not keep it. ``saves`` are those of a body, ``flags`` counts flagged ones.
+    Attributes
+    ----------
+    norm, orthogonality : Measure
+        Norm and orthogonality errors, with ``maximum`` (1,) and ``percentile(p)`` (1,).
+    energy, momentum : Measure or None
+        Relative changes of energy and angular momentum; None if the scene does not conserve them.
+    saves : int
+        Number of saves of a body.
+    bodies : int
+        Number of bodies.
+    flags : dict of str to int
+        Number of bodies with each flag.
     """
 
     norm: Measure
@@ -54,27 +64,57 @@ def drift_statistics(
     q0: Any,
     w0: Any = None,
     *,
-    every: int,
+    save_every: int,
     v0: Any = None,
     r0: Any = None,
     s0: Any = None,
     chunks: int | Sequence[int] | None = None,
     **options: Any,
 ) -> Any:
-    """Drift statistics over all bodies: a ``dask.delayed`` :class:`Drifts`; no history is kept.
+    """Statistics of the drift over all bodies, lazily; no history is stored.
 
-    ``every``, and ``options`` such as ``dt``, ``n_steps`` and ``method``, are those of
-    :func:`fastatt.drift_statistics`; the rest is as of :func:`propagate`. A chunk returns 2 kB.
+    A chunk returns 2 kB.
 
-    Raises ``ValueError`` or ``TypeError`` for a scene or initial states that do not fit; for the
-    rest when it is computed.
+    Parameters
+    ----------
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like or dask.array.Array, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`propagate`.
+    w0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
+    save_every : int
+        Number of steps between two saves at which the drift is measured.
+    v0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like or dask.array.Array, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    chunks : int or sequence of int, optional
+        Number of bodies in a chunk, or in each, as in :func:`propagate`.
+    **options : dict
+        Further arguments of :func:`fastatt.drift_statistics`, such as ``dt``, ``n_steps`` and
+        ``method``.
+
+    Returns
+    -------
+    dask.delayed.Delayed
+        A lazy :class:`Drifts`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the scene or initial states do not fit; for other arguments when it is computed.
     """
     if wrong := sorted(options.keys() - _OPTIONS):
         raise TypeError(f"{wrong[0]}: found; accepted: {', '.join(_OPTIONS)}")
     flag = options.get("invalid") == "flag"
     bodies = Bodies.of(scene, (q0, w0, v0, r0, s0), chunks, flag=flag)
     options["method"] = sent(scene, options.get("method"), options.get("representation", "quat"))[1]
-    return bodies.merged(_joined, partial(_statistics, options={**options, "every": every}))
+    return bodies.merged(
+        _joined, partial(_statistics, options={**options, "save_every": save_every})
+    )
 
 
 def work_precision(
@@ -92,26 +132,47 @@ def work_precision(
     representation: str | Attitude = "quat",
     dtype: str = "float64",
 ) -> Any:
-    """Errors of methods and steps on all bodies: a ``dask.delayed`` ``WorkPrecision``.
+    """Errors of methods and step sizes on all bodies, lazily.
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, s0, t0, chunks : as of :func:`propagate`.
-    t_end : duration, s, above 0.
-    runs : (method, number of steps) of each row.
-    representation, dtype : in which the runs are made.
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like or dask.array.Array, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`propagate`.
+    w0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
+    t_end : float
+        Duration, s, above 0.
+    runs : sequence of tuple
+        (method, number of steps) of each row.
+    v0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like or dask.array.Array, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like or dask.array.Array, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    chunks : int or sequence of int, optional
+        Number of bodies in a chunk, or in each, as in :func:`propagate`.
+    representation : str or Attitude, default "quat"
+        The representation of all runs.
+    dtype : str, default "float64"
+        The precision of all runs.
 
     Returns
     -------
-    ``dask.delayed`` : when computed, ``rows``, ``frontier``, ``table()`` and so on of
-        :func:`fastatt.work_precision`. Errors are against its reference, which without a closed
-        form each chunk finds for itself, so that they depend on the chunks within its error.
-        Seconds are those of one run on one thread of a worker, next to the worker's other load.
-        One task has the errors of all, 16 bytes a run and body.
+    dask.delayed.Delayed
+        A lazy :class:`fastatt.WorkPrecision`. Without a closed form, each chunk computes its own
+        reference, so that errors depend on the chunks within the reference's error. Times are those
+        of one run on one thread of a worker, which may have other work. One task collects all
+        errors, 16 bytes for each run and body.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    ValueError, TypeError
+        If an argument does not fit.
     """
     as_scene(scene)
     if not runs:
@@ -131,7 +192,7 @@ def work_precision(
 
 
 def _statistics(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Drifts:
-    """Drifts of a chunk."""
+    """The drift of a chunk."""
     given = dict(zip(INITIAL, states, strict=True))
     seen = chunk_statistics(scene, **given, n_threads=1, **options)
     run = seen.trajectory
@@ -139,7 +200,7 @@ def _statistics(scene: Scene, states: Sequence[Any], options: dict[str, Any]) ->
 
 
 def _joined(chunks: list[Drifts]) -> Drifts:
-    """Drifts of all chunks."""
+    """The drift of all chunks."""
     flags: Counter[str] = sum((Counter(chunk.flags) for chunk in chunks), Counter())
     return _of_parts(chunks, chunks[0].saves, sum(chunk.bodies for chunk in chunks), dict(flags))
 
@@ -155,15 +216,15 @@ def _of_parts(parts: Sequence[Any], saves: int, bodies: int, flags: dict[str, in
 def _measured(
     scene: Scene, states: Sequence[Any], cases: list[tuple[Case, int]], t_end: float, t0: float
 ) -> tuple[str, float, list[Any]]:
-    """The reference of a chunk, its error, and of each case seconds, errors and flags."""
-    rounding.heard.set([])  # steps are too large on purpose
+    """The reference of a chunk, its error, and for each case seconds, errors and flags."""
+    rounding.heard.set([])  # without warnings of the large steps of a ladder
     ensemble = Ensemble.of(scene, *states)
     problem = Problem(ensemble.take(np.arange(ensemble.size)), t_end, t0, n_threads=1)
     against = reference(problem)
     end = against.end
     found = []
     for case, n in cases:
-        replace(problem, t_end=t_end / n).run(case, 1)  # which compiles
+        replace(problem, t_end=t_end / n).run(case, 1)  # compiles
         begin = perf_counter()
         run = problem.run(case, n)
         seconds = perf_counter() - begin
@@ -178,7 +239,7 @@ def _measured(
 def _table(
     chunks: list[Any], kind: str, cases: list[tuple[Case, int]], t_end: float
 ) -> WorkPrecision:
-    """All chunks' errors in one table."""
+    """The errors of all chunks in one table."""
     ladders: dict[Case, list[Row]] = {}
     for (case, n), *parts in zip(cases, *(found for *_, found in chunks), strict=True):
         seconds, errors, norm_errors, rates, flags = zip(*parts, strict=True)

@@ -61,7 +61,7 @@ class DeviceProgram:
         t0, h, share = run.times
         named = [np.ravel(table) for _, table in setup.tables]
         begins, saved = _slots(span)
-        saves, norm_errors, _ = run.results
+        saves, norm_errors = run.results[:2]
         stages = np.array(self.job.method.stages, dtype=np.float64).reshape(-1, 3)
         sources = (*run.start, setup.bodies.params, run.states)
         written = (saves[saved], norm_errors[saved])

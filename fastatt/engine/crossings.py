@@ -9,7 +9,7 @@ crossing, and shorter steps of the same method from there bracket it.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from fastatt._jit import loop_part
 from fastatt.codegen.call import call_generated
@@ -57,6 +57,29 @@ _FEW, _MOST = 10, 80
 UNKNOWN = 1e18
 
 
+class Search(NamedTuple):
+    """What the search works on.
+
+    ``numbers`` of the search; the tile's ``shape``, and that of the search's ``narrow`` tiles:
+    lanes that march, and a copy of them for trials; the ``queue`` and the ``brackets`` of these
+    lanes; ``found`` are times, when bodies stopped, their final states, their diagnostics and the
+    width that ends a bracket; ``history`` are rows of events from call to call, ``begun_at`` the
+    state of the tile at the begin of a block; ``io`` the row of saves, and how many numbers.
+    """
+
+    numbers: Any
+    shape: Any
+    narrow: Any
+    searched: Any
+    trial: Any
+    queue: Any
+    brackets: Any
+    found: Any
+    history: Any
+    begun_at: Any
+    io: Any
+
+
 def crosses(a: Any, b: Any, direction: int) -> Any:
     """Whether a function that goes from a to b reaches or leaves zero, rising, falling or both."""
     rises, falls = (a <= 0.0) & (b >= 0.0), (a >= 0.0) & (b <= 0.0)
@@ -80,11 +103,11 @@ _crosses, _turns = loop_part(crosses), loop_part(turns)
 
 
 @loop_part
-def begin_events(function, tile, shape, search, history, base, count, step):
+def begin_events(function, tile, search, base, count, step):
     """Rows of the events of a tile: of the initial state, or as they were after so many steps."""
     rows, _, _, _ = tile
-    width, size, _, _, _, _ = shape
-    n = search[EVENTS]
+    width, size, _, _, _, _ = search.shape
+    n = search.numbers[EVENTS]
     if step == 0:
         call_generated(function, WATCH, tile, (step, 0))
         for j in range(n * width):
@@ -94,22 +117,23 @@ def begin_events(function, tile, shape, search, history, base, count, step):
         return
     for i in range(EVENT_ROWS * n):
         for j in range(count):
-            rows[(size + i) * width + j] = history[(base + j) * EVENT_ROWS * n + i]
+            rows[(size + i) * width + j] = search.history[(base + j) * EVENT_ROWS * n + i]
 
 
 @loop_part
-def _join_queue(tile, begun_at, shape, search, queue, entry, searched):
+def _join_queue(tile, search, entry):
     """Put a lane at the begin of a block into the tile of the search."""
     rows, wide, numbers, _ = tile
-    to, wide_to, _, _ = searched
-    width, _, n_rows, n_wide, angle_row, clock = shape
-    lanes = search[LANES]
+    to, wide_to, _, _ = search.searched
+    width, _, n_rows, n_wide, angle_row, clock = search.shape
+    lanes, queue = search.numbers[LANES], search.queue
     k, lane = queue[LENGTH * lanes], entry[LANE]
     queue[LENGTH * lanes] = k + 1
     for i in range(DOING):
         queue[i * lanes + k] = entry[i]
     for i in range(n_rows):
-        to[i * lanes + k] = begun_at[i * width + lane] if i < angle_row else rows[i * width + lane]
+        at = i * width + lane
+        to[i * lanes + k] = search.begun_at[at] if i < angle_row else rows[at]
     for i in range(n_wide):
         wide_to[i * lanes + k] = wide[i * width + lane]
     wide_to[clock * lanes + k] = numbers[1]
@@ -118,12 +142,14 @@ def _join_queue(tile, begun_at, shape, search, queue, entry, searched):
 
 
 @loop_part
-def _march(searched, trial, shape, search, queue, brackets, k, is_stepped, tolerance):
+def _march(search, k, is_stepped):
     """What to do with a lane after another step of it."""
-    rows, wide, _, _ = searched
-    stepped, _, _, _ = trial
-    _, size, _, _, angle_row, clock = shape
-    lanes, n = search[LANES], search[EVENTS]
+    rows, wide, _, _ = search.searched
+    stepped, _, _, _ = search.trial
+    _, size, _, _, angle_row, clock = search.narrow
+    _, _, _, _, tolerance = search.found
+    lanes, n = search.numbers[LANES], search.numbers[EVENTS]
+    queue, brackets = search.queue, search.brackets
     event = queue[EVENT * lanes + k]
     last, before = (size + event) * lanes + k, (size + n + event) * lanes + k
     a, b, c = rows[before], rows[last], stepped[last]
@@ -138,7 +164,7 @@ def _march(searched, trial, shape, search, queue, brackets, k, is_stepped, toler
     brackets[LEAST * lanes + k] = max(tolerance, latest * 2.0**-52)
     queue[TRIALS * lanes + k] = 0
     if not is_stepped:
-        if _crosses(b, c, search[OF_EACH + 2 * event]):
+        if _crosses(b, c, search.numbers[OF_EACH + 2 * event]):
             return BRACKET
         if _turns(a, b, c):
             return EXTREMUM
@@ -218,9 +244,10 @@ def _extremum(brackets, lanes, k, x, value, direction, trials):
 
 
 @loop_part
-def _choose_points(search, queue, brackets):
+def _choose_points(search):
     """The next point of each lane in which something is searched; whether there is one."""
-    lanes, is_any = search[LANES], False
+    lanes, is_any = search.numbers[LANES], False
+    queue, brackets = search.queue, search.brackets
     for k in range(queue[LENGTH * lanes]):
         point, doing = POINT * lanes + k, queue[DOING * lanes + k]
         if doing == BRACKET:
@@ -238,12 +265,13 @@ def _choose_points(search, queue, brackets):
 
 
 @loop_part
-def _step_to_points(searched, trial, shape, search, brackets):
+def _step_to_points(search):
     """Shorter steps of all lanes to their points."""
+    searched, trial, shape, brackets = search.searched, search.trial, search.narrow, search.brackets
     _, wide, _, _ = searched
     _, wide_to, _, _ = trial
     lanes, _, _, _, _, clock = shape
-    function = search[FUNCTION]
+    function = search.numbers[FUNCTION]
     copy_tile(searched, trial, shape)
     leave_steps(function, trial, shape)
     for k in range(lanes):
@@ -256,11 +284,12 @@ def _step_to_points(searched, trial, shape, search, brackets):
 
 
 @loop_part
-def _locate(searched, trial, shape, search, queue, brackets, tolerance):
+def _locate(search):
     """Locate the first crossing of each lane in the queue, within its block."""
-    values, wide, _, _ = trial
-    _, size, _, _, _, clock = shape
-    lanes, function = search[LANES], search[FUNCTION]
+    values, wide, _, _ = search.trial
+    _, size, _, _, _, clock = search.narrow
+    lanes, function = search.numbers[LANES], search.numbers[FUNCTION]
+    queue, brackets = search.queue, search.brackets
     n = queue[LENGTH * lanes]
     for k in range(n):
         queue[DOING * lanes + k] = MARCH
@@ -270,28 +299,26 @@ def _locate(searched, trial, shape, search, queue, brackets, tolerance):
         for k in range(n):
             marching = marching or queue[DOING * lanes + k] <= PASS
         if marching:
-            copy_tile(searched, trial, shape)
-            call_generated(function, ADVANCE, trial, (0, 1))
+            copy_tile(search.searched, search.trial, search.narrow)
+            call_generated(function, ADVANCE, search.trial, (0, 1))
             for k in range(lanes):
                 wide[(clock + 1) * lanes + k] += 1.0
-        elif _choose_points(search, queue, brackets):
-            _step_to_points(searched, trial, shape, search, brackets)
+        elif _choose_points(search):
+            _step_to_points(search)
         else:
             break
-        call_generated(function, WATCH, trial, (0, 0))
+        call_generated(function, WATCH, search.trial, (0, 0))
         for k in range(n):
             doing, event = queue[DOING * lanes + k], queue[EVENT * lanes + k]
             point = brackets[POINT * lanes + k]
             brackets[AT_POINT * lanes + k] = values[(size + event) * lanes + k]
             value = brackets[AT_POINT * lanes + k]
             if marching and doing <= PASS:
-                doing = _march(
-                    searched, trial, shape, search, queue, brackets, k, doing == PASS, tolerance
-                )
+                doing = _march(search, k, doing == PASS)
             elif not marching and doing == BRACKET:
                 doing = _narrow(brackets, lanes, k, point, value)
             elif not marching and doing == EXTREMUM:
-                direction, trials = search[OF_EACH + 2 * event], queue[TRIALS * lanes + k]
+                direction, trials = search.numbers[OF_EACH + 2 * event], queue[TRIALS * lanes + k]
                 doing = _extremum(brackets, lanes, k, point, value, direction, trials)
             queue[DOING * lanes + k] = doing
     for k in range(n):
@@ -310,17 +337,15 @@ def _found_time(wide, numbers, clock, lanes, k, point):
 
 
 @loop_part
-def _flush(tiles, shape, search, found, queue, brackets, io):
+def _flush(search):
     """Locate what is in the queue: times, and the final states of bodies that stop."""
-    searched, trial = tiles
-    _, wide, numbers, _ = searched
-    rows, _, _, _ = trial
-    times, stopped, final, diagnostics, tolerance = found
-    _, size, n_rows, n_wide, angle_row, clock = shape
-    lanes, events = search[LANES], search[EVENTS]
-    narrow = lanes, size, n_rows, n_wide, angle_row, clock
+    _, wide, numbers, _ = search.searched
+    rows, _, _, _ = search.trial
+    times, stopped, final, diagnostics, _ = search.found
+    lanes, _, _, _, _, clock = search.narrow
+    events, queue, brackets = search.numbers[EVENTS], search.queue, search.brackets
     n = queue[LENGTH * lanes]
-    _locate(searched, trial, narrow, search, queue, brackets, tolerance)
+    _locate(search)
     queue[LENGTH * lanes] = 0
     stops = False
     for k in range(n):
@@ -328,15 +353,16 @@ def _flush(tiles, shape, search, found, queue, brackets, io):
         if queue[DOING * lanes + k] == FOUND:
             point = brackets[POINT * lanes + k]
             times[body * events + event] = _found_time(wide, numbers, clock, lanes, k, point)
-            stops = stops or search[OF_EACH + 2 * event + 1] != 0
-    forward, (io_row, saved) = (1.0 if numbers[1] > 0.0 else -1.0), io
+            stops = stops or search.numbers[OF_EACH + 2 * event + 1] != 0
+    forward, (io_row, saved) = (1.0 if numbers[1] > 0.0 else -1.0), search.io
     if stops:
-        _step_to_points(searched, trial, narrow, search, brackets)
-        call_generated(search[FUNCTION], SAVE, trial, (0, 0))
+        _step_to_points(search)
+        call_generated(search.numbers[FUNCTION], SAVE, search.trial, (0, 0))
     for k in range(n):
         body, event = queue[BODY * lanes + k], queue[EVENT * lanes + k]
         time = times[body * events + event]
-        is_final = queue[DOING * lanes + k] == FOUND and search[OF_EACH + 2 * event + 1] != 0
+        is_terminal = search.numbers[OF_EACH + 2 * event + 1] != 0
+        is_final = queue[DOING * lanes + k] == FOUND and is_terminal
         if is_final and not (stopped[body] - time) * forward <= 0.0:
             stopped[body] = time
             for i in range(saved + 1):
@@ -360,13 +386,13 @@ def _is_waiting(queue, lanes, lane, event):
 
 
 @loop_part
-def search_block(tile, begun_at, body_of, tiles, shape, search, found, queue, brackets, io, block):
+def search_block(tile, body_of, search, block):
     """Search the lanes that are marked after a block; bodies that stopped stay where they were."""
     rows, _, _, _ = tile
-    width, size, _, _, angle_row, _ = shape
-    times, stopped, _, _, _ = found
+    width, size, _, _, angle_row, _ = search.shape
+    times, stopped, _, _, _ = search.found
     base, count, first, last = block
-    lanes, events = search[LANES], search[EVENTS]
+    lanes, events, queue = search.numbers[LANES], search.numbers[EVENTS], search.queue
     for j in range(count):
         body = body_of[j]
         was_stopped = stopped[body] == stopped[body]
@@ -377,28 +403,27 @@ def search_block(tile, begun_at, body_of, tiles, shape, search, found, queue, br
                 continue
             rows[mark] = 0.0
             if _is_waiting(queue, lanes, j, event) or queue[LENGTH * lanes] == lanes:
-                _flush(tiles, shape, search, found, queue, brackets, io)
+                _flush(search)
             if times[at] != times[at]:
-                entry = (j, body, base + j, event, first, last)
-                _join_queue(tile, begun_at, shape, search, queue, entry, tiles[0])
-                stops = stops or search[OF_EACH + 2 * event + 1] != 0
+                _join_queue(tile, search, (j, body, base + j, event, first, last))
+                stops = stops or search.numbers[OF_EACH + 2 * event + 1] != 0
         if stops:
-            _flush(tiles, shape, search, found, queue, brackets, io)
+            _flush(search)
         if stopped[body] == stopped[body]:
             for i in range(angle_row):
-                rows[i * width + j] = begun_at[i * width + j]
+                rows[i * width + j] = search.begun_at[i * width + j]
 
 
 @loop_part
-def end_search(rows, tiles, shape, search, history, found, queue, brackets, io, base, count):
+def end_search(rows, search, base, count):
     """Search what is left in the queue, and keep the rows of the events of a tile."""
-    width, size, _, _, _, _ = shape
-    n = EVENT_ROWS * search[EVENTS]
-    if queue[LENGTH * search[LANES]] > 0:
-        _flush(tiles, shape, search, found, queue, brackets, io)
+    width, size, _, _, _, _ = search.shape
+    n = EVENT_ROWS * search.numbers[EVENTS]
+    if search.queue[LENGTH * search.numbers[LANES]] > 0:
+        _flush(search)
     for i in range(n):
         for j in range(count):
-            history[(base + j) * n + i] = rows[(size + i) * width + j]
+            search.history[(base + j) * n + i] = rows[(size + i) * width + j]
 
 
 @loop_part

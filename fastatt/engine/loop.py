@@ -252,18 +252,25 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
         copied = reals(arrays[COPY], kind), doubles(arrays[WIDE_COPY]), numbers, whole
         if events:
             begun_at = reals(arrays[crossings.BEGUN_AT], kind)
-            search = wholes(arrays[crossings.SEARCH])
-            history = reals(arrays[crossings.HISTORY], kind)
             times, stopped = doubles(arrays[crossings.TIMES]), doubles(arrays[crossings.STOPPED])
             final = reals(arrays[crossings.FINAL], kind)
             searched_rows, trial_rows = arrays[crossings.SEARCH_ROWS], arrays[crossings.TRIAL_ROWS]
             searched_wide, trial_wide = arrays[crossings.SEARCH_WIDE], arrays[crossings.TRIAL_WIDE]
-            searched = reals(searched_rows, kind), doubles(searched_wide), numbers, whole
-            trial = reals(trial_rows, kind), doubles(trial_wide), numbers, whole
-            brackets, queue = doubles(arrays[crossings.BRACKETS]), wholes(arrays[crossings.QUEUE])
-            tiles = searched, trial
             found = times, stopped, final, diagnostics, tolerance
-            io = io_row, settings[SAVED]
+            of_search = wholes(arrays[crossings.SEARCH])
+            search = crossings.Search(
+                of_search,
+                shape,
+                (of_search[crossings.LANES], *shape[1:]),
+                (reals(searched_rows, kind), doubles(searched_wide), numbers, whole),
+                (reals(trial_rows, kind), doubles(trial_wide), numbers, whole),
+                wholes(arrays[crossings.QUEUE]),
+                doubles(arrays[crossings.BRACKETS]),
+                found,
+                reals(arrays[crossings.HISTORY], kind),
+                begun_at,
+                (io_row, settings[SAVED]),
+            )
         for number in range(first_tile, last_tile):
             base = number * width
             count = min(n - base, width)
@@ -291,7 +298,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
             if events:
                 since = settings[FIRST] - settings[ORIGIN]
-                crossings.begin_events(small, tile, shape, search, history, base, count, since)
+                crossings.begin_events(small, tile, search, base, count, since)
             at, slot = settings[FIRST], -1
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
@@ -342,11 +349,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     if not _advance(settings, tile, kept, marks, unbounded, begin, stop):
                         return number
                     if events:
-                        block = base, count, begin, stop
-                        crossings.search_block(
-                            tile, begun_at, body_of, tiles, shape, search, found, queue, brackets,
-                            io, block,
-                        )  # fmt: skip
+                        crossings.search_block(tile, body_of, search, (base, count, begin, stop))
                     for j in range(count):
                         angle = float(rows[angle_row * width + j])
                         reached = left[j] >= stop if per_body else True
@@ -390,9 +393,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     if since % settings[EVERY] == 0 or at == settings[N_STEPS]:
                         slot = (since - 1) // settings[EVERY] + settings[SLOT]
             if events:
-                crossings.end_search(
-                    rows, tiles, shape, search, history, found, queue, brackets, io, base, count
-                )
+                crossings.end_search(rows, search, base, count)
             for i in range(size):
                 for j in range(count):
                     states[(base + j) * size + i] = rows[i * width + j]

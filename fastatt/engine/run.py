@@ -149,7 +149,8 @@ class Setup:
         at = (x if isinstance(x, int) else address_of(x) for _, x in self.tables)
         self._whole = np.array([*at, n_stages], dtype=np.int64)
         stages = np.ravel(np.array(job.method.stages, dtype=np.float64))
-        self.numbers = np.concatenate([numbers.params[0], stages])
+        #: t0, h and the share of h come first
+        self.numbers = np.concatenate([np.zeros(3), numbers.params[0], stages])
         #: the program that locates events, the numbers of the search, and whether bodies stop
         self.search: Program | None = None
         self.search_numbers: Any = None
@@ -172,13 +173,40 @@ class Setup:
             self.fixed = [address_of(x) for x in (self._whole, *numbers)]
 
 
+class Results(NamedTuple):
+    """The arrays that a run writes to.
+
+    Saved values (S, N, k), norm errors (S, N), flags (N,), and times of events (N, E).
+    """
+
+    out: NDArray[Any]
+    norm_error: NDArray[Any]
+    status: NDArray[np.uint8]
+    #: None for a run without events
+    event_times: NDArray[np.float64] | None = None
+
+    @classmethod
+    def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
+        """Arrays for a number of saves and bodies, allocated but not initialised."""
+        return cls(
+            np.empty((saves, bodies, width), kind),
+            np.empty((saves, bodies), kind),
+            np.empty(bodies, np.uint8),
+            np.full((bodies, events), np.nan) if events else None,
+        )
+
+    def saves(self, slots: slice) -> Results:
+        """Views of a range of saves."""
+        return self._replace(out=self.out[slots], norm_error=self.norm_error[slots])
+
+
 class Run:
     """A run over some bodies of an ensemble: (first body, how many).
 
     ``q`` and ``y``, attitudes and what is carried with them, are (1, k) or (N, k); ``times`` are
-    (t0, h, share of h by which a splitting is ahead); ``results`` saved values (S, N, k), norm
-    errors (S, N) and status (N,). The ``states`` (n, k) and ``diagnostics`` (3, n) are those of the
-    part; ``largest_angle`` of a step, rad, is what calls found since ``reset``.
+    (t0, h, share of h by which a splitting is ahead). The ``states`` (n, k) and ``diagnostics``
+    (3, n) are those of the part; ``largest_angle`` of a step, rad, is what calls found since
+    ``reset``.
     """
 
     def __init__(
@@ -187,33 +215,35 @@ class Run:
         bodies: tuple[int, int],
         start: tuple[Array, Array],
         times: tuple[float, float, float],
-        results: tuple[Array, Array, Array],
+        results: Results,
         per_body: PerBody | None = None,
         parts: Parts | None = None,
-        event_times: Array | None = None,
     ) -> None:
         self.setup, self.bodies, self.start, self.times = setup, bodies, start, times
         self.results, self.per_body, self.parts = results, per_body, parts
         made = setup.program
-        job, kind = made.job, DTYPES[made.job.kind]
+        kind = DTYPES[made.job.kind]
         self.states = np.empty((bodies[1], made.formulas.size), kind)
         self.diagnostics = np.empty((len(DIAGNOSTICS), bodies[1]), kind)
-        self._numbers = np.concatenate([times, setup.numbers])
+        self._numbers = setup.numbers.copy()
+        self._numbers[:3] = times
         whole, params, known, flags = setup.fixed
         self._arrays = [
-            self._numbers, whole, *start, params, known, flags, *results, self.states,
+            self._numbers, whole, *start, params, known, flags, *results[:3], self.states,
             self.diagnostics,
         ]  # fmt: skip
         lengths = [len(x) for x in (*start, *setup.bodies)]
-        self._settings = [*bodies[::-1], results[2].size, *lengths, *setup.settings]
-        n_events, n = len(job.events), results[2].size
+        self._settings = [*bodies[::-1], results.status.size, *lengths, *setup.settings]
         #: of events: rows of each body, found times, when bodies stop, what is saved from then on
-        self._events = [
-            np.empty((bodies[1], EVENT_ROWS * n_events), kind),
-            np.full((n, n_events), np.nan) if event_times is None else event_times,
-            np.full(n, np.nan),
-            np.empty((n if setup.stops else 0, made.formulas.handed_out + 1), kind),
-        ]
+        self._events: list[Array] = []
+        if results.event_times is not None:
+            n = results.status.size
+            self._events = [
+                np.empty((bodies[1], EVENT_ROWS * len(made.job.events)), kind),
+                results.event_times,
+                np.full(n, np.nan),
+                np.empty((n if setup.stops else 0, made.formulas.handed_out + 1), kind),
+            ]
         self._lock = threading.Lock()
         self.reset()
 

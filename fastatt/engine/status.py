@@ -12,25 +12,55 @@ import numpy as np
 from fastatt.tracing.formulas import Vector, as_like
 from fastatt.tracing.graph import choose
 
-# a relative change is taken from invariants above this
+# invariants below this have no relative change
 _TINY = 1e-37
 
 
 class Status(IntFlag):
-    """What went wrong with one body; 0 where nothing did."""
+    """Flags of one body; 0 (``OK``) if nothing went wrong. Flags can be combined.
+
+    Attributes
+    ----------
+    OK : Status
+        0: no flag.
+    NON_FINITE : Status
+        1: the state holds NaN or infinity.
+    STEP_TOO_LARGE : Status
+        2: a step exceeded the method's limit (``Method.limits``, ``Method.damping_limit``), or a
+        rotation in closed form lost its digits to rounding.
+    INVARIANT : Status
+        4: at a save, the energy or ``|m|²`` of a free body had changed by more than 1 %, or
+        underflows while the body rotates.
+    SINGULAR : Status
+        8: coordinates with poles came too close to their singularity.
+    NOT_CONVERGED : Status
+        16: the iteration of an implicit step did not converge.
+    NORM_LOST : Status
+        32: at a save, before projection, the norm error of a quaternion or the orthogonality error
+        of a matrix was above 1e-3, in float32 above 1e-2. Coordinates (Euler angles, rotation
+        vectors, modified Rodrigues parameters) have no norm and no such flag.
+    UNFINISHED : Status
+        64: the run was interrupted before the end of this body.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.Status(36)
+    <Status.INVARIANT|NORM_LOST: 36>
+    """
 
     OK = 0
     NON_FINITE = 1  #: the state holds NaN or infinity
-    STEP_TOO_LARGE = 2  #: a step rotated further than the method's limit
-    INVARIANT = 4  #: the energy or |m|² of a free body changed by more than 1 %, or underflows
-    SINGULAR = 8  #: the representation's coordinates passed too near their singularity
+    STEP_TOO_LARGE = 2  #: a step exceeded the method's limit
+    INVARIANT = 4  #: the energy or |m|² of a free body changed too much, or underflows
+    SINGULAR = 8  #: coordinates came too close to their singularity
     NOT_CONVERGED = 16  #: an implicit step's iteration did not converge
-    NORM_LOST = 32  #: the state left its group by more than round-off explains
+    NORM_LOST = 32  #: the norm error of a quaternion or a matrix is above its bound
     UNFINISHED = 64  #: the run was interrupted before its end
 
 
 class Judged(Protocol):
-    """What the bounds of a run's diagnostics depend on."""
+    """The properties of a run on which the bounds of its diagnostics depend."""
 
     @property
     def limit(self) -> float:
@@ -46,11 +76,11 @@ class Judged(Protocol):
 
 
 class Diagnostic(NamedTuple):
-    """A measure of which a run keeps each body's largest value, and the flag beyond its bound.
+    """A quantity of which a run keeps each body's largest value, and the flag beyond its bound.
 
-    The first is the square of a step's rotation angle, which the step itself computes. The others
-    are what ``Formulas.measures`` gives at each save by their names. ``infinite`` is the flag of an
-    infinite value, ``at_poles`` that of coordinates that have poles, where it is another one.
+    The first is the square of a step's rotation angle, which the step computes. The others are
+    those of ``Formulas.measures`` at each save, by their names. ``infinite`` is the flag of an
+    infinite value; ``at_poles`` is the flag for coordinates with poles, if it is another one.
     """
 
     name: str
@@ -82,17 +112,17 @@ DIAGNOSTICS = (
     Diagnostic("norm", _norm_bound, Status.NORM_LOST, Status.NORM_LOST),
     Diagnostic("invariant", lambda run: 1e-2, Status.INVARIANT, Status.INVARIANT),
 )
-#: those whose values are found at the saves
+#: the names of those that are evaluated at the saves
 SAVED = tuple(x.name for x in DIAGNOSTICS[1:])
 
 
 def relative_change(a: Vector, b: Vector) -> Any:
-    """Largest relative change from the invariants a to b, 0 where there are none."""
+    """The largest relative change from the invariants a to b; 0 if there are none."""
     changes = []
     for x, y in zip(a, b, strict=True):
         there = x > _TINY
         change = abs(y / choose(there, x, as_like(1.0, x)) - choose(there, 1.0, 0.0))
-        # beyond the largest number nothing is known of it, while the state itself is finite
+        # an invariant that overflows says nothing, while the state is finite
         changes.append(choose(x < math.inf, change, choose(x > 0.0, 0.0, x)))
     if not changes:
         return 0.0

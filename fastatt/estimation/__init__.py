@@ -1,6 +1,10 @@
-"""Parts of estimators, for arrays and, as kernels, for ``@njit`` code.
+"""Parts of estimators, for arrays and, as kernels, for jitted code.
 
-Transitions, noise, Jacobians, tangents of steps and runs, preintegration, a start from rest.
+Transitions, noise, Jacobians, derivatives of steps and runs, preintegration, filters, and an
+initial attitude and bias from samples at rest.
+
+The error of an attitude is a rotation vector δθ in body axes, q_true = q∘exp(δθ). The error of a
+gyro's bias is δb, b_true = b + δb.
 """
 
 from fastatt.estimation import preintegration

@@ -1,4 +1,4 @@
-"""Numbers and rows that the arguments of estimators have to have."""
+"""Checks of the arguments of estimators."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 
-# what is squared: its square is a float, and not 0
+# bounds of numbers whose squares are neither infinite nor 0
 _SMALLEST, _LARGEST = 1e-150, 1e150
 
 
 def at_least_zero(name: str, value: float) -> float:
-    """A noise density."""
-    # of a float the check takes a tenth of the time
+    """A number of at least 0, such as a noise density."""
+    # for a float this check takes a tenth of the time
     found = value if type(value) is float else checks.real(name, value)
     if not 0.0 <= found <= _LARGEST:
         raise ValueError(f"{name}: found {found}; accepted: at least 0, up to {_LARGEST:g}")
@@ -42,7 +42,7 @@ def interval(dt: float) -> float:
 
 
 def common_number(of: str, **arrays: Sized) -> int:
-    """How many rows all arrays have, one row standing for any number of them."""
+    """The number of rows of all arrays, one row counting for any number of them."""
     rows = {name: len(value) for name, value in arrays.items()}
     if len(set(rows.values()) - {1}) > 1:
         found = ", ".join(f"{name} {n}" for name, n in rows.items())
@@ -50,16 +50,17 @@ def common_number(of: str, **arrays: Sized) -> int:
     return max(rows.values(), default=1)
 
 
-# shares of √(P_ii P_jj): an element's asymmetry, and how far below 0 rounding takes a variance
+# tolerance of asymmetry, relative to √(P_ii P_jj), and of negative variances, in units of rounding
 _ASYMMETRY, _ROUNDING = 1e-9, 1e3
-# and of a variance itself, where others of the matrix are all but known by each other
+# the same as a share of a variance, where elements of the matrix almost determine each other
 _NEGATIVE = -1e-6
 
 
 def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
-    """Symmetric covariances without a negative variance in any direction, but for rounding.
+    """Symmetric covariances without a negative variance in any direction, to rounding.
 
-    ``shapes`` are as of ``checks.array``. Correlations are compared, so that units do not matter.
+    ``shapes`` are those of ``checks.array``. Correlations are compared, so that units do not
+    matter.
     """
     found = checks.array(name, value, shapes)
     least = _ROUNDING * np.finfo(found.dtype).eps
@@ -83,9 +84,9 @@ def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
 
 
 def root(P: NDArray[Any]) -> NDArray[np.float64]:
-    """L of P = L Lᵀ, (..., D, D), lower triangular; a direction without variance is a column of 0.
+    """L of P = L Lᵀ, (..., D, D), lower triangular; without variance a column is 0.
 
-    NaN where P is no covariance.
+    NaN if P is not a covariance.
     """
     size = P.shape[-1]
     found = np.zeros(P.shape)
@@ -99,13 +100,13 @@ def root(P: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def triples(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
-    """Vectors in rows, one for all n logs or one a log."""
+    """Vectors in rows, one for all n logs or one for each."""
     accepted, tails = f"(3,) or ({n}, 3), one a log", [(3,), (1, 3), (n, 3)]
     return np.atleast_2d(checks.array(name, value, accepted, tails).astype(np.float64))
 
 
 def attitude_covariance(sigma: ArrayLike) -> NDArray[np.float64]:
-    """(3, 3), rad², of a standard deviation or three about body axes, above 0, or itself."""
+    """(3, 3), rad², from a standard deviation or three about body axes, or a covariance."""
     found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
     if found.ndim < 2:
         return np.diag(np.broadcast_to([variance("sigma", float(x)) for x in found.flat], (3,)))
@@ -121,7 +122,7 @@ def definite(name: str, value: ArrayLike, shapes: str) -> NDArray[np.float64]:
 
 
 def largest_square(gate: float | None) -> float:
-    """The largest normalised innovation squared that is used; None: any that is finite."""
+    """The largest normalised innovation squared that is used; None accepts any finite one."""
     if gate is None:
         return sys.float_info.max
     found = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)

@@ -1,7 +1,7 @@
 """Attitude and gyro bias: transitions, noise, covariances and Jacobians of arrays.
 
 The formulas and conventions are those of ``fastatt.kernels.error_state`` and ``so3``: the error is
-C_true = C exp [δθ], in body axes; matrices (..., 6, 6) are of (δθ, δb).
+C_true = C exp [δθ] in body axes, and matrices (..., 6, 6) are for (δθ, δb).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ so3: Any = stand_in(kernels.so3)
 error_state: Any = stand_in(kernels.error_state)
 
 
-# formulas on the numbers of a row
+# formulas for the numbers of a row
 
 
 def _transition(w: Vector, h: Any) -> Any:
@@ -55,7 +55,7 @@ def _to_body(c: Vector, p: Vector) -> Any:
 
 
 def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
-    """A formula of arrays (..., width), or numbers (), by its arguments: (..., side, side)."""
+    """Apply a formula to arrays (..., width), or numbers (), by name: (..., side, side)."""
     inputs = {name: x.shape[-1] if x.ndim else None for name, x in arrays.items()}
     kind = kind_of(np.result_type(*arrays.values()))
     (found,) = rows(formula, inputs, (side * side,), kind)(*arrays.values())
@@ -66,23 +66,27 @@ def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
     return checks.array(name, value, "(3,) or (N, 3)")
 
 
-def _covariances(P: ArrayLike) -> NDArray[Any]:
-    found = covariances("P", P, "(6, 6) or (N, 6, 6)")
+def _covariances(covariance: ArrayLike) -> NDArray[Any]:
+    found = covariances("covariance", covariance, "(6, 6) or (N, 6, 6)")
     return found.reshape(*found.shape[:-2], 36)
 
 
 def _over(
-    formula: Formula, w: ArrayLike, dt: float, P: ArrayLike | None = None, **densities: float
+    formula: Formula,
+    w: ArrayLike,
+    dt: float,
+    covariance: ArrayLike | None = None,
+    **densities: float,
 ) -> NDArray[Any]:
-    """A formula of rates over ``dt`` s, of noise densities and covariances where there are any."""
+    """Apply a formula to rates over ``dt`` s, with noise densities and covariances, if any."""
     rates = _vectors("w", w)
     given = {"w": rates, "h": np.array(interval(dt), dtype=rates.dtype)}
     if densities:
         variances = [at_least_zero(*found) ** 2 for found in densities.items()]
         given["v"] = np.array(variances, dtype=rates.dtype)
-    if P is not None:
-        given["p"] = _covariances(P)
-        _same_rows(P=given["p"], w=rates)
+    if covariance is not None:
+        given["p"] = _covariances(covariance)
+        _same_rows(covariance=given["p"], w=rates)
     return _apply(formula, 6, **given)
 
 
@@ -91,35 +95,142 @@ def _same_rows(**arrays: NDArray[Any]) -> None:
 
 
 def right_jacobian(u: ArrayLike) -> NDArray[Any]:
-    """Jr (3, 3) or (N, 3, 3) of rotation vectors u (3,) or (N, 3), rad.
+    """Right Jacobian Jr of rotation vectors: exp(u + δ) ≈ exp(u) exp(Jr δ).
 
-    exp(u + δ) ≈ exp(u) exp(Jr δ). Error at most 1e-15 for |u| ≤ π, 3e-16 |u| beyond. Raises
-    ``ValueError`` for other shapes.
+    Parameters
+    ----------
+    u : array_like, shape (3,) or (N, 3)
+        Rotation vectors, rad.
+
+    Returns
+    -------
+    ndarray, shape (3, 3) or (N, 3, 3)
+        Jr.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Notes
+    -----
+    The error is at most 1e-15 for ``|u|`` ≤ π, and 3e-16 ``|u|`` beyond.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.estimation.right_jacobian([0.0, 0.0, 0.0]).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     return _apply(so3.right_jacobian, 3, u=_vectors("u", u))
 
 
 def left_jacobian(u: ArrayLike) -> NDArray[Any]:
-    """Jl = Jrᵀ: exp(u + δ) ≈ exp(Jl δ) exp(u); see :func:`right_jacobian`."""
+    """Left Jacobian Jl = Jrᵀ of rotation vectors: exp(u + δ) ≈ exp(Jl δ) exp(u).
+
+    Parameters
+    ----------
+    u : array_like, shape (3,) or (N, 3)
+        Rotation vectors, rad.
+
+    Returns
+    -------
+    ndarray, shape (3, 3) or (N, 3, 3)
+        Jl.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    Notes
+    -----
+    The error is that of :func:`right_jacobian`.
+    """
     return _apply(so3.left_jacobian, 3, u=_vectors("u", u))
 
 
 def right_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
-    """Jr⁻¹, singular at |u| = 2π; see :func:`right_jacobian`."""
+    """Inverse of the right Jacobian of rotation vectors, which is singular at ``|u|`` = 2π.
+
+    Parameters
+    ----------
+    u : array_like, shape (3,) or (N, 3)
+        Rotation vectors, rad.
+
+    Returns
+    -------
+    ndarray, shape (3, 3) or (N, 3, 3)
+        Jr⁻¹.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    See Also
+    --------
+    right_jacobian : The Jacobian.
+    """
     return _apply(so3.right_jacobian_inverse, 3, u=_vectors("u", u))
 
 
 def left_jacobian_inverse(u: ArrayLike) -> NDArray[Any]:
-    """Jl⁻¹, singular at |u| = 2π; see :func:`right_jacobian`."""
+    """Inverse of the left Jacobian of rotation vectors, which is singular at ``|u|`` = 2π.
+
+    Parameters
+    ----------
+    u : array_like, shape (3,) or (N, 3)
+        Rotation vectors, rad.
+
+    Returns
+    -------
+    ndarray, shape (3, 3) or (N, 3, 3)
+        Jl⁻¹.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+
+    See Also
+    --------
+    left_jacobian : The Jacobian.
+    """
     return _apply(so3.left_jacobian_inverse, 3, u=_vectors("u", u))
 
 
 def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
-    """Φ (6, 6) or (N, 6, 6) of (δθ, δb) over ``dt`` s at constant rates w less bias, rad/s.
+    """Transition matrix Φ of (δθ, δb) at constant rates.
 
-    Also that of the methods "lie_euler" and "hold". Φ12 of a method with more nodes has commutators
-    too, 3.6 % of it for coning of 0.3 rad at |w| h = 0.37: see :func:`step_tangent`. Raises
-    ``ValueError`` or ``TypeError`` for other shapes.
+    Parameters
+    ----------
+    w : array_like, shape (3,) or (N, 3)
+        Rates along body axes, less the bias, rad/s.
+    dt : float
+        Interval, s.
+
+    Returns
+    -------
+    ndarray, shape (6, 6) or (N, 6, 6)
+        Φ.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit.
+
+    Notes
+    -----
+    This is also the transition of the methods "lie_euler" and "hold". Φ12 of a method with more
+    nodes contains commutators, which are 3.6 % of it for coning of 0.3 rad at ``|w| h`` = 0.37; see
+    :func:`step_tangent`.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.estimation.transition_matrix([0.0, 0.0, 0.0], 0.1)[0].tolist()
+    [1.0, 0.0, 0.0, -0.1, 0.0, 0.0]
     """
     return _over(_transition, w, dt)
 
@@ -127,42 +238,126 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
 def process_noise(
     w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float, at_rest: bool = False
 ) -> NDArray[Any]:
-    """Covariance Q (6, 6) or (N, 6, 6) of white noise over ``dt`` s at constant rates w, rad/s.
+    """Covariance Q of (δθ, δb) by white noise of a gyro at constant rates.
 
-    ``angle_noise`` σ_v, rad/√s (angle random walk), ``bias_noise`` σ_u, rad/s^1.5 (rate random
-    walk). Exact for a turning body; ``at_rest`` gives Farrenkopf's, that for w = 0. Raises
-    ``ValueError`` or ``TypeError`` for other shapes, an interval not above 0, a negative density.
+    Parameters
+    ----------
+    w : array_like, shape (3,) or (N, 3)
+        Rates along body axes, rad/s.
+    dt : float
+        Interval, s, above 0.
+    angle_noise : float
+        σ_v, rad/√s (angle random walk).
+    bias_noise : float
+        σ_u, rad/s^1.5 (rate random walk).
+    at_rest : bool, default False
+        Return Farrenkopf's matrix, which is that for w = 0. The default is exact for rotating
+        bodies.
+
+    Returns
+    -------
+    ndarray, shape (6, 6) or (N, 6, 6)
+        Q.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a shape is another one, an interval is not above 0, or a density is negative.
+
+    References
+    ----------
+    Farrenkopf, *Journal of Guidance and Control* 1 (1978) 282.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> Q = fa.estimation.process_noise([0.0, 0.0, 0.1], 0.1, angle_noise=1e-3, bias_noise=0.0)
+    >>> f"{Q[0, 0]:.1e}"
+    '1.0e-07'
     """
     formula = _noise_at_rest if at_rest else _noise
     return _over(formula, w, dt, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
 def predict_covariance(
-    P: ArrayLike, w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float
+    covariance: ArrayLike, w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float
 ) -> NDArray[Any]:
-    """Φ P Φᵀ + Q, (6, 6) or (N, 6, 6), with Φ and Q of the two functions above.
+    """Propagate a covariance of (δθ, δb) over an interval: Φ P Φᵀ + Q.
 
-    Raises ``ValueError`` for a P that is no covariance, and as they do.
+    Parameters
+    ----------
+    covariance : array_like, shape (6, 6) or (N, 6, 6)
+        P, in rad and rad/s.
+    w : array_like, shape (3,) or (N, 3)
+        Rates along body axes, less the bias, rad/s.
+    dt : float
+        Interval, s.
+    angle_noise : float
+        σ_v, rad/√s, as in :func:`process_noise`.
+    bias_noise : float
+        σ_u, rad/s^1.5, as in :func:`process_noise`.
+
+    Returns
+    -------
+    ndarray, shape (6, 6) or (N, 6, 6)
+        The covariance after the interval, with Φ of :func:`transition_matrix`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If ``covariance`` is not a covariance, or another argument does not fit.
     """
-    return _over(_predict, w, dt, P, angle_noise=angle_noise, bias_noise=bias_noise)
+    return _over(_predict, w, dt, covariance, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
-def covariance_to_inertial(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
-    """P (6, 6) or (N, 6, 6) of the error in inertial axes, C_true = exp [δθ] C, from body axes.
+def covariance_to_inertial(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
+    """Convert a covariance of (δθ, δb) to errors along inertial axes, C_true = exp [δθ] C.
 
-    ``q`` (4,) or (N, 4) are attitudes, body to inertial, of any length but zero. Raises
-    ``ValueError`` or ``TypeError`` for other shapes, ``ValueError`` for a P that is no covariance.
+    Parameters
+    ----------
+    covariance : array_like, shape (6, 6) or (N, 6, 6)
+        Covariance of errors along body axes.
+    q : array_like, shape (4,) or (N, 4)
+        Attitudes, body to inertial, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (6, 6) or (N, 6, 6)
+        Covariance of errors along inertial axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If ``covariance`` is not a covariance, or a shape does not fit.
     """
-    return _turned(_to_inertial, P, q)
+    return _turned(_to_inertial, covariance, q)
 
 
-def covariance_to_body(P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
-    """The inverse of :func:`covariance_to_inertial`."""
-    return _turned(_to_body, P, q)
+def covariance_to_body(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
+    """Convert a covariance of (δθ, δb) from errors along inertial axes to errors along body axes.
+
+    Parameters
+    ----------
+    covariance : array_like, shape (6, 6) or (N, 6, 6)
+        Covariance of errors along inertial axes, C_true = exp [δθ] C.
+    q : array_like, shape (4,) or (N, 4)
+        Attitudes, body to inertial, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (6, 6) or (N, 6, 6)
+        Covariance of errors along body axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If ``covariance`` is not a covariance, or a shape does not fit.
+    """
+    return _turned(_to_body, covariance, q)
 
 
-def _turned(formula: Formula, P: ArrayLike, q: ArrayLike) -> NDArray[Any]:
-    p, attitudes = _covariances(P), checks.attitudes("q", q)
-    _same_rows(P=p, q=attitudes)
+def _turned(formula: Formula, covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
+    p, attitudes = _covariances(covariance), checks.attitudes("q", q)
+    _same_rows(covariance=p, q=attitudes)
     c = quat_to_dcm(normalised(attitudes))
     return _apply(formula, 6, c=c.reshape(*c.shape[:-2], 9), p=p)

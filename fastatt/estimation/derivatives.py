@@ -1,4 +1,4 @@
-"""Transitions and tangents of the steps that methods take, of arrays and for ``@njit`` code."""
+"""Transitions and derivatives of the steps of methods, for arrays and for jitted code."""
 
 from __future__ import annotations
 
@@ -33,10 +33,16 @@ _TRIPLE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """Transition of an attitude's error and a gyro's bias over a step: δθ ← Φ11 δθ + Φ12 δb.
+    """Transition of an attitude error and a gyro bias over a step: δθ ← Φ11 δθ + Φ12 δb.
 
-    ``turn`` (..., 4) is the quaternion of the step, q_end = q∘δq; ``attitude`` (..., 3, 3) Φ11;
-    ``bias`` (..., 3, 3) Φ12, s.
+    Attributes
+    ----------
+    turn : ndarray, shape (..., 4)
+        Quaternion δq of the step, q_end = q∘δq.
+    attitude : ndarray, shape (..., 3, 3)
+        Φ11.
+    bias : ndarray, shape (..., 3, 3)
+        Φ12, s.
     """
 
     turn: NDArray[Any]
@@ -45,7 +51,7 @@ class Transition:
 
     @property
     def matrix(self) -> NDArray[Any]:
-        """Φ (..., 6, 6) of (δθ, δb), the bias constant."""
+        """Φ (..., 6, 6) of (δθ, δb), for a constant bias."""
         out = np.zeros((*self.attitude.shape[:-2], 6, 6), dtype=self.attitude.dtype)
         out[..., :3, :3] = self.attitude
         out[..., :3, 3:] = self.bias
@@ -55,13 +61,20 @@ class Transition:
 
 @dataclass(frozen=True, eq=False)
 class BodyTangent:
-    """A body's step and its derivatives.
+    """A body's step and its derivatives, as :func:`body_tangent` computes them.
 
-    ``q`` (..., 4) and ``w`` (..., 3) are the state after it; ``matrix`` (..., 6, 6) takes (δθ, δm)
-    before to (δθ, δm) after, δm = I δw in N·m·s along body axes; ``inertia`` (..., 6, 3) and
-    ``torque`` (..., 6, P) are the derivatives of (θ, m) to the principal moments, m before held,
-    and to the numbers of the torque's model, in the order of its fields; None if not asked for.
-    NaN where an implicit step did not converge.
+    Attributes
+    ----------
+    q : ndarray, shape (..., 4)
+        Attitude after the step; NaN if an implicit step did not converge.
+    w : ndarray, shape (..., 3)
+        Angular velocity after the step, rad/s.
+    matrix : ndarray, shape (..., 6, 6)
+        Derivative of (δθ, δm) after the step by that before, δm = I δw, N·m·s along body axes.
+    inertia : ndarray, shape (..., 6, 3), or None
+        Derivatives of (θ, m) by the principal moments, at the same initial m.
+    torque : ndarray, shape (..., 6, P), or None
+        Derivatives of (θ, m) by the parameters of the torque's model, in the order of its fields.
     """
 
     q: NDArray[Any]
@@ -71,16 +84,33 @@ class BodyTangent:
     torque: NDArray[Any] | None = None
 
     def adjoint(self, after: ArrayLike) -> NDArray[Any]:
-        """Φᵀ λ: the gradient (..., 6) to the state before from that to the state after."""
+        """Gradient with respect to the state before the step, Φᵀ λ.
+
+        Parameters
+        ----------
+        after : array_like, shape (..., 6)
+            Gradient λ with respect to (θ, m) after the step.
+
+        Returns
+        -------
+        ndarray, shape (..., 6)
+            Gradient with respect to (θ, m) before the step.
+        """
         return np.asarray(np.einsum("...ji,...j->...i", self.matrix, np.asarray(after)))
 
 
 @dataclass(frozen=True, eq=False)
 class StepTangent:
-    """The compiled derivative of one scene's step; see :func:`step_tangent`.
+    """The compiled derivative of one scene's step; :func:`step_tangent` makes it.
 
-    Of a body under a user's torque that can't be traced the derivatives of that torque are central
-    differences, good to some 1e-10; all others are exact but for rounding.
+    Attributes
+    ----------
+    method : str
+        Name of the method.
+    params : tuple or ndarray of shape (N, P)
+        Flat parameters for ``step``; an array has a row for each body.
+    step : callable
+        The function, for Python and jitted code.
     """
 
     method: str
@@ -89,7 +119,7 @@ class StepTangent:
     step: Any
 
 
-# given rates
+# prescribed rates
 
 
 def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
@@ -106,7 +136,7 @@ def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
 
 
 def sample_transitions(
-    samples: ArrayLike,
+    rates: ArrayLike,
     dt: ArrayLike,
     *,
     method: str = "previous",
@@ -114,34 +144,63 @@ def sample_transitions(
     bias: ArrayLike = _TRIPLE,
     n_threads: int | None = None,
 ) -> Transition:
-    """Transitions over each interval of a gyro log, of the steps that ``integrate_rates`` takes.
+    """Transitions over each interval of a gyro log, for the steps of ``integrate_rates``.
 
-    ``samples`` are rates (n, 3) or (N, n, 3), rad/s, or with ``increments`` angles, rad; ``bias``
-    (3,) or (N, 3), rad/s, is taken off them; ``dt`` is as for ``integrate_rates``. Gives arrays of
-    one entry an interval, (n − 1, ...) or (N, n − 1, ...), of increments n. A method that works on
-    several intervals at a time moves the attitude within by a bias that is one for all of them:
-    Φ12 of each interval is such that those of a window combine to the window's own.
+    Parameters
+    ----------
+    rates : array_like, shape (n, 3) or (N, n, 3)
+        Rates, rad/s, or with ``increments`` angle increments, rad, along body axes.
+    dt : float or array_like
+        The interval, or the intervals, s, as in :func:`fastatt.integrate_rates`.
+    method : str, default "previous"
+        A method for samples. "picard", which iterates, has no transitions.
+    increments : bool, default False
+        Whether ``rates`` are angle increments.
+    bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        Bias that is subtracted from the rates, rad/s.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.integrate_rates`.
 
-    Φ12 is exact but for rounding, some 1e-15 dt. "picard", which iterates, has no transitions here.
+    Returns
+    -------
+    Transition
+        Arrays with an entry for each interval: (n - 1, ...) or (N, n - 1, ...), for increments n.
 
-    Raises ``ValueError`` or ``TypeError`` as ``integrate_rates`` does.
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit, as in :func:`fastatt.integrate_rates`.
+
+    Notes
+    -----
+    Φ12 is exact to rounding, some 1e-15 dt. A method that works on several intervals at a time
+    assumes one bias for all of them: Φ12 of each interval is such that the intervals of a window
+    combine to the window's transition.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> found = fa.estimation.sample_transitions(np.zeros((5, 3)), 0.1)
+    >>> found.matrix.shape
+    (4, 6, 6)
     """
     names = methods_for_samples(increments)
     fitting = [name for name in names if METHODS[name].window.iteration is None]
     record = METHODS[checks.choice("method", method, fitting)]
-    data = checks.array("samples", samples, "(n, 3) or (N, n, 3)")
+    data = checks.array("rates", rates, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     data = np.array(data[None] if one else data, dtype=np.float64)
     n_logs, n = data.shape[:2]
     m = n if increments else n - 1
     if m == 0:
-        raise ValueError("samples: found one rate; accepted: at least two, or increments")
+        raise ValueError("rates: found one rate; accepted: at least two, or increments")
     spans = np.broadcast_to(intervals(dt, m, None, np.dtype(np.float64)), (m,))
     b = triples("bias", bias, n_logs)
     data -= b[:, None] * (spans[:, None] if increments else 1.0)
     window = record.window
     before, after = beyond(data, spans, window, increments)
-    # samples beyond the ends of the log complete the first and the last window
+    # extrapolated samples complete the first and the last window
     missing = -m % window.span
     history = before[:, before.shape[1] - window.history :]
     padded = np.concatenate([history, data, after[:, :missing]], axis=1)
@@ -170,7 +229,7 @@ def _window_rows(record: Method, increments: bool) -> RowFunction:
 
 
 def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
-    """The method's record and the scene ready for its tangent, else ``ValueError``."""
+    """The method's record and the scene's parameters for its derivatives; raises ``ValueError``."""
     as_scene(scene)
     if scene.kind == "rate" or scene.is_coupled:
         raise ValueError(
@@ -199,14 +258,14 @@ def tangent_rows(
 ) -> tuple[NDArray[Any], ...]:
     """q, w and the rows (..., 7, D) after a step of h s from times and states that broadcast.
 
-    The quaternions are stepped with the length that they have.
+    The quaternions are not normalised before the step.
     """
     (t, h), (q, w) = times, state
     q1, w1, phi, z = _body_rows(record, packed.structure.turning, parameters)(
         t, h, q, w, np.atleast_2d(packed.params), tables=packed.tables,
         n_threads=number_of(n_threads),
     )  # fmt: skip
-    # an iteration that did not converge says so by an infinite angle
+    # an iteration that did not converge gives an infinite angle
     phi[~np.isfinite(z)] = np.nan
     rows = tangent.ANY_LENGTH
     return q1, w1, phi.reshape(*phi.shape[:-1], rows, phi.shape[-1] // rows)
@@ -214,36 +273,70 @@ def tangent_rows(
 
 def body_tangent(
     scene: Scene,
-    q: ArrayLike,
-    w: ArrayLike,
+    q0: ArrayLike,
+    w0: ArrayLike,
     dt: float,
     *,
-    t: float = 0.0,
+    t0: float = 0.0,
     method: str | Method | None = None,
     parameters: bool = False,
     n_threads: int | None = None,
 ) -> BodyTangent:
-    """The step that a method takes of rigid bodies, and its derivatives.
+    """One step of rigid bodies by a method, and its derivatives.
 
-    ``q`` (4,) or (N, 4), any length but zero; ``w`` (3,) or (N, 3), rad/s, body axes; the step of
-    ``dt`` s starts at ``t``. ``parameters`` asks for the derivatives to principal moments and the
-    torque's numbers too. Without ``method``, ``rk8``.
+    Parameters
+    ----------
+    scene : Scene
+        A scene with inertia, without mass and states.
+    q0 : array_like, shape (4,) or (N, 4)
+        Attitudes before the step, body to inertial, of any norm above zero.
+    w0 : array_like, shape (3,) or (N, 3)
+        Angular velocities before the step along body axes, rad/s.
+    dt : float
+        Step size, s.
+    t0 : float, default 0.0
+        Time at which the step begins, s.
+    method : str or Method, optional
+        The method; the default is rk8.
+    parameters : bool, default False
+        Also compute the derivatives by the principal moments and the torque's parameters.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
 
-    The derivatives are those of the method's own formula, exact but for rounding; of a user's
-    torque that can't be traced they are central differences, good to some 1e-10. Splittings and
-    ``dmv2`` are symplectic, and Φ is so to 1e-14; ``dmv4`` to ``dmv10``, whose moments change with
-    the state, to their order only: 1.4e-5, 5e-8, 1e-10, 2e-13 at |w| h = 0.25.
+    Returns
+    -------
+    BodyTangent
+        The state after the step, and its derivatives.
 
-    Raises ``ValueError`` or ``TypeError`` for another scene, method or shape.
+    Raises
+    ------
+    ValueError, TypeError
+        If the scene, the method or a shape does not fit.
+
+    Notes
+    -----
+    The derivatives are those of the method's formulas, exact to rounding. For a user-defined torque
+    that can't be traced they are central differences with an error of some 1e-10. Φ of splitting
+    methods and of ``dmv2`` is symplectic to 1e-14. That of ``dmv4`` to ``dmv10``, whose moments
+    depend on the state, is symplectic to their order: to 1.4e-5, 5e-8, 1e-10 and 2e-13 at ``|w| h``
+    = 0.25.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 1.4))
+    >>> step = fa.estimation.body_tangent(body, [1, 0, 0, 0], [0, 0, 1], 0.1, method="strang2")
+    >>> step.matrix.shape
+    (6, 6)
     """
     record, packed = of_body(scene, method)
-    h, begin = checks.real("dt", dt), checks.real("t", t)
-    attitudes = checks.attitudes("q", q)
-    w = checks.array("w", w, "(3,) or (N, 3)")
+    h, begin = checks.real("dt", dt), checks.real("t0", t0)
+    attitudes = checks.attitudes("q0", q0)
+    w = checks.array("w0", w0, "(3,) or (N, 3)")
     params = np.atleast_2d(packed.params)
     one = attitudes.ndim == 1 and w.ndim == 1 and packed.params.ndim == 1
     q_rows, w_rows = (np.atleast_2d(x).astype(np.float64) for x in (attitudes, w))
-    common_number("bodies", q=q_rows, w=w_rows, scene=params)
+    common_number("bodies", q0=q_rows, w0=w_rows, scene=params)
     state = normalised(q_rows), w_rows
     *moved, full = tangent_rows(record, packed, (begin, h), state, n_threads, parameters)
     inertia, torque = None, None
@@ -258,21 +351,46 @@ def body_tangent(
 
 
 def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTangent:
-    """The derivative of one step as a function for ``@njit`` code, tuples in and tuples out.
+    """The derivative of one step as a function for jitted code, from tuples to tuples.
 
-    Of a scene with a rate along body axes, ``step(t, h, b, p)`` gives (turn, Φ11, Φ12) at the rate
-    less the gyro's bias b (3,), as :class:`Transition`; without ``method``, magnus4. Of a rigid
-    body ``step(t, h, q, m, p)`` gives (q, m, Φ) after the step from the unit quaternion q and the
-    momentum m, N·m·s along body axes, Φ 36 numbers row by row, as :class:`BodyTangent`. p is
-    ``params``, or a row of them; quaternions and matrices are flat tuples.
+    Parameters
+    ----------
+    scene : Scene
+        A scene with a rate along body axes, or with inertia.
+    method : str or Method, optional
+        The method; the default is magnus4 for a rate and rk8 for a body.
 
-    Raises ``ValueError`` or ``TypeError`` for another scene or method, and ``step`` for an array p
-    that is too short.
+    Returns
+    -------
+    StepTangent
+        The function and its parameters.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the scene or the method does not fit. ``step`` raises ``ValueError`` for an array p that
+        is too short.
+
+    Notes
+    -----
+    For a rate, ``step(t, h, b, p)`` returns (turn, Φ11, Φ12) at the rate less the gyro's bias b
+    (3,), as in :class:`Transition`. For a body, ``step(t, h, q, m, p)`` returns (q, m, Φ) after the
+    step from the unit quaternion q and the angular momentum m, N·m·s along body axes, with the 36
+    numbers of Φ row by row, as in :class:`BodyTangent`. p is ``params``, or a row of it.
+    Quaternions and matrices are flat tuples. For a user-defined torque that can't be traced, its
+    derivatives are central differences with an error of some 1e-10.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> tangent = fa.estimation.step_tangent(fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 0.5))))
+    >>> tangent.method
+    'magnus4'
     """
     of_rate = as_scene(scene).kind == "rate"
     record, packed = _of_rate(scene, method or "magnus4") if of_rate else of_body(scene, method)
     structure, tables = packed.structure.turning, packed.tables
-    # compiled once for all scenes that differ in numbers alone
+    # compiled once for all scenes that differ in their numbers only
     made = _step_function(record, structure, tables) if tables else _kept(record, structure)
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
     return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, made)

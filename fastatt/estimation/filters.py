@@ -1,7 +1,8 @@
-"""Parts that filters share: motions of sigma points and particles, errors, means, updates.
+"""Common parts of filters: motions of sigma points and particles, errors, means, updates.
 
-A motion steps an ensemble, attitudes (M, 4) and auxiliary states (M, K): ``motion(q, y) -> (q,
-y)``. ``gyro_motion``, ``scene_motion`` or a user-defined function gives one.
+A motion steps an ensemble with attitudes (M, 4) and auxiliary states (M, K):
+``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make motions, and users may define
+others.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 @dataclass(frozen=True)
 class TimedMotion:
-    """A motion of so many s, at rates that differ as the first auxiliary numbers do."""
+    """A motion over some seconds, with rates that differ as the first auxiliary numbers do."""
 
     motion: Motion
     seconds: float
@@ -46,10 +47,32 @@ class TimedMotion:
 
 
 def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
-    """The motion at a gyro's rate less the bias, the first three auxiliary numbers.
+    """The motion at a gyro's rate less the bias, which is the first three auxiliary numbers.
 
-    ``gyro`` (3,), rad/s, is held for dt s; (N, 3) are the rates of N filters, whose points follow
-    each other in equal numbers.
+    Parameters
+    ----------
+    gyro : array_like, shape (3,) or (N, 3)
+        Gyro samples, rad/s, held for ``dt``: one, or those of N filters, whose points follow each
+        other in equal numbers.
+    dt : float
+        Interval, s.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
+
+    Returns
+    -------
+    Motion
+        A function ``motion(q, y) -> (q, y)`` of attitudes (M, 4) and auxiliary states (M, K), for
+        :meth:`UKF.predict` and :meth:`ParticleFilter.predict`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> motion = fa.estimation.gyro_motion((0.0, 0.0, 0.5), 0.1)
+    >>> q, y = motion(np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)), np.zeros((5, 3)))
+    >>> q.shape, y.shape
+    ((5, 4), (5, 3))
     """
     sample = checks.array("gyro", gyro, "(3,) or (N, 3)")
 
@@ -75,9 +98,29 @@ def scene_motion(
     t0: float = 0.0,
     n_threads: int | None = None,
 ) -> Motion:
-    """The motion of a scene with inertia, or of one at a given rate, for n_steps of dt s.
+    """The motion of a scene over some steps.
 
-    The first three auxiliary numbers of a body are its angular velocity, rad/s, along body axes.
+    Parameters
+    ----------
+    scene : Scene
+        A scene with inertia or with a rate.
+    dt : float
+        Step size, s.
+    n_steps : int
+        Number of steps.
+    method : str or Method, optional
+        The method, as in :func:`fastatt.propagate`.
+    t0 : float, default 0.0
+        Time at which the motion begins, s.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
+
+    Returns
+    -------
+    Motion
+        A function ``motion(q, y) -> (q, y)`` of attitudes (M, 4) and auxiliary states (M, K). For a
+        scene with inertia the first three auxiliary numbers are the angular velocity along body
+        axes, rad/s.
     """
     carries = scene.kind != "rate"
 
@@ -93,9 +136,30 @@ def scene_motion(
 
 
 def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
-    """δθ (..., 3), rad, of q_true = q∘exp(δθ), of quaternions of any length but zero.
+    """Error δθ of attitudes, q_true = q∘exp(δθ).
 
-    Raises ``ValueError`` for a zero quaternion.
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Estimated attitudes, of any norm above zero.
+    q_true : array_like, shape (..., 4)
+        True attitudes, of any norm above zero.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        δθ along body axes, rad.
+
+    Raises
+    ------
+    ValueError
+        If a quaternion is zero.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.estimation.attitude_error([1, 0, 0, 0], [1, 0, 0, 0.001]).round(6).tolist()
+    [0.0, 0.0, 0.002]
     """
     conjugate = _not_zero("q", q) * (1.0, -1.0, -1.0, -1.0)
     return quat_to_rotation_vector(quat_multiply(conjugate, _not_zero("q_true", q_true)))
@@ -109,32 +173,50 @@ def _not_zero(name: str, q: ArrayLike) -> Floats:
 
 
 def normalised_square(d: Floats, P: Floats) -> Floats:
-    """dᵀ P⁻¹ d of rows d (..., D) and covariances (..., D, D), by |L⁻¹ d|²: never below 0."""
+    """dᵀ P⁻¹ d of rows d (..., D) and covariances (..., D, D), as ``|L⁻¹ d|²``."""
     L, size = root(P), d.shape[-1]
     found = np.zeros(np.broadcast_shapes(d.shape[:-1], P.shape[:-2]))
     left = np.array(np.broadcast_to(d, (*found.shape, size)))
     for k in range(size):
         x, pivot = left[..., k], L[..., k, k]
         u = np.divide(x, pivot, where=pivot != 0.0, out=np.zeros(found.shape))
-        # what has no variance is 0, or beyond all bounds
+        # without variance the result is 0 or infinite
         found += np.where((pivot == 0.0) & (x != 0.0), np.inf, u * u)
         left -= L[..., :, k] * u[..., None]
     return found
 
 
 def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
-    """Mean of attitudes (..., M, 4), weighted (..., M): the eigenvector of Σ w q qᵀ, (..., 4).
+    """Weighted mean of attitudes, which minimises the weighted sum of squared matrix distances.
 
-    It minimises the weighted sum of squares of the matrices' distances; q and −q count the same,
-    quaternions of any length as of unit length, and of the two means the one with scalar ≥ 0 is
-    given. Markley, Cheng, Crassidis and Oshman, J. Guidance 30 (2007) 1193, eq. 12.
+    Parameters
+    ----------
+    q : array_like, shape (..., M, 4)
+        Attitudes, of any norm above zero; q and −q are equivalent.
+    weights : array_like, shape (..., M), optional
+        Weights of at least 0; the default is equal weights.
 
-    Raises ``ValueError`` for attitudes that are no quaternions or have no one mean, such as two
-    that are π rad apart, and for weights that do not fit, are negative or all 0.
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions with q0 ≥ 0: the eigenvector of Σ w q qᵀ with the largest eigenvalue.
 
+    Raises
+    ------
+    ValueError
+        If a shape does not fit, a quaternion is zero, weights are negative or all zero, or the mean
+        is not unique.
+
+    References
+    ----------
+    Markley, Cheng, Crassidis and Oshman, *Journal of Guidance, Control, and Dynamics* 30 (2007)
+    1193, equation 12.
+
+    Examples
+    --------
     >>> import fastatt as fa
-    >>> fa.mean_attitude([[1, 0, 0, 0], [0, 0, 0, 1]], weights=[1, 0])
-    array([1., 0., 0., 0.])
+    >>> fa.mean_attitude([[1.0, 0.1, 0.0, 0.0], [1.0, -0.1, 0.0, 0.0]]).round(6).tolist()
+    [1.0, 0.0, 0.0, 0.0]
     """
     rows = np.asarray(q, dtype=np.float64)
     if rows.ndim < 2 or rows.shape[-1] != 4 or rows.shape[-2] == 0:
@@ -165,7 +247,7 @@ def moved_rows(q: ArrayLike, y: ArrayLike, shape: tuple[int, ...]) -> tuple[Floa
 
 
 def unit_rows(value: NDArray[Any], n: int) -> Floats:
-    """n rows of unit quaternions, of one or n of any length but zero."""
+    """n rows of unit quaternions, from one or n of any norm above zero."""
     return rows_of(normalised(value), (n, 4))
 
 
@@ -175,7 +257,7 @@ def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
 
 
 class _Call(NamedTuple):
-    """An operation on a filter's arrays: each one's own numbers, those shared, two figures."""
+    """An operation on a filter's arrays: its own numbers, shared numbers, two results."""
 
     run: Callable[[], object]
     own: Floats
@@ -185,12 +267,12 @@ class _Call(NamedTuple):
 
 
 class Estimates:
-    """Attitudes, auxiliary states and covariances of (δθ, δy), of one filter or of N."""
+    """Attitudes, auxiliary states and covariances of (δθ, δy), for one filter or N."""
 
     def __init__(
         self, q: ArrayLike, name: str, y: NDArray[Any], covariance: ArrayLike, invalid: str
     ) -> None:
-        """``name`` is what the numbers y, (K,) or (N, K), are called."""
+        """``name`` is the name of the argument y, (K,) or (N, K)."""
         start, size = checks.attitudes("q", q), 3 + y.shape[-1]
         shapes = f"({size}, {size}) or (N, {size}, {size})"
         P = covariances("covariance", covariance, shapes)
@@ -198,7 +280,7 @@ class Estimates:
         many = {name: x for name, (x, one) in given.items() if x.ndim > one}
         n = common_number("filters", **many) if many else 1
         self._one, self._name = not many, name
-        # changed in place: calls hold their addresses
+        # these arrays are changed in place, since calls hold their addresses
         self._q, self._y = unit_rows(start, n), rows_of(y, (n, size - 3))
         self._P = rows_of(P, (n, size, size))
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
@@ -208,18 +290,18 @@ class Estimates:
         return {**self.__dict__, "_calls": {}}
 
     def _each(self, rows: Floats) -> Floats:
-        """The rows or, of one filter, its own."""
+        """The rows or, for one filter, its row."""
         return np.asarray(rows[0]) if self._one else rows
 
     def _figures(self, found: Floats) -> Any:
         return float(found[0]) if self._one else found
 
     def _vectors(self, name: str, value: ArrayLike) -> NDArray[Any]:
-        """Vectors (3,) or (N, 3), finite or for filters that skip others."""
+        """Vectors (3,) or (N, 3), which need not be finite if filters skip such measurements."""
         return checks.array(name, value, f"(3,) or ({len(self._q)}, 3)", flag=self._skips)
 
     def _call(self, name: str, own: Floats | None = None) -> _Call:
-        """An operation of ``updates``, on an array ``own`` of each filter's numbers."""
+        """An operation of ``updates``, with an array ``own`` of each filter's numbers."""
         found = self._calls.get(name)
         if found is None:
             n, made = len(self._q), operation(name, self._y.shape[1])
@@ -233,12 +315,28 @@ class Estimates:
     def update_vector(
         self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None
     ) -> Any:
-        """Use a vector: measured in body axes, its reference along inertial ones; (3,) or (N, 3).
+        """Update with a measured vector, such as the direction of a star or the magnetic field.
 
-        ``sigma`` is the standard deviation of each component, in the vectors' unit, above 0. Gives
-        NIS, and does not use vectors for which it is beyond ``gate``.
+        Parameters
+        ----------
+        measured : array_like, shape (3,) or (N, 3)
+            Vectors along body axes.
+        reference : array_like, shape (3,) or (N, 3)
+            The same vectors along inertial axes.
+        sigma : float
+            Standard deviation of each component, in the unit of the vectors, above 0.
+        gate : float, optional
+            Measurements whose normalised innovation squared is larger are not used.
 
-        Raises ``ValueError`` for another shape, and as ``invalid`` says.
+        Returns
+        -------
+        float or ndarray of shape (N,)
+            Normalised innovation squared (NIS); NaN if a measurement was left out.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, and for bad measurements as ``invalid`` says.
         """
         call = self._call("vector")
         seen, known = self._vectors("measured", measured), self._vectors("reference", reference)
@@ -250,24 +348,39 @@ class Estimates:
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
     ) -> Any:
-        """Use attitudes, (4,) or (N, 4), unit; such as a star tracker's.
+        """Update with a measured attitude, such as a star tracker's.
 
-        ``sigma`` is the standard deviation about each body axis, rad, a number or (3,), or their
-        covariance (3, 3). Gives NIS, and does not use attitudes for which it is beyond ``gate``.
+        Parameters
+        ----------
+        measured : array_like, shape (4,) or (N, 4)
+            Unit quaternions, body to inertial.
+        sigma : array_like
+            Standard deviation about each body axis, rad, a number or (3,), or a covariance (3, 3),
+            rad².
+        gate : float, optional
+            Measurements whose normalised innovation squared is larger are not used.
 
-        Raises ``ValueError`` for another shape, and as ``invalid`` says.
+        Returns
+        -------
+        float or ndarray of shape (N,)
+            Normalised innovation squared (NIS); NaN if a measurement was left out.
+
+        Raises
+        ------
+        ValueError
+            If a shape does not fit, and for bad measurements as ``invalid`` says.
         """
         shapes = f"(4,) or ({len(self._q)}, 4)"
         rows = checks.attitudes("measured", measured, shapes, flag=self._skips)
         call = self._call("attitude")
         call.shared[:] = largest_square(gate), *attitude_covariance(sigma)[np.triu_indices(3)]
-        # a zero quaternion is no attitude
+        # a zero quaternion is not an attitude
         call.own[:] = np.where((rows == 0.0).all(axis=-1, keepdims=True), np.nan, rows)
         call.run()
         return self._checked_nis(call.nis.copy(), gate, call.nonlinearity)
 
     def _checked_nis(self, nis: Floats, gate: float | None, nonlinearity: Floats) -> Any:
-        """NIS; refuses measurements without one, warns of updates that are too nonlinear."""
+        """NIS; refuses measurements without one, and warns of updates that are too nonlinear."""
         if not self._skips and not checks.all_finite(nis):
             lost = ~np.isfinite(nis) if gate is None else np.isnan(nis)
             if lost.any():
@@ -287,18 +400,33 @@ class Estimates:
 
     @property
     def q(self) -> Floats:
-        """Attitudes, (4,) or (N, 4)."""
+        """Attitudes, body to inertial: (4,) or (N, 4)."""
         return self._each(self._q)
 
     @property
     def covariance(self) -> Floats:
-        """Covariances of the errors, (D, D) or (N, D, D)."""
+        """Covariances of the errors: (D, D) or (N, D, D)."""
         return self._each(self._P)
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
-        """Normalised estimation error squared against the truth, χ² with D degrees of freedom.
+        """Normalised estimation error squared against the truth.
 
-        Raises ``ValueError`` or ``TypeError`` for a truth of another shape, not finite or zero.
+        Parameters
+        ----------
+        q : array_like, shape (4,) or (N, 4)
+            True attitudes.
+        y : array_like, shape (K,) or (N, K)
+            True auxiliary states.
+
+        Returns
+        -------
+        float or ndarray of shape (N,)
+            χ² with D degrees of freedom, if the filter is consistent.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the truth has another shape, is not finite, or is a zero quaternion.
         """
         n, k = self._y.shape
         attitudes = checks.attitudes("q", q, f"(4,) or ({n}, 4)")

@@ -19,13 +19,13 @@ from fastatt.threads import number_of
 from fastatt.tracing.formulas import Vector, minus
 
 _TRIPLE = (0.0, 0.0, 0.0)
-# numbers of a state's parts, those of its rotation first
+# sizes of a state's parts, those of its rotation first
 _WIDTHS = (1, 4, 9, 6, 3, 3, 9, 9, 9, 9, 9, 9, 6, 9, 6)
 _SIZE, _ROTATION = sum(_WIDTHS), sum(_WIDTHS[:4])
 
 
 def nested(x: Vector) -> pre.Preintegrated:
-    """The state of 101 numbers."""
+    """The state from its 101 numbers."""
     t, *parts = (x[end - n : end] for n, end in zip(_WIDTHS, accumulate(_WIDTHS), strict=True))
     return pre.Preintegrated(pre.PreintegratedRotation(*t, *parts[:3]), *parts[3:])
 
@@ -39,14 +39,31 @@ _LOGS = LogFunction(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "
 
 @dataclass(frozen=True, eq=False)
 class Preintegration:
-    """What a gyro and an accelerometer say of the motion between two instants i and j.
+    """Preintegrated motion between two times i and j, from a gyro and an accelerometer.
 
-    One log gives the shapes written here, N logs the same after (N,). ``duration`` () s;
-    ``rotation`` ΔR (4,), a unit quaternion; ``velocity`` Δv (3,), m/s, and ``position`` Δp (3,), m,
-    along the body axes at i. ``rotation_gyro`` (3, 3) is the derivative of ΔR, in body axes at j,
-    to the gyro's bias; ``velocity_gyro``, ``velocity_accel``, ``position_gyro`` and
-    ``position_accel`` those of Δv and Δp to both biases. ``covariance`` (9, 9) is that of the
-    errors of (ΔR, Δv, Δp). Of a gyro alone all but what is the rotation's is NaN.
+    For N logs, arrays have a leading axis N. Without an accelerometer, everything but the rotation
+    is NaN.
+
+    Attributes
+    ----------
+    duration : ndarray, shape ()
+        Time from i to j, s.
+    rotation : ndarray, shape (4,)
+        ΔR as a unit quaternion.
+    velocity : ndarray, shape (3,)
+        Δv along the body axes at i, m/s.
+    position : ndarray, shape (3,)
+        Δp along the body axes at i, m.
+    rotation_gyro : ndarray, shape (3, 3)
+        Derivative of ΔR, along the body axes at j, by the gyro bias.
+    velocity_gyro, velocity_accel : ndarray, shape (3, 3)
+        Derivatives of Δv by the two biases.
+    position_gyro, position_accel : ndarray, shape (3, 3)
+        Derivatives of Δp by the two biases.
+    covariance : ndarray, shape (9, 9)
+        Covariance of the errors of (ΔR, Δv, Δp).
+    rows : ndarray, shape (101,)
+        All numbers.
     """
 
     duration: NDArray[np.float64]
@@ -59,15 +76,30 @@ class Preintegration:
     position_gyro: NDArray[np.float64]
     position_accel: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    #: all numbers, a row of 101 for each log
+    #: all numbers, with a row of 101 for each log
     rows: NDArray[np.float64]
 
     def corrected(
         self, gyro_bias: ArrayLike = _TRIPLE, accel_bias: ArrayLike = _TRIPLE
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """(ΔR, Δv, Δp) for biases larger by these, (3,) or (N, 3), to first order.
+        """Correct the increments for changed biases, to first order.
 
-        Raises ``ValueError`` or ``TypeError`` for other shapes.
+        Parameters
+        ----------
+        gyro_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+            Increase of the gyro bias, rad/s.
+        accel_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+            Increase of the accelerometer bias, m/s².
+
+        Returns
+        -------
+        rotation, velocity, position : ndarray
+            ΔR, Δv and Δp.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a shape does not fit.
         """
         gyro, accel = self._vectors(gyro_bias=gyro_bias, accel_bias=accel_bias)
         q = quat_multiply(self.rotation, rotation_vector_to_quat(_times(self.rotation_gyro, gyro)))
@@ -76,7 +108,7 @@ class Preintegration:
         return np.broadcast_to(q, (*v.shape[:-1], 4)), v, p
 
     def _vectors(self, **given: ArrayLike) -> list[NDArray[Any]]:
-        """Vectors (3,) or (N, 3), of one log or of each."""
+        """Vectors (3,) or (N, 3), for one log or each."""
         found = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in given.items()}
         rows = {name: np.atleast_2d(x) for name, x in found.items()}
         common_number("logs", preintegrated=self.rows, **rows)
@@ -92,12 +124,32 @@ class Preintegration:
         gyro_bias: ArrayLike = _TRIPLE,
         accel_bias: ArrayLike = _TRIPLE,
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """(q, v, p) at j from those at i: (4,), (3,), (3,) or a row for each log.
+        """Predict the state at j from the state at i.
 
-        Velocities (m/s) and positions (m) are along inertial axes, ``gravity`` (3,) m/s² too; the
-        biases are what they have grown by since the samples were added.
+        Parameters
+        ----------
+        q : array_like, shape (4,) or (N, 4)
+            Attitude at i, body to inertial.
+        v : array_like, shape (3,) or (N, 3)
+            Velocity at i along inertial axes, m/s.
+        p : array_like, shape (3,) or (N, 3)
+            Position at i along inertial axes, m.
+        gravity : array_like, shape (3,), default (0, 0, -9.80665)
+            Acceleration by gravity along inertial axes, m/s².
+        gyro_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+            Increase of the gyro bias since the samples were added, rad/s.
+        accel_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+            Increase of the accelerometer bias, m/s².
 
-        Raises ``ValueError`` or ``TypeError`` for other shapes, and for samples of a gyro alone.
+        Returns
+        -------
+        q, v, p : ndarray
+            Attitude, velocity and position at j.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a shape does not fit, or there were no accelerometer samples.
         """
         if np.isnan(self.rows[:, _ROTATION:]).all():
             raise ValueError(
@@ -116,7 +168,7 @@ class Preintegration:
         return attitude, velocity, position
 
 
-_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # of a symmetric block, as of ``sym3``
+_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # indices of a symmetric block, as in ``sym3``
 
 
 def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
@@ -148,21 +200,54 @@ def preintegrate(
     accel_bias: ArrayLike = _TRIPLE,
     n_threads: int | None = None,
 ) -> Preintegration:
-    """Rotation, velocity and position increments of a log, their bias derivatives and covariance.
+    """Preintegrate a log of a gyro and an accelerometer.
+
+    The result has the rotation, velocity and position increments, their derivatives by the biases,
+    and their covariance.
 
     Parameters
     ----------
-    gyro : (n, 3) or (N, n, 3), rad/s, body axes, each sample held over its interval.
-    accel : the same shape, specific force, m/s²; None for a gyro alone, whose rotation is found.
-    dt : the interval, s, or the n intervals.
-    gyro_noise, accel_noise : densities σ_g, rad/√s, and σ_a, m/s^1.5: of samples with standard
-        deviation s at intervals h, s √h.
-    gyro_bias, accel_bias : (3,) or (N, 3), taken off the samples.
+    gyro : array_like, shape (n, 3) or (N, n, 3)
+        Gyro samples along body axes, rad/s, each held over its interval.
+    accel : array_like of the same shape, or None
+        Specific force along body axes, m/s². None preintegrates the rotation only.
+    dt : float or array_like of shape (n,)
+        The interval, or the n intervals, s.
+    gyro_noise : float, default 0.0
+        Noise density σ_g, rad/√s; s √h for samples with the standard deviation s at intervals h.
+    accel_noise : float, default 0.0
+        Noise density σ_a, m/s^1.5.
+    gyro_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        Bias that is subtracted from ``gyro``, rad/s.
+    accel_bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        Bias that is subtracted from ``accel``, m/s².
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
+
+    Returns
+    -------
+    Preintegration
+        The increments.
 
     Raises
     ------
-    ValueError, TypeError : a shape that does not fit, a number that is not finite, an interval not
-        above 0, a negative density.
+    ValueError, TypeError
+        If a shape does not fit, a number is not finite, an interval is not above 0, or a density is
+        negative.
+
+    References
+    ----------
+    Forster, Carlone, Dellaert and Scaramuzza, *IEEE Transactions on Robotics* 33 (2017) 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> gyro, accel = np.zeros((10, 3)), np.tile([0.0, 0.0, 9.80665], (10, 1))
+    >>> found = fa.estimation.preintegrate(gyro, accel, 0.1)
+    >>> q, v, p = found.predict([1, 0, 0, 0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    >>> (p.round(9) + 0.0).tolist()
+    [1.0, 0.0, 0.0]
     """
     w = checks.array("gyro", gyro, "(n, 3) or (N, n, 3)")
     one = w.ndim == 2
@@ -197,7 +282,27 @@ def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:
 
 
 class Preintegrator:
-    """Preintegration sample by sample, from Python; arguments as those of :func:`preintegrate`."""
+    """Preintegrate sample by sample, from Python.
+
+    Parameters
+    ----------
+    gyro_noise : float, default 0.0
+        Noise density σ_g, rad/√s, as in :func:`preintegrate`.
+    accel_noise : float, default 0.0
+        Noise density σ_a, m/s^1.5.
+    gyro_bias : array_like, shape (3,), default (0, 0, 0)
+        Bias that is subtracted from gyro samples, rad/s.
+    accel_bias : array_like, shape (3,), default (0, 0, 0)
+        Bias that is subtracted from accelerometer samples, m/s².
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> increments = fa.estimation.Preintegrator()
+    >>> increments.add((0.0, 0.0, 0.1), (0.0, 0.0, 9.8), 0.01)
+    >>> increments.result.velocity.round(3).tolist()
+    [0.0, 0.0, 0.098]
+    """
 
     def __init__(
         self,
@@ -212,13 +317,25 @@ class Preintegrator:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again, at the instant of the last sample's end."""
+        """Begin again, at the end of the last sample."""
         self._row = _start(1)
 
     def add(self, gyro: ArrayLike, accel: ArrayLike, dt: float) -> None:
-        """One sample: rate (3,), rad/s, and specific force (3,), m/s², held for ``dt`` s.
+        """Add one sample.
 
-        Raises ``ValueError`` or ``TypeError`` for other shapes, and for an interval not above 0.
+        Parameters
+        ----------
+        gyro : array_like, shape (3,)
+            Rate along body axes, rad/s.
+        accel : array_like, shape (3,)
+            Specific force along body axes, m/s².
+        dt : float
+            Interval over which both are held, s.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a shape does not fit, or the interval is not above 0.
         """
         h = np.full((1, 1, 1), interval(dt))
         w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
@@ -226,10 +343,10 @@ class Preintegrator:
 
     @property
     def state(self) -> pre.Preintegrated:
-        """The tuple that kernels such as ``add_sample`` take."""
+        """The nested tuple that kernels such as ``preintegration.add_sample`` take."""
         return nested(tuple(self._row[0].tolist()))
 
     @property
     def result(self) -> Preintegration:
-        """What the samples so far give."""
+        """The increments of the samples so far, a :class:`Preintegration`."""
         return _unpacked(self._row, one=True)

@@ -1,4 +1,4 @@
-"""A sensor's noise: data sheets' units, simulated samples, Allan deviation and a fit of it."""
+"""The noise of a sensor: units of data sheets, simulated samples, Allan deviation and its fit."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from fastatt import checks
 from fastatt.estimation.amounts import at_least_zero, interval
 from fastatt.estimation.filters import Floats
 
-# of the largest variance: a smaller one weighs no more in a fit's first guess
+# share of the largest variance; smaller ones have the same weight in a fit's first guess
 _LEAST = 1e-6
 _DEGREE, _HOUR, _G = math.pi / 180.0, 3600.0, 9.80665
-#: what one of a unit is in rad, m and s
+#: units in terms of rad, m and s
 _UNITS: dict[str, float] = {
-    # angle random walk, rad/√s: what a rate's density in rad/s/√Hz is called
+    # angle random walk, rad/√s, which equals a rate's density in rad/s/√Hz
     "rad/sqrt(s)": 1.0, "rad/s/sqrt(Hz)": 1.0, "deg/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
     "deg/sqrt(s)": _DEGREE, "deg/s/sqrt(Hz)": _DEGREE, "mdeg/s/sqrt(Hz)": 1e-3 * _DEGREE,
     "deg/h/sqrt(Hz)": _DEGREE / _HOUR,
@@ -38,15 +38,35 @@ _UNITS: dict[str, float] = {
 
 
 def from_data_sheet(value: ArrayLike, unit: str) -> Any:
-    """A data sheet's figure in rad, m and s: what the filters and simulations here take.
+    """Convert a figure of a data sheet to rad, m and s.
 
-    ``unit`` is one of "deg/sqrt(h)", "deg/h", "deg/h/sqrt(h)", "mdeg/s/sqrt(Hz)", "m/s/sqrt(h)",
-    "ug/sqrt(Hz)", "mg" and their like; "°", "√h", "dps" and "µ" are read too. A density is taken
-    for the random walk's coefficient, σ² = N²/τ: of a sheet that means one side of the spectrum
-    the figure is √2 too large.
+    Parameters
+    ----------
+    value : float or array_like
+        The figure.
+    unit : str
+        "deg/sqrt(h)", "deg/h", "deg/h/sqrt(h)", "mdeg/s/sqrt(Hz)", "m/s/sqrt(h)", "ug/sqrt(Hz)",
+        "mg" or a similar unit; "°", "√h", "dps" and "µ" are accepted too.
 
-    Raises ``ValueError`` for another unit, with those known, ``TypeError`` for no number.
+    Returns
+    -------
+    float or ndarray
+        The figure in the units that filters and simulations here take.
 
+    Raises
+    ------
+    ValueError
+        If the unit is unknown; the message lists the known ones.
+    TypeError
+        If ``value`` is not a number.
+
+    Notes
+    -----
+    A density is interpreted as the coefficient of the random walk, σ² = N²/τ. If a data sheet means
+    a one-sided spectrum, the result is √2 too large.
+
+    Examples
+    --------
     >>> from fastatt import estimation as es
     >>> print(f"{es.from_data_sheet(0.15, 'deg/sqrt(h)'):.4e} rad/√s")
     4.3633e-05 rad/√s
@@ -55,7 +75,33 @@ def from_data_sheet(value: ArrayLike, unit: str) -> Any:
 
 
 def to_data_sheet(value: ArrayLike, unit: str) -> Any:
-    """The inverse of :func:`from_data_sheet`."""
+    """Convert a figure in rad, m and s to the unit of a data sheet.
+
+    Parameters
+    ----------
+    value : float or array_like
+        The figure.
+    unit : str
+        A unit, as in :func:`from_data_sheet`.
+
+    Returns
+    -------
+    float or ndarray
+        The figure in this unit.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown.
+    TypeError
+        If ``value`` is not a number.
+
+    Examples
+    --------
+    >>> from fastatt import estimation as es
+    >>> round(es.to_data_sheet(4.3633e-05, "deg/sqrt(h)"), 3)
+    0.15
+    """
     return _figure(value) / _one_of(unit)
 
 
@@ -75,10 +121,14 @@ def _one_of(unit: str) -> float:
 
 
 class SimulatedGyro(NamedTuple):
-    """What a gyro says, and its bias.
+    """Samples of a simulated gyro, and its bias.
 
-    ``samples`` (n, 3) or (N, n, 3), rad/s or rad, of n intervals; ``bias`` (n + 1, 3) or
-    (N, n + 1, 3), rad/s, at the ends of the intervals.
+    Attributes
+    ----------
+    samples : ndarray, shape (n, 3) or (N, n, 3)
+        Rates, rad/s, or increments, rad, of n intervals.
+    bias : ndarray, shape (n + 1, 3) or (N, n + 1, 3)
+        Bias at the ends of the intervals, rad/s.
     """
 
     samples: Floats
@@ -86,7 +136,7 @@ class SimulatedGyro(NamedTuple):
 
 
 def simulate_gyro(
-    true: ArrayLike,
+    rates: ArrayLike,
     dt: float,
     *,
     angle_noise: float = 0.0,
@@ -96,36 +146,64 @@ def simulate_gyro(
     runs: int | None = None,
     rng: Any = None,
 ) -> SimulatedGyro:
-    """A gyro's samples of a true motion: angle random walk and a bias that walks.
-
-    Over an interval of h s from bias b to b', u₁ and u₂ standard normal, b' = b + σ_u √h u₁ and the
-    increment is θ + ½(b + b') h + √(σ_v² h + σ_u² h³/12) u₂: the bias walk and its own integral
-    together have the joint distribution of the continuous noise. Farrenkopf, J. Guidance 1 (1978)
-    282; Crassidis, AIAA GNC (2005), eq. 19.
+    """Simulate a gyro's samples of a true motion, with angle random walk and rate random walk.
 
     Parameters
     ----------
-    true : (n, 3) or (N, n, 3), the integrals of the true angular velocity over n intervals, rad,
-        with ``increments``; else their means, rad/s.
-    dt : the interval h, s, above 0.
-    angle_noise : σ_v, rad/√s, at least 0.
-    bias_noise : σ_u, rad/s^1.5, at least 0.
-    bias : (3,) or (N, 3), rad/s, at the start.
-    increments : samples are increments, rad, not mean rates, rad/s.
-    runs : N runs of one motion (n, 3), each with its noise.
-    rng : a ``numpy.random.Generator``, or a seed for one.
+    rates : array_like, shape (n, 3) or (N, n, 3)
+        Means of the true angular velocity over n intervals, rad/s; with ``increments`` its
+        integrals, rad.
+    dt : float
+        Interval h, s, above 0.
+    angle_noise : float, default 0.0
+        σ_v, rad/√s, at least 0.
+    bias_noise : float, default 0.0
+        σ_u, rad/s^1.5, at least 0.
+    bias : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        Bias at the start, rad/s.
+    increments : bool, default False
+        Whether ``rates`` and the samples are increments, rad, in place of mean rates.
+    runs : int, optional
+        N simulations of one motion (n, 3), each with its own noise.
+    rng : numpy.random.Generator or int, optional
+        Random generator, or a seed for one.
+
+    Returns
+    -------
+    SimulatedGyro
+        The samples, and the bias.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    ValueError, TypeError
+        If an argument does not fit.
+
+    Notes
+    -----
+    Over an interval from bias b to b', with standard normal u₁ and u₂, b' = b + σ_u √h u₁ and the
+    increment is θ + ½ (b + b') h + √(σ_v² h + σ_u² h³/12) u₂. The walk of the bias and its integral
+    have the joint distribution of the continuous noise.
+
+    References
+    ----------
+    Farrenkopf, *Journal of Guidance and Control* 1 (1978) 282; Crassidis, AIAA GNC (2005), equation
+    19.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> gyro = fa.estimation.simulate_gyro(np.zeros((100, 3)), 0.01, angle_noise=1e-4, rng=0)
+    >>> gyro.samples.shape, gyro.bias.shape
+    ((100, 3), (101, 3))
     """
-    motion = checks.array("true", true, "(n, 3) or (N, n, 3)")
+    motion = checks.array("rates", rates, "(n, 3) or (N, n, 3)")
     h = interval(dt)
     angle = at_least_zero("angle_noise", angle_noise)
     walk = at_least_zero("bias_noise", bias_noise)
     if runs is not None:
         if motion.ndim == 3:
-            raise ValueError(f"runs: found {runs} beside {len(motion)} motions; accepted: None")
+            raise ValueError(f"runs: found {runs} with {len(motion)} motions; accepted: None")
         motion = np.broadcast_to(motion, (checks.whole("runs", runs, 1), *motion.shape))
     first = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (*motion.shape[:-2], 3)])
     generator = np.random.default_rng(rng)
@@ -143,12 +221,22 @@ def simulate_gyro(
 
 @dataclass(frozen=True, eq=False)
 class NoiseFit:
-    """The parts of a sensor's noise: σ²(τ) = N²/τ + (2 ln 2/π) B² + K² τ/3.
+    """The parts of a sensor's noise, σ²(τ) = N²/τ + (2 ln 2/π) B² + K² τ/3.
 
-    ``angle_noise`` N, rad/√s (angle random walk), ``bias_instability`` B, rad/s, ``bias_noise`` K,
-    rad/s^1.5 (rate random walk), of an accelerometer m for rad; each of one column or (K,), and 0
-    where the record shows none. ``deviations`` (3,) or (3, K) are their standard deviations, in
-    this order, towards 0: a part below its deviation cannot be distinguished from 0.
+    Numbers are for one column, or arrays (K,) for K columns. A part is 0 if the record does not
+    show it. For an accelerometer m replaces rad.
+
+    Attributes
+    ----------
+    angle_noise : float or ndarray
+        N, rad/√s (angle random walk).
+    bias_instability : float or ndarray
+        B, rad/s.
+    bias_noise : float or ndarray
+        K, rad/s^1.5 (rate random walk).
+    deviations : ndarray, shape (3,) or (3, K)
+        Standard deviations of the three towards 0. A part below its deviation can't be
+        distinguished from 0.
     """
 
     angle_noise: Any
@@ -157,17 +245,34 @@ class NoiseFit:
     deviations: Floats
 
     def deviation(self, tau: ArrayLike) -> Floats:
-        """The Allan deviation of these parts at ``tau`` s: (T,) or (T, K)."""
+        """The Allan deviation of these parts.
+
+        Parameters
+        ----------
+        tau : array_like, shape (T,)
+            Averaging times, s.
+
+        Returns
+        -------
+        ndarray, shape (T,) or (T, K)
+            The Allan deviation.
+        """
         parts = np.stack([self.angle_noise, self.bias_instability, self.bias_noise])
         return np.asarray(np.sqrt(_basis(np.asarray(tau, dtype=np.float64)) @ parts**2))
 
 
 @dataclass(frozen=True, eq=False)
 class AllanDeviation:
-    """Allan deviation over averaging times: ``tau`` (T,), s; ``deviation`` (T,) or (T, K).
+    """The Allan deviation over averaging times, as :func:`allan_deviation` computes it.
 
-    The deviation is in the unit of the samples' rate. ``freedom`` (T,) is the number of disjoint
-    averages less one: the relative deviation of a variance is √(2/freedom).
+    Attributes
+    ----------
+    tau : ndarray, shape (T,)
+        Averaging times, s.
+    deviation : ndarray, shape (T,) or (T, K)
+        Allan deviation, in the unit of the samples' rate.
+    freedom : ndarray, shape (T,)
+        Number of disjoint averages minus one; the relative deviation of a variance is √(2/freedom).
     """
 
     tau: Floats
@@ -175,11 +280,26 @@ class AllanDeviation:
     freedom: Floats
 
     def fit(self) -> NoiseFit:
-        """Angle random walk, bias instability and rate random walk, separated by their slopes.
+        """Separate angle random walk, bias instability and rate random walk by their slopes.
 
-        Least squares of the variances, none of the parts negative, each weighted by the deviation
-        that the fit itself gives it. IEEE Std 952 (1997), annex C, of which quantisation and a
-        ramp are left out. Raises ``ValueError`` for fewer than 4 averaging times.
+        Returns
+        -------
+        NoiseFit
+            The three parts.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than 4 averaging times.
+
+        Notes
+        -----
+        The variances are fitted by least squares, with no negative parts, each weighted by the
+        deviation that the fit itself predicts. Quantisation and ramp are not fitted.
+
+        References
+        ----------
+        IEEE Std 952 (1997), annex C.
         """
         if len(self.tau) < 4:
             raise ValueError(f"tau: found {len(self.tau)} times; accepted: at least 4 for a fit")
@@ -197,11 +317,11 @@ def _basis(tau: Floats) -> Floats:
 
 
 def _parts(tau: Floats, variance: Floats, freedom: Floats) -> tuple[Floats, Floats]:
-    """Coefficients and their deviations of one column."""
+    """Coefficients of one column and their deviations."""
     basis, largest = _basis(tau), variance.max()
     if largest == 0.0:
         return np.zeros(3), np.zeros(3)
-    # averages of some samples are made of those of fewer: together they have what the record has
+    # longer averages consist of shorter ones: together they have the information of the record
     freedom = freedom * (freedom.max() / freedom.sum())
     model = np.maximum(variance, _LEAST * largest)
     for _ in range(8):
@@ -210,17 +330,17 @@ def _parts(tau: Floats, variance: Floats, freedom: Floats) -> tuple[Floats, Floa
         size = np.linalg.norm(A, axis=0)
         A /= size
         squares = _not_negative(A, variance * weight) / size
-        # the weights of what fits, not of what was seen, which would favour the low
+        # weights from the fit, since weights from the measured variances would favour low ones
         model = basis @ squares
     known = np.sqrt(np.diag(np.linalg.inv(A.T @ A))) / size
-    # the lower side, which is the farther; of a part near 0, the root of what its square may be
+    # the lower deviation, which is the larger one; near 0, the root of the deviation of its square
     return np.sqrt(squares), np.where(
         squares > known, np.sqrt(squares) - np.sqrt(np.abs(squares - known)), np.sqrt(known)
     )
 
 
 def _not_negative(A: Floats, b: Floats) -> Floats:
-    """The x ≥ 0 of least |A x − b|, of few columns: the best of all choices of them."""
+    """The x ≥ 0 with the least ``|A x − b|``, for few columns: the best of all subsets of them."""
     best, least = np.zeros(A.shape[1]), math.inf
     for size in range(1, A.shape[1] + 1):
         for chosen in combinations(range(A.shape[1]), size):
@@ -235,23 +355,38 @@ def _not_negative(A: Floats, b: Floats) -> Floats:
 def allan_deviation(
     samples: ArrayLike, dt: float, *, increments: bool = False, counts: ArrayLike | None = None
 ) -> AllanDeviation:
-    """Allan deviation of a sensor at rest, of overlapping averages.
+    """Allan deviation of a sensor at rest, from overlapping averages.
 
-    σ²(τ) = ⟨(ȳ(t + τ) − ȳ(t))²⟩/2 over all t of the record, ȳ means over τ: IEEE Std 952 (1997),
-    annex C; Riley, NIST SP 1065 (2008), §5.2.4.
+    σ²(τ) = ⟨(ȳ(t + τ) − ȳ(t))²⟩/2 over all t of the record, with means ȳ over τ.
 
     Parameters
     ----------
-    samples : (n,) or (n, K), rates, rad/s, or accelerations, m/s², of K axes or sensors; n at
-        least 9.
-    dt : the interval, s.
-    increments : samples are angles, rad, or velocities, m/s, over the intervals.
-    counts : numbers of samples averaged, at most n/2; None takes powers of two up to n/4.
+    samples : array_like, shape (n,) or (n, K)
+        Rates, rad/s, or accelerations, m/s², of K axes or sensors; n is at least 9.
+    dt : float
+        Interval, s.
+    increments : bool, default False
+        Whether samples are angles, rad, or velocities, m/s, over the intervals.
+    counts : array_like of int, optional
+        Numbers of samples in an average, at most n/2; the default is powers of two up to n/4.
+
+    Returns
+    -------
+    AllanDeviation
+        The Allan deviation; ``fit()`` separates its parts.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    ValueError, TypeError
+        If an argument does not fit.
 
+    References
+    ----------
+    IEEE Std 952 (1997), annex C; Riley, NIST SP 1065 (2008), §5.2.4.
+
+    Examples
+    --------
+    >>> import numpy as np
     >>> from fastatt import estimation as es
     >>> rng = np.random.default_rng(0)
     >>> white = rng.normal(0.0, 1e-3, 100_000)  # rad/s, at 100 Hz: 1e-4 rad/√s
@@ -271,7 +406,7 @@ def allan_deviation(
             f"counts: found {m.min():g} to {m.max():g}; accepted: whole numbers from 1 to {most}, "
             "half of the samples"
         )
-    # less the mean, of which the differences know nothing: sums stay short
+    # without the mean, which cancels in the differences, sums stay small
     angles = np.zeros((n + 1, *rates.shape[1:]))
     np.cumsum(rates - rates.mean(axis=0), axis=0, out=angles[1:])
     if not increments:

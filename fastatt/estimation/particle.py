@@ -1,4 +1,4 @@
-"""Particle filter on the rotation group: 10⁶ particles through the tile engine."""
+"""Particle filter on the rotation group, for up to 10⁶ particles."""
 
 from __future__ import annotations
 
@@ -24,23 +24,46 @@ from fastatt.estimation.filters import (
 
 
 class ParticleFilter:
-    """Attitudes with K numbers each, and weights: any distribution, any measurement.
+    """Particle filter of attitudes with K auxiliary numbers each, for any distribution.
 
-    Sampling and importance resampling: particles move by the motion and its noise, are weighted by
-    how likely they make a measurement, and are drawn anew (systematically) when fewer than
-    ``threshold`` of them count: Arulampalam, Maskell, Gordon and Clapp, IEEE Trans. Signal Proc. 50
-    (2002) 174; Kitagawa, J. Comput. Graph. Stat. 5 (1996) 1.
+    Particles move by the motion and its noise, are weighted by the likelihood of a measurement, and
+    are resampled systematically when their effective number is below ``threshold`` (sampling and
+    importance resampling).
 
     Parameters
     ----------
-    q : (M, 4), attitudes, body to inertial, of any length but zero.
-    y : (M, K), the auxiliary state.
-    rng : a ``numpy.random.Generator``, or a seed for one.
-    threshold : share of the particles below whose effective number they are drawn anew.
+    q : array_like, shape (M, 4)
+        Attitudes, body to inertial, of any norm above zero.
+    y : array_like, shape (M, K)
+        Auxiliary states.
+    rng : numpy.random.Generator or int, optional
+        Random generator, or a seed for one.
+    threshold : float, default 0.5
+        Effective number of particles, as a share of all, below which they are resampled.
 
     Attributes
     ----------
-    q, y : the particles; ``weights`` (M,), of sum 1.
+    q : ndarray, shape (M, 4)
+        Attitudes of the particles.
+    y : ndarray, shape (M, K)
+        Auxiliary states of the particles.
+    weights : ndarray, shape (M,)
+        Weights, whose sum is 1.
+
+    References
+    ----------
+    Arulampalam, Maskell, Gordon and Clapp, *IEEE Transactions on Signal Processing* 50 (2002) 174;
+    Kitagawa, *Journal of Computational and Graphical Statistics* 5 (1996) 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fastatt import estimation as es
+    >>> cloud = es.ParticleFilter.around([1, 0, 0, 0], [0, 0, 0], 0.01 * np.eye(6), 100, rng=0)
+    >>> cloud.update_vector((0.0, 0.0, 1.0), (0.0, 0.0, 1.0), sigma=0.1)
+    >>> q, y = cloud.mean()
+    >>> q.shape, y.shape
+    ((4,), (3,))
     """
 
     def __init__(
@@ -58,7 +81,26 @@ class ParticleFilter:
     def around(
         cls, q: ArrayLike, y: ArrayLike, covariance: ArrayLike, n: int, *, rng: Any = None
     ) -> ParticleFilter:
-        """n particles about q (4,) and y (K,), their errors (δθ, δy) of a covariance (D, D)."""
+        """Draw particles around an estimate.
+
+        Parameters
+        ----------
+        q : array_like, shape (4,)
+            Attitude, body to inertial.
+        y : array_like, shape (K,)
+            Auxiliary state.
+        covariance : array_like, shape (D, D)
+            Covariance of (δθ, δy).
+        n : int
+            Number of particles.
+        rng : numpy.random.Generator or int, optional
+            Random generator, or a seed for one.
+
+        Returns
+        -------
+        ParticleFilter
+            The filter.
+        """
         generator = np.random.default_rng(rng)
         particles = checks.whole("n", n, 1)
         centre = checks.attitudes("q", q, "(4,)")
@@ -73,7 +115,13 @@ class ParticleFilter:
         return made
 
     def scatter(self, covariance: ArrayLike) -> None:
-        """Move each particle by a random error (δθ, δy) of a covariance (D, D)."""
+        """Move each particle by a random error (δθ, δy).
+
+        Parameters
+        ----------
+        covariance : array_like, shape (D, D)
+            Covariance of the errors.
+        """
         size = 3 + self.y.shape[1]
         P = covariances("covariance", covariance, f"({size}, {size})")
         d = self._rng.standard_normal((len(self.q), size)) @ root(P).T
@@ -81,7 +129,15 @@ class ParticleFilter:
         self.y = self.y + d[:, 3:]
 
     def predict(self, motion: Motion, noise: ArrayLike | None = None) -> None:
-        """Move all particles: ``motion`` as for :meth:`UKF.predict`, then a noise's covariance."""
+        """Move all particles.
+
+        Parameters
+        ----------
+        motion : callable
+            ``motion(q, y) -> (q, y)``, as for :meth:`UKF.predict`.
+        noise : array_like, shape (D, D), optional
+            Covariance of random errors that are added afterwards.
+        """
         size = 3 + self.y.shape[1]
         P = None if noise is None else covariances("noise", noise, f"({size}, {size})")
         q, y = motion(self.q, self.y)
@@ -90,9 +146,17 @@ class ParticleFilter:
             self.scatter(P)
 
     def update(self, log_likelihood: ArrayLike) -> None:
-        """Weight the particles by the logarithm of a likelihood, (M,), up to a constant.
+        """Weight the particles by a likelihood.
 
-        Raises ``ValueError`` where no particle has a finite one.
+        Parameters
+        ----------
+        log_likelihood : array_like, shape (M,)
+            Logarithm of the likelihood for each particle, up to a constant.
+
+        Raises
+        ------
+        ValueError
+            If no particle has a finite one.
         """
         given = checks.array("log_likelihood", log_likelihood, f"({len(self.weights)},)", flag=True)
         with np.errstate(divide="ignore"):
@@ -106,7 +170,17 @@ class ParticleFilter:
             self.resample()
 
     def update_vector(self, measured: ArrayLike, reference: ArrayLike, sigma: float) -> None:
-        """Use a vector (3,), measured in body axes, its reference along inertial ones."""
+        """Update with a measured vector.
+
+        Parameters
+        ----------
+        measured : array_like, shape (3,)
+            Vector along body axes.
+        reference : array_like, shape (3,)
+            The same vector along inertial axes.
+        sigma : float
+            Standard deviation of each component, in the unit of the vectors.
+        """
         seen = checks.array("measured", measured, "(3,)")
         fixed = checks.array("reference", reference, "(3,)")
         weight = -0.5 / variance("sigma", sigma)
@@ -114,17 +188,25 @@ class ParticleFilter:
         self.update(np.einsum("ij,ij->i", away, away) * weight)
 
     def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> None:
-        """Use an attitude (4,); ``sigma`` as for :meth:`MEKF.update_attitude`."""
+        """Update with a measured attitude.
+
+        Parameters
+        ----------
+        measured : array_like, shape (4,)
+            Unit quaternion, body to inertial.
+        sigma : array_like
+            Standard deviation, as in :meth:`MEKF.update_attitude`.
+        """
         error = attitude_error(self.q, checks.attitudes("measured", measured, "(4,)"))
         self.update(-0.5 * normalised_square(error, attitude_covariance(sigma)))
 
     @property
     def effective_number(self) -> float:
-        """1/Σw²: how many particles count."""
+        """Effective number of particles, 1/Σw²."""
         return float(1.0 / np.dot(self.weights, self.weights))
 
     def resample(self) -> None:
-        """Draw the particles anew, each as often as its weight says, to within one."""
+        """Resample the particles, each as often as its weight says, to within one."""
         n = len(self.weights)
         ends = np.cumsum(self.weights)
         ends[-1] = 1.0
@@ -133,17 +215,44 @@ class ParticleFilter:
         self.weights = np.full(n, 1.0 / n)
 
     def mean(self) -> tuple[Floats, Floats]:
-        """(q, y): :func:`mean_attitude` (4,) and the weighted mean (K,)."""
+        """Mean of the particles.
+
+        Returns
+        -------
+        q : ndarray, shape (4,)
+            :func:`mean_attitude` of the particles.
+        y : ndarray, shape (K,)
+            Weighted mean of the auxiliary states.
+        """
         return mean_attitude(self.q, self.weights), self.weights @ self.y
 
     def covariance(self) -> Floats:
-        """Covariance (D, D) of the errors (δθ, δy) about the mean."""
+        """Covariance of the errors (δθ, δy) about the mean.
+
+        Returns
+        -------
+        ndarray, shape (D, D)
+            The covariance.
+        """
         q, y = self.mean()
         d = np.hstack([attitude_error(q, self.q), self.y - y])
         return np.asarray((d * self.weights[:, None]).T @ d)
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> float:
-        """Normalised error squared of the mean against the truth."""
+        """Normalised estimation error squared of the mean against the truth.
+
+        Parameters
+        ----------
+        q : array_like, shape (4,)
+            True attitude.
+        y : array_like, shape (K,)
+            True auxiliary state.
+
+        Returns
+        -------
+        float
+            χ² with D degrees of freedom, if the filter is consistent.
+        """
         mean, centre = self.mean()
         away = checks.array("y", y, f"({len(centre)},)") - centre
         d = np.concatenate([attitude_error(mean, checks.attitudes("q", q, "(4,)")), away])

@@ -1,21 +1,22 @@
-"""Preintegration of a gyro and an accelerometer between two instants i and j.
+"""Preintegration of a gyro and an accelerometer between two times i and j, as kernels.
 
-Forster, Carlone, Dellaert and Scaramuzza, IEEE Trans. Robotics 33 (2017) 1. Rates ω (rad/s) and
-specific forces a (m/s²) along body axes, biases subtracted, give increments that do not depend on
-the state at i:
+Rates ω (rad/s) and specific forces a (m/s²) along body axes, with biases subtracted, give
+increments that do not depend on the state at i (Forster, Carlone, Dellaert and Scaramuzza, *IEEE
+Transactions on Robotics* 33 (2017) 1):
 
     ΔR = C_iᵀ C_j,  Δv = C_iᵀ (v_j − v_i − g Δt),  Δp = C_iᵀ (p_j − p_i − v_i Δt − ½ g Δt²),
 
-their derivatives to both biases and the covariance of their errors (δφ, δv, δp): ΔR_true =
+with their derivatives by both biases and the covariance of their errors (δφ, δv, δp): ΔR_true =
 ΔR exp [δφ], δφ in body axes at j, δv and δp along the body axes at i. Velocities are along inertial
-axes here, and g the acceleration by gravity.
+axes here, and g is the acceleration by gravity.
 
-Each sample is held over its interval h. Within it the motion is exact for a constant ω and a
-constant a along body axes: Δv += ΔR h Jl(ωh) a, Δp += Δv h + ΔR h²
+Each sample is held over its interval h. Within it the motion is exact for constant ω and constant a
+along body axes: Δv += ΔR h Jl(ωh) a, Δp += Δv h + ΔR h²
 (½ + (θ − sin θ)/θ³ [ωh] + (θ²/2 + cos θ − 1)/θ⁴ [ωh]²) a.
 
 Noise is given by spectral densities, σ_g² (rad²/s) and σ_a² (m²/s³): each sample has an error of
-variance σ²/h, held over the interval too (Forster, eq. 39; attitude gains σ_g² h Jr Jrᵀ).
+variance σ²/h, which is held over the interval too (Forster, equation 39; the attitude gains
+σ_g² h Jr Jrᵀ).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _formula = partial(scalar_function, rewritten=True)
 
 
 class PreintegratedRotation(NamedTuple):
-    """What a gyro gives: time (s), ΔR, ∂φ/∂b_g (s), covariance of δφ (rad²) as of ``sym3``."""
+    """Preintegrated rotation: time (s), ΔR, ∂φ/∂b_g (s), covariance of δφ (rad²) as ``sym3``."""
 
     t: Any
     q: Any
@@ -42,11 +43,12 @@ class PreintegratedRotation(NamedTuple):
 
 
 class Preintegrated(NamedTuple):
-    """State of a preintegration, nested tuples; matrices row by row.
+    """State of a preintegration, as nested tuples with matrices row by row.
 
-    ``rotation`` is a :class:`PreintegratedRotation`; ``v`` (m/s) and ``p`` (m); ``vg`` ∂Δv/∂b_g,
-    ``va`` ∂Δv/∂b_a, ``pg`` and ``pa`` those of Δp; ``rv``, ``rp``, ``vv``, ``vp``, ``pp`` the other
-    blocks of the covariance, ``vv`` and ``pp`` as of ``sym3``.
+    ``rotation`` is a :class:`PreintegratedRotation`; ``v`` is Δv (m/s) and ``p`` is Δp (m); ``vg``
+    is ∂Δv/∂b_g and ``va`` ∂Δv/∂b_a; ``pg`` and ``pa`` are those of Δp; ``rv``, ``rp``, ``vv``,
+    ``vp`` and ``pp`` are the other blocks of the covariance, with ``vv`` and ``pp`` in ``sym3``
+    order.
     """
 
     rotation: Any
@@ -65,7 +67,18 @@ class Preintegrated(NamedTuple):
 
 @_formula
 def begin(like):
-    """The state before the first sample, in the type of ``like``."""
+    """The state before the first sample.
+
+    Parameters
+    ----------
+    like : float
+        A number of the precision of the state.
+
+    Returns
+    -------
+    Preintegrated
+        The state.
+    """
     F = type(like)
     o = F(0.0)
     three = (o, o, o)
@@ -77,7 +90,7 @@ def begin(like):
 
 @scalar_function
 def _exact(w, a, h):
-    """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes of its start."""
+    """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes at its start."""
     s = seed((*w, *a), 6)
     u = formulas.scale(h, s[:3])
     v = formulas.scale(h, formulas.so3.turned_integral(u, s[3:]))
@@ -86,20 +99,41 @@ def _exact(w, a, h):
 
 
 def _halves(x: Any) -> Any:
-    """The derivatives to the rate and to the specific force, row by row."""
+    """The derivatives by the rate and by the specific force, row by row."""
     rows = [derivatives(c, 6) for c in x]
     return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
 
 
 @_formula
 def add_sample(s, w, a, h, gyro, accel):
-    """Rate w (rad/s) and specific force a (m/s²), biases off, held for h s; σ_g² and σ_a² held."""
+    """Add a sample to a preintegration.
+
+    Parameters
+    ----------
+    s : Preintegrated
+        The state.
+    w : tuple of 3 float
+        Rate, less the bias, rad/s.
+    a : tuple of 3 float
+        Specific force, less the bias, m/s².
+    h : float
+        Interval over which both are held, s.
+    gyro : float
+        Noise density σ_g² of the gyro, rad²/s.
+    accel : float
+        Noise density σ_a² of the accelerometer, m²/s³.
+
+    Returns
+    -------
+    Preintegrated
+        The state after the sample.
+    """
     r = s.rotation
     u = scale(h, w)
     dv, dp, slopes = _exact(w, a, h)
     c = dcm.from_quat(r.q)
     f, g = error_state.transition(u, h)
-    # derivatives of (φ, v, p) after the sample to its rate, and of (v, p) to its specific force
+    # derivatives of (φ, v, p) after the sample by its rate, and of (v, p) by its specific force
     rw = _scaled(-1.0, g)
     vw, va, pw, pa = (dcm.mul(c, x) for x in slopes)
     # A = [f 0 0; b 1 0; d h 1] takes (δφ, δv, δp) across the sample
@@ -140,7 +174,7 @@ def add_sample(s, w, a, h, gyro, accel):
 
 
 def _forward(across: Any, x: Any) -> Any:
-    """A x of three 3×3 blocks."""
+    """A x with the three 3×3 blocks of A."""
     f, b, d, h = across
     r, v, p = x
     position = dcm.add(dcm.mul(d, r), dcm.add(dcm.scale(h, v), p))
@@ -162,7 +196,22 @@ def _less(a: Any, b: Any) -> Any:
 
 @_formula
 def corrected(s, gyro, accel):
-    """(ΔR, Δv, Δp) for biases that are larger by ``gyro`` and ``accel``, to first order."""
+    """Correct the increments for changed biases, to first order.
+
+    Parameters
+    ----------
+    s : Preintegrated
+        The state.
+    gyro : tuple of 3 float
+        Increase of the gyro bias, rad/s.
+    accel : tuple of 3 float
+        Increase of the accelerometer bias, m/s².
+
+    Returns
+    -------
+    tuple
+        (ΔR, Δv, Δp).
+    """
     r = s.rotation
     q = quat.mul(r.q, quat.exp(dcm.rotate(r.jacobian, gyro)))
     v = add(s.v, add(dcm.rotate(s.vg, gyro), dcm.rotate(s.va, accel)))
@@ -172,7 +221,28 @@ def corrected(s, gyro, accel):
 
 @_formula
 def navigate(q, v, p, g, t, change):
-    """(q, v, p) at j from those at i (v and p along inertial axes), g (m/s²) and (ΔR, Δv, Δp)."""
+    """Predict the state at j from the state at i.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at i, body to inertial.
+    v : tuple of 3 float
+        Velocity at i along inertial axes, m/s.
+    p : tuple of 3 float
+        Position at i along inertial axes, m.
+    g : tuple of 3 float
+        Acceleration by gravity along inertial axes, m/s².
+    t : float
+        Time from i to j, s.
+    change : tuple
+        (ΔR, Δv, Δp), such as the result of :func:`corrected`.
+
+    Returns
+    -------
+    tuple
+        (q, v, p) at j.
+    """
     F = type(t)
     dq, dv, dp = change
     end = axpy(F(0.5) * t * t, g, axpy(t, v, p))

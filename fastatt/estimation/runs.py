@@ -20,12 +20,17 @@ from fastatt.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class RunTangent:
-    """What becomes of small changes over a run: the product of its steps' transitions.
+    """The derivative of a run: the product of the transitions of its steps.
 
-    ``steps`` (S, ..., K, K), the first step's first; those of ``sample_transitions(...).matrix``
-    take (δθ, δb) over a gyro log. Of the K numbers the first D = ``size`` are those of a change;
-    the others, 0 before the run and left out after it, are internal to the steps: those of
-    :func:`run_tangent` take (δθ, δm, δs), δs the relative change of a quaternion's length.
+    Parameters
+    ----------
+    steps : ndarray, shape (S, ..., K, K)
+        Transitions, the first step's first. Those of ``sample_transitions(...).matrix`` give the
+        derivative of (δθ, δb) over a gyro log.
+    size : int, optional
+        Number D of components of a change; the other K − D are internal to the steps, 0 before the
+        run and left out after it. Those of :func:`run_tangent` are (δθ, δm, δs), with the relative
+        change δs of a quaternion's norm.
     """
 
     steps: NDArray[Any]
@@ -33,21 +38,43 @@ class RunTangent:
 
     @cached_property
     def matrix(self) -> NDArray[Any]:
-        """A = Φ_S … Φ_2 Φ_1, (..., D, D)."""
+        """A = Φ_S … Φ_2 Φ_1: (..., D, D)."""
         found = np.broadcast_to(np.eye(self.steps.shape[-1]), self.steps.shape[1:])
         for step in self.steps:
             found = step @ found
         return np.asarray(found[..., : self.size, : self.size])
 
     def tangent(self, before: ArrayLike) -> NDArray[Any]:
-        """A x: the change (..., D) after the run from that before it, without the matrix A."""
+        """Change after the run, A x, without computing the matrix A.
+
+        Parameters
+        ----------
+        before : array_like, shape (..., D)
+            Change x before the run.
+
+        Returns
+        -------
+        ndarray, shape (..., D)
+            Change after the run.
+        """
         x = self._change("before", before)
         for step in self.steps:
             x = step @ x
         return x[..., : self.size, 0]
 
     def adjoint(self, after: ArrayLike) -> NDArray[Any]:
-        """Aᵀ y: the gradient (..., D) to the state before from that to the state after."""
+        """Gradient with respect to the state before the run, Aᵀ y.
+
+        Parameters
+        ----------
+        after : array_like, shape (..., D)
+            Gradient y with respect to the state after the run.
+
+        Returns
+        -------
+        ndarray, shape (..., D)
+            Gradient with respect to the state before the run.
+        """
         y = self._change("after", after)
         for step in self.steps[::-1]:
             y = np.swapaxes(step, -1, -2) @ y
@@ -71,15 +98,47 @@ def run_tangent(
     t0: float = 0.0,
     n_threads: int | None = None,
 ) -> tuple[Trajectory, RunTangent]:
-    """A run of rigid bodies, every step of it, and its derivative.
+    """Propagate rigid bodies, save every step, and compute the derivative of the run.
 
-    With δm = I δw it takes (δθ, δm) at the start to those at the end, exact but for rounding: the
-    product of the derivatives of the method's steps, along the quaternions of the run before
-    they are normalised, whose length a Runge-Kutta method changes. 49 numbers a step and body are
-    kept. Arguments are those of ``fastatt.propagate``; without ``method``, ``rk8``.
+    Parameters
+    ----------
+    scene : Scene
+        A scene with inertia.
+    q0 : array_like, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`.
+    w0 : array_like, shape (3,) or (N, 3)
+        Initial angular velocities along body axes, rad/s.
+    dt : float
+        Step size, s.
+    n_steps : int
+        Number of steps.
+    method : str or Method, optional
+        The method; the default is rk8.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
 
-    Raises ``ValueError`` or ``TypeError`` as :func:`body_tangent` and ``fastatt.propagate`` do.
+    Returns
+    -------
+    run : Trajectory
+        The run, with every step saved.
+    tangent : RunTangent
+        The derivative of (δθ, δm) at the end by that at the start, δm = I δw.
 
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit, as in :func:`body_tangent` and :func:`fastatt.propagate`.
+
+    Notes
+    -----
+    The derivative is exact to rounding. It is the product of the derivatives of the method's steps
+    along the quaternions before they are normalised, whose norm a Runge-Kutta method changes. 49
+    numbers are kept for each step and body.
+
+    Examples
+    --------
     >>> import fastatt as fa
     >>> from fastatt import estimation as es
     >>> body = fa.Scene(inertia=(2.0, 1.0, 1.4))

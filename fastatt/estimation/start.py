@@ -1,4 +1,4 @@
-"""Where a filter starts: attitude from directions, and gyro bias from the first seconds at rest."""
+"""The initial state of a filter: attitude from directions, gyro bias from samples at rest."""
 
 from __future__ import annotations
 
@@ -19,42 +19,64 @@ from fastatt.arrays import (
 from fastatt.estimation.filters import Floats
 
 _PIECES = 4
-# largest ratio of deviations: beyond, rounding hides the least precise direction
+# largest ratio of deviations; beyond it rounding hides the least precise direction
 _LARGEST_RATIO = 1e7
-# of directions in Davenport's matrix, whose eigenvector knows a rotation to an ulp over this
+# smallest gap of eigenvalues in Davenport's matrix, which limits the accuracy of its eigenvector
 _LEAST_WEIGHT = 1e-12
-# of the information of the directions that residuals may leave about an axis
+# smallest share of the directions' information about an axis that residuals may leave
 _LEAST_SHARE = 0.1
 
 
 def attitude_from_vectors(
     measured: ArrayLike, reference: ArrayLike, sigma: ArrayLike
 ) -> tuple[Any, Floats]:
-    """The attitude that fits two or more directions best, and its covariance.
-
-    It minimises Σ |b − Cᵀ r|²/σ² (Wahba), b and r at unit length: the eigenvector of Davenport's
-    matrix (Markley and Crassidis (2014), §5.3), then three Gauss-Newton steps, which find the
-    digits that it loses where the σ differ much. Of two directions, TRIAD would take one for exact.
-    The covariance is (Σ (1 − e eᵀ)/σ²)⁻¹, e = Cᵀ r: Shuster and Oh, J. Guidance 4 (1981) 70.
+    """Find the attitude that fits two or more directions best, with its covariance.
 
     Parameters
     ----------
-    measured : (m, 3) or (N, m, 3), vectors along body axes, m at least 2, of any length but zero.
-    reference : (m, 3) or (N, m, 3), the same along inertial axes.
-    sigma : standard deviation of the directions across, rad, a number or (m,), above 0, the largest
-        at most 1e7 times the smallest.
+    measured : array_like, shape (m, 3) or (N, m, 3)
+        At least two vectors along body axes, of any length above zero.
+    reference : array_like, shape (m, 3) or (N, m, 3)
+        The same vectors along inertial axes.
+    sigma : float or array_like of shape (m,)
+        Standard deviations of the directions, rad, above 0; the largest is at most 1e7 times the
+        smallest.
 
     Returns
     -------
-    q (4,) or (N, 4), body to inertial, and the covariance (3, 3) or (N, 3, 3) of δθ, rad²,
-    q_true = q∘exp(δθ), as of the filters.
+    q : ndarray, shape (4,) or (N, 4)
+        Attitude, body to inertial.
+    covariance : ndarray, shape (3, 3) or (N, 3, 3)
+        Covariance of δθ, rad², q_true = q∘exp(δθ).
 
     Raises
     ------
-    ValueError, TypeError : a shape that does not fit, a vector that is zero or not finite;
-        directions so near one line that the rotation about it has a deviation above 1 rad; measured
-        ones that lie so differently to each other than the references that the rotation about some
-        axis is free, such as two equal ones, or left-handed ones of right-handed references.
+    ValueError, TypeError
+        If a shape does not fit, or a vector is zero or not finite; if directions are so close to
+        one line that the rotation about it has a deviation above 1 rad; if the angles between
+        measured directions differ from those between the references so much that the rotation about
+        some axis is undetermined, such as for two equal directions, or left-handed ones of
+        right-handed references.
+
+    Notes
+    -----
+    The attitude minimises Σ ``|b − Cᵀ r|²``/σ² (Wahba's problem) for unit vectors b and r. It is
+    the eigenvector of Davenport's matrix, corrected by three Gauss-Newton steps, since the
+    eigenvector loses digits if the σ differ much. TRIAD would take one of two directions as exact.
+    The covariance is (Σ (1 − e eᵀ)/σ²)⁻¹ with e = Cᵀ r.
+
+    References
+    ----------
+    Markley and Crassidis, *Fundamentals of Spacecraft Attitude Determination and Control* (2014),
+    §5.3; Shuster and Oh, *Journal of Guidance and Control* 4 (1981) 70.
+
+    Examples
+    --------
+    >>> from fastatt import estimation as es
+    >>> axes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+    >>> q, covariance = es.attitude_from_vectors(axes, axes, 0.01)
+    >>> (q.round(9) + 0.0).tolist()
+    [1.0, 0.0, 0.0, 0.0]
     """
     b, r = _directions("measured", measured), _directions("reference", reference)
     m = b.shape[-2]
@@ -79,7 +101,7 @@ def attitude_from_vectors(
     q: Any = np.linalg.eigh(K)[1][..., -1]
     for _ in range(3):
         e = quat_rotate_inverse(q[..., None, :], r)
-        # a column is e × an axis: what b − e is made of by δθ
+        # a column is e × an axis, the derivative of b − e by δθ
         slopes = np.swapaxes(np.cross(e[..., None, :], np.eye(3)), -1, -2) / s[..., None]
         u, values, v = np.linalg.svd(slopes.reshape(*q.shape[:-1], -1, 3), full_matrices=False)
         _refuse(
@@ -93,7 +115,7 @@ def attitude_from_vectors(
         q = quat_multiply(
             q, rotation_vector_to_quat((root @ np.swapaxes(u, -1, -2) @ left)[..., 0])
         )
-    # half the sum's second derivative to δθ along the root's columns: 1 but for the residuals
+    # half the second derivative of the sum by δθ along the root's columns, 1 without residuals
     d = (b - e) / s**2
     outer = np.swapaxes(d, -1, -2) @ e
     curved = np.trace(outer, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - outer
@@ -112,13 +134,13 @@ def _even(A: Floats) -> Floats:
 
 
 def _refuse(bad: Any, name: str, message: str) -> None:
-    """Refuse the first bad set of directions, where there are several by its number."""
+    """Refuse the first bad set of directions, by its index if there are several."""
     if np.any(bad):
         raise ValueError(f"{name}{[int(np.argmax(bad))] if np.ndim(bad) else ''}: {message}")
 
 
 def _directions(name: str, value: ArrayLike) -> Floats:
-    """Vectors at unit length."""
+    """Vectors, normalised."""
     rows = checks.array(name, value, "(m, 3) or (N, m, 3)")
     zero = ~rows.any(axis=-1)
     if zero.any():
@@ -135,15 +157,23 @@ def _deviations(sigma: ArrayLike, n: int) -> Floats:
 
 
 class StaticStart(NamedTuple):
-    """Attitude, gyro bias and their covariance after a rest.
+    """Attitude, gyro bias and their covariance after a rest, as :func:`static_start` finds them.
 
-    ``q`` (4,), body to inertial; ``bias`` (3,), rad/s, with the Earth's rotation in it; ``P`` (6,
-    6) of (δθ, δb), rad and rad/s, as a filter takes it; ``gravity``, the mean specific force, m/s².
+    Attributes
+    ----------
+    q : ndarray, shape (4,)
+        Attitude, body to inertial.
+    bias : ndarray, shape (3,)
+        Gyro bias, rad/s, which includes the Earth's rotation.
+    covariance : ndarray, shape (6, 6)
+        Covariance of (δθ, δb), rad and rad/s, as filters take it.
+    gravity : float
+        Mean specific force, m/s².
     """
 
     q: Floats
     bias: Floats
-    P: Floats
+    covariance: Floats
     gravity: float
 
 
@@ -158,28 +188,51 @@ def static_start(
     largest_bias: float = 0.05,
     largest_change: float = 0.01,
 ) -> StaticStart:
-    """Attitude and gyro bias from samples at rest.
-
-    The bias is the gyro's mean; the accelerometer's is the direction up, and with the
-    magnetometer's the attitude is that of :func:`attitude_from_vectors`. Without, the smallest
-    rotation from the inertial axes is given, whose heading has a deviation of π.
+    """Find the attitude and the gyro bias from samples at rest.
 
     Parameters
     ----------
-    gyro : (n, 3), rad/s, along body axes; n at least 8.
-    accel : (n, 3), specific force, which at rest points up, along body axes, any unit.
-    mag : (n, 3), magnetic field along body axes, any unit.
-    sigma : a number or (2,), standard deviation of the two means across, rad, of what is not noise:
-        bias over gravity, 5e-3 for 5 mg, and the field's calibration. The noise is seen and added.
-    up, field : (3,), the two directions along inertial axes, any length; ``field`` with ``mag``.
-    largest_bias : of the gyro, rad/s: a larger mean is a rotation.
-    largest_change : of the means over quarters of the samples, rad/s, and rad of the directions.
+    gyro : array_like, shape (n, 3)
+        Gyro samples along body axes, rad/s; n is at least 8.
+    accel : array_like, shape (n, 3)
+        Specific force along body axes, which points up at rest, in any unit.
+    mag : array_like, shape (n, 3), optional
+        Magnetic field along body axes, in any unit.
+    sigma : float or array_like of shape (2,)
+        Standard deviations of the two mean directions apart from noise, rad: the accelerometer's
+        bias divided by gravity, 5e-3 for 5 mg, and the calibration of the magnetometer. The noise
+        is estimated from the samples and added.
+    up : array_like, shape (3,), default (0, 0, 1)
+        The direction up along inertial axes, of any length above zero.
+    field : array_like, shape (3,), optional
+        The magnetic field along inertial axes, of any length above zero; required with ``mag``.
+    largest_bias : float, default 0.05
+        Largest accepted mean of the gyro, rad/s.
+    largest_change : float, default 0.01
+        Largest accepted difference of the means over quarters of the samples, rad/s, and rad for
+        the directions.
+
+    Returns
+    -------
+    StaticStart
+        Attitude, bias and covariance.
 
     Raises
     ------
-    ValueError, TypeError : samples that were not taken at rest, a field that lies otherwise to
-        gravity than ``field`` to ``up``, by 5 deviations; an argument that does not fit, by name.
+    ValueError, TypeError
+        If the samples were not taken at rest, if the angle between field and gravity differs from
+        that between ``field`` and ``up`` by more than 5 deviations, or if an argument does not fit.
 
+    Notes
+    -----
+    The bias is the mean of the gyro. The accelerometer's mean is the direction up; with the
+    magnetometer's the attitude is that of :func:`attitude_from_vectors`. Without a magnetometer,
+    the attitude is the smallest rotation from the inertial axes, with a deviation of π for its
+    heading.
+
+    Examples
+    --------
+    >>> import numpy as np
     >>> from fastatt import estimation as es
     >>> gyro, accel = np.tile([0.01, 0.0, 0.0], (100, 1)), np.tile([0.0, 0.0, 9.81], (100, 1))
     >>> found = es.static_start(gyro, accel, sigma=5e-3)
@@ -260,9 +313,9 @@ def _least_turn(mean: Floats, up: Floats, deviation: float) -> tuple[Floats, Flo
         raise ValueError("up: found the zero vector; accepted: any other")
     f, u = normalised(mean), normalised(up)
     q = np.array([1.0, 0.0, 0.0, 0.0])
-    if f @ u < 1e-9 - 1.0:  # upside down: about any axis across
+    if f @ u < 1e-9 - 1.0:  # upside down: rotate about any orthogonal axis
         q = np.array([0.0, *normalised(np.cross(f, np.eye(3)[np.argmin(np.abs(f))]))])
-    for _ in range(2):  # the second finds the digits that the first loses near there
+    for _ in range(2):  # the second pass corrects the rounding of the first
         seen = quat_rotate(q, f)
         q = normalised(quat_multiply([1.0 + seen @ u, *np.cross(seen, u)], q))
     along = np.outer(f, f)

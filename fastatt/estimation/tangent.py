@@ -1,10 +1,10 @@
-"""Derivatives of the step that a method takes: of the attitude's error, of a body's, to parameters.
+"""Derivatives of the steps of methods, by attitude errors, by a body's state, and by parameters.
 
-The step itself is called with dual numbers (``tracing.dual``), so that every method, model and
-user's function has its derivatives from its own formula, exact but for rounding.
+The step itself is evaluated with dual numbers (``tracing.dual``), so that every method, model and
+user-defined function has derivatives from its own formula, exact to rounding.
 
 The error of an attitude is a rotation in body axes, C_true = C exp [δθ]; that of a body's angular
-momentum δm (N·m·s, body axes; I⁻¹ δm is that of the rate).
+momentum is δm (N·m·s, body axes), and I⁻¹ δm is that of the rate.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Formula = Callable[..., Any]
 
 
 def error(q: Vector) -> Vector:
-    """δθ of a dual quaternion about its own value, and δs, the relative change of its length.
+    """δθ of a dual quaternion about its value, and the relative change δs of its norm.
 
-    Their values mean nothing: their derivatives are what counts.
+    Only the derivatives of the results have a meaning.
     """
     v = value(q)
     r = quat.mul(quat.conj(v), q)
@@ -39,7 +39,7 @@ def error(q: Vector) -> Vector:
 
 
 def displaced(q: Vector, d: Vector, s: Any = 0.0) -> Any:
-    """(1 + s) q∘exp(d) for dual d and s of value 0."""
+    """(1 + s) q∘exp(d) for dual d and s with the value 0."""
     return quat.mul(q, (1.0 + s, *scale(0.5, d)))
 
 
@@ -48,11 +48,11 @@ def rows(x: Vector, size: int) -> Vector:
     return tuple(slope for number in x for slope in derivatives(number, size))
 
 
-# a given rate
+# a prescribed rate
 
 
 class _Unbiased(Turning):
-    """A rate less a gyro's bias."""
+    """A rate less a gyro bias."""
 
     def __init__(self, structure: PrescribedRate, p: Vector, like: Any, bias: Vector) -> None:
         super().__init__(QUATERNION, structure, p, like)
@@ -65,7 +65,7 @@ class _Unbiased(Turning):
 def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:
     """``f(t, h, b, p)`` -> (turn of a step of h s, Φ11, Φ12): quaternion, matrices row by row.
 
-    The rate is that of the structure with parameters p less the bias b.
+    The rate is that of the structure with parameters p, less the bias b.
     """
     assert method.steps is not None
     step: Any = method.steps.rate
@@ -79,7 +79,7 @@ def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:
 
 
 def coupled(x: Vector) -> tuple[Any, Any, Any]:
-    """Turn, Φ11 and Φ12 of a dual quaternion that the bias moves."""
+    """Turn, Φ11 and Φ12 of a dual quaternion that depends on the bias."""
     q = quat.normalise(value(x))
     return q, dcm.transpose(dcm.from_quat(q)), rows(error(x)[:3], 3)
 
@@ -90,7 +90,7 @@ def coupled(x: Vector) -> tuple[Any, Any, Any]:
 def window_tangent(window: Window, *, increments: bool) -> Formula:
     """``f(v, h)`` -> (turn, Φ11, Φ12) of each interval of a window.
 
-    v are its flat samples, the bias taken off, and h its intervals.
+    v are its flat samples, less the bias, and h its intervals.
     """
     formula = window.formula(increments)
     assert formula is not None
@@ -112,10 +112,7 @@ def window_tangent(window: Window, *, increments: bool) -> Formula:
 
 
 def own_numbers(law: Law) -> Iterator[bool]:
-    """Which of a law's flat parameters are its model's.
-
-    The others say which row of a table is a body's.
-    """
+    """Which of a law's flat parameters are its model's; the others select rows of tables."""
     if law.parts:
         for part in law.parts:
             yield from own_numbers(part)
@@ -124,24 +121,24 @@ def own_numbers(law: Law) -> Iterator[bool]:
             yield from (look_up is None,) * size
 
 
-#: directions of a state (δθ, δm), and of one whose quaternion has any length (δθ, δm, δs)
+#: sizes of (δθ, δm), and of (δθ, δm, δs) for quaternions of any norm
 UNIT, ANY_LENGTH = 6, 7
 
 
 def directions(structure: RigidBody, state: int, *, parameters: bool) -> int:
-    """How many derivatives each number has."""
+    """The number of derivatives of each number."""
     return state + (3 + sum(own_numbers(structure.law)) if parameters else 0)
 
 
 def body_tangent(
     method: Method, structure: RigidBody, *, parameters: bool = False, of_rate: bool = False
 ) -> Formula:
-    """``f(t, h, q, m, p)`` -> (q, m, Φ) after a step of h s: Φ flat, 6 rows.
+    """``f(t, h, q, m, p)`` -> (q, m, Φ) after a step of h s, with Φ flat in 6 rows.
 
     m is along body axes. Columns are δθ, δm and, with ``parameters``, the principal moments and the
-    torque's numbers. With ``of_rate`` w is in the place of m, and the square of the largest angle
-    that the step rotates by follows; q is stepped with the length that it has, and δs, the relative
-    change of that length, is the seventh row and column. The stages of a splitting are a loop.
+    parameters of the torque. With ``of_rate``, w replaces m, and the square of the largest rotation
+    angle of the step follows; q is stepped without normalisation, and δs, the relative change of
+    its norm, is the seventh row and column. The stages of a splitting method are a loop.
     """
     steps: Any = method.steps
     state = ANY_LENGTH if of_rate else UNIT
@@ -179,7 +176,7 @@ def body_tangent(
 
     if steps.stage is None:
         return whole
-    # what is stepped lies this share of h ahead
+    # the stepped variables are this share of h ahead
     share = 0.5 * method.stages[-1][1] if method.stages else 0.0
 
     def begin(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
@@ -205,9 +202,9 @@ def body_tangent(
 
 
 def differentiated(structure: RigidBody, p: Vector, size: int, first: int) -> Vector:
-    """A body's parameters, dual but for those that say where axes lie and samples were taken.
+    """A body's parameters as dual numbers, except those of axes and of sample times.
 
-    Their directions are the ``first`` one of ``size`` and those that follow.
+    Their directions are number ``first`` of ``size`` and the following ones.
     """
     end = 9 + structure.axes
     i = seed(p[3:6], size, first)
@@ -220,7 +217,7 @@ def differentiated(structure: RigidBody, p: Vector, size: int, first: int) -> Ve
 
 
 def along_axes(structure: RigidBody, formula: Formula, x: Vector, p: Vector) -> Any:
-    """A formula of vectors along principal axes, from body axes and back."""
+    """A formula of vectors along principal axes, applied to vectors along body axes."""
     if not structure.turned:
         return formula(x)
     axes = p[9:13]

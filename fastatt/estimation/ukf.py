@@ -1,4 +1,4 @@
-"""Unscented Kalman filter on the rotation group: all sigma points are moved as one ensemble."""
+"""Unscented Kalman filter on the rotation group, with all sigma points as one ensemble."""
 
 from __future__ import annotations
 
@@ -27,53 +27,73 @@ from fastatt.estimation.filters import (
     normalised_square,
 )
 
-# largest angle of a sigma point from the estimate, and from the mean after a motion, rad: errors
-# of π are ambiguous
+# largest angle of a sigma point from the estimate, and from the mean after a motion, rad, since
+# errors of π are ambiguous
 _FARTHEST, _FAR = 0.5 * math.pi, 0.75 * math.pi
 
 
 class UKF(Estimates):
-    """Attitude and an auxiliary state of K numbers, of one body or of N at once.
+    """Unscented Kalman filter of attitude and an auxiliary state of K numbers, for one body or N.
 
-    The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy; its 2D + 1 sigma points (D = 3 + K)
-    lie at ±√(D + κ) L about the estimate, P = L Lᵀ, the columns of L along the principal axes of
-    the attitude's covariance, with weights ½/(D + κ), and κ/(D + κ) at the centre. All points of
-    all filters are moved in one ensemble. After a motion the mean attitude is where the weighted
-    errors cancel, by two Gauss-Newton steps. An update puts the covariance along the axes of the
-    corrected attitude. Julier and Uhlmann, Proc. IEEE 92 (2004) 401; Crassidis and Markley, J.
-    Guidance 26 (2003) 536; Kraft, Int. Conf. Information Fusion (2003).
-
-    Errors beyond π are ambiguous, so that no point lies farther than π/2 rad from the estimate:
-    with D = 6 and κ = 1 from a deviation of 0.59 rad on they lie nearer, and their moments are
-    scaled (Julier, American Control Conf. (2002) 4555). A heading that nothing measures may thus
-    have any deviation. Points whose rates differ by δw during a motion of T s, of
-    :func:`gyro_motion` and of a body's :func:`scene_motion`, lie nearer by |δw| T.
+    Every call changes the estimates in place.
 
     Parameters
     ----------
-    q : (4,) or (N, 4), attitudes, body to inertial, of any length but zero.
-    y : (K,) or (N, K), the auxiliary state: a gyro's bias, an angular velocity.
-    covariance : (D, D) or (N, D, D), of (δθ, δy).
-    kappa : κ, above −D; below 0 the covariance may lose its sign.
-    invalid : "raise" refuses measurements that are not finite; "skip" leaves them out, for the
-        filters that they are for.
-
-    Attributes
-    ----------
-    q, y, covariance : the estimates, with the shapes above; every call changes them in place.
-
-    Updates give the normalised innovation squared, do not use what is beyond ``gate``, and give NaN
-    for what was left out: see :class:`MEKF`.
+    q : array_like, shape (4,) or (N, 4)
+        Attitudes, body to inertial, of any norm above zero.
+    y : array_like, shape (K,) or (N, K)
+        Auxiliary states, such as a gyro bias or an angular velocity.
+    covariance : array_like, shape (D, D) or (N, D, D)
+        Covariance of (δθ, δy), D = 3 + K.
+    kappa : float, default 1.0
+        κ, above −D. With a negative κ the covariance may become indefinite.
+    invalid : {"raise", "skip"}, default "raise"
+        "raise" refuses measurements that are not finite; "skip" leaves them out for their filters.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name; a covariance that has lost its
-        sign. The estimates are then as before.
+    ValueError, TypeError
+        If an argument does not fit. Calls raise ``ValueError`` if a covariance has become
+        indefinite; the estimates do not change then.
 
     Warns
     -----
-    UserWarning : points that a motion has put farther than 3π/4 rad from their mean, where errors
-        are ambiguous; vectors for an attitude with deviations beyond 0.7 rad.
+    UserWarning
+        If a motion moves points farther than 3π/4 rad from their mean, where errors are ambiguous;
+        for vectors with attitude deviations above 0.7 rad.
+
+    Notes
+    -----
+    The error is (δθ, δy), q_true = q∘exp(δθ), y_true = y + δy. The 2D + 1 sigma points lie at ±√(D
+    + κ) L about the estimate, P = L Lᵀ, with the columns of L along the principal axes of the
+    attitude's covariance. Their weights are ½/(D + κ), and κ/(D + κ) at the centre. All points of
+    all filters are propagated in one ensemble. After a motion, the mean attitude is where the
+    weighted errors cancel, found by two Gauss-Newton steps. An update expresses the covariance
+    along the axes of the corrected attitude.
+
+    Errors beyond π are ambiguous, so that no point lies farther than π/2 rad from the estimate.
+    With D = 6 and κ = 1, points lie closer from a deviation of 0.59 rad on, and their moments are
+    scaled (Julier 2002). The deviation of an unobservable heading may thus be of any size. Points
+    whose rates differ by δw during a motion of T s, by :func:`gyro_motion` or by a body's
+    :func:`scene_motion`, lie closer by ``|δw|`` T.
+
+    Updates return the normalised innovation squared, do not use measurements above ``gate``, and
+    return NaN for those that were left out; see :class:`MEKF`.
+
+    References
+    ----------
+    Julier and Uhlmann, *Proceedings of the IEEE* 92 (2004) 401; Crassidis and Markley, *Journal of
+    Guidance, Control, and Dynamics* 26 (2003) 536; Kraft, *International Conference on Information
+    Fusion* (2003); Julier, *American Control Conference* (2002) 4555.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fastatt import estimation as es
+    >>> ukf = es.UKF([1, 0, 0, 0], [0, 0, 0], 0.01 * np.eye(6))
+    >>> ukf.predict(es.gyro_motion((0.0, 0.0, 0.1), 0.01), 1e-8 * np.eye(6))
+    >>> ukf.q.shape, ukf.covariance.shape
+    ((4,), (6, 6))
     """
 
     def __init__(
@@ -93,17 +113,25 @@ class UKF(Estimates):
 
     @property
     def y(self) -> Floats:
-        """Auxiliary states, (K,) or (N, K)."""
+        """Auxiliary states: (K,) or (N, K)."""
         return self._each(self._y)
 
     def sigma_points(self) -> tuple[Floats, Floats]:
-        """Attitudes (N, 2D + 1, 4) and numbers (N, 2D + 1, K), the estimate first."""
+        """The sigma points, with the estimate first.
+
+        Returns
+        -------
+        q : ndarray, shape (N, 2D + 1, 4)
+            Attitudes.
+        y : ndarray, shape (N, 2D + 1, K)
+            Auxiliary states.
+        """
         return self._points(0.0)[:2]
 
     def _points(self, seconds: float) -> tuple[Floats, Floats, Floats, Floats]:
-        """The sigma points, L, and how many columns of it they are away, (N, D).
+        """The sigma points, L, and their distances in columns of it, (N, D).
 
-        The points are to move for so many seconds at rates in the first auxiliary numbers.
+        The points are to move for some seconds at rates in the first auxiliary numbers.
         """
         n, size = self._P.shape[:2]
         axes = np.tile(np.eye(size), (n, 1, 1))
@@ -124,9 +152,11 @@ class UKF(Estimates):
         return q, self._y[:, None] + d[..., 3:], L, columns
 
     def _moments(self, x: Floats, columns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Of (N, 2D + 1, m) at the points the mean (N, m), what a column of L changes (N, D, m)
-        and the covariance (N, m, m) that this leaves out.
-        """  # noqa: D205
+        """Moments of (N, 2D + 1, m) at the points.
+
+        The mean (N, m), the change along a column of L (N, D, m), and the covariance (N, m, m) that
+        these changes do not explain.
+        """
         size = columns.shape[1]
         centre, above, below = x[:, 0], x[:, 1 : size + 1], x[:, size + 1 :]
         distance = columns[..., None]
@@ -137,10 +167,16 @@ class UKF(Estimates):
         return centre + shift, slopes, spread - shift[:, :, None] * shift[:, None]
 
     def predict(self, motion: Motion, noise: ArrayLike) -> None:
-        """Move the sigma points and add the noise's covariance, (D, D) or (N, D, D).
+        """Propagate the sigma points and add the covariance of the noise.
 
-        ``motion(q, y)`` takes and gives the M = N (2D + 1) points, (M, 4) and (M, K), those of one
-        filter in a row: :func:`gyro_motion`, :func:`scene_motion` or a user-defined function.
+        Parameters
+        ----------
+        motion : callable
+            ``motion(q, y) -> (q, y)`` for the M = N (2D + 1) points, (M, 4) and (M, K), with those
+            of one filter in a row: :func:`gyro_motion`, :func:`scene_motion` or a user-defined
+            function.
+        noise : array_like, shape (D, D) or (N, D, D)
+            Covariance of the noise.
         """
         n, size = self._P.shape[:2]
         added = covariances("noise", noise, f"({size}, {size}) or ({n}, {size}, {size})")
@@ -173,10 +209,24 @@ class UKF(Estimates):
         *,
         gate: float | None = None,
     ) -> Any:
-        """Use a measurement (m,) or (N, m) with a noise of covariance (m, m) or (N, m, m).
+        """Update with a measurement.
 
-        ``observe(q, y)`` gives what the points, (M, 4) and (M, K), would measure, (M, m). Gives the
-        normalised innovation squared, χ² with m degrees of freedom, a number or (N,).
+        Parameters
+        ----------
+        observe : callable
+            ``observe(q, y)`` returns the expected measurements (M, m) at the points, (M, 4) and (M,
+            K).
+        measured : array_like, shape (m,) or (N, m)
+            The measurement.
+        noise : array_like, shape (m, m) or (N, m, m)
+            Covariance of its noise.
+        gate : float, optional
+            Measurements whose normalised innovation squared is larger are not used.
+
+        Returns
+        -------
+        float or ndarray of shape (N,)
+            Normalised innovation squared, χ² with m degrees of freedom if the filter is consistent.
         """
         q, y, L, columns = self._points(0.0)
         (n, points), size = q.shape[:2], self._P.shape[1]
@@ -207,7 +257,7 @@ class UKF(Estimates):
         return self._checked_nis(nis, gate, before - attitude_variance(self._P))
 
     def _set(self, used: Any, q: Floats, y: Floats, P: Floats) -> None:
-        """Put estimates of those filters that are used in their place."""
+        """Store the estimates of those filters that are used."""
         self._q[used], self._y[used] = normalised(q)[used], y[used]
         self._P[used] = 0.5 * (P + np.swapaxes(P, 1, 2))[used]
 

@@ -1,16 +1,16 @@
-"""Multiplicative extended Kalman filter as kernels: tuples in, tuples out, for ``@njit`` code too.
+"""Multiplicative extended Kalman filter as kernels, with tuples as arguments and results.
 
-The estimate is q, an auxiliary state y (K numbers, an MEKF's is the bias b) and the covariance of
-the error (δθ, δy): q_true = q∘exp(δθ), y_true = y + δy, δθ in body axes. The public kernels have
-K = 3 and take a covariance as ``fastatt.kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
-numbers; inside, a covariance is its rows. It is updated in Joseph's form and symmetric by
-construction. Lefferts, Markley and Shuster, J. Guidance 5 (1982) 417; Markley and Crassidis,
-*Fundamentals of Spacecraft Attitude Determination and Control* (2014), §6.2.
+The estimate is q, an auxiliary state y (K numbers; the bias b for an MEKF) and the covariance of
+the error (δθ, δy): q_true = q∘exp(δθ), y_true = y + δy, δθ in body axes. The public kernels have K
+= 3 and take a covariance as ``fastatt.kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
+numbers. Internally a covariance is its rows. It is updated in Joseph's form and is symmetric by
+construction. Lefferts, Markley and Shuster, *Journal of Guidance and Control* 5 (1982) 417; Markley
+and Crassidis, *Fundamentals of Spacecraft Attitude Determination and Control* (2014), §6.2.
 
-Updates by a vector and by an attitude are linearised anew about what they find, four times (an
-iterated extended Kalman filter), with the prior covariance along the axes that a rotation from the
-prior estimate gives: what a vector can't determine, the rotation about it, then stays as unknown as
-it was (Barrau and Bonnabel, IEEE Trans. Automatic Control 62 (2017) 1797).
+Updates by a vector and by an attitude are linearised about their result four times (an iterated
+extended Kalman filter), with the prior covariance along the axes of a rotation from the prior
+estimate. The rotation about a vector, which the vector does not determine, thus stays as uncertain
+as it was (Barrau and Bonnabel, *IEEE Transactions on Automatic Control* 62 (2017) 1797).
 """
 
 from __future__ import annotations
@@ -27,16 +27,35 @@ from fastatt.tracing.formulas import Vector
 
 _formula = partial(scalar_function, rewritten=True)
 #: linearisations of an update by vectors or attitudes, and the normalised square of the last
-#: correction from which on more would be needed: of three deviations
+#: correction beyond which more would be needed, that of three deviations
 PASSES, NEARLY_SETTLED = 4, 9.0
 
 
 @_formula
 def mekf_predict(q, b, P, gyro, h, angle_variance, bias_variance):
-    """(q, P) one gyro sample (rad/s, held for h s) later; b stays.
+    """Propagate an MEKF over an interval with a gyro sample; exact for a constant rate.
 
-    ``angle_variance`` σ_v² (rad²/s) and ``bias_variance`` σ_u² (rad²/s³) are the squares of the
-    angle random walk and of the bias random walk. Exact for a rate that is constant over h.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude, body to inertial.
+    b : tuple of 3 float
+        Gyro bias, rad/s.
+    P : tuple
+        Covariance (P11, P12, P22) of (δθ, δb), tuples of 6, 9 and 6 numbers.
+    gyro : tuple of 3 float
+        Gyro sample, held over the interval, rad/s.
+    h : float
+        Interval, s.
+    angle_variance : float
+        σ_v², rad²/s, the square of the angle random walk.
+    bias_variance : float
+        σ_u², rad²/s³, the square of the rate random walk.
+
+    Returns
+    -------
+    tuple
+        (q, P) after the interval; b does not change.
     """
     u = (h * (gyro[0] - b[0]), h * (gyro[1] - b[1]), h * (gyro[2] - b[2]))
     noise = error_state.noise(u, h, angle_variance, bias_variance)
@@ -45,12 +64,33 @@ def mekf_predict(q, b, P, gyro, h, angle_variance, bias_variance):
 
 @_formula
 def mekf_update(q, b, P, z, H, R):
-    """(q, b, P, NIS) by a residual z (3) = H δθ + noise of covariance R (6, as of ``sym3``).
+    """Update an MEKF with a linear measurement z = H δθ + noise.
 
-    H has nine numbers, row by row. NIS, the sum of the normalised innovations squared, is χ² with
-    three degrees of freedom where the filter is right and R of full rank. A gate takes what this
-    gives where NIS is small enough, and else what it was given. P stays along the axes of the q
-    that it was given, which is right for corrections far below 1 rad.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude, body to inertial.
+    b : tuple of 3 float
+        Gyro bias, rad/s.
+    P : tuple
+        Covariance (P11, P12, P22) of (δθ, δb).
+    z : tuple of 3 float
+        Residual.
+    H : tuple of 9 float
+        Matrix, row by row.
+    R : tuple of 6 float
+        Covariance of the noise, in ``sym3`` order.
+
+    Returns
+    -------
+    tuple
+        (q, b, P, NIS). NIS, the normalised innovation squared, is χ² with three degrees of freedom
+        if the filter is consistent and R has full rank. A gate is applied by the caller, who keeps
+        the previous estimate if NIS is too large.
+
+    Notes
+    -----
+    P stays along the axes of the q that was passed, which is right for corrections far below 1 rad.
     """
     o = type(q[0])(0.0)
     p, d, nis = _by_three(_rows_of(P), (o, o, o, o, o, o), z, H, R)
@@ -59,12 +99,33 @@ def mekf_update(q, b, P, z, H, R):
 
 @_formula
 def mekf_update_vector(q, b, P, measured, reference, variance):
-    """(q, b, P, NIS) by a vector: ``measured`` in body axes, ``reference`` along inertial ones.
+    """Update an MEKF with a measured vector, such as a direction to a star or a magnetic field.
 
-    A direction to a star or the Sun, the magnetic field, gravity. ``variance`` is that of each
-    component, in the vector's unit squared. The angle from the expected vector to the measured one
-    is used; the difference of their lengths, of which rounding would make an angle where the others
-    are precise, counts in NIS.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude, body to inertial.
+    b : tuple of 3 float
+        Gyro bias, rad/s.
+    P : tuple
+        Covariance (P11, P12, P22) of (δθ, δb).
+    measured : tuple of 3 float
+        Vector along body axes.
+    reference : tuple of 3 float
+        The same vector along inertial axes.
+    variance : float
+        Variance of each component, in the unit of the vectors squared.
+
+    Returns
+    -------
+    tuple
+        (q, b, P, NIS).
+
+    Notes
+    -----
+    The angle from the expected vector to the measured one is used. The difference of their lengths
+    is not, since its rounding would give a spurious angle if others are precise, but it counts in
+    NIS.
     """
     q, b, p, nis, _ = by_vector(q, b, _rows_of(P), measured, reference, variance)
     return q, b, _blocks_of(p), nis
@@ -72,7 +133,26 @@ def mekf_update_vector(q, b, P, measured, reference, variance):
 
 @_formula
 def mekf_update_attitude(q, b, P, measured, R):
-    """(q, b, P, NIS) by a whole attitude, such as a star tracker's; R (6, as of ``sym3``), rad²."""
+    """Update an MEKF with a measured attitude, such as a star tracker's.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude, body to inertial.
+    b : tuple of 3 float
+        Gyro bias, rad/s.
+    P : tuple
+        Covariance (P11, P12, P22) of (δθ, δb).
+    measured : tuple of 4 float
+        Measured attitude, a unit quaternion, body to inertial.
+    R : tuple of 6 float
+        Covariance of the rotation error about body axes, rad², in ``sym3`` order.
+
+    Returns
+    -------
+    tuple
+        (q, b, P, NIS).
+    """
     q, b, p, nis, _ = by_attitude(q, b, _rows_of(P), measured, R)
     return q, b, _blocks_of(p), nis
 
@@ -86,19 +166,19 @@ def _blocks_of(rows: Any) -> Any:
 
 
 def _split_rows(P: Vector, size: int) -> tuple[Vector, ...]:
-    """The rows of a matrix of so many columns."""
+    """The rows of a matrix with so many columns."""
     return tuple(P[k : k + size] for k in range(0, len(P), size))
 
 
-# of a covariance's rows
+# updates of a covariance in rows
 
 
 @_formula
 def by_vector(q, y, P, measured, reference, variance):
-    """(q, y, P, NIS, nonlinearity): of an update that is trustworthy the last is at most 1.
+    """(q, y, P, NIS, nonlinearity); the last is at most 1 for an update that can be trusted.
 
-    It is the larger of what the variances of the attitude have lost together, rad², and of the
-    normalised square of the last correction, by that of three deviations.
+    It is the larger of the total loss of attitude variance, rad², and of the normalised square of
+    the last correction, relative to that of three deviations.
     """
     F = type(q[0])
     o = F(0.0)
@@ -113,7 +193,7 @@ def by_vector(q, y, P, measured, reference, variance):
         v = dot(y_axis, measured)
         sine = math.sqrt(u * u + v * v)
         along = dot(n, measured)
-        # from the components across to the arc
+        # from the orthogonal components to the angle
         m = length * trig.atan2(sine, along) / sine if sine > o else o
         p, d, n0 = _joseph(p, d, m * u, scale(-length, y_axis), variance)
         p, d, n1 = _joseph(p, d, m * v, scale(length, x), variance)
@@ -147,9 +227,9 @@ def _plus(x: Any, y: Any) -> Any:
 
 
 def _joseph(P: Any, d: Any, z: Any, h: Any, r: Any) -> Any:
-    """(P, d, NIS) by one number z = h·δθ + noise of variance r, d = (δθ, δy) found so far.
+    """(P, d, NIS) after one number z = h·δθ + noise of variance r, with the correction d so far.
 
-    Joseph's form, (1 − K h) P (1 − K h)ᵀ + K r Kᵀ: positive whatever the rounding of the gain.
+    Joseph's form, (1 − K h) P (1 − K h)ᵀ + K r Kᵀ, is positive whatever the rounding of the gain.
     """
     n = range(len(P))
     c = [dot(h, row) for row in P]
@@ -164,9 +244,9 @@ def _joseph(P: Any, d: Any, z: Any, h: Any, r: Any) -> Any:
 
 
 def _by_three(P: Any, d: Any, z: Any, H: Any, R: Any) -> Any:
-    """(P, d, NIS) by three numbers z = H δθ + noise of covariance R, one after the other.
+    """(P, d, NIS) after three numbers z = H δθ + noise of covariance R, one after the other.
 
-    R = L D Lᵀ is factorised, so that nothing is inverted that a precise direction makes singular.
+    R = L D Lᵀ is factorised, so that no matrix is inverted that a precise direction makes singular.
     """
     l1, l2, l3, r1, r2 = _ldl(R)
     h1 = axpy(-l1, H[:3], H[3:6])
@@ -190,7 +270,7 @@ def _ldl(R: Any) -> Any:
 
 
 def _normalised_square(P: Any, d: Any) -> Any:
-    """δθᵀ P11⁻¹ δθ, 0 along what has no variance."""
+    """δθᵀ P11⁻¹ δθ, 0 along directions without variance."""
     o = type(d[0])(0.0)
     l1, l2, l3, s1, s2 = _ldl((*P[0][:3], *P[1][1:3], P[2][2]))
     x = d[1] - l1 * d[0]
@@ -202,12 +282,12 @@ def _normalised_square(P: Any, d: Any) -> Any:
 
 
 def _corrected(q: Any, d: Any) -> Any:
-    """q with the δθ of an error (δθ, δy) taken in."""
+    """q corrected by the δθ of an error (δθ, δy)."""
     return quat.renormalise(quat.mul(q, quat.exp(d[:3])))
 
 
 def _seen_from(a: Any, q: Any, P: Any) -> Any:
-    """(P, d): the covariance about q and the mean error (δθ, δy) that q has, seen from a."""
+    """(P, d): the covariance about q and the mean error (δθ, δy) of q, along the axes of a."""
     o = type(a[0])(0.0)
     r = quat.mul(quat.conj(a), q)
     c = dcm.from_quat(r)
@@ -215,12 +295,12 @@ def _seen_from(a: Any, q: Any, P: Any) -> Any:
 
 
 def _rotated(c: Any, P: Any) -> Any:
-    """P Eᵀ of a symmetric P, E the rotation c of δθ; twice: E P Eᵀ."""
+    """P Eᵀ of a symmetric P with the rotation E, c, of δθ; applied twice it gives E P Eᵀ."""
     return tuple((*dcm.rotate(c, column[:3]), *column[3:]) for column in zip(*P, strict=True))
 
 
 def _perpendicular(n: Any) -> Any:
-    """Two axes across a unit vector: Duff et al., J. Computer Graphics Techniques 6 (2017) 1."""
+    """Two axes orthogonal to a unit vector (Duff et al., *J. Comput. Graph. Tech.* 6 (2017) 1)."""
     F = type(n[0])
     one = F(1.0)
     s = one if n[2] >= F(0.0) else -one
@@ -229,12 +309,12 @@ def _perpendicular(n: Any) -> Any:
     return (one + s * n[0] * n[0] * a, s * m, -s * n[0]), (m, s + n[1] * n[1] * a, -n[1])
 
 
-# ensembles: of the numbers of one filter
+# ensembles: formulas for the numbers of one filter
 
 
 @_formula
 def _gated(before, after, nis, gate):
-    """What an update makes of an estimate, or the estimate where NIS is beyond a gate, or NaN."""
+    """The updated estimate, or the previous one if NIS is above the gate or NaN."""
     return after if nis <= gate else before
 
 
@@ -267,10 +347,11 @@ _OPERATIONS: dict[str, Any] = {
 
 @lru_cache
 def operation(name: str, numbers: int) -> RowFunction:
-    """An operation on filters with so many auxiliary numbers: q, y, P, and two figures of updates.
+    """An operation on filters with some auxiliary numbers: q, y, P, and two results of updates.
 
-    ``own`` are the numbers that each filter has: a gyro's sample, a vector and its reference, an
-    attitude; ``shared`` those that all share: the interval and variances, the gate and variances.
+    ``own`` are the numbers of each filter: a gyro sample, a vector and its reference, or an
+    attitude; ``shared`` those of all filters: the interval and variances, or the gate and
+    variances.
     """
     formula, own, shared, figures = _OPERATIONS[name]
     state = {"q": 4, "y": numbers, "P": (3 + numbers) ** 2}

@@ -1,1 +1,1 @@
-"""Sampled rates and angle increments, gyro logs, to attitudes."""
+"""Integration of sampled rates and angle increments to attitudes."""

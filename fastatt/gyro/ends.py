@@ -1,4 +1,4 @@
-"""Samples beyond the ends of logs, and the windows that logs end within."""
+"""Samples beyond the ends of logs, and the incomplete windows there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[Any]
 
 
 def beyond(data: Array, spans: Any, window: Window, increments: bool) -> tuple[Array, Array]:
-    """Samples (N, k, 3) before and after logs, by the polynomial of the nearest whole window."""
+    """Samples (N, k, 3) before and after logs, from the polynomial of the nearest whole window."""
     n = data.shape[1]
     head = before(spans, n, window, increments)[::-1]
     tail = after(spans, n, -(n - (not increments)) % window.span, window, increments)
@@ -22,21 +22,21 @@ def beyond(data: Array, spans: Any, window: Window, increments: bool) -> tuple[A
 
 
 def before(spans: Any, n: int, window: Window, increments: bool) -> Array:
-    """Table (history, near) of the samples before a log of n, the nearest first, from its first."""
+    """Table (history, near) for samples before a log of n, the nearest first, from its first."""
     near = min(window.samples(increments), n)
     gaps = spans[: near - (not increments)][::-1] if np.ndim(spans) else near - (not increments)
     return _table(gaps, window.history, increments)[:, ::-1]
 
 
 def after(spans: Any, n: int, count: int, window: Window, increments: bool) -> Array:
-    """Table (count, near) of the samples after a log of n, from its last."""
+    """Table (count, near) for the samples after a log of n, from its last ones."""
     near = min(window.samples(increments), n)
     inside = near - (not increments)
     return _table(spans[len(spans) - inside :] if np.ndim(spans) else inside, count, increments)
 
 
 def _table(gaps: Any, n: int, increments: bool) -> Array:
-    """What gives ``n`` further samples, spaced as the last, from those with gaps between."""
+    """Table for ``n`` further samples, spaced as the last ones, from samples with given gaps."""
     if isinstance(gaps, int):
         return _equal(gaps, n, increments)
     gaps = gaps.astype(np.float64)
@@ -52,13 +52,13 @@ def _equal(count: int, n: int, increments: bool) -> Array:
 
 
 def _interpolation(nodes: Array, at: Array, increments: bool) -> Array:
-    """Table from samples at nodes to those at other instants, or from increments to increments."""
+    """Table from samples at nodes to those at other times, or from increments to increments."""
     same = np.eye(len(nodes), dtype=bool)
     ratios = (at[:, None, None] - nodes) / np.where(same, 1.0, nodes[:, None] - nodes)
     lagrange: Array = np.where(same, 1.0, ratios).prod(axis=-1)
     if not increments:
         return lagrange
-    # the polynomial is that of the running angle, from 0 at the first node
+    # the polynomial of the accumulated angle, which is 0 at the first node
     return np.diff(lagrange[:, 1:] @ np.tri(len(nodes) - 1), axis=0)
 
 
@@ -67,9 +67,10 @@ def rest(
 ) -> tuple[Array, Any, Array]:
     """Samples and intervals of a window over the last ``count`` intervals of logs.
 
-    They are cut into as many as it has; the samples are those of the polynomial through the last
-    whole window, or all there is: beyond a log's end it is soon so large that no iteration holds
-    it. Equal intervals are one number. The third are the places where the logs' own intervals end.
+    These intervals are divided into as many as the window has. The samples follow from the
+    polynomial through the last whole window, or through all samples if there are fewer; beyond the
+    end of a log it grows so fast that iterations would not converge. Equal intervals are one
+    number. The third result has the positions at which the log's intervals end.
     """
     near = min(window.samples(increments), data.shape[1])
     inside = near - (not increments)

@@ -1,4 +1,4 @@
-"""Runs of logs: the arrays and numbers of the loops, and their calls from threads."""
+"""Integration of logs: the arrays of the loops, and their calls from threads."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ _AT_REST: dict[Any, NDArray[Any]] = {
     np.dtype(kind): np.tile(NO_TURN, (1, 2)).astype(kind) for kind in (np.float64, np.float32)
 }
 _NO_TOTALS = np.empty(0)
-# tiles of one log below which a thread more is no gain
+# tiles of one log for which another thread saves time
 _TILES = 64
 _SHORT = (2 * _TILES - 1) * TILE
-# tiles that take some 0.05 s, between two checks for Ctrl-C
+# tiles between two checks for Ctrl-C, some 0.05 s
 _PIECE = 4096
 
 _Done = Callable[[int], object] | None
 
 
 class GyroRun:
-    """A stretch of logs and a method's window: ``n`` intervals to be turned into attitudes.
+    """A stretch of logs and a method's window: ``n`` intervals to be integrated.
 
-    ``data`` (N, lead + m, 3) are samples, ``lead`` of them before the stretch's first interval,
-    ``spans`` the interval, s, or the intervals, (lead + n,); ``out`` (N, n + 1, 4) takes attitudes.
-    All arrays are C-contiguous, of one precision. Without ``lead`` the logs begin here; they end
-    here where the last window is not whole.
+    ``data`` (N, lead + m, 3) are the samples, ``lead`` of them before the first interval of the
+    stretch. ``spans`` is the interval, s, or the intervals, (lead + n,). ``out`` (N, n + 1, 4)
+    receives the attitudes. All arrays are C-contiguous and of one precision. Without ``lead`` the
+    logs begin here. They end here if the last window is incomplete.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class GyroRun:
         samples, self._count = data.shape[1], out.shape[1] - 1
         missing = 0 if window.iteration else -self._count % window.span
         head = np.ascontiguousarray(ends.before(spans, samples, window, increments))
-        # where none is missing, what is past a window's end may be anything: the last once more
+        # samples after a complete last window are not used; the last one is repeated
         tail = np.ones((1, 1))
         if missing:
             tail = np.ascontiguousarray(ends.after(spans, samples, missing, window, increments))
@@ -68,16 +68,17 @@ class GyroRun:
             int(not increments), int(uneven and not increments),
         ]  # fmt: skip
         interval = 0.0 if uneven else float(spans)
-        # an iteration has one form for all angles
+        # an iteration has the same form for all angles
         near = 0.0 if window.iteration else window.near
         self._limits = [interval, 1.0 if increments else interval, near]
 
     def carry(
         self, q: NDArray[Any], *, phase: int = 0, n_threads: int | None = 1, done: _Done = None
     ) -> float:
-        """Write all attitudes from p and r, q (N, 8), at the start, ``phase`` intervals of a chunk.
+        """Write all attitudes; p and r at the start are q (N, 8), ``phase`` intervals into a chunk.
 
-        It ends at the end. Gives the largest component of an angle over an interval, rad.
+        q then has those at the end. Returns the largest component of an angle over an interval,
+        rad.
         """
         n_logs, count = len(q), self._count
         head = min(-phase % CHUNK, count)
@@ -93,7 +94,7 @@ class GyroRun:
     def _side_by_side(
         self, q: NDArray[Any], at: tuple[int, int, int], n_threads: int | None, done: _Done
     ) -> float:
-        """A lane for each log."""
+        """Integrate many logs, with a lane for each."""
         n_logs, count, stretch = len(q), at[1], (*at, 0, 1)
         sweep = loop("sweep", self._program.kind)
         if n_logs <= LANES and not done:
@@ -115,7 +116,7 @@ class GyroRun:
     def _one_log(
         self, log: int, q: NDArray[Any], at: tuple[int, int], n_threads: int | None, done: _Done
     ) -> float:
-        """Runs of tiles, each of whose lanes takes a chunk, on each thread."""
+        """Integrate one log, with a lane for each chunk, and tiles of chunks on each thread."""
         stretch, tiles = (*at, 0, log), -(-at[1] // TILE)
         along = loop("along", self._program.kind)
         if at[1] <= _SHORT and not done:
@@ -162,10 +163,10 @@ class GyroRun:
         bounds: tuple[int, int],
         totals: NDArray[Any] = _NO_TOTALS,
     ) -> float:
-        """Call a loop until all is done; the largest component of an angle, rad.
+        """Call a loop until it has finished; returns the largest component of an angle, rad.
 
-        ``stretch`` are the first interval, how many, how many of its chunk are done, which log, and
-        whether attitudes are written.
+        ``stretch`` are the first interval, their number, how many of its chunk are done, the index
+        of the log, and whether attitudes are written.
         """
         made, largest = self._program, np.zeros(1)
         arrays = [*self._arrays, q, totals, largest, *made.memory()]
@@ -181,7 +182,7 @@ class GyroRun:
 def finish(
     window: Window, increments: bool, data: NDArray[Any], spans: Any, out: NDArray[Any]
 ) -> None:
-    """Attitudes ``out[:, 1:]`` from ``out[:, 0]`` of an iteration's rest, the end of logs."""
+    """Attitudes ``out[:, 1:]`` from ``out[:, 0]`` for the incomplete window at the end of logs."""
     count = out.shape[1] - 1
     samples, apart, places = ends.rest(data, spans, count, window, increments)
     turns = np.empty((len(out), window.span + 1, 4), dtype=out.dtype)
@@ -191,7 +192,7 @@ def finish(
 
 
 def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:
-    """Where logs start: unit quaternions p, (4,) or (N, 4), and the identity rotation r."""
+    """The initial state of logs: unit quaternions p, (4,) or (N, 4), and the identity r."""
     q = np.repeat(_AT_REST[precision], n_logs, axis=0) if n_logs > 1 else _AT_REST[precision].copy()
     if unit is not NO_TURN:
         q[:, :4] = unit

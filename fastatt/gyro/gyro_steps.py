@@ -1,4 +1,4 @@
-"""Windows of gyro samples one at a time, from Python and from a user's ``@njit`` code.
+"""Single windows of gyro samples, for Python and for jitted code.
 
 The formulas are those of :func:`fastatt.integrate_rates`.
 """
@@ -23,13 +23,16 @@ from fastatt.methods import trapezoid as _trapezoid
 from fastatt.methods.windows import Iteration, products
 from fastatt.tracing.traced import Recurrence
 
-# squared angle up to which the short exponential holds, less a margin
+# squared angle below which the short exponential is accurate, with a margin
 _SHORT = 9.0
 
 
 @kernel
 def turned(q, u):
-    """q∘exp(u): bit for bit the same by the short exponential, where it holds, as by the other."""
+    """Rotate a quaternion, q∘exp(u), with the short exponential if the angle is small.
+
+    Both forms of the exponential give the same bits for a small angle.
+    """
     F = type(q[0])
     if u[0] * u[0] + u[1] * u[1] + u[2] * u[2] < F(_SHORT):
         return quat.mul(q, quat.exp_short(u))
@@ -51,74 +54,261 @@ def _three(q, u):
     return turned(q, u[:3]) + turned(q, u[3:6]) + turned(q, u[6:])
 
 
-# attitudes after each of so many rotation vectors from the same attitude, flat
+# attitudes after each of one, two or three rotation vectors from the same attitude, flat
 _TURNED: dict[int, Any] = {1: _one, 2: _two, 3: _three}
 
 
 @kernel
 def hold(q, w, h):
-    """Attitude h s later at the rate w (rad/s, body axes), held: q∘exp(h w)."""
+    """Integrate one interval with a constant rate, q∘exp(h w).
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the interval, body to inertial.
+    w : tuple of 3 float
+        Rate along body axes, rad/s.
+    h : float
+        Interval, s.
+
+    Returns
+    -------
+    tuple of 4 float
+        Attitude at the end of the interval.
+    """
     return turned(q, _hold.rates(w, (h,)))
 
 
 @kernel
 def hold_increments(q, u):
-    """Attitude after the angle increment u (rad), taken for a rotation vector: q∘exp(u)."""
+    """Integrate one interval with an angle increment as its rotation vector, q∘exp(u).
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the interval, body to inertial.
+    u : tuple of 3 float
+        Angle increment along body axes, rad.
+
+    Returns
+    -------
+    tuple of 4 float
+        Attitude at the end of the interval.
+    """
     return turned(q, u)
 
 
 @kernel
 def trapezoid(q, w0, w1, h):
-    """Attitude h s later by the mean of the rates w0 before and w1 after (rad/s)."""
+    """Integrate one interval with the mean of the rates at its ends.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the interval, body to inertial.
+    w0 : tuple of 3 float
+        Rate at the begin, rad/s.
+    w1 : tuple of 3 float
+        Rate at the end, rad/s.
+    h : float
+        Interval, s.
+
+    Returns
+    -------
+    tuple of 4 float
+        Attitude at the end of the interval.
+    """
     return turned(q, _trapezoid.rates(w0 + w1, (h,)))
 
 
 @kernel
 def previous(q, w0, w1, w2, h0, h1):
-    """Attitude at the newest sample from q at w1's instant: a parabola through three rates.
+    """Integrate the newest interval with a parabola through three rates; causal, order 3.
 
-    w0, w1, w2 (rad/s) were sampled h0 and h1 s apart, w2 the newest: causal, order 3.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the time of ``w1``, body to inertial.
+    w0 : tuple of 3 float
+        Rate one interval before ``w1``, rad/s.
+    w1 : tuple of 3 float
+        Rate at the begin of the newest interval, rad/s.
+    w2 : tuple of 3 float
+        Rate at its end, rad/s.
+    h0 : float
+        Interval from ``w0`` to ``w1``, s.
+    h1 : float
+        Interval from ``w1`` to ``w2``, s.
+
+    Returns
+    -------
+    tuple of 4 float
+        Attitude at the time of ``w2``.
     """
     return turned(q, _previous.rates(w0 + w1 + w2, (h0, h1)))
 
 
 @kernel
 def previous_increments(q, u0, u1, h0, h1):
-    """Attitude after the newest increment u1 (rad) over h1 s, u0 the one over the h0 s before."""
+    """Integrate the newest interval with its angle increment and the one before; causal, order 3.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the newest interval, body to inertial.
+    u0 : tuple of 3 float
+        Angle increment over the interval before, rad.
+    u1 : tuple of 3 float
+        Angle increment over the newest interval, rad.
+    h0 : float
+        Interval before, s.
+    h1 : float
+        Newest interval, s.
+
+    Returns
+    -------
+    tuple of 4 float
+        Attitude at the end of the newest interval.
+    """
     return turned(q, _previous.increments(u0 + u1, (h0, h1)))
 
 
 @kernel
 def coning2(q, w0, w1, w2, h0, h1):
-    """(q1, q2): attitudes h0 and h0 + h1 s after q, from rates at all three instants; order 4."""
+    """Integrate two intervals with the rates at three times; order 4.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the time of ``w0``, body to inertial.
+    w0 : tuple of 3 float
+        First rate, rad/s.
+    w1 : tuple of 3 float
+        Second rate, rad/s.
+    w2 : tuple of 3 float
+        Third rate, rad/s.
+    h0 : float
+        First interval, s.
+    h1 : float
+        Second interval, s.
+
+    Returns
+    -------
+    tuple of two tuples of 4 float
+        Attitudes at the ends of the two intervals.
+    """
     found = _two(q, _coning2.rates(w0 + w1 + w2, (h0, h1)))
     return found[:4], found[4:]
 
 
 @kernel
 def coning2_increments(q, u0, u1, h0, h1):
-    """(q1, q2): attitudes after each of two increments (rad) over h0 and h1 s."""
+    """Integrate two intervals with their angle increments; order 4.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the first interval, body to inertial.
+    u0 : tuple of 3 float
+        First angle increment, rad.
+    u1 : tuple of 3 float
+        Second angle increment, rad.
+    h0 : float
+        First interval, s.
+    h1 : float
+        Second interval, s.
+
+    Returns
+    -------
+    tuple of two tuples of 4 float
+        Attitudes at the ends of the two intervals.
+    """
     found = _two(q, _coning2.increments(u0 + u1, (h0, h1)))
     return found[:4], found[4:]
 
 
 @kernel
 def coning3(q, w0, w1, w2, w3, h0, h1, h2):
-    """(q1, q2, q3): attitudes at the ends of three intervals, from rates at all four instants."""
+    """Integrate three intervals with the rates at four times.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the time of ``w0``, body to inertial.
+    w0 : tuple of 3 float
+        First rate, rad/s.
+    w1 : tuple of 3 float
+        Second rate, rad/s.
+    w2 : tuple of 3 float
+        Third rate, rad/s.
+    w3 : tuple of 3 float
+        Fourth rate, rad/s.
+    h0 : float
+        First interval, s.
+    h1 : float
+        Second interval, s.
+    h2 : float
+        Third interval, s.
+
+    Returns
+    -------
+    tuple of three tuples of 4 float
+        Attitudes at the ends of the three intervals.
+    """
     found = _three(q, _coning3.rates(w0 + w1 + w2 + w3, (h0, h1, h2)))
     return found[:4], found[4:8], found[8:]
 
 
 @kernel
 def coning3_increments(q, u0, u1, u2, h0, h1, h2):
-    """(q1, q2, q3): attitudes after each of three increments (rad) over h0, h1 and h2 s."""
+    """Integrate three intervals with their angle increments.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the first interval, body to inertial.
+    u0 : tuple of 3 float
+        First angle increment, rad.
+    u1 : tuple of 3 float
+        Second angle increment, rad.
+    u2 : tuple of 3 float
+        Third angle increment, rad.
+    h0 : float
+        First interval, s.
+    h1 : float
+        Second interval, s.
+    h2 : float
+        Third interval, s.
+
+    Returns
+    -------
+    tuple of three tuples of 4 float
+        Attitudes at the ends of the three intervals.
+    """
     found = _three(q, _coning3.increments(u0 + u1 + u2, (h0, h1, h2)))
     return found[:4], found[4:8], found[8:]
 
 
 @kernel
 def coning3_optimal_increments(q, u0, u1, u2):
-    """(q1, q2, q3) of increments (rad) over equal intervals, the last optimal for pure coning."""
+    """Integrate three equal intervals with the coefficients that are optimal for pure coning.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at the begin of the first interval, body to inertial.
+    u0 : tuple of 3 float
+        First angle increment, rad.
+    u1 : tuple of 3 float
+        Second angle increment, rad.
+    u2 : tuple of 3 float
+        Third angle increment, rad.
+
+    Returns
+    -------
+    tuple of three tuples of 4 float
+        Attitudes at the ends of the intervals, of which the last is the optimal one.
+    """
     one = type(u0[0])(1.0)
     found = _three(q, _coning3.increments_optimal(u0 + u1 + u2, (one, one, one)))
     return found[:4], found[4:8], found[8:]
@@ -126,16 +316,29 @@ def coning3_optimal_increments(q, u0, u1, u2):
 
 @dataclass(frozen=True)
 class SampleStepper:
-    """One window of gyro samples, made by :func:`sample_step`.
+    """One window of a method for gyro samples; :func:`sample_step` makes it.
 
-    The window covers ``span`` intervals and reads ``history`` intervals before it; it holds
-    ``samples`` rates at the ends of all these intervals, rad/s, or increments over them, rad.
-
-    ``step(q, v, h)`` gives the ``span`` attitudes after q, flat: v are the samples and h the
-    intervals (s), flat tuples, the oldest first.
-    ``step_into(samples, intervals, out, work)`` fills out[1:]: samples (``samples``, 3), intervals
-    (``history + span``,), out (``span`` + 1, 4) whose first row is the attitude at the window's
-    start, work (``work``,), which no method needs any more; arrays of one float type, contiguous.
+    Attributes
+    ----------
+    method : str
+        Name of the method.
+    history : int
+        Number of intervals that the window reads before those that it covers.
+    span : int
+        Number of intervals that the window covers.
+    samples : int
+        Number of samples in the window: rates at the ends of all these intervals, rad/s, or
+        increments over them, rad.
+    work : int
+        Length of the array ``work``.
+    step : callable
+        ``step(q, v, h)`` returns the ``span`` attitudes after q, flat. v are the samples and h the
+        intervals, s, as flat tuples with the oldest first. For Python and jitted code.
+    step_into : callable
+        ``step_into(samples, intervals, out, work)`` fills ``out[1:]`` from arrays: samples
+        (``samples``, 3), intervals (``history`` + ``span``,), out (``span`` + 1, 4), whose first
+        row is the attitude at the begin of the window, and work (``work``,), which is not used. All
+        arrays are contiguous and of one float type.
     """
 
     method: str
@@ -148,13 +351,37 @@ class SampleStepper:
 
 
 def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
-    """One window of a method for sampled rates or angle increments, by its name.
+    """The step of a method for gyro samples over one window.
 
+    Parameters
+    ----------
+    method : str
+        A method for samples, such as "coning2".
+    increments : bool, default False
+        Whether the samples are angle increments.
+
+    Returns
+    -------
+    SampleStepper
+        The window, with its functions ``step`` and ``step_into``.
+
+    Raises
+    ------
+    ValueError
+        If the method does not accept such samples.
+
+    Notes
+    -----
     The formulas are those of :func:`fastatt.integrate_rates`, which gives the same attitudes bit
-    for bit as far as the compiler fuses the same operations, but for the first and last ones of a
-    log, where it has to extrapolate.
+    for bit, as far as the compiler fuses the same operations, except at the ends of a log, where it
+    extrapolates.
 
-    Raises ``ValueError`` for a method that does not take such samples.
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> stepper = fa.gyro_steps.sample_step("trapezoid")
+    >>> stepper.history, stepper.span, stepper.samples
+    (0, 1, 2)
     """
     window = method_of(method, increments).window
     sizes = 3 * window.samples(increments), window.intervals, 4 * window.span
@@ -162,7 +389,7 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
         step = scalar_function(_passes(window.iteration, increments))
         step_into = kernel(_into(step, *sizes), cache=False)
     else:
-        # it closes over plain functions alone, which Numba's disk cache knows again
+        # it closes over plain functions alone, which Numba's disk cache recognises
         plain = _stepped(_TURNED[window.span], window.formula(increments))
         step, step_into = kernel(plain), kernel(_into(helper(plain), *sizes))
     return SampleStepper(

@@ -1,4 +1,4 @@
-"""Sampled rates, or angle increments, to attitudes."""
+"""Integration of sampled rates, or of angle increments, to attitudes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fastatt.gyro.engine import NO_TURN, GyroRun, beginning, finish
 from fastatt.methods import METHODS, Method
 from fastatt.threads import number_of, progress_bar
 
-_GAP = 10.0  # an interval this many times the median is a hole in the log
+_GAP = 10.0  # an interval this many times the median is a gap
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -32,32 +32,63 @@ def integrate_rates(
     max_gap: float | None = None,
     out: NDArray[Any] | None = None,
 ) -> NDArray[Any]:
-    """Attitudes from body rates sampled at instants, or from angle increments over intervals.
+    """Integrate body rates sampled at given times, or angle increments, to attitudes.
 
     Parameters
     ----------
-    rates : (n, 3) or (N, n, 3), rad/s at n instants; with ``increments``, rad over n intervals.
-    dt : the interval, s, or the intervals, (n − 1,) for rates, (n,) for increments; all above 0.
-    q0 : (4,) or (N, 4), attitude at the first instant, body to inertial, scalar first.
-    method : "hold", "trapezoid" (rates), "previous", "coning2", "coning3", "coning3_optimal"
-        (equal increments), "picard".
-    dtype : float64 or float32; None takes float32 when ``rates`` is a float32 array.
-    n_threads : None takes every processor; results do not depend on it.
-    max_gap : longest interval allowed, s; None: 10 times the median.
-    out : array for the result; memory that was used before is written twice as fast as new.
+    rates : array_like, shape (n, 3) or (N, n, 3)
+        Rates along body axes, rad/s, at n times; with ``increments``, angle increments, rad, over n
+        intervals.
+    dt : float or array_like
+        The interval, s, or the intervals: (n - 1,) for rates, (n,) for increments. All are above 0.
+    q0 : array_like, shape (4,) or (N, 4), default (1, 0, 0, 0)
+        Attitude at the first time, body to inertial, scalar first.
+    method : str, default "previous"
+        "hold", "trapezoid" (rates only), "previous", "coning2", "coning3", "coning3_optimal" (equal
+        increments only) or "picard".
+    increments : bool, default False
+        Whether ``rates`` are angle increments.
+    dtype : {float64, float32}, optional
+        Precision; the default is float32 if ``rates`` is a float32 array, and float64 otherwise.
+    n_threads : int, optional
+        Number of threads; the default is every processor. Results do not depend on it.
+    progress : bool, default False
+        Show a progress bar, which needs tqdm.
+    max_gap : float, optional
+        The longest interval that is accepted, s; the default is 10 times the median.
+    out : ndarray, optional
+        Array for the result. Writing to memory that was used before takes half the time.
 
     Returns
     -------
-    (n, 4) or (N, n, 4) attitudes at the instants; of n increments (n + 1, 4) or (N, n + 1, 4).
+    ndarray, shape (n, 4) or (N, n, 4)
+        Attitudes at the times of the samples; for n increments (n + 1, 4) or (N, n + 1, 4).
 
     Raises
     ------
-    ValueError : a shape that does not fit, a number that is not finite, an interval that is zero,
-        negative (a repeated or decreasing time stamp) or a gap; an unknown method.
+    ValueError
+        If a shape does not fit, a number is not finite, an interval is zero or negative (a repeated
+        or decreasing time stamp) or a gap, or the method is unknown.
+    TypeError
+        If an argument has the wrong type.
 
     Warns
     -----
-    StepWarning : an interval whose rotation angle exceeds the method's limit.
+    StepWarning
+        If the rotation angle over an interval exceeds the method's limit.
+
+    See Also
+    --------
+    GyroIntegrator : The same for samples that arrive one by one.
+    read_gyro_log : Rates and intervals from a file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> q = fa.integrate_rates(np.tile([0.0, 0.0, 0.5], (101, 1)), dt=0.01)
+    >>> q.shape, q[-1].round(6).tolist()
+    ((101, 4), [0.968912, 0.0, 0.0, 0.247404])
     """
     record = method_of(method, increments)
     name = "rates (increments)" if increments else "rates"
@@ -94,7 +125,7 @@ def integrate_rates(
         end = np.ascontiguousarray(out[:, -rest - 1 :])
         finish(window, increments, data, spans, end)
         out[:, -rest:] = end[:, 1:]
-    # a sample that is not finite stays in every later attitude; the last may not be used
+    # a sample that is not finite affects every later attitude; the last one may be unused
     if not checks.all_finite(q, data[:, -1]):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
@@ -103,10 +134,10 @@ def integrate_rates(
 
 
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Quaternions (4,) or (N, 4) of any length but zero, at unit length; a zero is no −0."""
+    """Quaternions (4,) or (N, 4) of any norm above zero, normalised and without −0."""
     given: Any = value.tolist() if type(value) is np.ndarray and value.shape == (4,) else value
     if type(given) in {tuple, list} and len(given) == 4:
-        # the same operations on numbers, which take less than those on short arrays
+        # the same operations on numbers, which take less time than on short arrays
         a, b, c, d = given
         if type(a) is type(b) is type(c) is type(d) is float:
             most = max(abs(a), abs(b), abs(c), abs(d))
@@ -119,7 +150,7 @@ def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def overflow(name: str, precision: np.dtype[Any]) -> ValueError:
-    """What is raised for angles that come to nothing."""
+    """The error that is raised for angles that overflow."""
     return ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
 
 
@@ -134,8 +165,8 @@ def warn_of_turns(
 ) -> None:
     """Warn of an interval whose rotation angle exceeds the method's limit.
 
-    ``seen`` is the largest component of an angle, of the samples or of more; ``first`` what the
-    first interval is called.
+    ``seen`` is the largest component of an angle, over these samples or more; ``first`` is the
+    index of the first interval in the message.
     """
     limit = record.limits["increments" if increments else "rates"]
     # |w| is at most √3 of its components
@@ -170,7 +201,7 @@ def methods_for_samples(increments: bool = False) -> list[str]:
 
 
 def method_of(name: str, increments: bool) -> Method:
-    """A method for samples by its name; ``ValueError`` for any other."""
+    """The method for samples of a name; raises ``ValueError`` for any other."""
     if not isinstance(increments, (bool, np.bool_)):
         raise TypeError(f"increments: found {checks.brief(increments)}; accepted: True or False")
     named = _named(increments)
@@ -180,7 +211,7 @@ def method_of(name: str, increments: bool) -> Method:
 
 
 def check_intervals(method: Method, *, uneven: bool) -> None:
-    """Refuse a method for equal intervals where they may differ."""
+    """Refuse a method for equal intervals if they may differ."""
     if uneven and method.window is not None and method.window.even:
         raise ValueError(
             f'dt: found intervals; accepted with "{method.name}": one number, its coefficients '
@@ -200,14 +231,14 @@ def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any])
 
 
 def largest_gap(max_gap: float | None) -> float:
-    """The longest interval that is no gap, s; None: any."""
+    """The longest interval that is accepted, s; None accepts any."""
     if max_gap is None:
         return math.inf
     return checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
 
 
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
-    """One number of the precision, or an array of ``count`` intervals."""
+    """The interval as a number of the precision, or an array of ``count`` intervals."""
     given: Any = dt
     longest = largest_gap(max_gap)
     if isinstance(given, float) and 0.0 < given <= longest and given < math.inf:

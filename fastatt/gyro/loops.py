@@ -1,13 +1,13 @@
-"""The loops over logs that every method shares: plain Python on flat arrays, compiled by Numba.
+"""The loops over logs that all methods share: plain Python on flat arrays, compiled by Numba.
 
-Attitudes of a log are q = p∘r: p that at the start of a chunk of 48 intervals, r the rotation from
-there. A chunk of each lane's samples is gathered into rows, a method's windows run across the
-lanes, and the attitudes are written out. Rotations of chunks are found side by side, of many logs
-or of one, and the chain of p goes through them: a log's bits are the same whatever is run with it,
-however it is cut, on any number of threads.
+Attitudes of a log are q = p∘r, with p at the begin of a chunk of 48 intervals and the rotation r
+from there. The samples of each lane's chunk are gathered into rows, the windows of a method run
+across the lanes, and the attitudes are written. Rotations of chunks are computed in parallel lanes,
+for many logs or for one, and then chained through p. The bits of a log therefore do not depend on
+other logs, on how it is divided, or on the number of threads.
 
-The windows for any rotation angle are compiled when a chunk first needs them: a loop then returns
-the number of that tile, from which the next call goes on.
+The windows for any rotation angle are compiled when a chunk first needs them. A loop then returns
+the index of that tile, from which the next call continues.
 """
 
 from __future__ import annotations
@@ -22,41 +22,42 @@ from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, reals
 from fastatt.methods.windows import CHUNK
 
-#: stretches of logs side by side
+#: lanes of a tile
 LANES = 16
 TILE = LANES * CHUNK
 
 #: parts of a program's function (``fastatt.gyro.program``)
 WINDOWS, PLACE, JOIN = range(3)
-#: rows of its ``state``: p at the start of a chunk, the rotation of the chunk, p at its end; the
-#: largest sample and interval of each lane; then those of an iteration
+#: rows of its ``state``: p at the begin of a chunk, the rotation of the chunk, p at its end; the
+#: largest sample and interval of each lane; then the rows of an iteration
 START, TURNED, NEXT, PEAK, LONGEST, ITERATION = 0, 4, 8, 12, 13, 14
 
-#: ``arrays``: samples (N, lead + n, 3); tables of how much each of a log's first samples counts for
-#: those before it, and of its last ones for those after it; intervals, s; attitudes (N, n_out, 4);
-#: p and r of each log (N, 8); the rotation of each chunk (., 4); the largest component of a
-#: rotation in an interval, rad; then the memory of a chunk
+#: ``arrays``: samples (N, lead + n, 3); tables that extrapolate from a log's first samples to those
+#: before it, and from its last ones to those after it; intervals, s; attitudes (N, n_out, 4); p and
+#: r of each log (N, 8); the rotation of each chunk (., 4); the largest component of a rotation over
+#: an interval, rad; then the memory of a chunk
 (
     DATA, HEAD, TAIL, GAPS, OUT, Q, TOTALS, LARGEST, SAMPLES, SPANS, ATTITUDES, STATE,
 ) = range(12)  # fmt: skip
 
-#: ``settings``: the windows for small angles and for any, or 0; samples of a log, and those that
-#: are known before them; sizes of the tables; intervals, 0 of equal ones; attitudes of a log; the
-#: shape of a window; 1 where samples are rates, and where they are over uneven intervals; the first
-#: interval, how many, how many of its chunk are done; of one log: which, and 1 to write attitudes
+#: ``settings``: addresses of the windows for small angles and for any, or 0; samples of a log, and
+#: those known before them; sizes of the tables; number of intervals, 0 for equal ones; attitudes of
+#: a log; the shape of a window; 1 if samples are rates, and if intervals are uneven; the first
+#: interval, their number, how many of its chunk are done; for one log its index, and 1 to write
+#: attitudes
 (
     SMALL, ANY, N_SAMPLES, LEAD, N_HEAD, N_TAIL, N_AFTER, N_GAPS, N_OUT, HISTORY, SPAN, EXTRA,
     BY_INTERVAL, FIRST, COUNT, PHASE, LOG, WRITE,
 ) = range(18)  # fmt: skip
 
-#: ``limits``: equal intervals, s; the angle of a sample over one is that many times the sample; the
+#: ``limits``: the equal interval, s; the factor from a sample to its angle over an interval; the
 #: angle below which rotations are at most π
 INTERVAL, FACTOR, NEAR = range(3)
 
 
 @loop_part
 def _extrapolated(table, row, size, data, at):
-    """A sample's component beyond a log, from ``size`` samples from ``at`` on."""
+    """A component of a sample beyond a log, from ``size`` samples beginning with ``at``."""
     total = 0.0
     for k in range(size):
         total += table[row * size + k] * float(data[at + 3 * k])
@@ -65,7 +66,7 @@ def _extrapolated(table, row, size, data, at):
 
 @loop_part
 def _gather(data, samples, arrays, settings, log, first, count, lane):
-    """Samples of a log from ``first`` on, as many as ``count``, into a lane."""
+    """Copy ``count`` samples of a log, from ``first`` on, into a lane."""
     n, lead, near = settings[N_SAMPLES], settings[LEAD], settings[N_TAIL]
     head, tail = doubles(arrays[HEAD]), doubles(arrays[TAIL])
     origin = (log * (lead + n) + lead) * 3
@@ -89,7 +90,7 @@ def _gather(data, samples, arrays, settings, log, first, count, lane):
 
 @loop_part
 def _gather_intervals(gaps, spans, settings, limits, first, count, lane):
-    """Intervals from ``first`` on into a lane; the last one goes on beyond the end."""
+    """Copy intervals from ``first`` on into a lane; the last one is repeated beyond the end."""
     if settings[N_GAPS] == 0:
         spans[lane] = limits[INTERVAL]
     else:
@@ -101,7 +102,7 @@ def _gather_intervals(gaps, spans, settings, limits, first, count, lane):
 
 @loop_part
 def _keep_largest(rows, count, state, row):
-    """The largest absolute value of each lane, in a row of the state; a NaN is passed over."""
+    """The largest absolute value of each lane, in a row of the state; NaN is ignored."""
     for j in range(LANES):
         state[row * LANES + j] = 0.0
     for i in range(count):
@@ -113,9 +114,10 @@ def _keep_largest(rows, count, state, row):
 
 @loop_part
 def _run_windows(memory, arrays, settings, limits, windows):
-    """Run a chunk's windows; False where the form for any angle is missing.
+    """Run the windows of a chunk; returns False if the form for any angle is not compiled.
 
-    Both forms give a rotation of at most π the same bits: a lane's neighbours change none.
+    Both forms give the same bits for a rotation of at most π, so that the lanes of a tile do not
+    affect each other.
     """
     samples, spans, _, state = memory
     intervals = settings[HISTORY] + windows * settings[SPAN]
@@ -140,16 +142,16 @@ def _run_windows(memory, arrays, settings, limits, windows):
 
 @loop_part
 def _write(attitudes, out, at, first, last, lane):
-    """A lane's attitudes [first, last) to their places."""
+    """Copy the attitudes [first, last) of a lane to their place."""
     for i in range(4 * first, 4 * last):
         out[at + i] = attitudes[i * LANES + lane]
 
 
 def _sweep(kind):
-    """Many logs side by side."""
+    """The loop over many logs."""
 
     def sweep(arrays, settings, limits, first, last):
-        """A lane for each of the logs [first, last); the first of a tile that was not run."""
+        """Integrate the logs [first, last), a lane each; returns the first tile not run."""
         samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
         attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
         memory = samples, spans, attitudes, state
@@ -203,12 +205,13 @@ def _sweep(kind):
 
 
 def _along(kind):
-    """One log, whose chunks are side by side."""
+    """The loop over the chunks of one log."""
 
     def along(arrays, settings, limits, first, last):
-        """Tiles of one log from p and r, which are left at their end; the tile that was not run.
+        """Integrate tiles of one log from p and r, which are updated; returns the tile not run.
 
-        A lane takes a chunk, the last may be less. Without ``WRITE`` only the rotations are found.
+        Each lane has a chunk; the last one may be shorter. Without ``WRITE`` only the rotations are
+        computed.
         """
         samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
         attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
@@ -258,7 +261,7 @@ def _along(kind):
 
 
 def _chain(kind):
-    """The way of p through chunks."""
+    """The loop that updates p over chunks."""
 
     def chain(arrays, settings, limits, first, last):
         """p after the chunks [first, last), from their rotations."""
@@ -291,6 +294,7 @@ _LOOPS: dict[str, Callable[[str], Callable[..., Any]]] = {
 def loop(name: str, kind: str) -> Callable[..., int]:
     """``sweep``, ``along`` or ``chain`` for a precision.
 
-    They take (arrays, settings, limits, first, last), and give ``last``, or where they stopped.
+    They take (arrays, settings, limits, first, last), and return ``last``, or the index at which
+    they stopped.
     """
     return address_loop(_SIGNATURE, _LOOPS[name](kind), CHUNK)

@@ -1,11 +1,11 @@
-"""A method's windows as a generated function over the lanes of a chunk.
+"""The windows of a method as a generated function over the lanes of a chunk.
 
 ``run(part, samples, spans, attitudes, state, first, last)`` works on arrays of rows with a number
-of each lane. ``part`` chooses what is done:
+for each lane. ``part`` selects what is done:
 
 - ``WINDOWS``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
-- ``PLACE``: attitudes [first, last) become p∘r, p those in the rows ``START`` of ``state``.
-- ``JOIN``: of the lanes [first, last), p at the start of the next chunk, ``NEXT``, from ``START``
+- ``PLACE``: attitudes [first, last) become p∘r, with p in the rows ``START`` of ``state``.
+- ``JOIN``: for the lanes [first, last), p at the begin of the next chunk, ``NEXT``, from ``START``
   and the rotation of this chunk, ``TURNED``.
 """
 
@@ -49,11 +49,11 @@ class GyroProgram(TwoForms):
         self.precision, self.kind = precision, _KINDS[precision]
         self._vector = LANES if config.DISABLE_JIT else processor().lanes(self.kind)
         self._state = ITERATION
-        # an iteration has one form for all angles
+        # an iteration has the same form for all angles
         super().__init__(plain=config.DISABLE_JIT, one_form=window.iteration is not None)
 
     def _new_memory(self) -> list[NDArray[Any]]:
-        """Samples, intervals, attitudes and state of a chunk's lanes."""
+        """Arrays for samples, intervals, attitudes and state of a chunk's lanes."""
         rows = (3 * (CHUNK + MOST_HISTORY + 1), CHUNK + MOST_HISTORY, 4 * CHUNK + 4, self._state)
         return [aligned(n * LANES, self.precision) for n in rows]
 
@@ -92,7 +92,7 @@ class GyroProgram(TwoForms):
     def _formula(
         self, flat: Flat, array: int, first: int, rows: Sequence[int] | None = None, lanes: int = 0
     ) -> LaneFormula:
-        """A formula; its results go to ``rows`` from the first on, or to those in order."""
+        """A formula; its results go to ``rows`` from the first on, or to these rows in order."""
         begin = {
             "v": (_SAMPLES, 0), "h": (_SPANS, 0), "q": (_ATTITUDES, 0), "p": (_STATE, START),
             "turned": (_STATE, TURNED), "state": (_STATE, ITERATION),
@@ -108,7 +108,7 @@ class GyroProgram(TwoForms):
         return LaneFormula(flat, inputs, [Place(first + i, array) for i in order], lanes=lanes)
 
     def _chain(self) -> _Formulas:
-        """p∘r, and p of the next chunk at unit length, by a Newton step."""
+        """p∘r, and p of the next chunk, renormalised by a Newton step."""
         place, join = Graph(), Graph()
         p, q = (place.inputs(self.kind, name, 4) for name in "pq")
         placed = Flat(place, products(p, q), self.kind)
@@ -120,7 +120,7 @@ class GyroProgram(TwoForms):
         }
 
     def _windows(self, small_angle: bool) -> _Formulas:
-        """The attitudes of a window, the last of which is the next one's first."""
+        """The attitudes of a window, the last of which is the first of the next window."""
         if self.window.iteration is not None:
             return self._iterated(self.window.iteration)
         graph = Graph()
@@ -156,7 +156,7 @@ class GyroProgram(TwoForms):
 
 
 def _passes(iteration: Iteration, at: str, row: int, lanes: int) -> Iterator[str]:
-    """Passes as long as a lane moves: a row of the state says which do."""
+    """Passes as long as a lane changes, according to a row of the state."""
     begin, improve, read = (
         _CALL.format(name=name, offsets=at) for name in ("begin", "improve", "read")
     )
@@ -171,5 +171,5 @@ def _passes(iteration: Iteration, at: str, row: int, lanes: int) -> Iterator[str
     yield f"{depth}{read}"
 
 
-#: the program of a window, made once a process
+#: the program of a window, made once in a process
 program = functools.cache(GyroProgram)

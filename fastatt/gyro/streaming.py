@@ -1,4 +1,4 @@
-"""Samples as they come to attitudes: those of a whole log, whatever the pieces."""
+"""Attitudes from samples that arrive one by one, equal to those of the whole log."""
 
 from __future__ import annotations
 
@@ -25,25 +25,37 @@ from fastatt.threads import number_of
 
 
 class GyroIntegrator:
-    """Attitudes from samples that arrive one by one or in pieces: ``fastatt.GyroIntegrator``.
+    """Integrate gyro samples that arrive one by one or in batches.
 
-    Those of :func:`fastatt.integrate_rates` over the whole log, bit for bit, however it is cut. It
-    can be pickled and copied, and goes on from there.
+    The attitudes are those of :func:`fastatt.integrate_rates` over the whole log, bit for bit,
+    however it is divided. An integrator can be pickled and copied, and continues from there.
 
     Parameters
     ----------
-    q0 : (4,) or of N bodies (N, 4), attitude at the first instant, body to inertial, scalar first.
-    dt : the interval, s; None where ``push`` is given the intervals.
-    method, increments, dtype, n_threads : as for ``integrate_rates``; with ``dtype`` None the first
-        samples decide.
-    max_gap : longest interval allowed, s; None: any, since the median is not known yet.
+    q0 : array_like, shape (4,) or (N, 4)
+        Attitude at the first time, body to inertial, scalar first.
+    dt : float, optional
+        The interval, s; None if ``push`` is given the intervals.
+    method : str, default "previous"
+        The method, as in :func:`fastatt.integrate_rates`.
+    increments : bool, default False
+        Whether samples are angle increments.
+    dtype : {float64, float32}, optional
+        Precision; by default that of the first samples.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.integrate_rates`.
+    max_gap : float, optional
+        The longest interval that is accepted, s; the default accepts any, since the median is
+        unknown.
 
     Raises
     ------
-    ValueError, TypeError : an argument that ``integrate_rates`` refuses.
+    ValueError, TypeError
+        If an argument does not fit, as in :func:`fastatt.integrate_rates`.
 
     Examples
     --------
+    >>> import fastatt as fa
     >>> flow = fa.GyroIntegrator((1.0, 0.0, 0.0, 0.0), 0.01, method="coning2")
     >>> [len(flow.push((0.0, 0.0, 1.0))) for _ in range(4)], len(flow.close())
     ([1, 0, 2, 0], 1)
@@ -74,32 +86,37 @@ class GyroIntegrator:
         self._precision = None if dtype is None else checks.precision(dtype)
         self._threads = None if n_threads is None else number_of(n_threads)
         self._begun = self._closed = False
-        # intervals done, and how many of them the samples and intervals that are kept go back
+        # intervals done, and how many of them the kept samples and intervals cover
         self._done = self._lead = 0
         self._samples: NDArray[Any] = np.empty((0, 0, 3))
         self._spans = self._q = self._last = np.empty(0)
 
     def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> NDArray[Any]:
-        """The attitudes that are final with some more samples.
+        """Add samples and return the attitudes that are then final.
 
         Parameters
         ----------
-        rates : (3,) or (n, 3), of N bodies (N, 3) or (N, n, 3): rad/s, or increments, rad.
-        dt : of an integrator without ``dt``: the interval that ends at each sample, s, (n,), or a
-            number for all. The first rate of all ends none: (n - 1,) in the first push.
+        rates : array_like, shape (3,) or (n, 3); (N, 3) or (N, n, 3) for N bodies
+            Rates, rad/s, or increments, rad.
+        dt : float or array_like of shape (n,), optional
+            For an integrator without ``dt``: the interval that ends at each sample, s, or one
+            number. The very first rate ends no interval: (n - 1,) in the first push.
 
         Returns
         -------
-        (m, 4), or (N, m, 4): the next m attitudes, none where the method waits for more samples.
+        ndarray, shape (m, 4) or (N, m, 4)
+            The next m attitudes; m is 0 if the method needs further samples.
 
         Raises
         ------
-        ValueError, TypeError : what does not fit or is not finite, or a push after ``close``;
-            nothing is done then.
+        ValueError, TypeError
+            If an argument does not fit or is not finite, or after ``close``. The integrator does
+            not change then.
 
         Warns
         -----
-        StepWarning : an interval whose rotation angle exceeds the method's limit.
+        StepWarning
+            If the rotation angle over an interval exceeds the method's limit.
         """
         self._check_open()
         n_logs, increments = len(self._start), self._increments
@@ -117,17 +134,23 @@ class GyroIntegrator:
         window = METHODS[self._method].window
         known = samples.shape[1] - self._lead - (not increments)
         count = known - known % window.span
-        # the history of the first window is extrapolated from the first samples
+        # samples before the first window are extrapolated from the first ones
         if not self._done and window.history and samples.shape[1] < window.samples(increments):
             count = 0
         return self._advanced(samples, spans, q, count)
 
     def close(self) -> NDArray[Any]:
-        """The attitudes left, (m, 4) or (N, m, 4): the log ends here.
+        """End the log and return the remaining attitudes.
+
+        Returns
+        -------
+        ndarray, shape (m, 4) or (N, m, 4)
+            The last m attitudes.
 
         Raises
         ------
-        ValueError : closed before.
+        ValueError
+            If the integrator was closed before.
         """
         self._check_open()
         self._closed = True
@@ -142,7 +165,7 @@ class GyroIntegrator:
             raise ValueError("found an integrator that is closed; accepted: one that is open")
 
     def _intervals(self, dt: ArrayLike | None, count: int, precision: np.dtype[Any]) -> Any:
-        """The interval, or all that are kept and ``count`` more."""
+        """The interval, or all kept intervals and ``count`` more."""
         if self._dt is not None:
             if dt is not None:
                 raise ValueError(
@@ -162,7 +185,7 @@ class GyroIntegrator:
     def _advanced(
         self, samples: NDArray[Any], spans: Any, q: NDArray[Any], count: int
     ) -> NDArray[Any]:
-        """The next ``count`` attitudes; what they need is kept for those after them."""
+        """The next ``count`` attitudes; the samples that later ones need are kept."""
         record, increments = METHODS[self._method], self._increments
         window, lead, n_logs = record.window, self._lead, len(samples)
         out = np.empty((n_logs, count + 1, 4), dtype=samples.dtype)
@@ -182,7 +205,7 @@ class GyroIntegrator:
         warn_of_turns(seen, own, gaps, record, increments, first=self._done)
         found = out[:, self._begun :]
         self._done += count
-        # a window's, which the end of a log goes back to
+        # those of a window, which the end of a log needs
         self._lead = min(self._done, window.intervals)
         first = lead + count - self._lead
         self._samples, self._precision = samples[:, first:].copy(), samples.dtype

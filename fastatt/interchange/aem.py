@@ -1,7 +1,7 @@
 """Attitude ephemeris messages (AEM) of the CCSDS, as text.
 
-CCSDS 504.0-B-1 (2008), version 1.0, and 504.0-B-2 (2024), version 2.0. Nothing is converted between
-time systems or frames: their names are kept as they are given.
+CCSDS 504.0-B-1 (2008), version 1.0, and 504.0-B-2 (2024), version 2.0. Time systems and frames are
+not converted; their names are kept as they are given.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from fastatt.interchange import epochs
 from fastatt.interchange.conventions import from_scalar_last, to_passive, to_scalar_last
 
 _DERIVATIVE = "QUATERNION/DERIVATIVE"
-# numbers of a data line after its time, by version and type; the last type has the rates
+# numbers in a data line after its time, by version and type; the last type has angular velocities
 TYPES = {
     "1.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/RATE": 7},
     "2.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/ANGVEL": 7},
 }
 RATES_ALONG = {"1.0": "RATE_FRAME", "2.0": "ANGVEL_FRAME"}
-# what version 2.0 fixes, and 1.0 has keywords for
+# properties that are fixed in version 2.0 and have keywords in 1.0
 FIXED = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
 _HEADER = ("CLASSIFICATION", "CREATION_DATE", "ORIGINATOR", "MESSAGE_ID")
 _REQUIRED = (
@@ -42,12 +42,12 @@ _METADATA = (
     "ATTITUDE_TYPE", "QUATERNION_TYPE", "EULER_ROT_SEQ", "RATE_FRAME", "ANGVEL_FRAME",
     "INTERPOLATION_METHOD", "INTERPOLATION_DEGREE",
 )  # fmt: skip
-# frames that a spacecraft carries, as their names begin: annex A of B-1, SANA's registry of B-2
+# first parts of names of spacecraft frames: annex A of B-1, SANA's registry of B-2
 _CARRIED = (
     "ACC", "ACTUATOR", "AST", "CSS", "DSS", "ESA", "GYRO", "IMU", "INSTRUMENT", "MTA", "RW", "SA_",
     "SC_BODY", "SENSOR", "STARTRACKER", "TAM",
 )  # fmt: skip
-# |q| of a file's numbers, which are rounded to a few digits
+# range of |q| for a file's numbers, which are rounded to a few digits
 _ROUNDED = 0.01
 _MARKS = ("META_START", "META_STOP", "DATA_START", "DATA_STOP")
 #: a line and its number
@@ -58,13 +58,21 @@ _Numbered = tuple[int, str]
 class AemSegment:
     """A block of a message: attitudes of one object over a span of time.
 
-    ``epoch`` is the time tag at which ``t`` (S,), s, is 0; ``q`` (S, 4), scalar first, maps
-    components along the spacecraft's frame to components along the other one, as everywhere here
-    (along REF_FRAME_B to along REF_FRAME_A where both or neither are a spacecraft's); ``w`` (S, 3)
-    rad/s along the spacecraft's frame, or None; ``metadata`` by the standard's keywords;
-    ``comments`` line by line.
-
-    Numbers of ``q`` are as the file has them: of unit length to the digits that it gives.
+    Parameters
+    ----------
+    epoch : str
+        Time tag at which ``t`` is 0.
+    t : ndarray, shape (S,)
+        Times after the epoch, s.
+    q : ndarray, shape (S, 4)
+        Quaternions, scalar first, from the spacecraft's frame to the other one (from REF_FRAME_B to
+        REF_FRAME_A if both or neither are a spacecraft's), with the digits of the file.
+    w : ndarray, shape (S, 3), or None
+        Angular velocities along the spacecraft's frame, rad/s.
+    metadata : mapping of str to str
+        Values by the keywords of the standard.
+    comments : tuple of str, default ()
+        Comment lines.
     """
 
     epoch: str
@@ -77,9 +85,18 @@ class AemSegment:
 
 @dataclass(frozen=True, eq=False)
 class Aem:
-    """An attitude ephemeris message: ``version`` "1.0" or "2.0", ``header``, ``segments``.
+    """An attitude ephemeris message.
 
-    ``header`` has the standard's keywords, ``comments`` its comment lines.
+    Parameters
+    ----------
+    version : {"1.0", "2.0"}
+        Version of the standard.
+    header : mapping of str to str
+        Values by the keywords of the standard.
+    segments : tuple of AemSegment
+        The blocks of the message.
+    comments : tuple of str, default ()
+        Comment lines of the header.
     """
 
     version: str
@@ -88,12 +105,19 @@ class Aem:
     comments: tuple[str, ...] = field(default=())
 
     def text(self) -> str:
-        """The message: :func:`read_aem` gives the same times and attitudes again, bit for bit.
+        """Return the message as text.
 
-        Rates are in deg/s there, which rounds them to 4e-16 of their size. Numbers have the digits
-        that double precision needs, 17 at most, one more than the standard's 16.
+        Returns
+        -------
+        str
+            A text from which :func:`read_aem` reads the same times and attitudes, bit for bit.
+            Angular velocities are in deg/s there, which rounds them to 4e-16 of their size. Numbers
+            have up to 17 digits, as double precision needs, one more than the standard's 16.
 
-        Raises ``ValueError`` for what is no message, such as times that do not rise.
+        Raises
+        ------
+        ValueError
+            If this is not a valid message, for example if times do not rise.
         """
         checks.choice("version", self.version, TYPES)
         lines = [f"CCSDS_AEM_VERS = {self.version}", *_comments(self.comments)]
@@ -103,16 +127,22 @@ class Aem:
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
-        """Write the message to a file."""
+        """Write the message to a file.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        """
         Path(path).write_text(self.text(), encoding="ascii")
 
 
 def read_aem(path: str | Path) -> Aem:
     """Read an attitude ephemeris message, version 1.0 or 2.0.
 
-    Types are QUATERNION, QUATERNION/DERIVATIVE and QUATERNION/RATE or QUATERNION/ANGVEL. A
-    segment's ``epoch`` is the time tag of its first line. ATTITUDE_DIR and QUATERNION_TYPE count in
-    a message of version 2.0 too, which has fixed them.
+    Accepted types are QUATERNION, QUATERNION/DERIVATIVE and QUATERNION/RATE or QUATERNION/ANGVEL.
+    The ``epoch`` of a segment is the time tag of its first line. ATTITUDE_DIR and QUATERNION_TYPE
+    are taken into account in version 2.0 too, where the standard fixes them.
 
     Parameters
     ----------
@@ -122,14 +152,28 @@ def read_aem(path: str | Path) -> Aem:
     Returns
     -------
     Aem
-        With its segments.
+        The message with its segments.
 
     Raises
     ------
     ValueError
-        With the line, for what is no such message or can be read in two ways: an unknown order of a
-        quaternion's numbers, rates along an unknown frame, Euler's rates, data outside START_TIME
-        and STOP_TIME.
+        If the file is not such a message, or can be read in two ways: an unknown order of a
+        quaternion's numbers, rates along an unknown frame, Euler rates, data outside START_TIME and
+        STOP_TIME. The message names the line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 0.1)))
+    >>> run = fa.propagate(scene, [1, 0, 0, 0], dt=1.0, n_steps=2, save_every=1, t0=1.7e9)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "attitude.aem"
+    ...     run.to_aem(path, epoch="unix", frame="ICRF")
+    ...     aem = fa.interchange.read_aem(path)
+    >>> aem.segments[0].q.shape
+    (3, 4)
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -153,7 +197,7 @@ def read_aem(path: str | Path) -> Aem:
 
 @contextmanager
 def _prefixed(place: str) -> Iterator[None]:
-    """Say in a refusal where it is about."""
+    """Prefix errors that are raised within the context with a place."""
     try:
         yield
     except ValueError as error:
@@ -187,7 +231,7 @@ def _assignment(line: str) -> tuple[str, str]:
 
 
 def _values(section: list[_Numbered]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Values by keyword, and the comments among them."""
+    """Values by keyword, and the comments between them."""
     found: dict[str, str] = {}
     comments = []
     for k, line in section:
@@ -283,12 +327,12 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
 
 
 class _Layout:
-    """How a block's metadata says that its data lines are to be read.
+    """How the data lines of a block are to be read, from its metadata.
 
-    B-2, annex F: the quaternion from frame A to frame B is the rotation that takes A's axes to
-    B's, so it maps components along B to components along A. ATTITUDE_DIR may be B2A.
+    B-2, annex F: the quaternion from frame A to frame B is the rotation that takes A's axes to B's,
+    so it maps components along B to components along A. ATTITUDE_DIR may be B2A.
 
-    Raises ``ValueError`` for what can be read in two ways.
+    Raises ``ValueError`` for metadata that can be read in two ways.
     """
 
     def __init__(self, metadata: Mapping[str, str], version: str) -> None:
@@ -324,7 +368,7 @@ class _Layout:
             self.in_body = along in (("REF_FRAME_A", a) if swapped else ("REF_FRAME_B", b))
 
     def read(self, rows: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """(q, w) of data lines' numbers."""
+        """(q, w) from the numbers of data lines."""
         q = self._read_quaternions(rows[:, :4])
         if self.count == 4:
             return q, None
@@ -336,12 +380,12 @@ class _Layout:
         return q, w if self.in_body else quat_rotate_inverse(normalised(q), w)
 
     def _read_quaternions(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Scalar first, from the spacecraft's frame to the other one."""
+        """Quaternions, scalar first, from the spacecraft's frame to the other one."""
         p = numbers if self.scalar_first else from_scalar_last(numbers)
         return to_passive(p) if self.reverse else p
 
     def written(self, q: NDArray[Any], w: NDArray[Any] | None) -> NDArray[np.float64]:
-        """Numbers of data lines, the way back."""
+        """The numbers of data lines from (q, w)."""
         parts = [q]
         if w is not None and self.kind == _DERIVATIVE:
             parts.append(0.5 * quat_multiply(q, np.concatenate([0.0 * w[:, :1], w], axis=1)))
@@ -376,7 +420,7 @@ def _assignments(name: str, values: Mapping[str, str], known: tuple[str, ...]) -
 
 
 def _number(x: float) -> str:
-    """The shortest text that gives the number again, a decimal point in its mantissa."""
+    """The shortest text that gives the same number, with a decimal point in its mantissa."""
     text = repr(x + 0.0)  # the standard has no −0
     mantissa, e, power = text.partition("e")
     return text if "." in mantissa or not e else f"{mantissa}.0e{power}"

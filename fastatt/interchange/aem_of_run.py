@@ -1,4 +1,4 @@
-"""An attitude ephemeris message of a run."""
+"""Attitude ephemeris messages of runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fastatt.interchange.aem import FIXED, RATES_ALONG, TYPES, Aem, AemSegment
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
 
-# s; no run lasts so long, and Unix time passed it in 1973
+# s; longer than any run, and Unix time was past it in 1973
 _LONG = 1e8
 
 
@@ -32,39 +32,43 @@ def aem_of(
     metadata: Mapping[str, str] | None = None,
     header: Mapping[str, str] | None = None,
 ) -> Aem:
-    """The message of one body of a run.
+    """The attitude ephemeris message of one body of a run.
 
     Parameters
     ----------
     run : Trajectory
-        With saves at rising times.
-    epoch : datetime or str
-        Time of the run's t = 0 in the metadata's TIME_SYSTEM, which is UTC unless said otherwise:
-        a ``datetime`` or text such as "2026-01-01T00:00:00"; t then counts every second, the leap
-        seconds of UTC too. Or "unix": t is Unix time, which skips leap seconds, in UTC.
-    frame, body_frame : str
-        The standard's names of the inertial frame and of the body's.
+        A run with saves at rising times.
+    epoch : str or datetime
+        Time of the run's t = 0 in the metadata's TIME_SYSTEM, which is UTC by default: a
+        ``datetime``, or text such as "2026-01-01T00:00:00"; t then counts every second, including
+        the leap seconds of UTC. "unix" says that t is Unix time, which skips leap seconds, in UTC.
+    frame : str
+        The standard's name of the inertial frame.
+    body_frame : str, default "SC_BODY_1"
+        The standard's name of the body frame.
     body : int, optional
-        Which of an ensemble: a message is of one object.
-    version : str
+        Index of the body; required for an ensemble, since a message is of one object.
+    version : {"1.0", "2.0"}, default "2.0"
         "1.0" (CCSDS 504.0-B-1) or "2.0" (504.0-B-2).
     attitude_type : str, optional
-        "QUATERNION", "QUATERNION/DERIVATIVE" or, by default, with the angular velocity,
-        "QUATERNION/RATE" in version 1.0 and "QUATERNION/ANGVEL" in 2.0.
-    metadata, header : Mapping, optional
+        "QUATERNION", "QUATERNION/DERIVATIVE", "QUATERNION/RATE" in version 1.0 or
+        "QUATERNION/ANGVEL" in 2.0. The default is one of the last two, with the angular velocity.
+    metadata : mapping of str to str, optional
         Further keywords, such as ``{"OBJECT_NAME": "SAT-1"}``.
+    header : mapping of str to str, optional
+        Further keywords of the header.
 
     Returns
     -------
     Aem
-        With one segment.
+        A message with one segment.
 
     Raises
     ------
     ValueError
-        An argument that does not fit; an ensemble without ``body``; times beyond 1e8 s after an
-        epoch of 1970, which Unix time and elapsed seconds read differently; attitudes that are not
-        numbers.
+        If an argument does not fit, ``body`` is missing for an ensemble, an attitude is not finite,
+        or times are beyond 1e8 s after an epoch of 1970, which Unix time and elapsed seconds
+        interpret differently.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""Attitudes in the conventions of other packages: order of numbers, direction, sense.
+"""Attitudes in the conventions of other packages: order of numbers, direction, product.
 
-Here q is scalar first, Hamilton, body to inertial; every function takes any leading axes.
+Here q is scalar first, Hamilton, body to inertial. Every function accepts any leading axes.
 """
 
 from __future__ import annotations
@@ -17,21 +17,72 @@ if TYPE_CHECKING:
 
 
 def to_scalar_last(q: ArrayLike) -> NDArray[Any]:
-    """(x, y, z, w) of scalar-first q (..., 4): what SciPy, ROS and Eigen's ``coeffs()`` hold."""
+    """Reorder quaternions to scalar last, as SciPy, ROS and Eigen's ``coeffs()`` have them.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, scalar first.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        (x, y, z, w).
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.to_scalar_last([1.0, 0.0, 0.0, 0.5]).tolist()
+    [0.0, 0.0, 0.5, 1.0]
+    """
     return np.roll(floats("q", q, (4,)), -1, axis=-1)
 
 
 def from_scalar_last(q: ArrayLike) -> NDArray[Any]:
-    """Scalar-first q of (x, y, z, w), (..., 4)."""
+    """Reorder scalar-last quaternions to scalar first.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Quaternions, scalar first.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.from_scalar_last([0.0, 0.0, 0.5, 1.0]).tolist()
+    [1.0, 0.0, 0.0, 0.5]
+    """
     return np.roll(floats("q", q, (4,)), 1, axis=-1)
 
 
 def to_scipy(q: ArrayLike) -> Rotation:
-    """SciPy's ``Rotation`` of q (..., 4): its ``apply`` takes body to inertial components.
+    """Convert quaternions to SciPy's ``Rotation``.
 
-    Histories (S, N, 4) need SciPy 1.17, the first whose rotations have more than one axis.
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first. More than one leading axis needs SciPy 1.17.
 
-    Raises ``ImportError`` without SciPy.
+    Returns
+    -------
+    scipy.spatial.transform.Rotation
+        Rotations whose ``apply`` takes body to inertial components.
+
+    Raises
+    ------
+    ImportError
+        If SciPy is not installed.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.to_scipy([1.0, 0.0, 0.0, 1.0]).apply([1.0, 0.0, 0.0]).round(6).tolist()
+    [0.0, 1.0, 0.0]
     """
     from scipy.spatial.transform import Rotation
 
@@ -39,9 +90,29 @@ def to_scipy(q: ArrayLike) -> Rotation:
 
 
 def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
-    """q (..., 4) of SciPy's ``Rotation`` from body to inertial components.
+    """Convert SciPy's ``Rotation`` to quaternions.
 
-    Raises ``TypeError`` for something else, such as its ``as_quat()``: see ``from_scalar_last``.
+    Parameters
+    ----------
+    rotation : scipy.spatial.transform.Rotation
+        Rotations from body to inertial components.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions, scalar first.
+
+    Raises
+    ------
+    TypeError
+        If the argument is something else, such as the result of ``as_quat()``, for which
+        :func:`fastatt.interchange.from_scalar_last` exists.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.from_scipy(fa.to_scipy([0.6, 0.0, 0.0, 0.8])).tolist()
+    [0.6, 0.0, 0.0, 0.8]
     """
     if not hasattr(rotation, "as_quat"):
         raise TypeError(
@@ -52,40 +123,166 @@ def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
 
 
 def to_jpl(q: ArrayLike) -> NDArray[Any]:
-    """JPL quaternions (x, y, z, w), inertial to body, of q (..., 4).
+    """Convert quaternions to JPL quaternions (x, y, z, w) from inertial to body axes.
 
-    The left-handed product and the opposite direction cancel: the numbers are q's own, scalar last.
-    JPL products are in the opposite order, (p∘q) there being q∘p here. Trawny and Roumeliotis,
-    "Indirect Kalman filter for 3D attitude estimation" (2005), §1; Solà, arXiv:1711.02508, §1.2.
+    The left-handed product and the opposite direction cancel each other, so that the numbers are
+    the same, in scalar-last order. JPL products are in the opposite order: (p∘q) there is q∘p here.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        JPL quaternions.
+
+    References
+    ----------
+    Trawny and Roumeliotis, "Indirect Kalman filter for 3D attitude estimation" (2005), §1; Solà,
+    arXiv:1711.02508, §1.2.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.to_jpl([0.8, 0.0, 0.6, 0.0]).tolist()
+    [0.0, 0.6, 0.0, 0.8]
     """
     return to_scalar_last(q)
 
 
 def from_jpl(q: ArrayLike) -> NDArray[Any]:
-    """q of JPL quaternions (x, y, z, w), inertial to body, (..., 4)."""
+    """Convert JPL quaternions (x, y, z, w) from inertial to body axes.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        JPL quaternions.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Quaternions, body to inertial, scalar first.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.from_jpl([0.0, 0.6, 0.0, 0.8]).tolist()
+    [0.8, 0.0, 0.6, 0.0]
+    """
     return from_scalar_last(q)
 
 
 def to_passive(q: ArrayLike) -> NDArray[Any]:
-    """q*: the same attitude as a Hamilton quaternion from inertial to body components, and back."""
+    """Conjugate quaternions: the same attitude as a Hamilton quaternion from inertial to body axes.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, scalar first, in either direction.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        q*, in the opposite direction.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.to_passive([0.8, 0.0, 0.6, 0.0]).tolist()
+    [0.8, -0.0, -0.6, -0.0]
+    """
     return floats("q", q, (4,)) * np.array([1.0, -1.0, -1.0, -1.0], dtype=np.float32)
 
 
 def to_mrp(q: ArrayLike) -> NDArray[Any]:
-    """Modified Rodrigues parameters of q (..., 4), Basilisk's ``sigma_BN``: ``fa.quat_to_mrp``."""
+    """Convert quaternions to modified Rodrigues parameters, such as Basilisk's ``sigma_BN``.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        The parameters, as :func:`fastatt.quat_to_mrp` returns them.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.to_mrp([0.8, 0.0, 0.6, 0.0]).round(6).tolist()
+    [0.0, 0.333333, 0.0]
+    """
     return quat_to_mrp(q)
 
 
 def from_mrp(sigma: ArrayLike) -> NDArray[Any]:
-    """Unit q (..., 4) of modified Rodrigues parameters (..., 3): ``fa.mrp_to_quat``."""
+    """Convert modified Rodrigues parameters to quaternions.
+
+    Parameters
+    ----------
+    sigma : array_like, shape (..., 3)
+        The parameters, such as Basilisk's ``sigma_BN``.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Unit quaternions, as :func:`fastatt.mrp_to_quat` returns them.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.from_mrp([0.0, 0.0, 1.0]).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
     return mrp_to_quat(sigma)
 
 
 def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
-    """Body-axes angular velocity (..., 3) of one along inertial axes, at q (..., 4)."""
+    """Convert angular velocities from inertial axes to body axes.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Attitudes, body to inertial.
+    w : array_like, shape (..., 3)
+        Angular velocities along inertial axes, rad/s.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Angular velocities along body axes, rad/s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.rates_to_body([1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0]).round(6).tolist()
+    [1.0, 0.0, 0.0]
+    """
     return quat_rotate_inverse(q, w)
 
 
 def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
-    """Inertial-axes angular velocity (..., 3) of one along body axes, at q (..., 4)."""
+    """Convert angular velocities from body axes to inertial axes.
+
+    Parameters
+    ----------
+    q : array_like, shape (..., 4)
+        Attitudes, body to inertial.
+    w : array_like, shape (..., 3)
+        Angular velocities along body axes, rad/s.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Angular velocities along inertial axes, rad/s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.interchange.rates_to_inertial([1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0]).round(6).tolist()
+    [0.0, 1.0, 0.0]
+    """
     return quat_rotate(q, w)

@@ -1,6 +1,6 @@
-"""Time tags of the CCSDS (ASCII time codes A and B) and the seconds between them, to the last bit.
+"""Time tags of the CCSDS (ASCII time codes A and B) and the seconds between them, without rounding.
 
-CCSDS 301.0-B-4 (2010), §3.5: YYYY-MM-DDThh:mm:ss.d or YYYY-DDDThh:mm:ss.d, a Z may follow.
+CCSDS 301.0-B-4 (2010), §3.5: YYYY-MM-DDThh:mm:ss.d or YYYY-DDDThh:mm:ss.d, with an optional Z.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TAG = re.compile(
 _ACCEPTED = "YYYY-MM-DDThh:mm:ss.d or YYYY-DDDThh:mm:ss.d"
 _DAY = 86400
 _DIGITS = 60
-# UTC days that ended with a leap second; IERS, Bulletin C, none announced since
+# UTC days that ended with a leap second (IERS, Bulletin C)
 _JUNE = (1972, 1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)
 _DECEMBER = (*range(1972, 1980), 1987, 1989, 1990, 1995, 1998, 2005, 2008, 2016)
 _LEAPS = sorted(
@@ -35,7 +35,7 @@ _LEAPS = sorted(
 def seconds_since(epoch: str, tags: Sequence[str], *, leaps: bool) -> NDArray[np.float64]:
     """Seconds from an epoch to time tags, (S,); ``leaps`` counts UTC's leap seconds.
 
-    Raises ``ValueError`` for what is no time tag.
+    Raises ``ValueError`` for text that is not a time tag.
     """
     with localcontext(prec=_DIGITS):
         begin = _count(epoch, leaps=leaps)
@@ -43,9 +43,9 @@ def seconds_since(epoch: str, tags: Sequence[str], *, leaps: bool) -> NDArray[np
 
 
 def tags(epoch: str, t: NDArray[np.float64], *, leaps: bool) -> list[str]:
-    """Time tags of seconds after an epoch, with the digits that give the same numbers again.
+    """Time tags of seconds after an epoch, with as many digits as reading the same numbers needs.
 
-    Raises ``ValueError`` for an epoch that is no time tag and times beyond the years 1 to 9999.
+    Raises ``ValueError`` for an invalid epoch, and for times outside the years 1 to 9999.
     """
     with localcontext(prec=_DIGITS):
         begin = _count(epoch, leaps=leaps)
@@ -58,8 +58,8 @@ def tags(epoch: str, t: NDArray[np.float64], *, leaps: bool) -> list[str]:
 def tag_of(epoch: Any, system: str) -> str:
     """The time tag of an epoch, a ``datetime`` or text, in a time system such as "UTC".
 
-    Raises ``ValueError`` for other text, and for a time with an offset in a system other than UTC;
-    ``TypeError`` for what is neither.
+    Raises ``ValueError`` for other text, and for a time with a UTC offset in another time system;
+    ``TypeError`` for anything else.
     """
     accepted = f'a datetime, "unix", or text such as {_ACCEPTED}'
     if isinstance(epoch, str):
@@ -82,12 +82,12 @@ def tag_of(epoch: Any, system: str) -> str:
 
 
 def _leaps_before(day: int) -> int:
-    """Leap seconds before a day begins."""
+    """The number of leap seconds before the begin of a day."""
     return bisect_left(_LEAPS, day)
 
 
 def _count(tag: str, *, leaps: bool) -> Decimal:
-    """Seconds since the calendar's beginning."""
+    """Seconds since the begin of the calendar."""
     found = _TAG.fullmatch(tag)
     try:
         if found is None:
@@ -96,7 +96,7 @@ def _count(tag: str, *, leaps: bool) -> Decimal:
         begin = date.fromisoformat(f"{year}-{of_month or '01-01'}")
         day = begin.toordinal() + int(of_year or 1) - 1
         within = 3600 * int(hour) + 60 * int(minute) + Decimal(second)
-        # a second 60 is in the last minute alone, of a day that has one
+        # a second 60 occurs only in the last minute of such a day
         is_last = hour == "23" and minute == "59"
         length = _DAY + (leaps and day in _LEAPS)
         if date.fromordinal(day).year != begin.year or within >= length:
@@ -114,7 +114,7 @@ def _tag(count: Decimal, *, leaps: bool) -> str:
         while day * _DAY + _leaps_before(day) > count:
             day -= 1
     within = count - day * _DAY - (_leaps_before(day) if leaps else 0)
-    # the second 60 belongs to the last minute
+    # second 60 is part of the last minute
     minutes = min(int(within // 60), 1439)
     whole, point, fraction = f"{(within - 60 * minutes).normalize():f}".partition(".")
     clock = f"{minutes // 60:02d}:{minutes % 60:02d}:{int(whole):02d}{point}{fraction}"

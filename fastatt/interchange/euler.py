@@ -1,4 +1,4 @@
-"""Euler angles of all 24 sequences, named as SciPy does: "zyx" fixed axes, "ZYX" body axes."""
+"""Euler angles of all 24 sequences, named as in SciPy: "zyx" fixed axes, "ZYX" body axes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fastatt import arrays, checks
 from fastatt.tracing.formulas import Vector, quat, trig
 from fastatt.tracing.graph import apply, choose
 
-#: sequences of axes, of which no two in a row are the same
+#: sequences of axes in which no two neighbours are equal
 SEQUENCES = tuple(
     "".join(axes)
     for letters in ("xyz", "XYZ")
@@ -23,26 +23,26 @@ SEQUENCES = tuple(
 
 
 def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
-    """Unit quaternions of Euler angles, in any of the 24 sequences.
+    """Convert Euler angles of any of the 24 sequences to quaternions.
 
     Parameters
     ----------
-    angles : array_like
-        (..., 3), rad, in the order of the sequence.
+    angles : array_like, shape (..., 3)
+        Angles in the order of the sequence, rad.
     sequence : str
-        Three axes, as in SciPy's ``Rotation.from_euler``: lower case for rotations about the fixed
-        axes, "xyz", upper case for rotations about the body's own, "ZYX". No axis stands twice in a
-        row. "ZXZ" are the 3-1-3 angles (φ, θ, ψ), "ZYX" yaw, pitch and roll.
+        Three axes, as in SciPy's ``Rotation.from_euler``: lower case for rotations about fixed
+        axes, such as "xyz", upper case for rotations about body axes, such as "ZYX". Neighbouring
+        axes differ. "ZXZ" are the 3-1-3 angles (φ, θ, ψ), "ZYX" are yaw, pitch and roll.
 
     Returns
     -------
-    ndarray
-        (..., 4), body to inertial.
+    ndarray, shape (..., 4)
+        Unit quaternions, body to inertial, scalar first.
 
     Raises
     ------
     ValueError
-        For another sequence or shape.
+        If the sequence or the shape is another one.
 
     Examples
     --------
@@ -56,35 +56,36 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
 
 
 def quat_to_euler(q: ArrayLike, sequence: str) -> NDArray[Any]:
-    """Euler angles of quaternions, in any of the 24 sequences.
-
-    The first and the third angle lie in [−π, π], the second in [0, π] where the first axis is the
-    third too, and in [−π/2, π/2] otherwise. At gimbal lock, the ends of the second angle's range,
-    only the sum or the difference of the other two is determined: within 4e-15 rad of it (float32:
-    2e-6) the third is 0, as in SciPy. Next to it the angles are still those of the attitude to
-    rounding.
+    """Convert quaternions to Euler angles of any of the 24 sequences.
 
     Parameters
     ----------
-    q : array_like
-        (..., 4), body to inertial, of any length but zero.
+    q : array_like, shape (..., 4)
+        Quaternions, body to inertial, scalar first, of any norm above zero.
     sequence : str
-        Three axes, as of :func:`euler_to_quat`.
+        Three axes, as in :func:`euler_to_quat`.
 
     Returns
     -------
-    ndarray
-        (..., 3), rad, in the order of the sequence.
+    ndarray, shape (..., 3)
+        Angles in the order of the sequence, rad. The first and the third lie in [−π, π]. The second
+        lies in [0, π] if the first axis is the third too, and in [−π/2, π/2] otherwise.
 
     Raises
     ------
     ValueError
-        For another sequence or shape.
+        If the sequence or the shape is another one.
+
+    Notes
+    -----
+    At gimbal lock, where the second angle is at an end of its range, only the sum or the difference
+    of the other two is determined. Within 4e-15 rad of it (float32: 2e-6) the third angle is set to
+    0, as in SciPy. Outside of this range the angles represent the attitude to rounding.
 
     References
     ----------
     Bernardes and Viollet, "Quaternion to Euler angles conversion: A direct, general and
-    computationally efficient method", PLoS ONE 17 (2022) 11.
+    computationally efficient method", *PLoS ONE* 17 (2022) 11.
 
     Examples
     --------
@@ -106,7 +107,7 @@ def _known(sequence: Any) -> str:
 
 
 def _axes(sequence: str) -> tuple[list[int], bool]:
-    """Axes from 0, and whether they are the body's own."""
+    """Indices of the axes, and whether they are body axes."""
     return ["xyz".index(letter) for letter in sequence.lower()], sequence.isupper()
 
 
@@ -130,7 +131,7 @@ def _about(axis: int, angle: Any) -> Vector:
 @cache
 def _from_quat(sequence: str) -> Any:
     axes, is_intrinsic = _axes(sequence)
-    # about the body's axes is about fixed ones in the opposite order
+    # rotations about body axes are rotations about fixed axes in the opposite order
     i, j, k = reversed(axes) if is_intrinsic else axes
     is_proper = i == k
     k = 3 - i - j
@@ -145,7 +146,7 @@ def _from_quat(sequence: str) -> Any:
         middle = 2.0 * trig.atan2(sine, cosine)
         half_sum, half_difference = trig.atan2(b, a), trig.atan2(d, c)
         first, third = half_sum - half_difference, half_sum + half_difference
-        # less than eight ulps of the other
+        # below eight ulps of the other
         at_least = cosine + 0.0625 * sine <= cosine
         at_most = sine + 0.0625 * cosine <= sine
         if is_intrinsic:
@@ -163,6 +164,6 @@ def _from_quat(sequence: str) -> Any:
 
 
 def _wrapped(angle: Any) -> Any:
-    """An angle of at most 2π in size, to [−π, π]."""
+    """An angle of size at most 2π, wrapped to [−π, π]."""
     above = choose(angle > math.pi, angle - 2.0 * math.pi, angle)
     return choose(above < -math.pi, above + 2.0 * math.pi, above)

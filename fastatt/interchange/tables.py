@@ -1,4 +1,4 @@
-"""A run as a table: a row for each save and body."""
+"""Tables of runs, with a row for each save and body."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
 
-# rows that are turned into text at a time, and those that a notebook shows
+# rows that are converted to text at a time, and rows that a notebook shows
 _ROWS = 1 << 16
 _SHOWN = 5
 
 
 def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
-    """Columns of a run by name, each (S,) of one body or (S, N).
+    """The columns of a run by name, each (S,) for one body or (S, N).
 
-    ``t`` s; ``body``, of an ensemble; ``q0`` to ``q3``, body to inertial, scalar first; ``wx``,
-    ``wy``, ``wz`` rad/s along body axes; where the scene carries them ``vx`` to ``vz`` m/s along
-    body axes, ``rx`` to ``rz`` m along inertial axes, and states ``s0``, ``s1`` …; ``status``, of
-    the whole run.
+    ``t`` s; ``body`` for an ensemble; ``q0`` to ``q3``, body to inertial, scalar first; ``wx``,
+    ``wy``, ``wz`` rad/s along body axes; if the scene has them, ``vx`` to ``vz`` m/s along body
+    axes, ``rx`` to ``rz`` m along inertial axes, and states ``s0``, ``s1`` …; ``status`` of the
+    whole run.
     """
     q = run.q
     shape = q.shape[:-1]
-    # read-only views: nothing is copied that is the same for all
+    # read-only views, so that shared values are not copied
     t = run.t.reshape(-1, *[1] * (q.ndim - 2))
     found: dict[str, NDArray[Any]] = {"t": np.broadcast_to(t, shape)}
     if not run.one_body:
@@ -46,11 +46,22 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
 
 
 def write_csv(run: Trajectory, path: str | Path) -> None:
-    """Write a run as CSV, a row for each save and body, every number to its last bit.
+    """Write a run as CSV with a row for each save and body, without rounding any number.
 
-    Columns are those of :func:`columns`.
+    The columns are t (s), body (for an ensemble), q0 to q3, wx to wz (rad/s), and as far as the
+    scene has them vx to vz (m/s), rx to rz (m) and states s0, s1, ..., then status.
 
-    Raises ``OSError`` where the file can't be written.
+    Parameters
+    ----------
+    run : Trajectory
+        The run.
+    path : str or Path
+        The file.
+
+    Raises
+    ------
+    OSError
+        If the file can't be written.
     """
     table = columns(run)
     saves = max(1, _ROWS // run.status.size)
@@ -58,15 +69,28 @@ def write_csv(run: Trajectory, path: str | Path) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(table)
         for a in range(0, len(run.t), saves):
-            # tolist gives Python's floats, whose text is the shortest that gives them again
+            # the text of Python's floats is the shortest from which the same number is read
             part = [x[a : a + saves].ravel().tolist() for x in table.values()]
             writer.writerows(zip(*part, strict=True))
 
 
 def dataframe(run: Trajectory) -> Any:
-    """A run as a pandas DataFrame, a row for each save and body; columns as of ``write_csv``.
+    """Return a run as a pandas DataFrame with a row for each save and body.
 
-    Raises ``ImportError`` without pandas.
+    Parameters
+    ----------
+    run : Trajectory
+        The run.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A table with the columns of :func:`write_csv`.
+
+    Raises
+    ------
+    ImportError
+        If pandas is not installed.
     """
     import pandas as pd
 
@@ -74,7 +98,7 @@ def dataframe(run: Trajectory) -> Any:
 
 
 def table(run: Trajectory) -> str:
-    """A run's summary as HTML, with the last save of its first bodies."""
+    """The summary of a run as HTML, with the last save of its first bodies."""
     last = {name: x[-1:].ravel()[:_SHOWN] for name, x in columns(run).items()}
     heads = "".join(f"<th>{name}</th>" for name in last)
     rows = ("".join(f"<td>{x:.6g}</td>" for x in row) for row in zip(*last.values(), strict=True))

@@ -1,6 +1,9 @@
-"""Scalar kernels on floats and tuples: from Python, from ``@njit`` code and in the tile loop.
+"""Scalar kernels on floats and tuples, for Python, for jitted code and for the compiled loops.
 
-Every kernel is pure: tuples in, tuples out, no allocation, no branch, float64 or float32 kept.
+Every kernel is a pure function from tuples to tuples, without allocation and branches, and keeps
+float64 or float32. The modules ``compensated``, ``elliptic`` and ``moser_veselov``, and the
+functions of ``free_body``, ``heavy_top`` and ``trig`` that these do not list in ``__all__``, are
+building blocks of the others.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """A module of kernels, imported when it is first asked for."""
+    """A module of kernels, imported when it is first used."""
     if name not in __all__:
         raise AttributeError(f"module 'fastatt.kernels' has no attribute {name!r}")
     return importlib.import_module(f"fastatt.kernels.{name}")

@@ -1,7 +1,7 @@
-"""Motion given by an axis e (unit vector) and an angle φ: its angular velocity and the inverse.
+"""Motions given by an axis e (unit vector) and an angle φ: the angular velocity, and the inverse.
 
-Lurie, *Analytical Mechanics* (2002), §2.12; w in inertial axes, rad/s; for body axes change
-the sign of φ and of w.
+Lurie, *Analytical Mechanics* (2002), §2.12. Angular velocities are along inertial axes; for body
+axes change the signs of φ and of w.
 """
 
 from fastatt._jit import kernel
@@ -11,7 +11,24 @@ from fastatt.kernels.vec3 import add, axpy, cross, dot, scale, sub
 
 @kernel
 def rate(e, edot, phi, phidot):
-    """w = e φ̇ + ė sin φ + (e×ė)(1 − cos φ) in inertial axes."""
+    """Angular velocity w = e φ̇ + ė sin φ + (e×ė)(1 − cos φ).
+
+    Parameters
+    ----------
+    e : tuple of 3 float
+        Axis, a unit vector.
+    edot : tuple of 3 float
+        Time derivative of the axis, 1/s.
+    phi : float
+        Angle, rad.
+    phidot : float
+        Time derivative of the angle, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity along inertial axes, rad/s.
+    """
     F = type(phi)
     s, c = sincos(F(0.5) * phi)
     a = F(2.0) * s * c
@@ -21,7 +38,22 @@ def rate(e, edot, phi, phidot):
 
 @kernel
 def derivative(e, phi, w):
-    """(ė, φ̇) of w in inertial axes: φ̇ = e·w, ė = ½ (cot(φ/2) w⊥ − e×w); infinite at φ = 2πk."""
+    """Derivatives of axis and angle, φ̇ = e·w and ė = ½ (cot(φ/2) w⊥ − e×w).
+
+    Parameters
+    ----------
+    e : tuple of 3 float
+        Axis, a unit vector.
+    phi : float
+        Angle, rad.
+    w : tuple of 3 float
+        Angular velocity along inertial axes, rad/s.
+
+    Returns
+    -------
+    tuple
+        (ė, φ̇), infinite at φ = 2πk.
+    """
     F = type(phi)
     s, c = sincos(F(0.5) * phi)
     cot = c / s

@@ -1,8 +1,8 @@
-"""Sums that carry what rounding loses: a value with a low part, added to step by step.
+"""Sums with compensation of rounding: a value with a low part, to which steps are added.
 
-x = (x1, …, xk, e1, …, ek) is xi + ei. Quaternions rotate by q∘(exp(u/2) − 1), whose terms are
-as small as the step, and u/2 itself is exact. Møller, BIT 5 (1965) 37; Knuth, *The Art of Computer
-Programming* 2, §4.2.2; of integrators Hairer, McLachlan, Razakarivony, BIT 48 (2008) 231.
+x = (x1, …, xk, e1, …, ek) represents xi + ei. Quaternions rotate by q∘(exp(u/2) − 1), whose terms
+are as small as the step, with an exact u/2. Møller, *BIT* 5 (1965) 37; Knuth, *The Art of Computer
+Programming* 2, §4.2.2; for integrators Hairer, McLachlan and Razakarivony, *BIT* 48 (2008) 231.
 """
 
 import math
@@ -15,7 +15,7 @@ from fastatt.kernels.vec3 import dot, scale
 
 @kernel
 def two_sum(a, b):
-    """(s, e): s = a + b rounded, and exactly what rounding lost; a and b of any size."""
+    """(s, e): the rounded sum s = a + b and its exact rounding error e, for any a and b."""
     s = a + b
     c = s - a
     return s, (a - (s - c)) + (b - c)
@@ -23,7 +23,7 @@ def two_sum(a, b):
 
 @kernel
 def add_vector(x, d):
-    """x + d of a 3-vector x with its low part."""
+    """x + d for a 3-vector x with its low part."""
     a, i = two_sum(x[0], d[0] + x[3])
     b, j = two_sum(x[1], d[1] + x[4])
     c, k = two_sum(x[2], d[2] + x[5])
@@ -32,7 +32,7 @@ def add_vector(x, d):
 
 @kernel
 def add_quat(x, d):
-    """x + d of a quaternion x with its low part, as 4-vectors."""
+    """x + d for a quaternion x with its low part, as vectors of four numbers."""
     a, i = two_sum(x[0], d[0] + x[4])
     b, j = two_sum(x[1], d[1] + x[5])
     c, k = two_sum(x[2], d[2] + x[6])
@@ -42,7 +42,7 @@ def add_quat(x, d):
 
 @kernel
 def cosine_less_one(c, v):
-    """cos − 1 of a unit quaternion (c, v), without cancellation."""
+    """cos − 1 for a unit quaternion (c, v), without cancellation."""
     F = type(c)
     near = c > F(0.0)
     return -dot(v, v) / (F(1.0) + c if near else F(1.0)) if near else c - F(1.0)
@@ -50,7 +50,7 @@ def cosine_less_one(c, v):
 
 @kernel
 def compose(x, r):
-    """x∘r, r a unit quaternion."""
+    """x∘r with a unit quaternion r."""
     w = cosine_less_one(r[0], r[1:])
     return add_quat(x, mul(x[:4], (w, r[1], r[2], r[3])))
 
@@ -78,7 +78,7 @@ def turn_short(x, u):
 
 @kernel
 def turn_parts(x, u, s, c, f):
-    """x∘(c, s u); f is s − ½, so that s u of a small rotation is the exact u/2 and little more."""
+    """x∘(c, s u). f is s − ½: s u of a small rotation is the exact u/2 plus a small term."""
     F = type(c)
     q = x[:4]
     a = mul_vector(q, scale(F(0.5), u))

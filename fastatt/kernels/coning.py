@@ -1,10 +1,10 @@
-"""Rotation over an interval from a polynomial angular velocity, and the fits that give one.
+"""Rotation over an interval from a polynomial angular velocity, and fits of such polynomials.
 
-w(t) = a + b t + c t² + d t³ in body axes. The rotation vector to time t is the integral of w plus
-the coning term ½∫α×w dt, α the running integral: Bortz, IEEE Trans. AES 7 (1971); Savage,
-J. Guidance 21 (1998) 19; the next terms are of order t⁵. With equal intervals the fits to
-increments give the known coefficients: 1/12 for one increment and the one before, 2/3 for two,
-33/80 and 57/80 for three.
+w(t) = a + b t + c t² + d t³ along body axes. The rotation vector up to time t is the integral of w
+plus the coning term ½∫α×w dt with the running integral α; the next terms are of order t⁵. Bortz,
+*IEEE Transactions on Aerospace and Electronic Systems* 7 (1971); Savage, *Journal of Guidance,
+Control, and Dynamics* 21 (1998) 19. For equal intervals the fits to increments give the known
+coefficients: 1/12 for one increment and the one before, 2/3 for two, 33/80 and 57/80 for three.
 """
 
 from fastatt._jit import kernel
@@ -13,9 +13,21 @@ from fastatt.kernels.vec3 import add, axpy, cross, scale, sub
 
 @kernel
 def rotation_vector_linear(a, b, t):
-    """Rotation vector (rad) from time 0 to t (s) of w = a + b t (rad/s, body axes).
+    """Rotation vector from time 0 to t of w = a + b t.
 
-    t a + t²/2 b + t³/12 a×b.
+    Parameters
+    ----------
+    a : tuple of 3 float
+        Constant coefficient, rad/s.
+    b : tuple of 3 float
+        Linear coefficient, rad/s².
+    t : float
+        Time, s.
+
+    Returns
+    -------
+    tuple of 3 float
+        t a + t²/2 b + t³/12 a×b, rad.
     """
     F = type(t)
     angle = scale(t, axpy(F(0.5) * t, b, a))
@@ -24,9 +36,27 @@ def rotation_vector_linear(a, b, t):
 
 @kernel
 def rotation_vector_quadratic(a, b, c, t):
-    """Rotation vector of w = a + b t + c t²: adds t³/3 c + t⁴/12 a×c + t⁵/60 b×c.
+    """Rotation vector from time 0 to t of w = a + b t + c t².
 
-    All products of three vectors are one: t³/12 (a − t²/5 c)×(b + t c).
+    Parameters
+    ----------
+    a : tuple of 3 float
+        Constant coefficient, rad/s.
+    b : tuple of 3 float
+        Linear coefficient, rad/s².
+    c : tuple of 3 float
+        Quadratic coefficient, rad/s³.
+    t : float
+        Time, s.
+
+    Returns
+    -------
+    tuple of 3 float
+        The linear one plus t³/3 c + t⁴/12 a×c + t⁵/60 b×c, rad.
+
+    Notes
+    -----
+    The products are computed as one: t³/12 (a − t²/5 c)×(b + t c).
     """
     F = type(t)
     s = t * t
@@ -37,10 +67,30 @@ def rotation_vector_quadratic(a, b, c, t):
 
 @kernel
 def rotation_vector(a, b, c, d, t):
-    """Rotation vector of w = a + b t + c t² + d t³.
+    """Rotation vector from time 0 to t of w = a + b t + c t² + d t³.
 
-    Adds t⁴/4 d + 3t⁵/40 a×d + t⁶/48 b×d + t⁷/168 c×d. All products of four vectors are two:
-    t³/12 (a − t²/5 c − t³/4 d)×(b + t c + 9t²/10 d) + t⁷/8400 c×d.
+    Parameters
+    ----------
+    a : tuple of 3 float
+        Constant coefficient, rad/s.
+    b : tuple of 3 float
+        Linear coefficient, rad/s².
+    c : tuple of 3 float
+        Quadratic coefficient, rad/s³.
+    d : tuple of 3 float
+        Cubic coefficient, rad/s⁴.
+    t : float
+        Time, s.
+
+    Returns
+    -------
+    tuple of 3 float
+        The quadratic one plus t⁴/4 d + 3t⁵/40 a×d + t⁶/48 b×d + t⁷/168 c×d, rad.
+
+    Notes
+    -----
+    The products are computed as two: t³/12 (a − t²/5 c − t³/4 d)×(b + t c + 9t²/10 d) + t⁷/8400
+    c×d.
     """
     F = type(t)
     s = t * t
@@ -53,7 +103,26 @@ def rotation_vector(a, b, c, d, t):
 
 @kernel
 def rates_quadratic(w0, w1, w2, t1, t2):
-    """(a, b, c) of the parabola through w0, w1, w2 at times 0, t1, t2."""
+    """Parabola through rates at times 0, t1 and t2.
+
+    Parameters
+    ----------
+    w0 : tuple of 3 float
+        Rate at time 0, rad/s.
+    w1 : tuple of 3 float
+        Rate at ``t1``, rad/s.
+    w2 : tuple of 3 float
+        Rate at ``t2``, rad/s.
+    t1 : float
+        Time, s.
+    t2 : float
+        Time, s.
+
+    Returns
+    -------
+    tuple of 3 tuples of 3 float
+        (a, b, c).
+    """
     F = type(t1)
     d1 = scale(F(1.0) / t1, sub(w1, w0))
     d2 = scale(F(1.0) / (t2 - t1), sub(w2, w1))
@@ -63,7 +132,30 @@ def rates_quadratic(w0, w1, w2, t1, t2):
 
 @kernel
 def rates_cubic(w0, w1, w2, w3, t1, t2, t3):
-    """(a, b, c, d) of the cubic through w0 … w3 at times 0, t1, t2, t3."""
+    """Cubic through rates at times 0, t1, t2 and t3.
+
+    Parameters
+    ----------
+    w0 : tuple of 3 float
+        Rate at time 0, rad/s.
+    w1 : tuple of 3 float
+        Rate at ``t1``, rad/s.
+    w2 : tuple of 3 float
+        Rate at ``t2``, rad/s.
+    w3 : tuple of 3 float
+        Rate at ``t3``, rad/s.
+    t1 : float
+        Time, s.
+    t2 : float
+        Time, s.
+    t3 : float
+        Time, s.
+
+    Returns
+    -------
+    tuple of 4 tuples of 3 float
+        (a, b, c, d).
+    """
     F = type(t1)
     d1 = scale(F(1.0) / t1, sub(w1, w0))
     d2 = scale(F(1.0) / (t2 - t1), sub(w2, w1))
@@ -77,7 +169,24 @@ def rates_cubic(w0, w1, w2, w3, t1, t2, t3):
 
 @kernel
 def increments_linear(before, now, h0, h1):
-    """(a, b) of the line whose integrals over [−h0, 0] and [0, h1] are the two increments (rad)."""
+    """Straight line whose integrals over [−h0, 0] and [0, h1] are two increments.
+
+    Parameters
+    ----------
+    before : tuple of 3 float
+        Increment over [−h0, 0], rad.
+    now : tuple of 3 float
+        Increment over [0, h1], rad.
+    h0 : float
+        Interval, s.
+    h1 : float
+        First interval from time 0, s.
+
+    Returns
+    -------
+    tuple of 2 tuples of 3 float
+        (a, b).
+    """
     F = type(h0)
     r1 = scale(F(1.0) / h1, now)
     b = scale(F(2.0) / (h0 + h1), axpy(F(-1.0) / h0, before, r1))
@@ -86,7 +195,28 @@ def increments_linear(before, now, h0, h1):
 
 @kernel
 def increments_quadratic(i1, i2, i3, h1, h2, h3):
-    """(a, b, c) of the parabola with three increments (rad) over intervals h1, h2, h3 from 0."""
+    """Parabola with three increments over intervals h1, h2 and h3 from time 0.
+
+    Parameters
+    ----------
+    i1 : tuple of 3 float
+        First increment, rad.
+    i2 : tuple of 3 float
+        Second increment, rad.
+    i3 : tuple of 3 float
+        Third increment, rad.
+    h1 : float
+        First interval from time 0, s.
+    h2 : float
+        Second interval, s.
+    h3 : float
+        Third interval, s.
+
+    Returns
+    -------
+    tuple of 3 tuples of 3 float
+        (a, b, c).
+    """
     F = type(h1)
     r1 = scale(F(1.0) / h1, i1)
     r2 = scale(F(1.0) / h2, i2)
@@ -101,12 +231,28 @@ def increments_quadratic(i1, i2, i3, h1, h2, h3):
 
 @kernel
 def miller(i1, i2, i3):
-    """Rotation vector over three equal intervals, coefficients optimal for pure coning.
+    """Rotation vector over three equal intervals, with coefficients optimal for pure coning.
 
-    Σθ + (9/20) θ1×θ3 + (27/40) (θ1×θ2 + θ2×θ3): Miller, J. Guidance 6 (1983) 287.
+    Parameters
+    ----------
+    i1 : tuple of 3 float
+        First increment, rad.
+    i2 : tuple of 3 float
+        Second increment, rad.
+    i3 : tuple of 3 float
+        Third increment, rad.
+
+    Returns
+    -------
+    tuple of 3 float
+        Σθ + (9/20) θ1×θ3 + (27/40) (θ1×θ2 + θ2×θ3), rad.
+
+    References
+    ----------
+    Miller, *Journal of Guidance, Control, and Dynamics* 6 (1983) 287.
     """
     F = type(i1[0])
-    # a×b as a×(b − a): of equal increments nothing is left, where a fused a×a leaves its rounding
+    # a×b as a×(b − a), which is 0 for equal increments, while a fused a×a leaves its rounding
     outer = scale(F(9.0 / 20.0), cross(i1, sub(i3, i1)))
     inner = scale(F(27.0 / 40.0), add(cross(i1, sub(i2, i1)), cross(i2, sub(i3, i2))))
     return add(add(i1, i2), add(i3, add(outer, inner)))

@@ -1,7 +1,7 @@
-"""Direction cosine matrices as 9-tuples, row by row: v_i = C v_b.
+"""Direction cosine matrices as tuples of nine numbers, row by row: v_i = C v_b.
 
-The rows of C are the inertial axes seen from the body; each obeys Poisson's equation
-ṙ = r×w. Shuster, "A survey of attitude representations", J. Astronaut. Sci. 41 (1993).
+The rows of C are the inertial axes seen from the body; each satisfies Poisson's equation ṙ = r×w.
+Shuster, "A survey of attitude representations", *Journal of the Astronautical Sciences* 41 (1993).
 """
 
 import math
@@ -13,46 +13,137 @@ from fastatt.kernels.vec3 import cross, dot
 
 @kernel
 def mul(a, b):
-    """Matrix product a b."""
+    """Matrix product a b.
+
+    Parameters
+    ----------
+    a : tuple of 9 float
+        Matrix, row by row.
+    b : tuple of 9 float
+        Matrix, row by row.
+
+    Returns
+    -------
+    tuple of 9 float
+        The product.
+    """
     columns = transpose(b)
     return rotate(columns, a[:3]) + rotate(columns, a[3:6]) + rotate(columns, a[6:])
 
 
 @kernel
 def add(a, b):
-    """Sum a + b of any two matrices."""
+    """Sum a + b of two matrices.
+
+    Parameters
+    ----------
+    a : tuple of 9 float
+        Matrix, row by row.
+    b : tuple of 9 float
+        Matrix, row by row.
+
+    Returns
+    -------
+    tuple of 9 float
+        The sum.
+    """
     return vec3.add(a[:3], b[:3]) + vec3.add(a[3:6], b[3:6]) + vec3.add(a[6:], b[6:])
 
 
 @kernel
 def scale(k, a):
-    """Multiple k a of any matrix."""
+    """Multiple k a of a matrix.
+
+    Parameters
+    ----------
+    k : float
+        Factor.
+    a : tuple of 9 float
+        Matrix, row by row.
+
+    Returns
+    -------
+    tuple of 9 float
+        The matrix.
+    """
     return k * a[0], k * a[1], k * a[2], k * a[3], k * a[4], k * a[5], k * a[6], k * a[7], k * a[8]
 
 
 @kernel
 def transpose(a):
-    """Transpose; of a rotation the inverse."""
+    """Transpose, the inverse of a rotation.
+
+    Parameters
+    ----------
+    a : tuple of 9 float
+        Matrix, row by row.
+
+    Returns
+    -------
+    tuple of 9 float
+        The transpose.
+    """
     return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
 
 
 @kernel
 def rotate(c, v):
-    """v_i = C v: body components v to inertial ones."""
+    """Rotate a vector from body axes to inertial axes, v_i = C v.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+    v : tuple of 3 float
+        Vector along body axes.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector along inertial axes.
+    """
     return dot(c[:3], v), dot(c[3:6], v), dot(c[6:], v)
 
 
 @kernel
 def rotate_inverse(c, v):
-    """v_b = Cᵀ v: inertial components v to body ones."""
+    """Rotate a vector from inertial axes to body axes, v_b = Cᵀ v.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+    v : tuple of 3 float
+        Vector along inertial axes.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector along body axes.
+    """
     return rotate(transpose(c), v)
 
 
 @kernel
 def from_quat(q):
-    """C of a unit quaternion; an error e of its length enters as 4e²."""
+    """Matrix of a unit quaternion.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion.
+
+    Returns
+    -------
+    tuple of 9 float
+        Rotation matrix.
+
+    Notes
+    -----
+    An error e of the norm of q contributes 4e².
+    """
     F = type(q[0])
-    # 2/|q|² to first order: the length of a rounded q is what costs a matrix most
+    # 2/|q|² to first order, since the norm of a rounded q is the largest error of the matrix
     f = F(4.0) - F(2.0) * quat.dot(q, q)
     x = f * q[1]
     y = f * q[2]
@@ -75,9 +166,25 @@ def from_quat(q):
 
 @kernel
 def to_quat(c):
-    """Unit quaternion of a rotation, q0 ≥ 0: the best conditioned of Shepperd's four rows.
+    """Quaternion of a rotation matrix, by the best conditioned of Shepperd's four rows.
 
-    Shepperd, J. Guidance and Control 1 (1978) 223. Error at most 5e-16 (float64) at any angle.
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion with q0 ≥ 0.
+
+    Notes
+    -----
+    The error is at most 5e-16 (float64) at any angle.
+
+    References
+    ----------
+    Shepperd, *Journal of Guidance and Control* 1 (1978) 223.
     """
     F = type(c[0])
     t = c[0] + c[4] + c[8]
@@ -110,7 +217,22 @@ def to_quat(c):
 
 @kernel
 def turn_first(a, c, s):
-    """a turned about body axis 1, c and s cosine and sine of half the angle."""
+    """Rotate an attitude about body axis 1.
+
+    Parameters
+    ----------
+    a : tuple of 9 float
+        Rotation matrix.
+    c : float
+        Cosine of half the rotation angle.
+    s : float
+        Sine of half the rotation angle.
+
+    Returns
+    -------
+    tuple of 9 float
+        The attitude.
+    """
     F = type(c)
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
@@ -120,7 +242,22 @@ def turn_first(a, c, s):
 
 @kernel
 def turn_third(a, c, s):
-    """a turned about body axis 3, c and s cosine and sine of half the angle."""
+    """Rotate an attitude about body axis 3.
+
+    Parameters
+    ----------
+    a : tuple of 9 float
+        Rotation matrix.
+    c : float
+        Cosine of half the rotation angle.
+    s : float
+        Sine of half the rotation angle.
+
+    Returns
+    -------
+    tuple of 9 float
+        The attitude.
+    """
     F = type(c)
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
@@ -130,54 +267,167 @@ def turn_third(a, c, s):
 
 @kernel
 def exp_short(u):
-    """exp [u×] for a rotation vector of at most π rad; beyond, meaningless. See ``exp``."""
+    """Matrix of a rotation vector of at most π rad.
+
+    Parameters
+    ----------
+    u : tuple of 3 float
+        Rotation vector, rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Rotation matrix exp [u×].
+
+    Notes
+    -----
+    Beyond π the result is meaningless. See :func:`exp` for any angle and for the error.
+    """
     return from_quat(quat.exp_short(u))
 
 
 @kernel
 def exp(u):
-    """exp [u×], the rotation by the vector u (rad), any angle.
+    """Matrix of a rotation vector of any length.
 
-    Error at most 1e-15 per element (float64) for θ ≤ π; beyond, as ``quat.exp``.
+    Parameters
+    ----------
+    u : tuple of 3 float
+        Rotation vector, rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Rotation matrix exp [u×].
+
+    Notes
+    -----
+    The error of an element is at most 1e-15 (float64) for ``|u|`` ≤ π; beyond, see
+    :func:`quat.exp`.
     """
     return from_quat(quat.exp(u))
 
 
 @kernel
 def log(c):
-    """Rotation vector (rad) of a rotation; full accuracy also near π, by way of ``to_quat``."""
+    """Rotation vector of a rotation matrix.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+
+    Returns
+    -------
+    tuple of 3 float
+        Rotation vector, rad, of length at most π.
+
+    Notes
+    -----
+    The accuracy is full also near π, since the vector is computed by :func:`to_quat`.
+    """
     return quat.log(to_quat(c))
 
 
 @kernel
 def derivative_row(r, w):
-    """ṙ = r×w: a fixed inertial direction r seen from a body with rate w (body axes, rad/s)."""
+    """Derivative of a row, ṙ = r×w: a fixed inertial direction seen from the body.
+
+    Parameters
+    ----------
+    r : tuple of 3 float
+        Row of C.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        ṙ, 1/s.
+    """
     return cross(r, w)
 
 
 @kernel
 def derivative(c, w):
-    """Ċ = C [w×] (Poisson), w the angular velocity in body axes, rad/s."""
+    """Derivative Ċ = C [w×] (Poisson's equation).
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 9 float
+        Ċ, 1/s.
+    """
     return derivative_row(c[:3], w) + derivative_row(c[3:6], w) + derivative_row(c[6:], w)
 
 
 @kernel
 def rate(c, cdot):
-    """Angular velocity in body axes of a rotation and its derivative, from [w×] = CᵀĊ."""
+    """Angular velocity along body axes from a derivative, [w×] = CᵀĊ.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+    cdot : tuple of 9 float
+        Time derivative of C, 1/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity, rad/s.
+    """
     return so3.vee(mul(transpose(c), cdot))
 
 
 @kernel
 def close_rows(a, b):
-    """Matrix of two orthonormal rows, the third their cross product (the Darboux problem)."""
+    """Matrix of two orthonormal rows, the third being their cross product.
+
+    Parameters
+    ----------
+    a : tuple of 3 float
+        First row.
+    b : tuple of 3 float
+        Second row.
+
+    Returns
+    -------
+    tuple of 9 float
+        Rotation matrix.
+    """
     return a + b + cross(a, b)
 
 
 @kernel
 def orthonormalise_rows(a, b):
-    """Two nearly orthonormal rows made so to second order: half of a·b off each, then scaled.
+    """Orthonormalise two nearly orthonormal rows, to second order.
 
-    Premerlani and Bizard, "Direction cosine matrix IMU: theory" (2009), eqs. 18 to 21.
+    Parameters
+    ----------
+    a : tuple of 3 float
+        First row.
+    b : tuple of 3 float
+        Second row.
+
+    Returns
+    -------
+    tuple of two tuples of 3 float
+        The rows.
+
+    Notes
+    -----
+    Half of a·b is removed from each row, and the rows are scaled.
+
+    References
+    ----------
+    Premerlani and Bizard, "Direction cosine matrix IMU: theory" (2009), equations 18 to 21.
     """
     F = type(a[0])
     e = F(0.5) * dot(a, b)
@@ -190,14 +440,36 @@ def orthonormalise_rows(a, b):
 
 @kernel
 def gram(c):
-    """Upper triangle of C Cᵀ: (11, 12, 13, 22, 23, 33)."""
+    """Upper triangle of C Cᵀ.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Matrix.
+
+    Returns
+    -------
+    tuple of 6 float
+        (11, 12, 13, 22, 23, 33).
+    """
     a, b, d = c[:3], c[3:6], c[6:]
     return dot(a, a), dot(a, b), dot(a, d), dot(b, b), dot(b, d), dot(d, d)
 
 
 @kernel
 def norm_error(c):
-    """Departure from a rotation, the Frobenius norm of C Cᵀ − 1."""
+    """Orthogonality error, the Frobenius norm of C Cᵀ − 1.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Matrix.
+
+    Returns
+    -------
+    float
+        The error.
+    """
     F = type(c[0])
     g = gram(c)
     diagonal = (g[0] - F(1.0), g[3] - F(1.0), g[5] - F(1.0))
@@ -207,7 +479,22 @@ def norm_error(c):
 
 @kernel
 def orthonormalise(c):
-    """(3 − C Cᵀ) C / 2: one Newton step to the nearest rotation; of a norm_error e leaves 3e²/8."""
+    """One Newton step to the nearest rotation, (3 − C Cᵀ) C/2.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Nearly orthogonal matrix.
+
+    Returns
+    -------
+    tuple of 9 float
+        The matrix.
+
+    Notes
+    -----
+    An orthogonality error e becomes 3e²/8.
+    """
     F = type(c[0])
     g = gram(c)
     h = F(-0.5)

@@ -1,12 +1,12 @@
-"""Elliptic integrals and theta functions of the free rigid body, as straight-line code.
+"""Elliptic integrals and theta functions of the free rigid body, without branches.
 
-A modulus k is given as its complement k' = √(1 − k²), which near k = 1 keeps what k has lost. The
-theta functions are those of a doubled period, quarter periods K and 2iK': a free body's attitude
-and momentum are quotients of two of them, without an integral of the third kind (compare Klein and
+A modulus k is given by its complement k' = √(1 − k²), which keeps the digits that k loses near 1.
+The theta functions have a doubled period, with quarter periods K and 2iK': attitude and momentum of
+a free body are quotients of two of them, without an integral of the third kind (compare Klein and
 Sommerfeld, *The Theory of the Top*, 1897-1910, where the Cayley-Klein parameters are such
-quotients). Their series run in powers of the nome Q = exp(−2πK'/K) where K ≤ 2K', and by Jacobi's
-imaginary transformation in powers of exp(−πK/2K') elsewhere: at most exp(−π) = 0.043 on either
-side. Theta functions as in DLMF §20.2; sn, cn, dn as in DLMF §22.2.
+quotients). Their series are in powers of the nome Q = exp(−2πK'/K) if K ≤ 2K', and by Jacobi's
+imaginary transformation in powers of exp(−πK/2K') otherwise, at most exp(−π) = 0.043 in both cases.
+Theta functions as in DLMF §20.2; sn, cn and dn as in DLMF §22.2.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from fastatt.kernels.trig import (
 
 @kernel
 def exp_minus(x):
-    """exp(−x) for 0 ≤ x ≤ 80: relative error 5e-16 (float64)."""
+    """exp(−x) for 0 ≤ x ≤ 80, with a relative error of 5e-16 (float64)."""
     k, r = reduce_powers(-x)
     s, c = short_waves(r, -r * r)
     p, _ = powers_of_two(k)
@@ -43,10 +43,11 @@ def exp_minus(x):
 
 @kernel
 def waves(x, wide):
-    """(sinh x, cosh x) where ``wide`` > 1/2, |x| above 60 counting as 60, else (sin x, cos x).
+    """(sinh x, cosh x) if ``wide`` > 1/2, with ``|x|`` limited to 60, else (sin x, cos x).
 
-    One pair of polynomials in x² or −x² is both. Relative error at most 5e-16 of sinh and cosh,
-    absolute error 1.4e-16 of sin and cos (float64) for |x| ≤ 1e6, as of ``trig.sincos``.
+    One pair of polynomials in x² or −x² serves both. The relative error of sinh and cosh is at most
+    5e-16, the absolute error of sin and cos at most 1.4e-16 (float64) for ``|x|`` ≤ 1e6, as in
+    ``trig.sincos``.
     """
     F = type(x)
     w = wide > F(0.5)
@@ -71,10 +72,11 @@ def waves(x, wide):
 
 @kernel
 def landen_step(u, v, a, b, turns):
-    """One descending Landen transformation of the integral ``first_kind_pair``, all doubled.
+    """One descending Landen transformation of the integral in ``first_kind_pair``, all doubled.
 
-    Bulirsch, "Numerical calculation of elliptic integrals", Numer. Math. 7 (1965), el1, without his
-    division: u/v is the cotangent of the amplitude, a times; ``turns`` counts its multiples of π.
+    Bulirsch, "Numerical calculation of elliptic integrals", *Numerische Mathematik* 7 (1965), el1,
+    without his division: u/v is a times the cotangent of the amplitude; ``turns`` counts its
+    multiples of π.
     """
     F = type(u)
     product = u * v
@@ -86,18 +88,18 @@ def landen_step(u, v, a, b, turns):
 
 @kernel
 def ascending_step(y, b):
-    """One ascending Landen transformation, y/a a cotangent: ``landen_step`` undone, all doubled."""
+    """One ascending Landen transformation of a cotangent y/a, which inverts ``landen_step``."""
     return y + math.sqrt(y * y + b * b)
 
 
 @kernel
 def first_kind_pair(y, kc, yc, k):
-    """(F(φ, k), K, F(ψ, k'), K') of y = cot φ and yc = cot ψ, 0 ≤ φ, ψ ≤ π/2.
+    """(F(φ, k), K, F(ψ, k'), K') from y = cot φ and yc = cot ψ, 0 ≤ φ, ψ ≤ π/2.
 
-    Both moduli are given, k' ≥ 1e-150 and k as well; less counts as 1e-150, where the other K is
-    346. Relative error at most 8e-16 (float64) while y and yc are at most 1e17. The integral of the
-    smaller modulus descends to the angle of a circle, that of the larger one ascends to a
-    logarithm, both along one arithmetic-geometric mean.
+    Both moduli are given, k' ≥ 1e-150 and k as well; smaller ones count as 1e-150, for which the
+    other K is 346. The relative error is at most 8e-16 (float64) while y and yc are at most 1e17.
+    The integral of the smaller modulus descends to the angle of a circle, that of the larger one
+    ascends to a logarithm, both along one arithmetic-geometric mean.
     """
     F = type(y)
     swap = k < kc
@@ -110,7 +112,7 @@ def first_kind_pair(y, kc, yc, k):
     far = yc if swap else y
     near = y if swap else yc
 
-    # (a, c) to their mean, b the root of a² − c²
+    # (a, c) go to their mean; b is the root of a² − c²
     a1 = F(1.0) + c0
     c1 = F(2.0) * math.sqrt(c0)
     a2 = a1 + c1
@@ -118,14 +120,14 @@ def first_kind_pair(y, kc, yc, k):
     a3 = a2 + c2
     c3 = F(2.0) * math.sqrt(a2 * c2)
     a4 = a3 + c3
-    # what is left of b by rounding would be too much next to the least y
+    # the rounding of b would be too large compared with the smallest y
     seen = b0 * b0 > (F(1e-15) if double else F(1e-7))
     b1 = F(1.0) - c0 if seen else F(0.0)
     b2 = a1 - c1 if seen else F(0.0)
     b3 = a2 - c2 if seen else F(0.0)
     inverse = F(1.0) / a4
 
-    # ∫ dt/√((t² + a²)(t² + b²)) from y on stays the same, but for the doubling
+    # ∫ dt/√((t² + a²)(t² + b²)) from y on is invariant, apart from the doubling
     most = F(1e17)
     x = far if far < most else most
     x = ascending_step(ascending_step(x, b0), b1)
@@ -164,7 +166,7 @@ def first_kind_pair(y, kc, yc, k):
 def cosine_sum(w0, w1, w2, w3):
     """Σ wₙ cos (2n+1)v / cos v, n = 0 to 3, as a polynomial in cos 2v, constant term first.
 
-    The same serves for hyperbolic cosines.
+    It serves hyperbolic cosines too.
     """
     F = type(w0)
     return (
@@ -179,7 +181,7 @@ def cosine_sum(w0, w1, w2, w3):
 def sine_sum(w0, w1, w2, w3):
     """Σ wₙ sin (2n+1)v / sin v, n = 0 to 3, as a polynomial in cos 2v, constant term first.
 
-    The same serves for hyperbolic sines.
+    It serves hyperbolic sines too.
     """
     F = type(w0)
     return (
@@ -198,20 +200,20 @@ def cubic(p, x):
 
 @kernel
 def limited(Kc):
-    """K' up to 44, beyond which K − π/2 is below 1e-37."""
+    """K', limited to 44, beyond which K − π/2 is below 1e-37."""
     F = type(Kc)
     return F(44.0) if Kc > F(44.0) else Kc
 
 
 @kernel
 def theta_terms(K, Kc, c):
-    """Series of theta functions at π(u − ic)/2K, 0 ≤ c ≤ 2K', and what their argument is.
+    """Series of theta functions at π(u − ic)/2K, 0 ≤ c ≤ 2K', and the definition of their argument.
 
-    Cubics, each of a real and an imaginary part: of θ1; of the cosine series of odd multiples; of
-    the one of even multiples. Where K > 2K' they are hyperbolic: the second is then of θ4, the
-    third of θ2, elsewhere the other way round. Then: units of the argument per u, the period (of u
-    it is 2K) and its inverse, 0 where K > 300 counts as infinite (float32: 40); the phase per unit
-    of argument within a period; 1 for hyperbolic series, 0 for trigonometric ones; their nome. K'
+    Cubics, each with a real and an imaginary part: of θ1; of the cosine series of odd multiples; of
+    that of even multiples. If K > 2K' they are hyperbolic: the second is then that of θ4 and the
+    third that of θ2, otherwise the reverse. Then: units of the argument per u; the period (2K in u)
+    and its inverse, which is 0 if K > 300 counts as infinite (float32: 40); the phase per unit of
+    the argument within a period; 1 for hyperbolic series, 0 for trigonometric ones; their nome. K'
     is one of ``limited``.
     """
     F = type(K)
@@ -222,8 +224,8 @@ def theta_terms(K, Kc, c):
     x = (F(2.0) * K if wide else Kc) * unit
     e = exp_minus(x if x < F(80.0) else F(80.0))
     nome = e if wide else (e * e) * (e * e)
-    # cos (2n+1)γ and sin (2n+1)γ, or cosh and sinh of (2n+1)γ over cosh γ, from those of 2γ; each
-    # power of the nome goes where it keeps the products in range
+    # cos (2n+1)γ and sin (2n+1)γ, or cosh and sinh of (2n+1)γ over cosh γ, from those of 2γ; the
+    # powers of the nome are multiplied where they keep the products in range
     gamma = c * unit
     S, C = waves(gamma, side)
     d = F(2.0) * nome * (F(1.0) + F(2.0) * side * S * S)
@@ -268,7 +270,7 @@ def theta_terms(K, Kc, c):
 
 @kernel
 def select(first, a, b):
-    """a where ``first`` > 0, else b, tuples of eight."""
+    """a if ``first`` > 0, else b, for tuples of eight."""
     F = type(first)
     s = first > F(0.0)
     return (
@@ -279,7 +281,7 @@ def select(first, a, b):
 
 @kernel
 def weighted(p, size, side):
-    """A series and its conjugate (side −1), times ``size``."""
+    """A series or its conjugate (side −1), times ``size``."""
     other = side * size
     return (
         size * p[0], size * p[1], size * p[2], size * p[3],
@@ -289,9 +291,9 @@ def weighted(p, size, side):
 
 @kernel
 def theta_pair(K, Kc, c):
-    """Constants of ``theta_pair_at`` for quarter periods K, K' and a parameter 0 ≤ c ≤ K'.
+    """Constants of ``theta_pair_at`` for quarter periods K and K' and a parameter 0 ≤ c ≤ K'.
 
-    The cubics of θ4 and θ1, and the argument, of ``theta_terms``.
+    These are the cubics of θ4 and θ1, and the argument, of ``theta_terms``.
     """
     Kc = limited(Kc)
     odd, cosines, evens, argument = theta_terms(K, Kc, c if c < Kc else Kc)
@@ -300,15 +302,15 @@ def theta_pair(K, Kc, c):
 
 @kernel
 def theta_argument(a, s):
-    """(1 or −1 by whether periods are even or odd, the rest r, S, C, x) of the argument s.
+    """(1 or −1 for an even or odd number of periods, the rest r, S, C, x) of the argument s.
 
-    ``a`` says what that is as ``theta_terms`` does. The series are in sine and cosine of r, or the
-    hyperbolic ones, S and C, and in that cosine of 2r.
+    ``a`` defines the argument as in ``theta_terms``. The series are in the sine and cosine of r, or
+    the hyperbolic ones, S and C, and in that cosine of 2r, x.
     """
     F = type(s)
     n = np.rint(s * a[2])
     r = s - n * a[1]
-    # where the period is longer, quotients have met their limits (in float32 sooner)
+    # for a longer period the quotients have reached their limits (in float32 earlier)
     far = F(40.0) if F(1e-150) > F(0.0) else F(20.0)
     half = F(0.5) * a[1] if a[2] > F(0.0) else far
     far = half if half < far else far
@@ -323,10 +325,10 @@ def theta_argument(a, s):
 
 @kernel
 def theta_pair_at(g, s):
-    """(Re A, Im A, Re B, Im B, χ): a common phase exp(iχ) times A and B, at the argument s.
+    """(Re A, Im A, Re B, Im B, χ): A and B with the common phase exp(iχ), at the argument s.
 
-    exp(iχ) A and exp(iχ) B are θ4(z) and θ1(z), z = π(u − ic)/2K, of the nome exp(−2πK'/K), up to
-    a positive factor of both that depends on u and one of each that depends on c. ``g`` are the
+    exp(iχ) A and exp(iχ) B are θ4(z) and θ1(z), z = π(u − ic)/2K, with the nome exp(−2πK'/K), up to
+    a common positive factor that depends on u and one of each that depends on c. ``g`` are the
     constants of ``theta_pair``; s is u in their units.
     """
     flip, r, S, C, x = theta_argument(g[16:21], s)
@@ -341,10 +343,10 @@ def theta_pair_at(g, s):
 
 @kernel
 def jacobi(u, kc):
-    """(sn, cn, dn)(u, k) of the complementary modulus 0 ≤ k' ≤ 1, any real u.
+    """(sn, cn, dn)(u, k) for a complementary modulus 0 ≤ k' ≤ 1 and any real u.
 
-    The theta pair of c = K', whose quotient has modulus 1: exp(i am u). Absolute error at most
-    1e-15 + 3e-16 |u| (float64).
+    It is the theta pair for c = K', whose quotient exp(i am u) has modulus 1. The absolute error is
+    at most 1e-15 + 3e-16 ``|u|`` (float64).
     """
     F = type(u)
     k = math.sqrt((F(1.0) - kc) * (F(1.0) + kc))

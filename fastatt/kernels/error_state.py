@@ -1,19 +1,20 @@
-"""Errors of an estimated attitude and of a gyro's bias: their transition, noise and covariance.
+"""Errors of an estimated attitude and of a gyro's bias: transition, noise and covariance.
 
-The error δθ (rad) is a rotation in body axes, C_true = C exp [δθ], and δb = b_true − b (rad/s) that
-of the bias that is taken off the gyro's rate, ω = gyro − b. Both obey
+The error δθ (rad) is a rotation in body axes, C_true = C exp [δθ], and δb = b_true − b (rad/s) is
+that of the bias that is subtracted from the gyro's rate, ω = gyro − b. They satisfy
 
     δθ̇ = −ω×δθ − δb − n_v,    ḃ = n_u,
 
-n_v the angle random walk, σ_v in rad/√s, n_u that of the bias, σ_u in rad/s^1.5. Over a step h of
-constant ω turning by u = ωh
+with the angle random walk n_v, of density σ_v in rad/√s, and the rate random walk n_u, of density
+σ_u in rad/s^1.5. Over a step h of constant ω, a rotation by u = ωh,
 
     (δθ, δb) ← [Φ11 Φ12; 0 1] (δθ, δb) + noise of covariance [Q11 Q12; Q12ᵀ Q22].
 
-A covariance is (P11, P12, P22): P11 (rad²) and P22 (rad²/s²) as of ``sym3``, P12 nine numbers row
-by row. All hold at any angle, |u| = 0 and past 2π included. Lefferts, Markley and Shuster, J.
-Guidance 5 (1982) 417; Farrenkopf, J. Guidance 1 (1978) 282; Markley and Crassidis, *Fundamentals of
-Spacecraft Attitude Determination and Control* (2014), §6.2.
+A covariance is (P11, P12, P22): P11 (rad²) and P22 (rad²/s²) in the order of ``sym3``, and the nine
+numbers of P12 row by row. The formulas hold at any angle, including ``|u|`` = 0 and beyond 2π.
+Lefferts, Markley and Shuster, *Journal of Guidance and Control* 5 (1982) 417; Farrenkopf, *Journal
+of Guidance and Control* 1 (1978) 282; Markley and Crassidis, *Fundamentals of Spacecraft Attitude
+Determination and Control* (2014), §6.2.
 """
 
 from fastatt._jit import kernel
@@ -23,8 +24,22 @@ from fastatt.kernels.vec3 import dot
 
 @kernel
 def transition(u, h):
-    """(Φ11, Φ12) = (exp −[u], −h Jr(u)) of h s at a constant rate, of rotation vector u (rad).
+    """Transition of the error over a step at a constant rate.
 
+    Parameters
+    ----------
+    u : tuple of 3 float
+        Rotation vector ωh of the step, rad.
+    h : float
+        Step size, s.
+
+    Returns
+    -------
+    tuple of 2 tuples of 9 float
+        (Φ11, Φ12) = (exp −[u], −h Jr(u)).
+
+    Notes
+    -----
     Φ11 also holds for any other path to the same rotation exp(u).
     """
     b, c = so3.jacobian_coefficients(dot(u, u))
@@ -34,9 +49,21 @@ def transition(u, h):
 
 @kernel
 def noise_at_rest(h, angle_variance, bias_variance):
-    """``noise`` for ω = 0 (Farrenkopf): σ_v² h + σ_u² h³/3, −σ_u² h²/2, σ_u² h.
+    """Covariance of the noise over a step for ω = 0 (Farrenkopf).
 
-    Short by a share θ²/20 of Q11's bias part and θ/3 of Q12 for a rotation by θ in the step.
+    Parameters
+    ----------
+    h : float
+        Step size, s.
+    angle_variance : float
+        σ_v², rad²/s.
+    bias_variance : float
+        σ_u², rad²/s³.
+
+    Returns
+    -------
+    tuple
+        (Q11, Q12, Q22) with σ_v² h + σ_u² h³/3, −σ_u² h²/2 and σ_u² h.
     """
     F = type(h)
     o = F(0.0)
@@ -52,11 +79,24 @@ def noise_at_rest(h, angle_variance, bias_variance):
 
 @kernel
 def noise(u, h, angle_variance, bias_variance):
-    """(Q11, Q12, Q22) of white noise over h s of rotation vector u (rad): exact for constant ω.
+    """Covariance of white noise over a step, exact for constant ω.
 
-    ``angle_variance`` is σ_v² (rad²/s), ``bias_variance`` σ_u² (rad²/s³), each for all axes. With
-    θ = |u|, Q11 = σ_v² h + σ_u² h³ (1/3 + (θ³/3 − 2θ + 2 sin θ)/θ⁵ [u]²), Q12 = −σ_u² h² (1/2 −
-    (θ − sin θ)/θ³ [u] + (θ²/2 + cos θ − 1)/θ⁴ [u]²), Q22 = σ_u² h.
+    Parameters
+    ----------
+    u : tuple of 3 float
+        Rotation vector ωh of the step, rad.
+    h : float
+        Step size, s.
+    angle_variance : float
+        σ_v² for all axes, rad²/s.
+    bias_variance : float
+        σ_u² for all axes, rad²/s³.
+
+    Returns
+    -------
+    tuple of 3 tuples
+        (Q11, Q12, Q22). With θ = ``|u|``, Q11 = σ_v² h + σ_u² h³ (1/3 + (θ³/3 − 2θ + 2 sin θ)/θ⁵
+        [u]²), Q12 = −σ_u² h² (1/2 − (θ − sin θ)/θ³ [u] + (θ²/2 + cos θ − 1)/θ⁴ [u]²), Q22 = σ_u² h.
     """
     F = type(h)
     z = dot(u, u)
@@ -75,32 +115,84 @@ def noise(u, h, angle_variance, bias_variance):
 
 @kernel
 def predict(p, phi, q):
-    """Covariance (P11, P12, P22) a step later: Φ P Φᵀ + Q, Φ = (Φ11, Φ12), Q = (Q11, Q12, Q22)."""
+    """Covariance after a step, Φ P Φᵀ + Q.
+
+    Parameters
+    ----------
+    p : tuple of 3 tuples
+        Covariance (P11, P12, P22) before the step.
+    phi : tuple of 2 tuples of 9 float
+        (Φ11, Φ12).
+    q : tuple of 3 tuples
+        (Q11, Q12, Q22).
+
+    Returns
+    -------
+    tuple of 3 tuples
+        (P11, P12, P22) after the step.
+    """
     f, g = phi
     p11, p12, p22 = p
     q11, q12, q22 = q
     a = dcm.add(sym3.mul(f, p11), dcm.mul(g, dcm.transpose(p12)))
     b = dcm.add(dcm.mul(f, p12), sym3.mul(g, p22))
-    # of a fᵀ + b gᵀ, symmetric as a whole, the upper triangle
+    # the upper triangle of a fᵀ + b gᵀ, which is symmetric
     s = sym3.add(sym3.product(a, f), sym3.product(b, g))
     return sym3.add(s, q11), dcm.add(b, q12), sym3.add(p22, q22)
 
 
 @kernel
 def to_inertial(c, p):
-    """Covariance of the error in inertial axes, C_true = exp [C δθ] C, from that in body axes."""
+    """Convert a covariance of errors along body axes to errors along inertial axes.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix C, body to inertial.
+    p : tuple of 3 tuples
+        Covariance (P11, P12, P22) of 6, 9 and 6 numbers.
+
+    Returns
+    -------
+    tuple of 3 tuples
+        The covariance, for C_true = exp [C δθ] C.
+    """
     return sym3.congruence(c, p[0]), dcm.mul(c, p[1]), p[2]
 
 
 @kernel
 def to_body(c, p):
-    """Covariance of the error in body axes from that in inertial axes."""
+    """Convert a covariance of errors along inertial axes to errors along body axes.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix C, body to inertial.
+    p : tuple of 3 tuples
+        Covariance (P11, P12, P22) of 6, 9 and 6 numbers.
+
+    Returns
+    -------
+    tuple of 3 tuples
+        The covariance.
+    """
     return to_inertial(dcm.transpose(c), p)
 
 
 @kernel
 def transition_matrix(phi):
-    """The 36 numbers, row by row, of (Φ11, Φ12)."""
+    """The 6×6 matrix of (Φ11, Φ12).
+
+    Parameters
+    ----------
+    phi : tuple of 2 tuples of 9 float
+        (Φ11, Φ12).
+
+    Returns
+    -------
+    tuple of 36 float
+        The matrix, row by row.
+    """
     f, g = phi
     F = type(f[0])
     o = F(0.0)
@@ -117,7 +209,18 @@ def transition_matrix(phi):
 
 @kernel
 def matrix(p):
-    """The 36 numbers, row by row, of a covariance (P11, P12, P22)."""
+    """The 6×6 matrix of a covariance (P11, P12, P22).
+
+    Parameters
+    ----------
+    p : tuple of 3 tuples
+        Covariance (P11, P12, P22) of 6, 9 and 6 numbers.
+
+    Returns
+    -------
+    tuple of 36 float
+        The matrix, row by row.
+    """
     a, b, c = p
     return (
         a[0], a[1], a[2], b[0], b[1], b[2],
@@ -131,7 +234,18 @@ def matrix(p):
 
 @kernel
 def blocks(a):
-    """(P11, P12, P22) of the 36 numbers, row by row, of a covariance, by its upper triangle."""
+    """The blocks (P11, P12, P22) of a 6×6 covariance, from its upper triangle.
+
+    Parameters
+    ----------
+    a : tuple of 36 float
+        The matrix, row by row.
+
+    Returns
+    -------
+    tuple of 3 tuples
+        The covariance.
+    """
     return (
         (a[0], a[1], a[2], a[7], a[8], a[14]),
         (a[3], a[4], a[5], a[9], a[10], a[11], a[15], a[16], a[17]),

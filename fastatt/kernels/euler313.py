@@ -1,7 +1,7 @@
 """3-1-3 Euler angles (φ, θ, ψ), rad: C = Rz(φ) Rx(θ) Rz(ψ).
 
-Singular at θ = 0 and π, where φ and ψ rotate about one axis. Goldstein, *Classical Mechanics*,
-§4.4 and §4.9; Whittaker, *Analytical Dynamics* (1937), §10.
+They are singular at θ = 0 and π, where φ and ψ rotate about the same axis. Goldstein, *Classical
+Mechanics*, §4.4 and §4.9; Whittaker, *Analytical Dynamics* (1937), §10.
 """
 
 import math
@@ -13,7 +13,18 @@ from fastatt.kernels.trig import atan2, sincos, sincos_bounded
 
 @kernel
 def to_quat(angles):
-    """Unit quaternion of the angles."""
+    """Quaternion of Euler angles.
+
+    Parameters
+    ----------
+    angles : tuple of 3 float
+        (φ, θ, ψ), rad.
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion, body to inertial.
+    """
     F = type(angles[0])
     h = F(0.5)
     st, ct = sincos(h * angles[1])
@@ -25,7 +36,18 @@ def to_quat(angles):
 
 @kernel
 def from_quat(q):
-    """Angles of a unit quaternion, θ in [0, π]; φ = ψ at θ = 0, φ = −ψ at θ = π."""
+    """Euler angles of a unit quaternion.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+
+    Returns
+    -------
+    tuple of 3 float
+        (φ, θ, ψ), rad, with θ in [0, π]; φ = ψ at θ = 0 and φ = −ψ at θ = π.
+    """
     F = type(q[0])
     s = atan2(q[3], q[0])
     d = atan2(q[2], q[1])
@@ -36,19 +58,54 @@ def from_quat(q):
 
 @kernel
 def to_dcm(angles):
-    """Direction cosine matrix of the angles."""
+    """Direction cosine matrix of Euler angles.
+
+    Parameters
+    ----------
+    angles : tuple of 3 float
+        (φ, θ, ψ), rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Rotation matrix, body to inertial.
+    """
     return dcm.from_quat(to_quat(angles))
 
 
 @kernel
 def from_dcm(c):
-    """Angles of a rotation, θ in [0, π]."""
+    """Euler angles of a rotation matrix.
+
+    Parameters
+    ----------
+    c : tuple of 9 float
+        Rotation matrix, body to inertial.
+
+    Returns
+    -------
+    tuple of 3 float
+        (φ, θ, ψ), rad, with θ in [0, π].
+    """
     return from_quat(dcm.to_quat(c))
 
 
 @kernel
 def rate(angles, derivative):
-    """Angular velocity in body axes (rad/s) of the angles and their derivative (φ̇, θ̇, ψ̇)."""
+    """Angular velocity along body axes from the derivatives of Euler angles.
+
+    Parameters
+    ----------
+    angles : tuple of 3 float
+        (φ, θ, ψ), rad.
+    derivative : tuple of 3 float
+        (φ̇, θ̇, ψ̇), rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity, rad/s.
+    """
     st, ct = sincos(angles[1])
     sp, cp = sincos(angles[2])
     a = derivative[0] * st
@@ -61,9 +118,23 @@ def rate(angles, derivative):
 
 @kernel
 def derivative(angles, w):
-    """(φ̇, θ̇, ψ̇) of the angular velocity w in body axes, rad/s; infinite or NaN where sin θ = 0.
+    """Derivatives of Euler angles from the angular velocity.
 
-    Of angles up to 1e15 rad (float32: 1e6).
+    Parameters
+    ----------
+    angles : tuple of 3 float
+        (φ, θ, ψ), rad.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        (φ̇, θ̇, ψ̇), rad/s; infinite or NaN where sin θ = 0.
+
+    Notes
+    -----
+    Angles may be up to 1e15 rad (float32: 1e6).
     """
     st, ct = sincos_bounded(angles[1])
     sp, cp = sincos_bounded(angles[2])

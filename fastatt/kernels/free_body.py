@@ -1,14 +1,15 @@
 """Free motion of a rigid body in closed form: constants once, then attitude and momentum at any t.
 
-Jacobi's solution (1849) as arranged by van Zon and Schofield, J. Comput. Phys. 225 (2007), and
-Celledoni, Fassò, Säfström and Zanna, SIAM J. Sci. Comput. 30 (2008), on axes of which the momentum
-m circles the third: I1 < I2 < I3 or I1 > I2 > I3, m1 = a1 cn, m2 = a2 sn, m3 = a3 dn. The phase, an
-integral of the third kind, is not taken by itself: with B/A the quotient of a theta pair,
+Jacobi's solution (1849) as arranged by van Zon and Schofield, *Journal of Computational Physics*
+225 (2007), and Celledoni, Fassò, Säfström and Zanna, *SIAM Journal on Scientific Computing* 30
+(2008), on axes such that the momentum m circles the third: I1 < I2 < I3 or I1 > I2 > I3, m1 = a1
+cn, m2 = a2 sn, m3 = a3 dn. The phase, an integral of the third kind, is not computed separately:
+with the quotient B/A of a theta pair,
 
     L + m3 : L − m3 = |A|² : |B|²,    m1 + i m2 ~ i B A*,
-    (q0 + i q3) : (q1 + i q2) = A : B, both turning by a phase linear in time.
+    (q0 + i q3) : (q1 + i q2) = A : B, both with a phase linear in time.
 
-So the attitude carries m(t) to where it carried m(0), to rounding, whatever t.
+The attitude therefore maps m(t) to the same inertial vector as m(0), to rounding, for any t.
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ from fastatt.kernels import quat
 from fastatt.kernels.elliptic import cubic, first_kind_pair, theta_pair, theta_pair_at, weighted
 from fastatt.kernels.trig import sincos
 
-# numbers with twice the digits, high and low part: |high| ≤ 1
+__all__ = ["evaluate", "setup", "setup_rate", "symmetric_evaluate", "symmetric_setup"]
+
+# numbers with twice the digits, as a high and a low part: |high| ≤ 1
 
 
 @kernel
 def split_product(a, b):
-    """a b as (high, low) for |a|, |b| ≤ 1: error 1e-32 (float64).
+    """a b as (high, low) for ``|a|``, ``|b|`` ≤ 1, with an error of 1e-32 (float64).
 
-    Dekker's product (Numer. Math. 18, 1971), its roundings made by additions alone: a multiply
-    may be fused here, which would undo the usual splitting by 2²⁷ + 1.
+    Dekker's product (*Numerische Mathematik* 18, 1971) with roundings by additions only: a
+    multiplication may be fused here, which would break the usual splitting by 2²⁷ + 1.
     """
     F = type(a)
     cut = F(201326592.0)
@@ -52,7 +55,7 @@ def split_difference(a, b):
 
 @kernel
 def split_multiply(a, b):
-    """Product of two numbers (high, low) of at most 1: error 1e-31 (float64)."""
+    """Product of two numbers (high, low) of size at most 1, with an error of 1e-31 (float64)."""
     high, low = split_product(a[0], b[0])
     low = low + (a[0] * b[1] + a[1] * b[0])
     total = high + low
@@ -61,7 +64,7 @@ def split_multiply(a, b):
 
 @kernel
 def least_scaled(tiny):
-    """1e-290, or in float32, where it is 0, 1e-30."""
+    """1e-290, or 1e-30 in float32, where it would be 0."""
     F = type(tiny)
     return tiny if tiny > F(0.0) else F(1e-30)
 
@@ -72,7 +75,7 @@ def scale(x):
     F = type(x)
     tiny = F(1e-290)
     shift = F(2.0**52) if tiny > F(0.0) else F(2.0**23)
-    # x is the last bit of the sum: rounded to one bit. Nothing here changes when fused
+    # x is the last bit of the sum: rounded to one bit. Fusing changes nothing here
     bit = (x * shift + x) - x * shift
     bit = F(0.5) if x < least_scaled(tiny) else bit
     return F(0.5) / bit, F(2.0) * bit
@@ -91,7 +94,7 @@ def largest(v):
 
 @kernel
 def exchange(a, b, swap):
-    """(b, a) of two tuples of four where swap > 0, else (a, b)."""
+    """(b, a) for two tuples of four if swap > 0, else (a, b)."""
     F = type(swap)
     s = swap > F(0.0)
     return (
@@ -102,9 +105,9 @@ def exchange(a, b, swap):
 
 @kernel
 def order(m, low, inertia):
-    """The three axes, the one that the momentum m + low circles last, and I1 I3 |L² − 2T I2|.
+    """The three axes, that which the momentum m + low circles last, and I1 I3 ``|L² − 2T I2|``.
 
-    An axis is (moment, momentum, its low part, name 0, 1 or 2); moments ascend or descend.
+    An axis is (moment, momentum, its low part, index 0, 1 or 2); moments ascend or descend.
     """
     F = type(m[0])
     a = (inertia[0], m[0], low[0], F(0.0))
@@ -115,7 +118,7 @@ def order(m, low, inertia):
     a, b = exchange(a, b, a[0] - b[0])
 
     # D = I1 (I3 − I2) m3² − I3 (I2 − I1) m1² keeps its digits near the separatrix; also near the
-    # intermediate axis, where both momenta are small: a power of two is taken out
+    # intermediate axis, where both momenta are small, since a power of two is factored out
     s, unit = scale(abs(a[1]) if abs(a[1]) > abs(c[1]) else abs(c[1]))
     x = (s * c[1], s * c[2])
     y = (s * a[1], s * a[2])
@@ -124,7 +127,7 @@ def order(m, low, inertia):
     x = split_multiply(split_multiply(x, x), u)
     y = split_multiply(split_multiply(y, y), v)
     gap = (x[0] - y[0]) + (x[1] - y[1])
-    # on the separatrix either will do, but for symmetric bodies
+    # on the separatrix either order is right, except for symmetric bodies
     flat = b[0] - a[0] >= c[0] - b[0]
     a, c = exchange(a, c, (F(1.0) if flat else F(-1.0)) if gap == F(0.0) else -gap)
     return a, b, c, abs(gap) * unit * unit
@@ -132,9 +135,9 @@ def order(m, low, inertia):
 
 @kernel
 def handed(a, b, c):
-    """(name1, name2, s1, s2, s3) of ordered axes: signs that make a right-handed frame.
+    """(index1, index2, s1, s2, s3) of ordered axes, with signs that make a right-handed frame.
 
-    In it m1 and m3 are not negative.
+    m1 and m3 are not negative in it.
     """
     F = type(a[0])
     s1 = F(-1.0) if a[1] < F(0.0) else F(1.0)
@@ -163,9 +166,10 @@ def to_body(v, axes):
 
 @kernel
 def pair(g, s):
-    """A and B as (Re A, Re B, Im B, Im A), 1/√(|A|² + |B|²) and χ of ``theta_pair_at``.
+    """A and B as (Re A, Re B, Im B, Im A), 1/√(``|A|² + |B|²``) and χ of ``theta_pair_at``.
 
-    ``g`` are the constants of the theta pair, B weighted so that |A|² : |B|² = L + m3 : L − m3.
+    ``g`` are the constants of the theta pair, with B weighted so that ``|A|² : |B|²`` = L + m3 : L
+    − m3.
     """
     F = type(s)
     ar, ai, br, bi, chi = theta_pair_at(g, s)
@@ -186,8 +190,8 @@ def turned(x, n, angle):
 def amplitudes(J, m, gap):
     """(a1, a2, a3), the least m3, k', k, a2/a1, and the square of k a3/a1.
 
-    Moments and momentum are along ordered axes, ``gap`` is that of ``order``. Equal moments leave a
-    circle, k = 0, or rest.
+    Moments and momentum are along ordered axes, and ``gap`` is that of ``order``. Equal moments
+    give a circle, k = 0, or rest.
     """
     F = type(m[0])
     zero = F(0.0)
@@ -216,9 +220,9 @@ def amplitudes(J, m, gap):
 
 @kernel
 def begin(q, m, low, inertia, size, f):
-    """Constants of a motion as for ``setup``, from scaled momentum m + low and inertia.
+    """Constants of a motion as in ``setup``, from scaled momentum m + low and inertia.
 
-    Their numbers are at most 1. ``size`` is the unit of momentum, ``f`` that of rates.
+    All numbers are at most 1. ``size`` is the unit of momentum and ``f`` that of rates.
     """
     F = type(m[0])
     zero = F(0.0)
@@ -231,7 +235,7 @@ def begin(q, m, low, inertia, size, f):
     length = math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
     rest = length == zero
 
-    # where the motion starts, cot am u = (a2/a1) m1/m2, and sin am(c, k') = a1/a2
+    # the start of the motion: cot am u = (a2/a1) m1/m2, and sin am(c, k') = a1/a2
     side = abs(m[1])
     cot = r21 * m[0] / (side if side > zero else one)
     u, K, c, Kc = first_kind_pair(cot, kc, math.sqrt(r31), k)
@@ -240,7 +244,7 @@ def begin(q, m, low, inertia, size, f):
     g = theta_pair(K, Kc, c)
     start = g[16] * u
 
-    # the weight of B from a point where m is known: m1 = 0, or m2 = 0 where K may be infinite
+    # the weight of B from a point with known m: m1 = 0, or m2 = 0 since K may be infinite
     even = cubic(g[0:4], one)
     odd = cubic(g[12:16], one)
     wide = g[20] > F(0.5)
@@ -250,15 +254,15 @@ def begin(q, m, low, inertia, size, f):
     weight = above / below
     weight = zero if rest else weight
 
-    # the phase advances by (2T + L m3/I3)/(L + m3); what the pair does not carry is the same at any
-    # time, so it is taken where u = 0
+    # the phase advances by (2T + L m3/I3)/(L + m3); its part outside of the pair is the same at any
+    # time, and is evaluated at u = 0
     i = (one / J[0], one / J[1], one / J[2])
     rate = g[16] * a[2] * math.sqrt((J[2] - J[1]) * (J[2] - J[0]) * i[0] * i[1]) * i[2]
     rate = rate if J[2] > J[0] else -rate
     energy = m[0] * m[0] * i[0] + m[1] * m[1] * i[1] + m[2] * m[2] * i[2]
     whole = (energy + length * a[2] * i[2]) / (one if rest else length + a[2])
     phase = F(0.5) * whole - rate * (g[19] + cubic(g[4:8], one) / even)
-    # turning about the intermediate axis is an equilibrium
+    # rotation about the intermediate axis is an equilibrium
     rate = (zero if m[2] == zero else rate) if m[0] == zero else rate
 
     g = g[0:8] + weighted(g[8:16], weight, one) + g[16:21]
@@ -272,10 +276,25 @@ def begin(q, m, low, inertia, size, f):
 
 @kernel
 def setup(q, m, inertia):
-    """Constants of the motion that starts at attitude q with momentum m = I w, 37 numbers.
+    """Constants of the motion of a free body that starts with a given angular momentum.
 
-    m is in principal axes of the body, ``inertia`` the three principal moments, in any order: all
-    above 0, and both between 1e-290 and 1e290 (float64). A body at rest stays there.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at t = 0, a unit quaternion.
+    m : tuple of 3 float
+        Angular momentum at t = 0 along principal axes, N·m·s.
+    inertia : tuple of 3 float
+        Principal moments in any order, above 0, kg·m².
+
+    Returns
+    -------
+    tuple of 37 float
+        The constants, for :func:`evaluate`.
+
+    Notes
+    -----
+    Moments and momentum are between 1e-290 and 1e290 (float64). A body at rest remains at rest.
     """
     F = type(m[0])
     sm, unit = scale(largest(m))
@@ -287,10 +306,26 @@ def setup(q, m, inertia):
 
 @kernel
 def setup_rate(q, w, inertia):
-    """Constants of the motion that starts at attitude q with angular velocity w, as ``setup``.
+    """Constants of the motion of a free body that starts with a given angular velocity.
 
-    The products I w keep their low parts: within 1e-12 of the separatrix the rounding of m alone
-    moves the next flip by 1e-4 of its time.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at t = 0, a unit quaternion.
+    w : tuple of 3 float
+        Angular velocity at t = 0 along principal axes, rad/s.
+    inertia : tuple of 3 float
+        Principal moments in any order, above 0, kg·m².
+
+    Returns
+    -------
+    tuple of 37 float
+        The constants, for :func:`evaluate`.
+
+    Notes
+    -----
+    The products I w keep their low parts: within 1e-12 of the separatrix, the rounding of m alone
+    would move the next flip by 1e-4 of its time.
     """
     sw, rate = scale(largest(w))
     si, unit = scale(largest(inertia))
@@ -305,14 +340,29 @@ def setup_rate(q, w, inertia):
 
 @kernel
 def evaluate(constants, t):
-    """Attitude q and momentum m (principal body axes) at the time t after the start, of any sign.
+    """Attitude and angular momentum of a free body at a time.
 
-    Error at most 1e-15 (1 + |w| t) of q, and of m in relation to |m| (float64), on either side of
-    the separatrix and on it, and for symmetric bodies. Of m from ``setup``, as given.
+    Parameters
+    ----------
+    constants : tuple
+        Constants of the motion.
+    t : float
+        Time after the start, s, of either sign.
+
+    Returns
+    -------
+    tuple
+        (q, m): the unit quaternion, and the angular momentum along principal axes, N·m·s.
+
+    Notes
+    -----
+    The error of q is at most 1e-15 (1 + ``|w| t``), and that of m as much relative to ``|m|``
+    (float64), on either side of the separatrix and on it, and for symmetric bodies. After
+    :func:`setup`, m is taken as exact.
     """
     g = constants
     x, n, chi = pair(g[16:37], g[11] + g[10] * t)
-    # (m1, m2, m3)/2L, small ones to their own digits
+    # (m1, m2, m3)/2L, also small ones with all digits
     y1 = n * n * (x[1] * x[3] - x[2] * x[0])
     y2 = n * n * (x[1] * x[0] + x[2] * x[3])
     x = turned(x, n, g[9] * t + (chi - g[12]))
@@ -328,9 +378,25 @@ def evaluate(constants, t):
 
 @kernel
 def symmetric_setup(q, w, inertia):
-    """Constants of the regular precession of a body with two equal moments, as ``setup_rate``.
+    """Constants of the regular precession of a body with two equal moments.
 
-    Of the three moments the two closest count as equal, with their mean.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at t = 0, a unit quaternion.
+    w : tuple of 3 float
+        Angular velocity at t = 0 along principal axes, rad/s.
+    inertia : tuple of 3 float
+        Principal moments in any order, above 0, kg·m².
+
+    Returns
+    -------
+    tuple
+        The constants, for :func:`symmetric_evaluate`.
+
+    Notes
+    -----
+    The two closest of the three moments are taken as equal, with their mean.
     """
     F = type(w[0])
     x = abs(inertia[1] - inertia[2])
@@ -358,7 +424,21 @@ def symmetric_setup(q, w, inertia):
 
 @kernel
 def symmetric_evaluate(constants, t):
-    """Attitude q0∘exp(m0 t/A)∘exp(e (1/C − 1/A) m3 t), e the axis of symmetry, and w at time t."""
+    """Attitude and angular velocity of a free body with two equal moments at a time.
+
+    Parameters
+    ----------
+    constants : tuple
+        Constants of the motion.
+    t : float
+        Time after the start, s, of either sign.
+
+    Returns
+    -------
+    tuple
+        (q, w): the attitude q0∘exp(m0 t/A)∘exp(e (1/C − 1/A) m3 t) with the axis of symmetry e,
+        and the angular velocity, rad/s.
+    """
     g = constants
     F = type(t)
     s, c = sincos(F(0.5) * (t * g[13]))

@@ -1,14 +1,14 @@
 """The heavy symmetric top in closed form: constants once, then attitude and w at any t.
 
-Lagrange's top, as Klein and Sommerfeld, *The Theory of the Top* (1897-1910), solve it: its
-Cayley-Klein parameters are each one quotient of theta functions. On axes of which the third is that
-of symmetry (moments A, A, C), the inertial third along the pull, with z the cosine between them,
+Lagrange's top as Klein and Sommerfeld, *The Theory of the Top* (1897-1910), solve it: each of its
+Cayley-Klein parameters is one quotient of theta functions. On axes whose third is that of symmetry
+(moments A, A, C), with the inertial third axis along the pull and the cosine z between them,
 
     z = z1 + (z2 − z1) sn²(u, k),    u = u0 + ½ √(β (z3 − z1)) t,    β = 2 |pull|/A,
     q0 + i q3 = P ~ exp(i λ t) θ1(π(u − ic)/2K),    q1 + i q2 = Q ~ exp(i μ t) θ2(π(u − id)/2K),
 
-both over θ4(πu/2K), which drops out when |P|² + |Q|² = 1 is restored. z1 ≤ z2 ≤ 1 ≤ z3 are the
-roots of the cubic ż²(z), c and d the places where 1 + z and 1 − z vanish.
+both divided by θ4(πu/2K), which cancels when ``|P|² + |Q|²`` = 1 is restored. z1 ≤ z2 ≤ 1 ≤ z3 are
+the roots of the cubic ż²(z); c and d are where 1 + z and 1 − z vanish.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from fastatt.kernels.elliptic import (
 from fastatt.kernels.free_body import largest, scale
 from fastatt.kernels.trig import atan2, sincos
 
+__all__ = ["evaluate", "setup"]
+
 # complex numbers (real, imaginary)
 
 
@@ -46,7 +48,7 @@ def times_conj(a, b):
 
 @kernel
 def direction(a):
-    """a/|a|, of 0 it is 1."""
+    """a/``|a|``; 1 for a = 0."""
     F = type(a[0])
     square = a[0] * a[0] + a[1] * a[1]
     none = square == F(0.0)
@@ -56,7 +58,7 @@ def direction(a):
 
 @kernel
 def seen(a):
-    """a, or 0 where |a|² is below 1e-290 (float32: 1e-30)."""
+    """a, or 0 if ``|a|²`` is below 1e-290 (float32: 1e-30)."""
     F = type(a[0])
     least = F(1e-290)
     least = least if least > F(0.0) else F(1e-30)
@@ -96,9 +98,9 @@ def upright(v):
 def roots(x0, y0, v, a, beta, S, plus, minus):
     """(z0 − z1, z2 − z0, 1 + z1, 1 + z2, 1 − z1, 1 − z2, β(z3 − 1)) of the cubic ż²(z).
 
-    1 ± z0 are x0 and y0, v = w1² + w2², S = (b − a z0, ż), plus and minus b + a and b − a. Those
-    that can be small come from what is small with them: two close to z0 from a quadratic about z0,
-    those next to ±1 from the products of all three.
+    1 ± z0 are x0 and y0, v = w1² + w2², S = (b − a z0, ż), and plus and minus are b + a and b − a.
+    Small numbers are computed from small numbers: two roots close to z0 from a quadratic about z0,
+    those close to ±1 from the products of all three.
     """
     F = type(v)
     zero = F(0.0)
@@ -139,7 +141,7 @@ def roots(x0, y0, v, a, beta, S, plus, minus):
     ahead = half > zero
     excess = larger if ahead else beta * other
     y2 = other if ahead else larger / (beta if beta > zero else F(1.0))
-    # the root far from z0, and the other from their product
+    # the root far from z0; the other follows from their product
     rest = y0 - y2
     rest = rest if rest > zero else zero
     third = excess + beta * y0
@@ -157,7 +159,7 @@ def roots(x0, y0, v, a, beta, S, plus, minus):
 
 @kernel
 def ratio(a, b):
-    """√(a/b) of a, b ≥ 0; where b is 0, 1."""
+    """√(a/b) for a, b ≥ 0; 1 if b is 0."""
     F = type(a)
     none = b == F(0.0)
     return F(1.0) if none else math.sqrt(a / (F(1.0) if none else b))
@@ -173,11 +175,11 @@ def middle(series):
 
 @kernel
 def parts(g, pace, t):
-    """(P, Q, W): the attitude P + Q i and w1 + i w2, but for constant factors; see ``evaluate``.
+    """(P, Q, W): the attitude P + Q i and w1 + i w2, up to constant factors; see ``evaluate``.
 
-    ``g`` are the cubics of P and of Q and what their argument is: as ``theta_terms`` says it of P,
-    then the phase per unit of argument of Q. ``pace`` are λ, μ, of the argument rate and start, and
-    how fast the phases of P and Q change together.
+    ``g`` are the cubics of P and of Q and their argument: as in ``theta_terms`` for P, then the
+    phase per unit of the argument for Q. ``pace`` are λ, μ, the rate and the start of the argument,
+    and the rate of the common phase of P and Q.
     """
     F = type(t)
     p = g[0:8]
@@ -189,7 +191,7 @@ def parts(g, pace, t):
     up = F(2.0) * (x + F(1.0))
     down = F(2.0) * (x - F(1.0))
 
-    # P: odd series. Q: series of cosines, of odd multiples or, hyperbolic ones, of even multiples
+    # P: odd series. Q: series of cosines of odd multiples or, if hyperbolic, of even multiples
     a = cubic(p[0:4], x)
     b = cubic(p[4:8], x)
     P = (S * a, C * b)
@@ -225,10 +227,10 @@ def parts(g, pace, t):
 
 @kernel
 def series(r, beta, plus, minus):
-    """(cubics of P, of Q, argument, (its rate, its |start|), turns) of the motion between roots.
+    """(cubics of P, of Q, argument, (its rate, |its start|), turns) of the motion between roots.
 
-    ``r`` are ``roots``, the argument is as ``parts`` has it; turns are phases per unit of it, of P
-    where z = z2, of Q where z = z1.
+    ``r`` are ``roots``; the argument is that of ``parts``; turns are phases per unit of it, for P
+    at z = z2 and for Q at z = z1.
     """
     F = type(beta)
     zero = F(0.0)
@@ -256,7 +258,7 @@ def series(r, beta, plus, minus):
     even = select(p[4], evens, cosines)
     size_q, turn_q = middle(even)
 
-    # 1 + z2 = 2 |P|² at u = K, 1 − z1 = 2 |Q|² at 0, where θ4 is in the ratio θ3 : θ4 of a nome
+    # 1 + z2 = 2 |P|² at u = K, 1 − z1 = 2 |Q|² at 0, with θ4 in the ratio θ3 : θ4 of a nome
     e = p[5]
     e2 = e * e
     e4 = e2 * e2
@@ -276,9 +278,9 @@ def series(r, beta, plus, minus):
 
 @kernel
 def matched(P0, Q0, W0, P, Q, W):
-    """(α, β) of modulus 1, such that P0 = αP, Q0 = βQ, W0 = α*βW for one and the same attitude.
+    """(α, β) of modulus 1 such that P0 = αP, Q0 = βQ and W0 = α*βW for the same attitude.
 
-    The larger of P and Q gives its own, the other also what W says.
+    The larger of P and Q determines its factor, the other one also depends on W.
     """
     given = times_conj(Q0, P0)
     found = times_conj(Q, P)
@@ -299,11 +301,28 @@ def matched(P0, Q0, W0, P, Q, W):
 
 @kernel
 def setup(q, w, moments, pull):
-    """Constants of the motion that starts at attitude q with angular velocity w, 36 numbers.
+    """Constants of the motion of a heavy symmetric top.
 
-    The third axis is that of symmetry, the first two of the ``moments`` count as equal, with their
-    mean. ``pull`` (inertial axes, N·m) is the weight times the arm along that axis, upwards: the
-    potential energy is e3·Cᵀpull. No weight, no spin, no motion at all are as good as any.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Attitude at t = 0, a unit quaternion.
+    w : tuple of 3 float
+        Angular velocity at t = 0 along body axes, rad/s.
+    moments : tuple of 3 float
+        Principal moments about the fixed point, kg·m²; the third axis is that of symmetry, and
+        the first two are replaced by their mean.
+    pull : tuple of 3 float
+        The weight times the arm along the third axis, along inertial axes and upwards, N·m.
+
+    Returns
+    -------
+    tuple of 36 float
+        The constants, for :func:`evaluate`.
+
+    Notes
+    -----
+    The potential energy is e3·Cᵀpull. Zero weight, zero spin and a top at rest are handled.
     """
     F = type(w[0])
     zero = F(0.0)
@@ -316,7 +335,7 @@ def setup(q, w, moments, pull):
     A = half * moments[0] + half * moments[1]
     a = w[2] * (moments[2] / A)
     root = math.sqrt(F(2.0) * (size / A))
-    # a unit of time in which all rates are at most 1
+    # the unit of time makes all rates at most 1
     f = largest((w[0], w[1], a))
     f, unit = scale(root if root > f else f)
     W0 = seen((f * w[0], f * w[1]))
@@ -334,7 +353,7 @@ def setup(q, w, moments, pull):
     r = roots(x0, y0, v, a, beta, S, plus, minus)
     cubics_p, cubics_q, argument, begin, turns = series(r, beta, plus, minus)
     start = -begin[1] if S[1] < zero else begin[1]
-    # upright and still it stays
+    # an upright top at rest remains at rest
     still = (begin[0] if x0 > zero else zero) if y0 > zero else zero
     rate = begin[0] if v > zero else still
     spin = f * w[2] - a
@@ -342,7 +361,7 @@ def setup(q, w, moments, pull):
     y1 = r[4] if r[4] > zero else one
     phase_p = half * plus / x2 - rate * turns[0]
     phase_q = half * minus / y1 - rate * turns[1]
-    # without the spin, which goes out of the sum and may be large
+    # without the spin, which cancels in the sum and may be large
     sum_of = phase_p + phase_q + rate * (argument[3] + argument[5])
     phase_p = phase_p + half * spin
     phase_q = phase_q - half * spin
@@ -355,10 +374,25 @@ def setup(q, w, moments, pull):
 
 @kernel
 def evaluate(constants, t):
-    """Attitude q and angular velocity w (body axes) at the time t after the start, of any sign.
+    """Attitude and angular velocity of a heavy symmetric top at a time.
 
-    Error at most 1e-15 (1 + W t) of q, and of w in relation to W (float64), W² = |w|² + 4 |pull|/A
-    of the start, in addition to what the motion itself magnifies of a rounding of q and w.
+    Parameters
+    ----------
+    constants : tuple
+        Constants of the motion.
+    t : float
+        Time after the start, s, of either sign.
+
+    Returns
+    -------
+    tuple
+        (q, w): the unit quaternion, and the angular velocity along body axes, rad/s.
+
+    Notes
+    -----
+    With W² = ``|w|²`` + 4 ``|pull|``/A at the start, the error of q is at most 1e-15 (1 + W t) and
+    that of w as much relative to W (float64), in addition to the effect of the rounding of q and w
+    on the motion.
     """
     g = constants
     P, Q, W = parts(g[14:36], g[8:13], t)

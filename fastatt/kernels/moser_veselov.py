@@ -1,9 +1,10 @@
 """The discrete Moser-Veselov step of a free body with modified inertia.
 
-Everything is without units: ``inertia`` are the principal moments over the largest one, C = ½ |m̂|²
-and H = ½ Σ m̂²/I with m̂ = h m over the largest moment. The modified moments K are
-1/K = (1 + s)/I + d, with s and d polynomials in C and H. Hairer and Vilmart, J. Phys. A 39 (2006)
-13225, eqs. 3.5 to 3.8; Moser and Veselov, Commun. Math. Phys. 139 (1991) 217.
+All numbers are dimensionless: ``inertia`` are the principal moments divided by the largest one, C =
+½ ``|m̂|²`` and H = ½ Σ m̂²/I with m̂ = h m divided by the largest moment. The modified moments K
+are 1/K = (1 + s)/I + d, with polynomials s and d in C and H. Hairer and Vilmart, *Journal of
+Physics A* 39 (2006) 13225, equations 3.5 to 3.8; Moser and Veselov, *Communications in Mathematical
+Physics* 139 (1991) 217.
 """
 
 import math
@@ -32,7 +33,7 @@ def product(x, y):
 
 @kernel
 def mixed_sum(above, below):
-    """Σ (above_j + above_k) below_i over the axes i, j and k the other two."""
+    """Σ (above_j + above_k) below_i over the axes i, with the other two axes j and k."""
     return (
         (above[1] + above[2]) * below[0]
         + (above[2] + above[0]) * below[1]
@@ -42,7 +43,7 @@ def mixed_sum(above, below):
 
 @kernel
 def coefficients2(inertia):
-    """Those of the second power of the step, order 4: s (C, H), then d."""
+    """Coefficients of the second power of the step, order 4: s (C, H), then d."""
     F = type(inertia[0])
     D = inertia[0] * inertia[1] * inertia[2]
     S1 = power_sum(inertia)
@@ -52,7 +53,7 @@ def coefficients2(inertia):
 
 @kernel
 def coefficients4(inertia):
-    """Those of the fourth power, order 6: s (C², CH, H²), then d."""
+    """Coefficients of the fourth power, order 6: s (C², CH, H²), then d."""
     F = type(inertia[0])
     D = inertia[0] * inertia[1] * inertia[2]
     inverse = (F(1.0) / inertia[0], F(1.0) / inertia[1], F(1.0) / inertia[2])
@@ -73,7 +74,7 @@ def coefficients4(inertia):
 
 @kernel
 def coefficients6(inertia):
-    """Those of the sixth power, order 8: s (C³, C²H, CH², H³), then d."""
+    """Coefficients of the sixth power, order 8: s (C³, C²H, CH², H³), then d."""
     F = type(inertia[0])
     D = inertia[0] * inertia[1] * inertia[2]
     inverse = (F(1.0) / inertia[0], F(1.0) / inertia[1], F(1.0) / inertia[2])
@@ -102,7 +103,7 @@ def coefficients6(inertia):
 
 @kernel
 def coefficients8(inertia):
-    """Those of the eighth power, order 10: s (C⁴, C³H, C²H², CH³, H⁴), then d."""
+    """Coefficients of the eighth power, order 10: s (C⁴, C³H, C²H², CH³, H⁴), then d."""
     F = type(inertia[0])
     D = inertia[0] * inertia[1] * inertia[2]
     D2 = D * D
@@ -213,7 +214,7 @@ def sweep(c, u, kappa):
 
 @kernel
 def newton(c, u, kappa):
-    """One Newton step of the same equations: the linear system by Cramer's rule."""
+    """One Newton step of the equations of ``sweep``, solved by Cramer's rule."""
     F = type(c[0])
     s = F(1.0) + dot(c, c)
     r = (
@@ -227,7 +228,7 @@ def newton(c, u, kappa):
     d = (-v[2] * c[0] - kappa[2] * c[1], -v[2] * c[1] - kappa[2] * c[0], F(1.0) - v[2] * c[2])
     bd = cross(b, d)
     e = F(1.0) / dot(a, bd)
-    # columns of the matrix's adjoint are products of its rows
+    # the columns of the adjoint matrix are products of its rows
     da = cross(d, a)
     ab = cross(a, b)
     return axpy(e, add(axpy(r[0], bd, scale(r[1], da)), scale(r[2], ab)), c)
@@ -235,9 +236,10 @@ def newton(c, u, kappa):
 
 @kernel
 def solve(u, kappa):
-    """(c, change): three sweeps from u and two Newton steps, and the last step's change squared.
+    """(c, change): three sweeps from u and two Newton steps, and the last change squared.
 
-    To round-off for |m|h/I_min up to 0.5. Sweeps alone need 8 at 0.2, 14 at 0.4.
+    The result is accurate to round-off for ``|m|h``/I_min up to 0.5. Sweeps alone would need 8 at
+    0.2 and 14 at 0.4.
     """
     c = sweep(sweep(sweep(u, u, kappa), u, kappa), u, kappa)
     c = newton(c, u, kappa)
@@ -248,7 +250,7 @@ def solve(u, kappa):
 
 @kernel
 def rotation(c):
-    """((1, c)/√α, 1/α), α = 1 + |c|²: the step's rotation as a unit quaternion."""
+    """((1, c)/√α, 1/α), α = 1 + ``|c|²``: the rotation of the step as a unit quaternion."""
     F = type(c[0])
     inverse = F(1.0) / (F(1.0) + dot(c, c))
     r = math.sqrt(inverse)

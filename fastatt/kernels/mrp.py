@@ -1,8 +1,8 @@
 """Modified Rodrigues parameters σ = e tan(φ/4) of the rotation by φ about the unit vector e.
 
-σ and its shadow −σ/|σ|² are one attitude; of the two, the one with |σ| ≤ 1 is never singular.
-Schaub and Junkins, "Stereographic orientation parameters for attitude dynamics", J. Astronaut.
-Sci. 44 (1996) 1.
+σ and its shadow −σ/``|σ|²`` are the same attitude; the one with ``|σ|`` ≤ 1 is never singular.
+Schaub and Junkins, "Stereographic orientation parameters for attitude dynamics", *Journal of the
+Astronautical Sciences* 44 (1996) 1.
 """
 
 from fastatt._jit import kernel
@@ -11,7 +11,18 @@ from fastatt.kernels.vec3 import axpy, cross, dot, scale
 
 @kernel
 def to_quat(x):
-    """Unit quaternion of σ, of |σ| up to 1e150 (float32: 1e18)."""
+    """Quaternion of modified Rodrigues parameters.
+
+    Parameters
+    ----------
+    x : tuple of 3 float
+        σ, with ``|σ|`` up to 1e150 (float32: 1e18).
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion.
+    """
     F = type(x[0])
     z = dot(x, x)
     s = F(1.0) / (F(1.0) + z)
@@ -20,7 +31,18 @@ def to_quat(x):
 
 @kernel
 def from_quat(q):
-    """σ of a unit quaternion, |σ| ≤ 1."""
+    """Modified Rodrigues parameters of a unit quaternion.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+
+    Returns
+    -------
+    tuple of 3 float
+        σ with ``|σ|`` ≤ 1.
+    """
     F = type(q[0])
     s = F(1.0) / (F(1.0) + abs(q[0]))
     s = -s if q[0] < F(0.0) else s
@@ -29,7 +51,18 @@ def from_quat(q):
 
 @kernel
 def inner(x):
-    """σ, or its shadow −σ/|σ|² where |σ| > 1: the same attitude, |σ| ≤ 1."""
+    """σ, or its shadow −σ/``|σ|²`` if ``|σ|`` > 1.
+
+    Parameters
+    ----------
+    x : tuple of 3 float
+        σ.
+
+    Returns
+    -------
+    tuple of 3 float
+        The same attitude with ``|σ|`` ≤ 1.
+    """
     F = type(x[0])
     z = dot(x, x)
     s = F(-1.0) / z if z > F(1.0) else F(1.0)
@@ -38,14 +71,40 @@ def inner(x):
 
 @kernel
 def derivative(x, w):
-    """σ̇ = ¼ ((1 − |σ|²) w + 2 σ×w + 2 (σ·w) σ), w in body axes, rad/s."""
+    """Derivative σ̇ = ¼ ((1 − ``|σ|²``) w + 2 σ×w + 2 (σ·w) σ).
+
+    Parameters
+    ----------
+    x : tuple of 3 float
+        σ.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        σ̇, 1/s.
+    """
     F = type(x[0])
     return half_derivative(x, scale(F(0.5), w))
 
 
 @kernel
 def half_derivative(x, v):
-    """σ̇ of the angular velocity 2v."""
+    """Derivative σ̇ at the angular velocity 2v.
+
+    Parameters
+    ----------
+    x : tuple of 3 float
+        σ.
+    v : tuple of 3 float
+        Half of the angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        σ̇, 1/s.
+    """
     F = type(x[0])
     k = F(0.5) * (F(1.0) - dot(x, x))
     return axpy(k, v, axpy(dot(x, v), x, cross(x, v)))

@@ -1,7 +1,8 @@
-"""Unit quaternions (Rodrigues-Hamilton parameters) as 4-tuples, scalar first, Hamilton product.
+"""Unit quaternions (Rodrigues-Hamilton parameters) as tuples of four numbers, scalar first.
 
-``q`` maps body components to inertial ones: v_i = q∘v_b∘q*. Whittaker, *Analytical Dynamics*
-(1937), §9; Shuster, "A survey of attitude representations", J. Astronaut. Sci. 41 (1993).
+Products are Hamilton's. ``q`` maps body components to inertial ones: v_i = q∘v_b∘q*. Whittaker,
+*Analytical Dynamics* (1937), §9; Shuster, "A survey of attitude representations", *Journal of the
+Astronautical Sciences* 41 (1993).
 """
 
 import math
@@ -13,8 +14,21 @@ from fastatt.kernels.vec3 import cross
 
 @kernel
 def mul(p, q):
-    """Hamilton product p∘q; of attitudes: first q, then p."""
-    # what a small rotation q adds comes first: fused, each number is then rounded once at its size
+    """Hamilton product p∘q; as rotations, first q, then p.
+
+    Parameters
+    ----------
+    p : tuple of 4 float
+        Left factor.
+    q : tuple of 4 float
+        Right factor.
+
+    Returns
+    -------
+    tuple of 4 float
+        The product.
+    """
+    # the contribution of a small rotation q comes first: when fused, each sum is rounded once
     return (
         p[0] * q[0] - (p[1] * q[1] + p[2] * q[2] + p[3] * q[3]),
         p[1] * q[0] + (p[0] * q[1] + p[2] * q[3] - p[3] * q[2]),
@@ -25,25 +39,63 @@ def mul(p, q):
 
 @kernel
 def conj(q):
-    """Conjugate q*; of a unit quaternion the inverse rotation."""
+    """Conjugate q*, the inverse rotation of a unit quaternion.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Quaternion.
+
+    Returns
+    -------
+    tuple of 4 float
+        The conjugate.
+    """
     return q[0], -q[1], -q[2], -q[3]
 
 
 @kernel
 def dot(p, q):
-    """Scalar product of two quaternions as 4-vectors."""
+    """Scalar product of two quaternions as vectors of four numbers.
+
+    Parameters
+    ----------
+    p : tuple of 4 float
+        Quaternion.
+    q : tuple of 4 float
+        Quaternion.
+
+    Returns
+    -------
+    float
+        The product.
+    """
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
 
 
 @kernel
 def rotate(q, v):
-    """v_i = q∘v∘q* of a unit q: body components v to inertial ones.
+    """Rotate a vector from body axes to inertial axes, v_i = q∘v∘q*.
 
-    v + 2 q0 (u×v) + 2 u×(u×v), u the vector part: 30 flops instead of two products.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    v : tuple of 3 float
+        Vector along body axes.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector along inertial axes.
+
+    Notes
+    -----
+    It is computed as v + 2 q0 (u×v) + 2 u×(u×v) with the vector part u, which takes 30 operations.
     """
     F = type(q[0])
     u = (q[1], q[2], q[3])
-    # twice v and not twice the product: of a vector that stays it is taken once
+    # twice v, not twice the product: for a constant vector it is computed once
     t = cross(u, (F(2.0) * v[0], F(2.0) * v[1], F(2.0) * v[2]))
     c = cross(u, t)
     return v[0] + q[0] * t[0] + c[0], v[1] + q[0] * t[1] + c[1], v[2] + q[0] * t[2] + c[2]
@@ -51,40 +103,110 @@ def rotate(q, v):
 
 @kernel
 def rotate_inverse(q, v):
-    """v_b = q*∘v∘q of a unit q: inertial components v to body ones."""
+    """Rotate a vector from inertial axes to body axes, v_b = q*∘v∘q.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    v : tuple of 3 float
+        Vector along inertial axes.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector along body axes.
+    """
     return rotate(conj(q), v)
 
 
 @kernel
 def turn_first(q, c, s):
-    """q∘(c, s, 0, 0): turned about body axis 1, c and s cosine and sine of half the angle."""
+    """Rotate an attitude about body axis 1, q∘(c, s, 0, 0).
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    c : float
+        Cosine of half the rotation angle.
+    s : float
+        Sine of half the rotation angle.
+
+    Returns
+    -------
+    tuple of 4 float
+        The attitude.
+    """
     return c * q[0] - s * q[1], c * q[1] + s * q[0], c * q[2] + s * q[3], c * q[3] - s * q[2]
 
 
 @kernel
 def turn_third(q, c, s):
-    """q∘(c, 0, 0, s): turned about body axis 3, c and s cosine and sine of half the angle."""
+    """Rotate an attitude about body axis 3, q∘(c, 0, 0, s).
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    c : float
+        Cosine of half the rotation angle.
+    s : float
+        Sine of half the rotation angle.
+
+    Returns
+    -------
+    tuple of 4 float
+        The attitude.
+    """
     return c * q[0] - s * q[3], c * q[1] + s * q[2], c * q[2] - s * q[1], c * q[3] + s * q[0]
 
 
 @kernel
 def exp_short(u):
-    """exp(u/2) for a rotation vector u of at most π rad; beyond, meaningless. See ``exp``."""
+    """Quaternion of a rotation vector of at most π rad.
+
+    Parameters
+    ----------
+    u : tuple of 3 float
+        Rotation vector, rad.
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion.
+
+    Notes
+    -----
+    Beyond π the result is meaningless. See :func:`exp` for any angle and for the error.
+    """
     s, c = half_sinc_cos(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     return c, s * u[0], s * u[1], s * u[2]
 
 
 @kernel
 def exp(u):
-    """Unit quaternion of the rotation vector u (rad), any angle: (cos θ/2, sin(θ/2) u/θ), θ = |u|.
+    """Quaternion of a rotation vector of any length.
 
-    Error at most 4e-16 as a 4-vector and in relation to the vector part (float64) for θ ≤ π;
-    beyond, that of θ moved by 1.5 ulps, of length 1 to 5e-16: where an ulp exceeds 2π, some
-    rotation about the right axis.
+    Parameters
+    ----------
+    u : tuple of 3 float
+        Rotation vector, rad.
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion (cos(θ/2), sin(θ/2) u/θ), θ = ``|u|``.
+
+    Notes
+    -----
+    For θ ≤ π the error is at most 4e-16 (float64), absolute and relative to the vector part.
+    Beyond, the error is that of θ moved by 1.5 ulps, and the norm is 1 to 5e-16. Where an ulp
+    exceeds 2π, the result is some rotation about the right axis.
     """
     F = type(u[0])
     z = u[0] * u[0] + u[1] * u[1] + u[2] * u[2]
-    # past 1e17 rad only the axis counts: any angle that keeps θ² finite will do
+    # beyond 1e17 rad only the axis matters: any angle with a finite θ² is right
     f = F(1e-30) if z > F(1e34) else F(1.0)
     f = F(1e-160) if z > F(1e300) else f
     v = (f * u[0], f * u[1], f * u[2])
@@ -94,10 +216,22 @@ def exp(u):
 
 @kernel
 def log(q):
-    """Rotation vector (rad) of q, the shorter way round: 2 atan2(|v|, |q0|) v/|v| sgn q0.
+    """Rotation vector of a quaternion, 2 atan2(``|v|``, ``|q0|``) v/``|v|`` sgn q0.
 
-    q need not be a unit quaternion. Relative error at most 1e-15 (float64) from the smallest
-    number to π; at exactly π the axis keeps the sign of the vector part.
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Quaternion of any norm above zero.
+
+    Returns
+    -------
+    tuple of 3 float
+        Rotation vector, rad, of length at most π.
+
+    Notes
+    -----
+    The relative error is at most 1e-15 (float64) from the smallest number to π. At exactly π the
+    axis has the sign of the vector part v.
     """
     F = type(q[0])
     ax = abs(q[1])
@@ -110,7 +244,7 @@ def log(q):
     y = q[2] / m
     z = q[3] / m
     r = math.sqrt(x * x + y * y + z * z)
-    # in relation to the largest number: m r of subnormal ones would lose its digits
+    # relative to the largest number, since m r of subnormal numbers would lose digits
     most = abs(q[0]) if abs(q[0]) > m else m
     half = atan2(m / most * r, abs(q[0]) / most)
     f = F(2.0) * half / (r if r != F(0.0) else F(1.0))
@@ -120,9 +254,21 @@ def log(q):
 
 @kernel
 def normalise(q):
-    """q/|q| of any finite non-zero q, from the smallest to the largest floats; of 0, NaN.
+    """Normalise a quaternion, q/``|q|``.
 
-    Error at most 4e-16 per component (float64).
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Finite quaternion, from the smallest to the largest floats.
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion; NaN for q = 0.
+
+    Notes
+    -----
+    The error is at most 4e-16 in each component (float64).
     """
     m = abs(q[0])
     m = abs(q[1]) if abs(q[1]) > m else m
@@ -138,7 +284,22 @@ def normalise(q):
 
 @kernel
 def renormalise(q):
-    """q(3 − |q|²)/2: one Newton step to unit length; of |q| = 1 + e leaves 1 − 3e²/2."""
+    """One Newton step to unit norm, q (3 − ``|q|²``)/2.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Quaternion of nearly unit norm.
+
+    Returns
+    -------
+    tuple of 4 float
+        The quaternion.
+
+    Notes
+    -----
+    A norm of 1 + e becomes 1 − 3e²/2.
+    """
     F = type(q[0])
     f = F(1.5) - F(0.5) * dot(q, q)
     return f * q[0], f * q[1], f * q[2], f * q[3]
@@ -146,7 +307,20 @@ def renormalise(q):
 
 @kernel
 def mul_vector(q, v):
-    """q∘(0, v): the derivative of q at the angular velocity 2v in body axes."""
+    """Product q∘(0, v), the derivative of q at the angular velocity 2v along body axes.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    v : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    tuple of 4 float
+        The product.
+    """
     return (
         -q[1] * v[0] - q[2] * v[1] - q[3] * v[2],
         q[0] * v[0] + q[2] * v[2] - q[3] * v[1],
@@ -157,44 +331,126 @@ def mul_vector(q, v):
 
 @kernel
 def derivative(q, w):
-    """q̇ = ½ q∘w, w the angular velocity in body axes, rad/s."""
+    """Derivative q̇ = ½ q∘w.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 4 float
+        q̇, 1/s.
+    """
     F = type(q[0])
     return mul_vector(q, (F(0.5) * w[0], F(0.5) * w[1], F(0.5) * w[2]))
 
 
 @kernel
 def derivative_inertial(q, w):
-    """q̇ = ½ w∘q, w the angular velocity in inertial axes, rad/s."""
+    """Derivative q̇ = ½ w∘q.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    w : tuple of 3 float
+        Angular velocity along inertial axes, rad/s.
+
+    Returns
+    -------
+    tuple of 4 float
+        q̇, 1/s.
+    """
     return conj(derivative(conj(q), (-w[0], -w[1], -w[2])))
 
 
 @kernel
 def rate(q, qdot):
-    """Angular velocity in body axes, w = 2 q*∘q̇, rad/s, of a unit q and its derivative."""
+    """Angular velocity along body axes from a derivative, w = 2 q*∘q̇.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    qdot : tuple of 4 float
+        Time derivative of q, 1/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity, rad/s.
+    """
     r = mul(conj(q), qdot)
     return r[1] + r[1], r[2] + r[2], r[3] + r[3]
 
 
 @kernel
 def rate_inertial(q, qdot):
-    """Angular velocity in inertial axes, w = 2 q̇∘q*, rad/s, of a unit q and its derivative."""
+    """Angular velocity along inertial axes from a derivative, w = 2 q̇∘q*.
+
+    Parameters
+    ----------
+    q : tuple of 4 float
+        Unit quaternion, body to inertial.
+    qdot : tuple of 4 float
+        Time derivative of q, 1/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity, rad/s.
+    """
     r = mul(qdot, conj(q))
     return r[1] + r[1], r[2] + r[2], r[3] + r[3]
 
 
 @kernel
 def slerp(p, q, s):
-    """Attitude a share s of the way from p to q along the shorter arc, both of unit length."""
+    """Interpolate between two attitudes along the shorter arc.
+
+    Parameters
+    ----------
+    p : tuple of 4 float
+        Unit quaternion at s = 0.
+    q : tuple of 4 float
+        Unit quaternion at s = 1.
+    s : float
+        Share of the way from p to q.
+
+    Returns
+    -------
+    tuple of 4 float
+        Unit quaternion.
+    """
     u = log(mul(conj(p), q))
     return mul(p, exp((s * u[0], s * u[1], s * u[2])))
 
 
 @kernel
 def angle(p, q):
-    """Geodesic angle between two unit attitudes, rad in [0, π]: 4 atan2(|p ∓ q|, |p ± q|).
+    """Geodesic angle between two attitudes, 4 atan2(``|p ∓ q|``, ``|p ± q|``).
 
-    Relative error at most 5e-16 (float64) from 1e-8 to π, where an arc cosine keeps half the
-    digits near either end; below 1e-8, absolute error at most 1e-16, the rounding of |p| and |q|.
+    Parameters
+    ----------
+    p : tuple of 4 float
+        Unit quaternion.
+    q : tuple of 4 float
+        Unit quaternion.
+
+    Returns
+    -------
+    float
+        The angle in [0, π], rad.
+
+    Notes
+    -----
+    The relative error is at most 5e-16 (float64) from 1e-8 to π, where an arc cosine would lose
+    half of the digits near both ends. Below 1e-8 the absolute error is at most 1e-16, the rounding
+    of the norms.
     """
     F = type(p[0])
     minus = (p[0] - q[0], p[1] - q[1], p[2] - q[2], p[3] - q[3])

@@ -1,8 +1,8 @@
-"""Euler's dynamic equations: momentum, energy and torques in principal body axes.
+"""Euler's dynamic equations: momentum, energy and torques along principal body axes.
 
-w is the angular velocity (rad/s), m = I w the angular momentum (N·m·s), both along principal body
-axes; ``inertia`` the three principal moments (kg·m²). Goldstein, *Classical Mechanics*, §5.5;
-Hughes, *Spacecraft Attitude Dynamics* (1986), ch. 4 and 8.
+w is the angular velocity (rad/s) and m = I w the angular momentum (N·m·s), both along principal
+body axes; ``inertia`` are the three principal moments (kg·m²). Goldstein, *Classical Mechanics*,
+§5.5; Hughes, *Spacecraft Attitude Dynamics* (1986), chapters 4 and 8.
 """
 
 import math
@@ -15,13 +15,37 @@ from fastatt.kernels.vec3 import add, cross, dot, scale
 
 @kernel
 def momentum(w, inertia):
-    """m = I w."""
+    """Angular momentum m = I w.
+
+    Parameters
+    ----------
+    w : tuple of 3 float
+        Angular velocity along principal axes, rad/s.
+    inertia : tuple of 3 float
+        Principal moments, kg·m².
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular momentum, N·m·s.
+    """
     return inertia[0] * w[0], inertia[1] * w[1], inertia[2] * w[2]
 
 
 @kernel
 def gyroscopic_coefficients(inertia):
-    """c = (1/I3 − 1/I2, 1/I1 − 1/I3, 1/I2 − 1/I1), without cancellation."""
+    """Coefficients (1/I3 − 1/I2, 1/I1 − 1/I3, 1/I2 − 1/I1), without cancellation.
+
+    Parameters
+    ----------
+    inertia : tuple of 3 float
+        Principal moments, kg·m².
+
+    Returns
+    -------
+    tuple of 3 float
+        The coefficients, 1/(kg·m²).
+    """
     return (
         (inertia[1] - inertia[2]) / (inertia[1] * inertia[2]),
         (inertia[2] - inertia[0]) / (inertia[2] * inertia[0]),
@@ -31,13 +55,45 @@ def gyroscopic_coefficients(inertia):
 
 @kernel
 def gyroscopic(m, c):
-    """m×w = (c1 m2 m3, c2 m3 m1, c3 m1 m2), c from ``gyroscopic_coefficients``."""
+    """Gyroscopic torque m×w = (c1 m2 m3, c2 m3 m1, c3 m1 m2).
+
+    Parameters
+    ----------
+    m : tuple of 3 float
+        Angular momentum along principal axes, N·m·s.
+    c : tuple of 3 float
+        Coefficients of :func:`gyroscopic_coefficients`.
+
+    Returns
+    -------
+    tuple of 3 float
+        Torque, N·m.
+    """
     return c[0] * m[1] * m[2], c[1] * m[2] * m[0], c[2] * m[0] * m[1]
 
 
 @kernel
 def acceleration(w, inertia, torque):
-    """ẇ of Euler's equations I1 ẇ1 + (I3 − I2) w2 w3 = τ1, cyclic, rad/s² (Hughes, eq. 4.1.3)."""
+    """Angular acceleration by Euler's equations, I1 ẇ1 + (I3 − I2) w2 w3 = τ1, cyclic.
+
+    Parameters
+    ----------
+    w : tuple of 3 float
+        Angular velocity along principal axes, rad/s.
+    inertia : tuple of 3 float
+        Principal moments, kg·m².
+    torque : tuple of 3 float
+        Torque along principal axes, N·m.
+
+    Returns
+    -------
+    tuple of 3 float
+        ẇ, rad/s².
+
+    References
+    ----------
+    Hughes (1986), equation 4.1.3.
+    """
     return (
         (torque[0] + (inertia[1] - inertia[2]) * w[1] * w[2]) / inertia[0],
         (torque[1] + (inertia[2] - inertia[0]) * w[2] * w[0]) / inertia[1],
@@ -47,16 +103,41 @@ def acceleration(w, inertia, torque):
 
 @kernel
 def kinetic_energy(w, inertia):
-    """T = ½ w·I w, J."""
+    """Kinetic energy ½ w·I w.
+
+    Parameters
+    ----------
+    w : tuple of 3 float
+        Angular velocity along principal axes, rad/s.
+    inertia : tuple of 3 float
+        Principal moments, kg·m².
+
+    Returns
+    -------
+    float
+        Energy, J.
+    """
     F = type(w[0])
     return F(0.5) * dot(w, momentum(w, inertia))
 
 
 @kernel
 def kinetic_energy_symmetric(angles, rates, inertia):
-    """T of a symmetric top in 3-1-3 angles and their rates; ``inertia`` is (I1, I3), J.
+    """Kinetic energy of a symmetric top in 3-1-3 angles and their rates.
 
-    ½ I1 (φ̇² sin²θ + θ̇²) + ½ I3 (φ̇ cosθ + ψ̇)².
+    Parameters
+    ----------
+    angles : tuple of 3 float
+        (φ, θ, ψ), rad.
+    rates : tuple of 3 float
+        (φ̇, θ̇, ψ̇), rad/s.
+    inertia : tuple of 2 float
+        (I1, I3), kg·m².
+
+    Returns
+    -------
+    float
+        ½ I1 (φ̇² sin²θ + θ̇²) + ½ I3 (φ̇ cosθ + ψ̇)², J.
     """
     F = type(angles[1])
     s, c = sincos(angles[1])
@@ -67,21 +148,63 @@ def kinetic_energy_symmetric(angles, rates, inertia):
 
 @kernel
 def damping(w, coefficients):
-    """Linear damping τ = −c w, axis by axis; c in N·m·s."""
+    """Linear damping τ = −c w, axis by axis.
+
+    Parameters
+    ----------
+    w : tuple of 3 float
+        Angular velocity along principal axes, rad/s.
+    coefficients : tuple of 3 float
+        c, N·m·s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Torque, N·m.
+    """
     return -coefficients[0] * w[0], -coefficients[1] * w[1], -coefficients[2] * w[2]
 
 
 @kernel
 def quadratic_damping(w, coefficient):
-    """Quadratic damping τ = −c |w| w; c in N·m·s²."""
+    """Quadratic damping τ = −c ``|w|`` w.
+
+    Parameters
+    ----------
+    w : tuple of 3 float
+        Angular velocity along principal axes, rad/s.
+    coefficient : float
+        c, N·m·s².
+
+    Returns
+    -------
+    tuple of 3 float
+        Torque, N·m.
+    """
     return scale(-coefficient * math.sqrt(dot(w, w)), w)
 
 
 @kernel
 def gravity_gradient(o, inertia, mean_motion):
-    """τ = 3 n² o×(I o) in a circular orbit, o the radial unit vector along body axes.
+    """Gravity-gradient torque τ = 3 n² o×(I o) in a circular orbit.
 
-    Hughes (1986), eq. 8.1.13; n in rad/s.
+    Parameters
+    ----------
+    o : tuple of 3 float
+        Radial unit vector along principal axes.
+    inertia : tuple of 3 float
+        Principal moments, kg·m².
+    mean_motion : float
+        n, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Torque, N·m.
+
+    References
+    ----------
+    Hughes (1986), equation 8.1.13.
     """
     F = type(o[0])
     k = F(3.0) * mean_motion * mean_motion
@@ -90,7 +213,24 @@ def gravity_gradient(o, inertia, mean_motion):
 
 @kernel
 def orbit_direction(t, mean_motion, radial, along):
-    """cos(nt) radial + sin(nt) along: the direction out from the planet, inertial axes."""
+    """Direction from the planet in a circular orbit, cos(n t) radial + sin(n t) along.
+
+    Parameters
+    ----------
+    t : float
+        Time, s.
+    mean_motion : float
+        n, rad/s.
+    radial : tuple of 3 float
+        Unit vector at t = 0.
+    along : tuple of 3 float
+        Unit vector along inertial axes.
+
+    Returns
+    -------
+    tuple of 3 float
+        Unit vector along inertial axes.
+    """
     s, c = sincos(mean_motion * t)
     F = type(radial[0])
     return add(scale(F(c), radial), scale(F(s), along))
@@ -98,9 +238,27 @@ def orbit_direction(t, mean_motion, radial, along):
 
 @kernel
 def kepler_correction(x, eccentricity, sine, cosine):
-    """A better x = E − M of Kepler's equation x = e sin(M + x), from sine and cosine of M.
+    """One correction of x = E − M in Kepler's equation x = e sin(M + x).
 
-    Danby and Burkardt, Celest. Mech. 31 (1983) 95, of order 4.
+    Parameters
+    ----------
+    x : float
+        Approximation of E − M, rad.
+    eccentricity : float
+        Eccentricity e.
+    sine : float
+        sin M.
+    cosine : float
+        cos M.
+
+    Returns
+    -------
+    float
+        The corrected x, rad.
+
+    References
+    ----------
+    Danby and Burkardt, *Celestial Mechanics* 31 (1983) 95, of order 4.
     """
     F = type(x)
     a, b = sincos(x)
@@ -115,10 +273,28 @@ def kepler_correction(x, eccentricity, sine, cosine):
 
 @kernel
 def kepler_direction(mean_anomaly, eccentricity, periapsis, along):
-    """(o, a/r) on an elliptic orbit: o the direction out from the planet, inertial axes.
+    """Direction from the planet and inverse distance in an elliptic orbit.
 
-    ``periapsis`` and ``along`` are unit vectors, towards the periapsis and along the velocity
-    there. Four times ``kepler_correction``. Error at most 3e-15 (float64) for e ≤ 0.9.
+    Parameters
+    ----------
+    mean_anomaly : float
+        Mean anomaly, rad.
+    eccentricity : float
+        Eccentricity e.
+    periapsis : tuple of 3 float
+        Unit vector towards the periapsis.
+    along : tuple of 3 float
+        Unit vector along the velocity there.
+
+    Returns
+    -------
+    tuple
+        (o, a/r): the unit vector along inertial axes, and the semi-major axis divided by the
+        distance.
+
+    Notes
+    -----
+    The error is at most 3e-15 (float64) for e ≤ 0.9, after four corrections.
     """
     F = type(eccentricity)
     e = eccentricity
@@ -139,10 +315,27 @@ def kepler_direction(mean_anomaly, eccentricity, periapsis, along):
 
 @kernel
 def quaternion_feedback(e, w, stiffness, damping):
-    """τ = −k sgn(e0) (e1, e2, e3) − c w, e the attitude relative to the target's.
+    """Quaternion feedback τ = −k sgn(e0) (e1, e2, e3) − c w, along the shorter rotation.
 
-    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3; k in N·m, c in N·m·s. Rotates the
-    shorter way.
+    Parameters
+    ----------
+    e : tuple of 4 float
+        Attitude relative to the target, a unit quaternion.
+    w : tuple of 3 float
+        Angular velocity along principal axes, rad/s.
+    stiffness : float
+        k, N·m.
+    damping : float
+        c, N·m·s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Torque, N·m.
+
+    References
+    ----------
+    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
     """
     k = stiffness if e[0] < type(e[0])(0.0) else -stiffness
     return k * e[1] - damping * w[0], k * e[2] - damping * w[1], k * e[3] - damping * w[2]
@@ -150,14 +343,38 @@ def quaternion_feedback(e, w, stiffness, damping):
 
 @kernel
 def sign_of_scalar(e):
-    """1 or −1, the sign of a quaternion's scalar part; of zero 1."""
+    """The sign of a quaternion's scalar part.
+
+    Parameters
+    ----------
+    e : tuple of 4 float
+        Quaternion.
+
+    Returns
+    -------
+    float
+        1 or −1; 1 for zero.
+    """
     F = type(e[0])
     return F(-1.0) if e[0] < F(0.0) else F(1.0)
 
 
 @kernel
 def saturated(v, limit):
-    """Each component within ±limit, three numbers above 0; NaN stays."""
+    """Limit each component of a vector to ±limit.
+
+    Parameters
+    ----------
+    v : tuple of 3 float
+        Vector.
+    limit : tuple of 3 float
+        Limits, above 0.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector; NaN remains.
+    """
     x = limit[0] if v[0] > limit[0] else v[0]
     y = limit[1] if v[1] > limit[1] else v[1]
     z = limit[2] if v[2] > limit[2] else v[2]
@@ -170,15 +387,41 @@ def saturated(v, limit):
 
 @kernel
 def target_error(target, q):
-    """target*∘q: the attitude seen from the target's."""
+    """Attitude relative to a target, target*∘q.
+
+    Parameters
+    ----------
+    target : tuple of 4 float
+        Target, a unit quaternion.
+    q : tuple of 4 float
+        Attitude, a unit quaternion.
+
+    Returns
+    -------
+    tuple of 4 float
+        The attitude error.
+    """
     return quat.mul(quat.conj(target), q)
 
 
 @kernel
 def exp_decay(x):
-    """(e^−x, (1 − e^−x)/x), the flow of linear damping; |x| ≤ 176, beyond which it counts as that.
+    """The flow of linear damping, (e^−x, (1 − e^−x)/x).
 
-    The second is e^−y sinh(y)/y with y = x/2. Relative error at most 1e-15 (float64).
+    Parameters
+    ----------
+    x : float
+        Argument; ``|x|`` above 176 is treated as 176.
+
+    Returns
+    -------
+    tuple of 2 float
+        The pair.
+
+    Notes
+    -----
+    The second is computed as e^−y sinh(y)/y with y = x/2. The relative error is at most 1e-15
+    (float64).
     """
     F = type(x)
     y = F(0.5) * x

@@ -1,8 +1,9 @@
-"""Rotation vectors: Jacobians of the exponential map and the rotation vector's own equation.
+"""Rotation vectors: Jacobians of the exponential map, and the equation of the rotation vector.
 
-φ is a rotation vector (rad), θ = |φ|, [φ] its cross-product matrix; matrices are 9-tuples row by
-row. Bortz, IEEE Trans. AES 7 (1971) 61; Chirikjian, *Stochastic Models* II (2012), §10.8.6;
-Iserles et al., "Lie-group methods", Acta Numerica 9 (2000).
+φ is a rotation vector (rad), θ = ``|φ|``, and [φ] its cross-product matrix. Matrices are tuples of
+nine numbers, row by row. Bortz, *IEEE Transactions on Aerospace and Electronic Systems* 7 (1971)
+61; Chirikjian, *Stochastic Models* II (2012), §10.8.6; Iserles et al., "Lie-group methods", *Acta
+Numerica* 9 (2000).
 """
 
 import math
@@ -19,7 +20,18 @@ from fastatt.kernels.vec3 import cross, dot, scale
 
 @kernel
 def hat(v):
-    """[v×], the matrix of the cross product."""
+    """The matrix [v×] of the cross product.
+
+    Parameters
+    ----------
+    v : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    tuple of 9 float
+        The matrix.
+    """
     F = type(v[0])
     o = F(0.0)
     return o, -v[2], v[1], v[2], o, -v[0], -v[1], v[0], o
@@ -27,14 +39,40 @@ def hat(v):
 
 @kernel
 def vee(a):
-    """The vector of the skew part of a matrix."""
+    """The vector of the skew-symmetric part of a matrix.
+
+    Parameters
+    ----------
+    a : tuple of 9 float
+        Matrix, row by row.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector.
+    """
     F = type(a[0])
     return F(0.5) * (a[7] - a[5]), F(0.5) * (a[2] - a[6]), F(0.5) * (a[3] - a[1])
 
 
 @kernel
 def second_order(b, c, v):
-    """1 + b [v] + c [v]², the general isotropic matrix function of v."""
+    """The matrix 1 + b [v] + c [v]², the general isotropic function of v.
+
+    Parameters
+    ----------
+    b : float
+        Coefficient.
+    c : float
+        Coefficient.
+    v : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    tuple of 9 float
+        The matrix.
+    """
     F = type(v[0])
     xy = c * v[0] * v[1]
     xz = c * v[0] * v[2]
@@ -51,7 +89,24 @@ def second_order(b, c, v):
 
 @kernel
 def second_order_apply(b, c, v, x):
-    """(1 + b [v] + c [v]²) x = x + b v×x + c v×(v×x), without the matrix."""
+    """The vector x + b v×x + c v×(v×x), without the matrix.
+
+    Parameters
+    ----------
+    b : float
+        Coefficient.
+    c : float
+        Coefficient.
+    v : tuple of 3 float
+        Vector.
+    x : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector.
+    """
     p = cross(v, x)
     r = cross(v, p)
     return x[0] + b * p[0] + c * r[0], x[1] + b * p[1] + c * r[1], x[2] + b * p[2] + c * r[2]
@@ -59,9 +114,21 @@ def second_order_apply(b, c, v, x):
 
 @kernel
 def jacobian_coefficients(z):
-    """((1 − cos θ)/θ², (θ − sin θ)/θ³) of z = θ², any θ, without cancellation.
+    """((1 − cos θ)/θ², (θ − sin θ)/θ³) for any θ, without cancellation.
 
-    Relative error at most 1e-15 (float64) for θ ≤ π.
+    Parameters
+    ----------
+    z : float
+        θ², rad².
+
+    Returns
+    -------
+    tuple of 2 float
+        The coefficients.
+
+    Notes
+    -----
+    The relative error is at most 1e-15 (float64) for θ ≤ π.
     """
     F = type(z)
     s, c = half_sinc_cos_wide(z)
@@ -73,10 +140,22 @@ def jacobian_coefficients(z):
 
 @kernel
 def second_integral_coefficient(z):
-    """(θ²/2 + cos θ − 1)/θ⁴ of z = θ², any θ, without cancellation.
+    """(θ²/2 + cos θ − 1)/θ⁴ for any θ, without cancellation.
 
-    With x = θ/2, (1 + sin x/x) (x − sin x)/(8 x³). Relative error at most 1e-15 (float64) for
-    θ ≤ π.
+    Parameters
+    ----------
+    z : float
+        θ², rad².
+
+    Returns
+    -------
+    float
+        The coefficient.
+
+    Notes
+    -----
+    It is computed as (1 + sin x/x) (x − sin x)/(8 x³) with x = θ/2. The relative error is at most
+    1e-15 (float64) for θ ≤ π.
     """
     F = type(z)
     quarter = F(0.25) * z
@@ -87,9 +166,21 @@ def second_integral_coefficient(z):
 
 @kernel
 def square_integral_coefficient(z):
-    """(θ³/3 − 2θ + 2 sin θ)/θ⁵ of z = θ², any θ, without cancellation.
+    """(θ³/3 − 2θ + 2 sin θ)/θ⁵ for any θ, without cancellation.
 
-    ∫₀¹ Jr(sφ) Jr(sφ)ᵀ s² ds is 1/3 + this [φ]². Relative error at most 1e-15 (float64).
+    Parameters
+    ----------
+    z : float
+        θ², rad².
+
+    Returns
+    -------
+    float
+        The coefficient.
+
+    Notes
+    -----
+    ∫₀¹ Jr(sφ) Jr(sφ)ᵀ s² ds is 1/3 + this [φ]². The relative error is at most 1e-15 (float64).
     """
     F = type(z)
     past = z > F(math.pi * math.pi)
@@ -101,9 +192,21 @@ def square_integral_coefficient(z):
 
 @kernel
 def inverse_coefficient(z):
-    """(1 − (θ/2) cot(θ/2))/θ² of z = θ², any θ but the multiples of 2π, where it is infinite.
+    """(1 − (θ/2) cot(θ/2))/θ² for any θ; infinite at multiples of 2π.
 
-    Relative error at most 1e-15 (float64) for θ ≤ π.
+    Parameters
+    ----------
+    z : float
+        θ², rad².
+
+    Returns
+    -------
+    float
+        The coefficient.
+
+    Notes
+    -----
+    The relative error is at most 1e-15 (float64) for θ ≤ π.
     """
     F = type(z)
     s, c = half_sinc_cos_wide(z)
@@ -115,38 +218,99 @@ def inverse_coefficient(z):
 
 @kernel
 def right_jacobian(phi):
-    """Jr = 1 − (1 − cos θ)/θ² [φ] + (θ − sin θ)/θ³ [φ]²: exp(φ + δ) ≈ exp(φ) exp(Jr δ)."""
+    """Right Jacobian Jr: exp(φ + δ) ≈ exp(φ) exp(Jr δ).
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Jr = 1 − (1 − cos θ)/θ² [φ] + (θ − sin θ)/θ³ [φ]².
+    """
     b, c = jacobian_coefficients(dot(phi, phi))
     return second_order(-b, c, phi)
 
 
 @kernel
 def left_jacobian(phi):
-    """Jl = Jr(−φ) = Jrᵀ: exp(φ + δ) ≈ exp(Jl δ) exp(φ)."""
+    """Left Jacobian Jl: exp(φ + δ) ≈ exp(Jl δ) exp(φ).
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Jl = Jr(−φ) = Jrᵀ.
+    """
     b, c = jacobian_coefficients(dot(phi, phi))
     return second_order(b, c, phi)
 
 
 @kernel
 def right_jacobian_inverse(phi):
-    """Jr⁻¹ = 1 + ½ [φ] + (1 − (θ/2) cot(θ/2))/θ² [φ]²; singular at θ = 2π."""
+    """Inverse of the right Jacobian; singular at θ = 2π.
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Jr⁻¹ = 1 + ½ [φ] + (1 − (θ/2) cot(θ/2))/θ² [φ]².
+    """
     F = type(phi[0])
     return second_order(F(0.5), inverse_coefficient(dot(phi, phi)), phi)
 
 
 @kernel
 def left_jacobian_inverse(phi):
-    """Jl⁻¹ = 1 − ½ [φ] + (1 − (θ/2) cot(θ/2))/θ² [φ]²; singular at θ = 2π."""
+    """Inverse of the left Jacobian; singular at θ = 2π.
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+
+    Returns
+    -------
+    tuple of 9 float
+        Jl⁻¹ = 1 − ½ [φ] + (1 − (θ/2) cot(θ/2))/θ² [φ]².
+    """
     F = type(phi[0])
     return second_order(F(-0.5), inverse_coefficient(dot(phi, phi)), phi)
 
 
 @kernel
 def dexpinv(phi, w):
-    """φ̇ = w + ½ φ×w + (1 − (θ/2) cot(θ/2))/θ² φ×(φ×w), w in body axes, rad/s.
+    """Derivative of the rotation vector, φ̇ = Jr⁻¹ w; singular at θ = 2π.
 
-    The rotation vector's equation (Bortz 1971, eq. 3), Jr⁻¹ w; singular at θ = 2π.
-    For w in inertial axes: −dexpinv(−φ, −w), Jl⁻¹ w.
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        φ̇ = w + ½ φ×w + (1 − (θ/2) cot(θ/2))/θ² φ×(φ×w), rad/s.
+
+    Notes
+    -----
+    For w along inertial axes φ̇ = Jl⁻¹ w = −dexpinv(−φ, −w).
+
+    References
+    ----------
+    Bortz (1971), equation 3.
     """
     F = type(w[0])
     return second_order_apply(F(0.5), inverse_coefficient(dot(phi, phi)), phi, w)
@@ -154,28 +318,80 @@ def dexpinv(phi, w):
 
 @kernel
 def dexpinv_short(phi, w):
-    """``dexpinv`` for a rotation vector of at most π, without a root; beyond, meaningless."""
+    """:func:`dexpinv` for a rotation vector of at most π, without a root.
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+    w : tuple of 3 float
+        Angular velocity along body axes, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        φ̇, rad/s; meaningless beyond π.
+    """
     F = type(w[0])
     return second_order_apply(F(0.5), cot_remainder(dot(phi, phi)), phi, w)
 
 
 @kernel
 def dexp(phi, phidot):
-    """w = Jr φ̇ in body axes, rad/s: the angular velocity of a changing rotation vector."""
+    """Angular velocity of a changing rotation vector, w = Jr φ̇.
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+    phidot : tuple of 3 float
+        Time derivative φ̇, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity along body axes, rad/s.
+    """
     b, c = jacobian_coefficients(dot(phi, phi))
     return second_order_apply(-b, c, phi, phidot)
 
 
 @kernel
 def turned_integral(phi, f):
-    """∫₀¹ exp(sφ) f ds = Jl(φ) f."""
+    """The integral ∫₀¹ exp(sφ) f ds = Jl(φ) f.
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+    f : tuple of 3 float
+        Vector f.
+
+    Returns
+    -------
+    tuple of 3 float
+        The integral.
+    """
     b, c = jacobian_coefficients(dot(phi, phi))
     return second_order_apply(b, c, phi, f)
 
 
 @kernel
 def turned_second_integral(phi, f):
-    """∫₀¹ ∫₀ʳ exp(sφ) f ds dr = (½ + (θ − sin θ)/θ³ [φ] + (θ²/2 + cos θ − 1)/θ⁴ [φ]²) f."""
+    """The integral ∫₀¹ ∫₀ʳ exp(sφ) f ds dr.
+
+    Parameters
+    ----------
+    phi : tuple of 3 float
+        Rotation vector φ, rad.
+    f : tuple of 3 float
+        Vector f.
+
+    Returns
+    -------
+    tuple of 3 float
+        (½ + (θ − sin θ)/θ³ [φ] + (θ²/2 + cos θ − 1)/θ⁴ [φ]²) f.
+    """
     F = type(phi[0])
     z = dot(phi, phi)
     _, b = jacobian_coefficients(z)

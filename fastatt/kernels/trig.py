@@ -1,9 +1,9 @@
-"""Elementary functions that vectorise: no call, no branch, no table.
+"""Elementary functions that vectorise: without calls, branches and tables.
 
-Numba has no vector sine on a plain install, so one call of ``math.sin`` makes a whole tile loop
-scalar. Polynomials are near-minimax fits in the squared argument (Chebyshev nodes, 50 digits);
-the first coefficients are exact, so that tiny arguments lose nothing. Every reduction subtracts
-2π in three parts, the first two short enough (8 and 11 bits) for an exact product with the
+Numba has no vector sine on a plain installation, so that one call of ``math.sin`` makes a whole
+loop scalar. Polynomials are near-minimax fits in the squared argument (Chebyshev nodes, 50 digits)
+with exact first coefficients, so that tiny arguments keep their digits. Reductions subtract 2π in
+three parts, the first two of which are short enough (8 and 11 bits) for an exact product with the
 multiples of 2π in float64 and in float32 (Cody and Waite, 1980).
 """
 
@@ -14,6 +14,8 @@ import math
 import numpy as np
 
 from fastatt._jit import kernel
+
+__all__ = ["atan2", "half_sinc_cos", "half_sinc_cos_wide", "sincos", "sincos_bounded"]
 
 TWO_PI_1 = 6.28125
 TWO_PI_2 = 0.0019350051879882812
@@ -26,13 +28,14 @@ LN_2_LOW = 1.4286068203094173e-06
 def reduce_turns(x):
     """The angle x less multiples of 2π, in [−π, π] to ulps of x, and their number as a float.
 
-    Absolute error at most 2.5e-16 (float64) for |x| ≤ 1e6 rad, about 1 ulp of x beyond; where an
-    ulp of x exceeds 2π the result is arbitrary but at most 3.15. A non-finite x gives NaN.
+    The absolute error is at most 2.5e-16 (float64) for ``|x|`` ≤ 1e6 rad, and about 1 ulp of x
+    beyond. If an ulp of x exceeds 2π the result is arbitrary but at most 3.15. NaN and infinity
+    give NaN.
     """
     F = type(x)
     k = np.rint(x * F(0.5 / math.pi))
     r = ((x - k * F(TWO_PI_1)) - k * F(TWO_PI_2)) - k * F(TWO_PI_3)
-    # not π: near an odd multiple of π the rounding of k leaves a little more, still correct
+    # not π: near an odd multiple of π the rounding of k gives a slightly larger angle
     r = F(3.15) if r > F(3.15) else r
     r = F(-3.15) if r < F(-3.15) else r
     return r, k
@@ -47,10 +50,22 @@ def is_odd(k):
 
 @kernel
 def sincos(x):
-    """(sin x, cos x), x in rad.
+    """Sine and cosine.
 
-    Absolute error at most 1.4e-16 (float64) for |x| ≤ 1e6; beyond, that of x moved by an ulp. Any
-    x gives a sine and a cosine of one angle.
+    Parameters
+    ----------
+    x : float
+        Angle, rad.
+
+    Returns
+    -------
+    tuple of 2 float
+        (sin x, cos x).
+
+    Notes
+    -----
+    The absolute error is at most 1.4e-16 (float64) for ``|x|`` ≤ 1e6; beyond, it is that of x moved
+    by an ulp. Any x gives sine and cosine of one angle.
     """
     F = type(x)
     r, k = reduce_quarters(x)
@@ -61,10 +76,22 @@ def sincos(x):
 
 @kernel
 def sincos_bounded(x):
-    """``sincos`` of |x| ≤ 1e13 (float32: 1e4) in two operations less, for the steps of methods.
+    """Sine and cosine of bounded angles, in two operations less than :func:`sincos`.
 
-    Up to 1e15 (1e6) off by that of x moved by an ulp. A rotation by a larger angle changes
-    lengths, so that it shows.
+    Parameters
+    ----------
+    x : float
+        Angle, rad, ``|x|`` ≤ 1e13 (float32: 1e4).
+
+    Returns
+    -------
+    tuple of 2 float
+        (sin x, cos x).
+
+    Notes
+    -----
+    Up to 1e15 (float32: 1e6) the error is that of x moved by an ulp. A rotation by a larger angle
+    changes lengths, so that the error is noticed.
     """
     r, k = reduce_quarters(x)
     return sincos_short(r, k)
@@ -72,7 +99,7 @@ def sincos_bounded(x):
 
 @kernel
 def reduce_quarters(x):
-    """The angle x less multiples of π/2, in ±π/4 give or take ulps of x, and the quarters."""
+    """The angle x less multiples of π/2, in ±π/4 to ulps of x, and the number of quarters."""
     F = type(x)
     k = np.rint(x * F(2.0 / math.pi))
     r = x - k * F(0.25 * TWO_PI_1)
@@ -83,7 +110,7 @@ def reduce_quarters(x):
 
 @kernel
 def sincos_short(r, k):
-    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4, a whole number k (a float)."""
+    """(sin x, cos x) of the angle x = r + k π/2 with r in ±π/4 and a whole number k (a float)."""
     s, c = short_waves(r, r * r)
     C, S = quarter_turns(k)
     return s * C + c * S, c * C - s * S
@@ -91,14 +118,14 @@ def sincos_short(r, k):
 
 @kernel
 def quarter_turns(k):
-    """(cos, sin) of a whole number (a float) times π/2, exactly."""
+    """(cos, sin) of π/2 times a whole number (a float), exactly."""
     F = type(k)
     return within_a_turn(k - F(4.0) * np.rint(F(0.25) * k))
 
 
 @kernel
 def within_a_turn(k):
-    """(cos, sin) of k π/2, k = −2, −1, 0, 1 or 2."""
+    """(cos, sin) of k π/2 for k = −2, −1, 0, 1 or 2."""
     F = type(k)
     size = abs(k)
     return F(1.0) - size, k * (F(2.0) - size)
@@ -106,10 +133,21 @@ def within_a_turn(k):
 
 @kernel
 def half_sinc_cos(z):
-    """(sin(θ/2)/θ, cos(θ/2)) of z = θ², 0 ≤ θ ≤ π: polynomials, no root and no 0/0.
+    """(sin(θ/2)/θ, cos(θ/2)) for 0 ≤ θ ≤ π, by polynomials in θ².
 
-    Error at most 1.2e-16, of the first also 2e-16 in relation to it (float64); outside the range
-    the values are meaningless.
+    Parameters
+    ----------
+    z : float
+        θ², rad².
+
+    Returns
+    -------
+    tuple of 2 float
+        The pair; meaningless outside of the range.
+
+    Notes
+    -----
+    The error is at most 1.2e-16, and that of the first at most 2e-16 relative to it (float64).
     """
     F = type(z)
     s = F(2.0839269767657467e-20)
@@ -135,7 +173,18 @@ def half_sinc_cos(z):
 
 @kernel
 def half_sinc_cos_wide(z):
-    """(sin(θ/2)/θ, cos(θ/2)) of z = θ² for any θ; bit for bit ``half_sinc_cos`` up to π."""
+    """(sin(θ/2)/θ, cos(θ/2)) for any θ.
+
+    Parameters
+    ----------
+    z : float
+        θ², rad².
+
+    Returns
+    -------
+    tuple of 2 float
+        The pair, with the same bits as :func:`half_sinc_cos` up to π.
+    """
     F = type(z)
     theta = math.sqrt(z)
     r, k = reduce_turns(theta)
@@ -149,9 +198,9 @@ def half_sinc_cos_wide(z):
 
 @kernel
 def sin_remainder(z):
-    """(θ − sin θ)/θ³ of z = θ², 0 ≤ θ ≤ π, where the plain formula loses every digit near 0.
+    """(θ − sin θ)/θ³ from z = θ², 0 ≤ θ ≤ π; the plain formula would lose all digits near 0.
 
-    Relative error at most 2.5e-16 (float64).
+    The relative error is at most 2.5e-16 (float64).
     """
     F = type(z)
     g = F(-1.775165055612406e-20)
@@ -169,9 +218,9 @@ def sin_remainder(z):
 
 @kernel
 def sin_second_remainder(z):
-    """(θ³/6 − θ + sin θ)/θ⁵ of z = θ², 0 ≤ θ ≤ π, where the plain formula loses every digit near 0.
+    """(θ³/6 − θ + sin θ)/θ⁵ from z = θ², 0 ≤ θ ≤ π; the plain formula would lose all digits near 0.
 
-    Relative error at most 3e-16 (float64).
+    The relative error is at most 3e-16 (float64).
     """
     F = type(z)
     g = F(1.8103850818789028e-20)
@@ -188,9 +237,9 @@ def sin_second_remainder(z):
 
 @kernel
 def cot_remainder(z):
-    """(1 − (θ/2) cot(θ/2))/θ² of z = θ², 0 ≤ θ ≤ π; the pole at 2π is divided out of the fit.
+    """(1 − (θ/2) cot(θ/2))/θ² from z = θ², 0 ≤ θ ≤ π; the pole at 2π is divided out of the fit.
 
-    Relative error at most 4e-16 (float64).
+    The relative error is at most 4e-16 (float64).
     """
     F = type(z)
     c = F(-3.385472847881499e-20)
@@ -208,10 +257,24 @@ def cot_remainder(z):
 
 @kernel
 def atan2(y, x):
-    """The angle of the point (x, y) in (−π, π], rad; 0 at the origin.
+    """The angle of the point (x, y) in (−π, π].
 
-    Relative error at most 4e-16 (float64) while |x| + |y| is finite; the sign of a zero y is
-    not seen.
+    Parameters
+    ----------
+    y : float
+        Ordinate.
+    x : float
+        Abscissa.
+
+    Returns
+    -------
+    float
+        The angle, rad; 0 at the origin.
+
+    Notes
+    -----
+    The relative error is at most 4e-16 (float64) while ``|x| + |y|`` is finite. The sign of a zero
+    y is ignored.
     """
     F = type(y)
     ay = abs(y)
@@ -220,7 +283,7 @@ def atan2(y, x):
     low = ax if steep else ay
     high = ay if steep else ax
     high = F(1.0) if high == F(0.0) else high
-    # above tan(π/8): atan t = π/4 + atan((t − 1)/(t + 1)), still in one division
+    # above tan(π/8): atan t = π/4 + atan((t − 1)/(t + 1)), also with one division
     past = low > F(0.41421356237309503) * high
     above = low - high if past else low
     below = low + high if past else high
@@ -246,7 +309,7 @@ def atan2(y, x):
 
 @kernel
 def reduce_powers(x):
-    """(k, x − k ln 2) with the remainder in ±0.35, |x| ≤ 88; k is a float.
+    """(k, x − k ln 2) with a remainder in ±0.35 for ``|x|`` ≤ 88; k is a float.
 
     Cody and Waite (1980): ln 2 in two parts, the first of 13 bits, so that its product is exact.
     """
@@ -258,10 +321,10 @@ def reduce_powers(x):
 
 @kernel
 def short_waves(r, z):
-    """(sin r, cos r) of z = r², |r| ≤ π/4; of z = −r², |r| ≤ 0.35, (sinh r, cosh r).
+    """(sin r, cos r) for z = r², ``|r|`` ≤ π/4; (sinh r, cosh r) for z = −r², ``|r|`` ≤ 0.35.
 
-    One pair of polynomials for both, fitted from z = −0.121 to 0.618. Absolute error at most
-    1.4e-16, of sinh and cosh relative error at most 3e-16 (float64).
+    One pair of polynomials serves both, fitted from z = −0.121 to 0.618. The absolute error is at
+    most 1.4e-16, the relative error of sinh and cosh at most 3e-16 (float64).
     """
     F = type(r)
     s = F(1.5945514185115612e-10)
@@ -283,7 +346,7 @@ def short_waves(r, z):
 
 @kernel
 def power_of_two(n):
-    """2ⁿ of a whole number 0 ≤ n ≤ 127 (a float), bit by bit."""
+    """2ⁿ for a whole number 0 ≤ n ≤ 127 (a float), bit by bit."""
     F = type(n)
     p = F(1.8446744073709552e19) if n >= F(64.0) else F(1.0)
     n = n - F(64.0) if n >= F(64.0) else n
@@ -303,7 +366,7 @@ def power_of_two(n):
 
 @kernel
 def powers_of_two(k):
-    """(2ᵏ, 2⁻ᵏ) of a whole number k (a float) in ±127."""
+    """(2ᵏ, 2⁻ᵏ) for a whole number k (a float) in ±127."""
     F = type(k)
     p = power_of_two(abs(k))
     q = F(1.0) / p
@@ -320,9 +383,9 @@ def octave(n, a, b, count, power):
 
 @kernel
 def octaves(a, b):
-    """A whole number n (a float) and 2ⁿ b, of which a > 0 is more than half and less than twice.
+    """A whole number n (a float) and 2ⁿ b, with a > 0 more than half and less than twice that.
 
-    0 < b ≤ a, and a/b below 2¹⁰²⁴ (float32: 2¹²⁷).
+    0 < b ≤ a, and a/b is below 2¹⁰²⁴ (float32: 2¹²⁷).
     """
     F = type(a)
     n, b = octave(F(0.0), a, b, F(512.0), F(2.0**512))
@@ -339,9 +402,9 @@ def octaves(a, b):
 
 @kernel
 def log_ratio(a, b, over, under):
-    """ln(a/b), a ≥ b > 0, where over/under is (a − b)/(a + b): exactly, and not of rounded a and b.
+    """ln(a/b) for a ≥ b > 0, where over/under is the exact (a − b)/(a + b).
 
-    Relative error at most 5e-16 (float64) in addition to that of ``over`` and ``under``.
+    The relative error is at most 5e-16 (float64) in addition to that of ``over`` and ``under``.
     """
     F = type(a)
     n, b = octaves(a, b)

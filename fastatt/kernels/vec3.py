@@ -1,17 +1,43 @@
-"""3-vectors as tuples."""
+"""Vectors as tuples of three numbers."""
 
 from fastatt._jit import kernel
 
 
 @kernel
 def dot(a, b):
-    """Scalar product a·b."""
+    """Scalar product a·b.
+
+    Parameters
+    ----------
+    a : tuple of 3 float
+        First vector.
+    b : tuple of 3 float
+        Second vector.
+
+    Returns
+    -------
+    float
+        The product.
+    """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
 def cross(a, b):
-    """Vector product a×b."""
+    """Vector product a×b.
+
+    Parameters
+    ----------
+    a : tuple of 3 float
+        First vector.
+    b : tuple of 3 float
+        Second vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The product.
+    """
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -21,41 +47,136 @@ def cross(a, b):
 
 @kernel
 def add(a, b):
-    """Sum a + b."""
+    """Sum a + b.
+
+    Parameters
+    ----------
+    a : tuple of 3 float
+        First vector.
+    b : tuple of 3 float
+        Second vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The sum.
+    """
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel
 def sub(a, b):
-    """Difference a − b."""
+    """Difference a − b.
+
+    Parameters
+    ----------
+    a : tuple of 3 float
+        First vector.
+    b : tuple of 3 float
+        Second vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The difference.
+    """
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel
 def scale(k, a):
-    """Multiple k a."""
+    """Multiple k a.
+
+    Parameters
+    ----------
+    k : float
+        Factor.
+    a : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector.
+    """
     return k * a[0], k * a[1], k * a[2]
 
 
 @kernel
 def axpy(k, a, b):
-    """Sum k a + b."""
+    """Sum k a + b.
+
+    Parameters
+    ----------
+    k : float
+        Factor.
+    a : tuple of 3 float
+        First vector.
+    b : tuple of 3 float
+        Second vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The sum.
+    """
     return k * a[0] + b[0], k * a[1] + b[1], k * a[2] + b[2]
 
 
 @kernel
 def neg(a):
-    """Opposite −a."""
+    """Opposite vector −a.
+
+    Parameters
+    ----------
+    a : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    tuple of 3 float
+        The vector.
+    """
     return -a[0], -a[1], -a[2]
 
 
 @kernel
 def turn_first(v, c, s):
-    """v seen from axes turned about axis 1, c and s cosine and sine of the angle."""
+    """Components of a vector along axes that are rotated about axis 1.
+
+    Parameters
+    ----------
+    v : tuple of 3 float
+        Vector.
+    c : float
+        Cosine of the rotation angle.
+    s : float
+        Sine of the rotation angle.
+
+    Returns
+    -------
+    tuple of 3 float
+        The components.
+    """
     return v[0], c * v[1] + s * v[2], c * v[2] - s * v[1]
 
 
 @kernel
 def turn_third(v, c, s):
-    """v seen from axes turned about axis 3, c and s cosine and sine of the angle."""
+    """Components of a vector along axes that are rotated about axis 3.
+
+    Parameters
+    ----------
+    v : tuple of 3 float
+        Vector.
+    c : float
+        Cosine of the rotation angle.
+    s : float
+        Sine of the rotation angle.
+
+    Returns
+    -------
+    tuple of 3 float
+        The components.
+    """
     return c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]

@@ -1,4 +1,4 @@
-"""Gyro logs: read as they are found, integrated to attitudes, compared with a reference."""
+"""Gyro logs: reading files, integrating them to attitudes, comparing these with a reference."""
 
 from fastatt.logs.log import GyroLog, read_gyro_log
 from fastatt.logs.names import GyroLogError, GyroLogWarning

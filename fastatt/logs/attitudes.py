@@ -1,4 +1,4 @@
-"""Files of attitudes: rows t (s), q0 ... q3, and with pieces the piece's number."""
+"""Files of attitudes with rows t (s), q0 ... q3 and, for a log in pieces, the piece's number."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from fastatt.logs.names import GyroLogError
 Rows = NDArray[np.float64]
 _NAMES = ("t", "q0", "q1", "q2", "q3", "piece")
 _CHUNK = 1 << 17  # rows
-_UNIX = 1e8  # s, from which on stamps are Unix time: 1973
+_UNIX = 1e8  # s (1973); larger time stamps are Unix time
 
 
 def attitude_rows(log: GyroLog, q0: ArrayLike, method: str, *, pieces: bool = False) -> Rows:
-    """A log's times and attitudes, (n, 5), each piece from ``q0`` on.
+    """Times and attitudes of a log, (n, 5), with each piece integrated from ``q0``.
 
-    Times are Unix time, s, where the log's stamps are, else s from the first sample. With
-    ``pieces`` a sixth column has their numbers.
+    Times are Unix time, s, if the log's stamps are, else s from the first sample. With ``pieces`` a
+    sixth column has the number of the piece.
     """
     rows = np.empty((len(log.t), 5 + pieces))
     rows[:, 0] = log.t + (log.start if log.start > _UNIX else 0.0)
@@ -45,11 +45,11 @@ def attitude_rows(log: GyroLog, q0: ArrayLike, method: str, *, pieces: bool = Fa
 
 
 def attitude_file(path: Path) -> Callable[[Rows], None]:
-    """A function that writes rows to a file, whole or not at all.
+    """A function that writes rows to a file, completely or not at all.
 
-    ``.npy`` is an array, ``.csv`` has a line of names, ``.zarr`` is an array of Zarr.
+    ``.npy`` is an array, ``.csv`` has a line of names, ``.zarr`` is a Zarr array.
 
-    Raises ``GyroLogError`` for another ending, and for a directory that is no such array.
+    Raises ``GyroLogError`` for another ending, and for a directory that is not such an array.
     """
     kinds = {".npy": _npy, ".csv": _csv, ".zarr": _zarr}
     if path.suffix not in kinds:
@@ -78,7 +78,7 @@ def attitude_file(path: Path) -> Callable[[Rows], None]:
 
 
 def _is_zarr_array(path: Path) -> bool:
-    """Whether a directory is an array of Zarr, not a group of them."""
+    """Whether a directory is a Zarr array, not a group of them."""
     if path.suffix != ".zarr":
         return False
     with suppress(OSError, ValueError):

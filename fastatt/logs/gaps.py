@@ -1,8 +1,8 @@
-"""Rows that are no samples: without numbers, with stamps that do not grow, before and after gaps.
+"""Rows that are not samples: without numbers, with stamps that do not increase, and at gaps.
 
-A stamp that does not grow, or leaps, is an outlier where the rows after it go on from the row
-before it; else the clock was reset, or there is a gap. Many equal stamps are those of packets, or
-too coarse for the rate: such rows are samples, and their times are spread evenly.
+A stamp that does not increase, or jumps ahead, is an outlier if the rows after it continue from the
+row before it; otherwise the clock was reset, or there is a gap. Many equal stamps are those of
+packets, or too coarse for the rate: such rows are samples, and their times are spread evenly.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from fastatt.logs.tables import Table
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 ON_BAD_ROWS = ("refuse", "drop", "split", "hold")
-_GAP = 10.0  # an interval this many times the usual is a gap
-_AHEAD = 8  # rows that distinguish an outlier from a reset: as many in a row can be outliers
-_REGULAR = 2.5  # usual intervals, the longest step of rows that follow each other
-_SHARED = 0.05  # of the rows, and 3 at least, share a stamp where it is no single repetition
+_GAP = 10.0  # an interval this many times the usual one is a gap
+_AHEAD = 8  # rows that distinguish outliers from a reset; as many successive rows can be outliers
+_REGULAR = 2.5  # the longest step between successive rows, in usual intervals
+_SHARED = 0.05  # share of rows (at least 3) with a repeated stamp, beyond which stamps are shared
 
 
 class Samples(NamedTuple):
     """Rows in order, as samples.
 
-    ``t``: s from the first; ``rows``: their places in the table; ``held``: samples with the rates
-    of the sample before; ``added``: samples that are no row, which hold the rates up to a gap's
-    end; ``cuts``: where a piece begins; ``said``: what the summary says; ``spread``: whether rows
-    that shared stamps were spread.
+    ``t`` has the times from the first sample, s, and ``rows`` the indices in the table. ``held``
+    are samples that repeat the rates of the sample before; ``added`` are samples without a row,
+    which hold the rates up to the end of a gap. ``cuts`` are the begins of pieces, ``said`` the
+    parts of the summary, and ``spread`` says whether rows with shared stamps were spread.
     """
 
     t: Floats
@@ -41,7 +41,7 @@ class Samples(NamedTuple):
     spread: bool
 
     def of(self, values: Floats) -> Floats:
-        """The samples' values, of which the first three are rates."""
+        """The values of the samples, the first three of which are rates."""
         values = values[self.rows]
         values[self.added, 3:] = np.nan
         last = np.maximum.accumulate(np.where(self.held, 0, np.arange(len(values))))
@@ -58,15 +58,15 @@ def in_order(
     max_gap: float | None,
     usual: float | None = None,
 ) -> Samples:
-    """The rows of a table that are samples; ``on_bad_rows`` as of :func:`read_gyro_log`.
+    """The rows of a table that are samples; ``on_bad_rows`` as in :func:`read_gyro_log`.
 
-    ``t`` (n,) is NaN without a time stamp, ``rates`` (n, 3) in rows without numbers. ``usual``:
-    the usual interval, s; None: the median.
+    ``t`` (n,) is NaN without a time stamp, ``rates`` (n, 3) in rows without numbers. ``usual`` is
+    the usual interval; None takes the median.
     """
     stamped, numbers = np.isfinite(t), np.asarray(np.isfinite(rates).all(axis=1))
     usable = stamped & numbers
     if on_bad_rows == "hold":
-        usable = stamped & np.logical_or.accumulate(usable)  # none to hold before the first
+        usable = stamped & np.logical_or.accumulate(usable)  # no rates to hold before the first
     rows = np.flatnonzero(usable)
     s = t[rows]
     shared = _shared(s, rates[rows])
@@ -90,7 +90,7 @@ def in_order(
         _refuse_first(table, clock[:60], s, dropped, resets, longest)
     resets = [k - int(np.searchsorted(dropped, k)) for k in resets]
     s, rows = np.delete(s, dropped), np.delete(rows, dropped)
-    if resets:  # what passed is not known: one usual interval
+    if resets:  # the time that passed is unknown: one usual interval
         steps = np.diff(s)
         steps[np.array(resets) - 1] = usual
         s = np.append(0.0, np.cumsum(steps))
@@ -115,7 +115,7 @@ def in_order(
 
 
 def _shared(s: Floats, rates: Floats) -> Flags:
-    """Which rows share the stamp of the row before; none where such rows are repetitions."""
+    """Which rows share the stamp of the row before, unless these are single repetitions."""
     equal: Flags = np.asarray(np.diff(s, prepend=np.nan) == 0.0)
     none = np.zeros(len(s), dtype=bool)
     if equal.sum() < max(3.0, _SHARED * len(s)):
@@ -127,7 +127,7 @@ def _shared(s: Floats, rates: Floats) -> Flags:
 
 
 def _spread(s: Floats, firsts: NDArray[np.int64]) -> Floats:
-    """Times of rows of which groups share a stamp, that of the first of each."""
+    """Times of rows in groups that share a stamp, which is that of the first row of the group."""
     n = len(s)
     steps = np.diff(s[firsts])
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
@@ -143,7 +143,7 @@ def _spread(s: Floats, firsts: NDArray[np.int64]) -> Floats:
 
 
 def _misplaced(s: Floats, usual: float, longest: float) -> tuple[list[int], list[int]]:
-    """Outliers, and the rows with which the clock was reset."""
+    """Outliers, and the rows at which the clock was reset."""
     n = len(s)
     dropped: set[int] = set()
     resets: list[int] = []
@@ -155,7 +155,7 @@ def _misplaced(s: Floats, usual: float, longest: float) -> tuple[list[int], list
         steps = np.diff(s)
         odd = np.flatnonzero(~((steps > 0.0) & (steps <= longest))) + 1
         if n > 2 and steps[0] > max(longest, np.ptp(s[1:])) and follows(steps[1]):
-            dropped.add(0)  # a first stamp of another clock
+            dropped.add(0)  # the first stamp is of another clock
             odd = odd[odd > 1]
         done = 0
         for first in odd.tolist():
@@ -182,13 +182,13 @@ def _misplaced(s: Floats, usual: float, longest: float) -> tuple[list[int], list
                 dropped.add(i)
                 i += 1
             done = i + 1
-    if resets[:1] == [1]:  # nothing was before it but a first stamp of another clock
+    if resets[:1] == [1]:  # only a stamp of another clock came before
         return sorted({0, *dropped}), resets[1:]
     return sorted(dropped), resets
 
 
 def _before(s: Floats, i: int, dropped: set[int]) -> int | None:
-    """The row before row i that is earlier, ``_AHEAD`` rows back at most; None where none is."""
+    """The last earlier row, at most ``_AHEAD`` rows before row i; None if there is none."""
     kept = [k for k in range(max(0, i - 2 * _AHEAD), i) if k not in dropped][-_AHEAD - 1 :]
     earlier = [k for k in kept if s[k] < s[i]]
     return earlier[-1] if earlier else None
@@ -217,7 +217,7 @@ def _refuse_first(
 
 
 def _held(samples: Samples, held: Flags, gaps: NDArray[np.int64], usual: float) -> Samples:
-    """The last sample's rates in rows without numbers, and once more before the end of each gap."""
+    """Repeat the last rates in rows without numbers, and once more before the end of a gap."""
     t, rows = samples.t, samples.rows
     ends = t[gaps] - np.minimum(usual, 0.5 * (t[gaps] - t[gaps - 1]))
     return samples._replace(

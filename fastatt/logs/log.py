@@ -1,4 +1,4 @@
-"""Gyro logs as they are found: columns and units understood, samples in order and in SI units."""
+"""Gyro logs: columns and units recognised, samples in order and in SI units."""
 
 from __future__ import annotations
 
@@ -21,32 +21,49 @@ from fastatt.logs.names import UNITS, GyroLogError, GyroLogWarning
 from fastatt.logs.tables import Frame, Table, tabular
 from fastatt.logs.text import Text, opened
 
-# rad/s, the range of most gyros (2000 deg/s); deg/s, and of any
+# the range of most gyros (2000 deg/s), rad/s, and of any gyro, deg/s
 _MOST_RAD, _MOST_DEG = 35.0, 4500.0
-# rad/s of a bias, rad of a rotation about it: above, a body is not at rest
+# largest bias, rad/s, and rotation about it, rad, of a body at rest
 _LARGEST_BIAS, _LARGEST_ROTATION = 0.2, 0.05
 _LEAST_RATE = 1e-290  # Hz, below which times overflow
-_MANY = 0.01  # of the rows; when more are left out, a warning says so
+_MANY = 0.01  # share of rows; leaving out more is warned of
 
 
 @dataclass(frozen=True)
 class GyroLog:
-    """A gyro log of n samples, in SI units.
+    """A gyro log of n samples in SI units, as :func:`read_gyro_log` returns it.
 
     Attributes
     ----------
-    path : where it came from.
-    t : (n,), s from the first sample; where the clock was reset it goes on by one usual interval.
-    rates : (n, 3), rad/s, body axes.
-    dt : (n - 1,), the intervals, s.
-    accel : (n, 3), or None; m/s² where names, or gravity's size at rest, tell the log's unit.
-    mag : (n, 3) in the log's own unit, or None. NaN where the log has no number, as in ``accel``.
-    attitudes : (n, 4), those that the log carries, as they stand there, or None.
-    columns, unit, timing : the gyro's columns, the unit they were in, where times come from.
-    rate : mean sample rate, Hz.
-    start : the first time stamp in s as the log counts it (0 where it has none).
-    pieces : slices of samples without a break between them: one, unless ``on_bad_rows="split"``.
-    summary : what was understood, one line.
+    path : Path
+        The file.
+    t : ndarray, shape (n,)
+        Times from the first sample, s; where the clock was reset, one usual interval passes.
+    rates : ndarray, shape (n, 3)
+        Rates along body axes, rad/s.
+    dt : ndarray, shape (n - 1,)
+        Intervals, s.
+    accel : ndarray, shape (n, 3), or None
+        Accelerometer, m/s² if names or the size of gravity at rest tell its unit. NaN where the log
+        has no number.
+    mag : ndarray, shape (n, 3), or None
+        Magnetometer, in the log's unit. NaN where the log has no number.
+    attitudes : ndarray, shape (n, 4), or None
+        Attitudes in the log, unchanged.
+    columns : tuple of str
+        The gyro's columns.
+    unit : str
+        The unit of the gyro's columns.
+    timing : str
+        The source of the times.
+    rate : float
+        Mean sample rate, Hz.
+    start : float
+        The first time stamp, s (0 if there is none).
+    pieces : tuple of slice
+        Ranges of samples without a break: one, unless ``on_bad_rows="split"``.
+    summary : str
+        What was recognised, in one line.
     """
 
     path: Path
@@ -79,56 +96,67 @@ def read_gyro_log(
     bias_seconds: float | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> GyroLog:
-    """Read a gyro log and say what was understood (``log.summary``).
+    """Read a gyro log.
 
-    A text table, gzipped or not, is separated by commas, semicolons, tabs or blanks; its numbers
-    may have decimal commas (quoted ones between commas). Names are in its first lines, in a
-    comment too, a line of units may follow. The gyro's columns, and those of time,
-    accelerometer, magnetometer and attitude next to it, are found by the names that loggers write.
-    Where the columns are only x, y and z, the file's name has to say that they are a gyro's.
+    A text table, which may be compressed with gzip, is separated by commas, semicolons, tabs or
+    blanks; its numbers may have decimal commas (quoted between commas). Names are in its first
+    lines or in a comment, and a line of units may follow. The columns of the gyro, and those of
+    time, accelerometer, magnetometer and attitude, are found by the names that loggers write. If
+    the columns are named x, y and z only, the name of the file must say that they are a gyro's.
 
     Parameters
     ----------
     source : path, file, data frame, data set or mapping
-        A file's name, "-" for standard input, an open file, a pandas or polars data frame, an
+        The name of a file, "-" for standard input, an open file, a pandas or polars data frame, an
         xarray data set, or a mapping of names to arrays.
     time_unit : str, optional
-        "s", "ms", "100us", "us" or "ns"; None: from the column's name, else from the size of the
-        stamps, with a warning. Dates (ISO 8601), times of day (hh:mm:ss) and durations have none.
-    columns, time_column, attitude_columns : names, optional
-        Names, or numbers from 1, of the gyro's x, y, z, of the time stamps and of an attitude's w,
-        x, y, z.
+        "s", "ms", "100us", "us" or "ns". The default is the unit in the name of the column, or else
+        one that fits the size of the stamps, with a warning. Dates (ISO 8601), times of day
+        (hh:mm:ss) and durations have no unit.
+    columns : sequence of str or int, optional
+        Names of the gyro's columns x, y and z, or their numbers from 1.
     unit : str, optional
-        "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s", "rev/s", "rpm" or
-        "Hz" (revolutions per second); None: from the columns' names, else from the size of the
-        rates, with a warning.
+        Unit of the rates: "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s",
+        "rev/s", "rpm" or "Hz" (revolutions per second). The default is the unit in the names of the
+        columns, or else one that fits the size of the rates, with a warning.
     rate : float, optional
         Sample rate, Hz, in place of time stamps.
-    on_bad_rows : str
-        What becomes of rows without a rate or a stamp, of stamps that do not grow, and of gaps:
-        "refuse"; "drop" (the next interval goes across); "split" (``log.pieces``); "hold" (the
-        last rates stay). Rows that share stamps are spread evenly, unless refused.
+    time_column : str or int, optional
+        Name or number of the column of time stamps.
+    attitude_columns : sequence of str or int, optional
+        Names or numbers of an attitude's columns w, x, y and z.
+    on_bad_rows : {"refuse", "drop", "split", "hold"}, default "refuse"
+        What is done with rows without a rate or a stamp, stamps that do not increase, and gaps: an
+        error; leaving the row out, so that the next interval is longer; starting a new piece
+        (``log.pieces``); or holding the last rates. Rows that share stamps are spread evenly,
+        unless refused.
     max_gap : float, optional
-        Longest interval that is no gap, s; None: 10 times the usual one.
+        The longest interval that is not a gap, s; the default is 10 times the usual one.
     bias_seconds : float, optional
-        The mean rate of that many seconds from the start, at rest, is taken off.
-    progress : function, optional
-        Called with the bytes read.
+        Subtract the mean rate of so many seconds from the start, during which the body is at rest.
+    progress : callable, optional
+        A function that is called with the number of bytes read.
+
+    Returns
+    -------
+    GyroLog
+        The samples, and a ``summary`` of what was recognised.
 
     Raises
     ------
     GyroLogError
-        (a ``ValueError``) What was found, where, and what to say: more than one gyro or time
-        column, units or stamps that fit no gyro, a bad row, a start that is not at rest.
+        A ``ValueError`` that says what was found, where, and which argument helps: more than one
+        gyro or time column, units or stamps that fit no gyro, a bad row, a start that is not at
+        rest.
     TypeError
-        Arguments of another type.
+        If an argument has the wrong type.
     OSError
-        Of the file itself.
+        If the file can't be read.
 
     Warns
     -----
     GyroLogWarning
-        A unit was taken from the size of numbers; more than 1 % of the rows were left out, or
+        If a unit was inferred from the size of numbers, more than 1 % of the rows were left out, or
         rows that share stamps were spread.
 
     Examples
@@ -219,7 +247,7 @@ def _span(name: str, seconds: float | None) -> float | None:
 def _columns(
     table: Table, columns: Sequence[str] | None, attitude_columns: Sequence[str] | None
 ) -> dict[str, list[int]]:
-    """Places of columns as said, or as their names are understood; none: []."""
+    """Indices of columns, as given or recognised by their names; [] for none."""
     if columns is None:
         gyro = names.gyro(table.names, table.about)
     else:
@@ -238,7 +266,7 @@ def _columns(
 
 
 def _clock(table: Table, time_column: str | None) -> list[int]:
-    """The columns of the time stamps; none where the file says its sample rate."""
+    """The columns of the time stamps; none if the file states its sample rate."""
     if time_column is not None:
         return [table.index(time_column, "time column")]
     clock = names.clock(table.names)
@@ -251,7 +279,7 @@ def _clock(table: Table, time_column: str | None) -> list[int]:
 
 
 def _rate(table: Table, rate: float | None) -> float:
-    """The sample rate that is given, or the file's."""
+    """The given sample rate, or the file's."""
     if rate is not None:
         number = checks.real("rate", rate)
         if not number > _LEAST_RATE:
@@ -269,7 +297,7 @@ def _rate(table: Table, rate: float | None) -> float:
 
 
 def _check(table: Table, samples: Samples, n: int, least: int) -> None:
-    """Refuse a log of too few samples; warn where many rows are left out, or moved."""
+    """Refuse a log of too few samples; warn if many rows are left out or moved."""
     kept = int((~samples.added).sum())
     if kept < least:
         found = f"{kept} of {n} rows that are samples"
@@ -304,7 +332,7 @@ def _bias(
 
 
 def _assumed_unit(table: Table, name: str, rates: NDArray[np.float64]) -> str:
-    """A unit that nothing says, from the largest of the rates."""
+    """The unit that fits the largest of the rates, if the log states none."""
     most = _largest(rates)
     if most > _MOST_DEG:
         raise table.error(
@@ -320,7 +348,7 @@ def _assumed_unit(table: Table, name: str, rates: NDArray[np.float64]) -> str:
 
 
 def _other_sensors(table: Table, places: dict[str, list[int]], accel: Any) -> Iterator[str]:
-    """Scale the accelerometer to m/s²; what was found in addition to the gyro."""
+    """Scale the accelerometer to m/s²; yields descriptions of the other sensors."""
     if places["accel"]:
         name = table.column(places["accel"][0])
         yield f"accelerometer in {_accel_in_si(name, accel)}: {name} ..."
@@ -329,7 +357,7 @@ def _other_sensors(table: Table, places: dict[str, list[int]], accel: Any) -> It
 
 
 def _accel_in_si(name: str, accel: NDArray[np.float64]) -> str:
-    """Scale an accelerometer to m/s²: by its name, else where it shows gravity in g; its unit."""
+    """Scale an accelerometer to m/s², by its name or by gravity in g; returns its unit."""
     scale = names.accel_unit(name)
     size = np.sqrt((accel * accel).sum(axis=1))
     size = size[np.isfinite(size)]
@@ -343,7 +371,7 @@ def _accel_in_si(name: str, accel: NDArray[np.float64]) -> str:
 
 
 def _largest(x: NDArray[np.float64]) -> float:
-    """The largest finite absolute value, 0 where there is none."""
+    """The largest finite absolute value, 0 if there is none."""
     return float(np.max(np.abs(x), initial=0.0, where=np.isfinite(x)))
 
 

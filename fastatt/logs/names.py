@@ -1,4 +1,4 @@
-"""What the names of a table's columns mean: which are the gyro's axes, the time, their units."""
+"""The meaning of column names: the axes of the gyro, the time, and their units."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 
 
 class GyroLogError(ValueError):
-    """A log that can't be read, and why, in one line."""
+    """A log can't be read; the message says why in one line."""
 
 
 class GyroLogWarning(UserWarning):
-    """A unit was taken from the size of numbers, or many rows of a log were left out or moved."""
+    """Warns of a unit inferred from the size of numbers, or of many rows left out or moved."""
 
 
 _DEGREE = math.pi / 180.0
@@ -21,11 +21,11 @@ UNITS = {
     "deg/min": _DEGREE / 60.0, "deg/h": _DEGREE / 3600.0, "arcsec/s": _DEGREE / 3600.0,
     "rev/s": 2.0 * math.pi, "rpm": math.pi / 30.0, "Hz": 2.0 * math.pi,
 }  # fmt: skip
-# how many of them are a second; Xsens counts tenths of a millisecond
+# number of each in a second; Xsens counts tenths of a millisecond
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "100us": 1e4, "us": 1e6, "ns": 1e9}
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 
-# names of three-axis sensors, without the axis, blanks, dashes and underscores
+# names of three-axis sensors, without axis, blanks, dashes and underscores
 _SENSORS = {
     "gyro": re.compile(
         r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
@@ -40,7 +40,7 @@ _QUAT = re.compile(
     r"|(?P<numbered>q|quat)[\[_]?(?P<number>[0-3])\]?",
     re.IGNORECASE,
 )
-# columns about a gyro's rates that are not rates
+# columns of a gyro that are not rates
 _NOT_RATES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
@@ -99,9 +99,9 @@ def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
 
 
 def gyro(names: Sequence[str], about: str) -> list[int] | None:
-    """The gyro's columns, None where there are none; ``about`` says what the table holds.
+    """The gyro's columns, None if there are none; ``about`` describes the contents of the table.
 
-    Raises ``GyroLogError`` for more than one gyro, and for axes of a sensor that nothing names.
+    Raises ``GyroLogError`` for more than one gyro, and for axes of a sensor without a name.
     """
     found = triples(names, "gyro")
     words = [bare(name)[0].lower() for name in names]
@@ -123,7 +123,7 @@ def gyro(names: Sequence[str], about: str) -> list[int] | None:
 
 
 def quaternion(names: Sequence[str]) -> list[int] | None:
-    """Columns w, x, y, z of the only attitude; None where there is none."""
+    """Columns w, x, y, z of the only attitude; None if there is none."""
     found: dict[str, list[tuple[str, int]]] = {}
     for i, name in enumerate(names):
         match = _QUAT.fullmatch(bare(name)[0])
@@ -137,9 +137,9 @@ def quaternion(names: Sequence[str]) -> list[int] | None:
 
 
 def clock(names: Sequence[str]) -> list[int]:
-    """The column of time stamps: a sensor's own, else one with a unit, else any; none: [].
+    """The column of time stamps: a sensor's, else one with a unit, else any; [] if there is none.
 
-    Where there is none, those of whole seconds and of nanoseconds.
+    Columns of whole seconds and of nanoseconds are both returned.
 
     Raises ``GyroLogError`` for more than one.
     """
@@ -167,7 +167,7 @@ def _seconds_and_nanoseconds(names: Sequence[str]) -> list[int]:
 
 
 def time_unit(name: str) -> str | None:
-    """The unit that the name of a column of time stamps carries, known or not; None: none."""
+    """The unit in the name of a column of time stamps, known or not; None if there is none."""
     match = _time(name)
     if match is None:
         return None
@@ -179,7 +179,7 @@ def time_unit(name: str) -> str | None:
 
 
 def rate_unit(names: Sequence[str]) -> str | None:
-    """Which of ``UNITS`` the names of a gyro's columns carry, None where they carry none."""
+    """The unit, of ``UNITS``, in the names of a gyro's columns; None if there is none."""
     found = {m[0]: _unit(m) for name in names for m in _UNIT.finditer(name.lower())}
     found |= {u: "" for u in (bare(name)[1] for name in names) if not found and "/" in u}
     units = set(found.values())
@@ -195,7 +195,7 @@ def rate_unit(names: Sequence[str]) -> str | None:
 
 
 def _unit(match: re.Match[str]) -> str:
-    """A unit as ``UNITS`` writes it, known or not."""
+    """A unit in the spelling of ``UNITS``, known or not."""
     scale, angle, per = match["scale"] or "", match["angle"], match["per"] or match["time"]
     scale = "m" if scale == "milli" else scale
     if angle.startswith(("rp", "hz")):
@@ -207,7 +207,7 @@ def _unit(match: re.Match[str]) -> str:
 
 
 def accel_unit(name: str) -> float | None:
-    """m/s² in the unit that an accelerometer's column is named with; None where there is none."""
+    """The unit in the name of an accelerometer's column, in m/s²; None if there is none."""
     text = name.lower()
     if re.search(r"m[ _]*[/ _.*·]?[ _]*s", text):
         return 1.0
@@ -216,12 +216,12 @@ def accel_unit(name: str) -> float | None:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a cell of a second line of names is a unit."""
+    """Whether a cell in a second line of names is a unit."""
     return not text or _UNIT.fullmatch(text.lower()) is not None or len(text) <= 8
 
 
 def bare(name: str) -> tuple[str, str]:
-    """A name without its unit in brackets and signs of a comment, and the unit."""
+    """A name without its unit in brackets and without comment signs; and the unit."""
     text = re.sub(r"_cal(?=$|[ \[(])", "", name.strip("#% "), flags=re.IGNORECASE)
     match = _IN_BRACKETS.search(text)
     if match and match["unit"].strip().lower() not in ("0", "1", "2", "x", "y", "z"):

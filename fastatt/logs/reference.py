@@ -1,4 +1,4 @@
-"""Attitudes compared with a reference's: clocks and frames aligned, the angle that remains."""
+"""Comparison of attitudes with a reference, after alignment of clocks and frames."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from fastatt.logs.stamps import times
 from fastatt.logs.text import Text, opened
 
 Floats = NDArray[np.float64]
-_LEAST = 10  # attitudes of the reference within the log
-_FITTED = 2000  # of them, at most, the clocks and frames are fitted to
-_SPAN = 0.25  # s, the rotations that body axes are found by
-_SHIFT = 1.0  # s that clocks with times in common may be apart
-_ALIKE = 0.5  # correlation of angular speeds from which on they align the clocks
-_EVEN = 0.01  # deviation of a speed relative to its largest, below which it aligns nothing
-_LINE = 0.1  # of the rotation about other axes than one, from which on it aligns body axes
+_LEAST = 10  # the smallest number of reference attitudes within the log
+_FITTED = 2000  # the largest number to which clocks and frames are fitted
+_SPAN = 0.25  # s; rotations over it align the body axes
+_SHIFT = 1.0  # s; the largest difference of clocks that have times in common
+_ALIKE = 0.5  # smallest correlation of angular speeds that aligns the clocks
+_EVEN = 0.01  # relative deviation of a speed, below which it does not align the clocks
+_LINE = 0.1  # smallest share of rotation about a second axis that aligns the body axes
 
 
 @dataclass(frozen=True)
 class RecordedAttitudes:
-    """Attitudes (n, 4) at times (n,), s from the first, whose clock says ``start``, s."""
+    """Attitudes (n, 4) at times (n,), s from the first, when the clock shows ``start``, s."""
 
     t: Floats
     q: Floats
@@ -41,14 +41,21 @@ class RecordedAttitudes:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far attitudes are from a reference's.
+    """The angle between attitudes and those of a reference.
 
     Attributes
     ----------
-    t, angle : (m,), s of the log, and the angle that remains, rad, at the reference's instants.
-    shift : s that the reference's clock is ahead of the log's.
-    body : (4,): q_reference ≈ world∘q∘body with constant world.
-    aligned : whether the motion gave ``shift``, and ``body``; else the clocks and axes are equal.
+    t : ndarray, shape (m,)
+        Times of the reference, s of the log.
+    angle : ndarray, shape (m,)
+        The remaining angle, rad.
+    shift : float
+        By how much the reference's clock is ahead of the log's, s.
+    body : ndarray, shape (4,)
+        The rotation of the body axes: q_reference ≈ world∘q∘body with a constant world.
+    aligned : tuple of bool
+        Whether the motion determined ``shift``, and ``body``; otherwise clocks and axes are taken
+        as equal.
     """
 
     t: Floats
@@ -70,7 +77,7 @@ class Comparison:
 
 
 def read_attitudes(source: Any) -> RecordedAttitudes:
-    """A table of time stamps and attitudes: of EuRoC, TUM, motion capture, or fastatt itself."""
+    """Read a table of time stamps and attitudes: of EuRoC, TUM, motion capture, or fastatt."""
     with opened(source) as (name, stream):
         table = Text(name, stream, None)
         quat = names.quaternion(table.names)
@@ -94,15 +101,15 @@ def read_attitudes(source: Any) -> RecordedAttitudes:
 def against_reference(
     t: ArrayLike, q: ArrayLike, reference: RecordedAttitudes, start: float = 0.0
 ) -> Comparison:
-    """The angle between attitudes and a reference's, whose clock and frames may be others.
+    """The angle between attitudes and a reference, whose clock and frames may differ.
 
-    The clocks are shifted such that the angular speeds correlate best, by at most 1 s where they
-    have times in common. The body axes are those that map the rotations over 0.25 s onto each other
-    (Wahba), the inertial frame is the mean one. ``t`` (n,), s, is 0 where the log's clock says
-    ``start``.
+    The clocks are shifted so that the angular speeds correlate best, by at most 1 s if they have
+    times in common. The body axes are those that map the rotations over 0.25 s onto each other
+    (Wahba's problem), and the inertial frame is the mean one. ``t`` (n,), s, is 0 where the log's
+    clock shows ``start``.
 
-    Raises ``GyroLogError`` for clocks that have no time in common and speeds that do not align
-    them, and fewer than 10 attitudes of the reference within the log.
+    Raises ``GyroLogError`` if the clocks have no time in common and the speeds do not align them,
+    or if fewer than 10 attitudes of the reference lie within the log.
     """
     when, attitudes = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
     theirs = reference.t + (reference.start - start)
@@ -132,7 +139,7 @@ def against_reference(
 
 
 def _at(t: Floats, q: Floats, at: Floats) -> Floats:
-    """Attitudes at times within t, by a constant rate between neighbours."""
+    """Attitudes at times within t, with a constant rate between neighbours."""
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     part = ((at - t[k]) / (t[k + 1] - t[k]))[:, None]
     return np.asarray(
@@ -141,14 +148,14 @@ def _at(t: Floats, q: Floats, at: Floats) -> Floats:
 
 
 def _speeds(t: Floats, q: Floats, step: float) -> Floats:
-    """Angles of rotation over steps, which are equal in all frames."""
+    """Rotation angles over steps, which are the same in all frames."""
     n = min(int((t[-1] - t[0]) / step), 1_000_000)
     even = _at(t, q, t[0] + step * np.arange(n + 1))
     return np.asarray(angle_between(even[1:], even[:-1]))
 
 
 def _delay(a: Floats, b: Floats, ahead: float, near: float) -> tuple[int, float]:
-    """Steps by which b fits a best, at most ``near`` from ``ahead``, and the correlation."""
+    """The steps by which b fits a best, at most ``near`` from ``ahead``; the correlation."""
     if min(float(x.std() / max(x.max(), 1e-300)) for x in (a, b)) < _EVEN:
         return 0, 0.0
     a, b = a - a.mean(), b - b.mean()
@@ -167,7 +174,7 @@ def _delay(a: Floats, b: Floats, ahead: float, near: float) -> tuple[int, float]
 def _angles(
     t: Floats, q: Floats, theirs: Floats, reference: Floats, most: int
 ) -> tuple[Floats, Floats]:
-    """Angles at up to ``most`` of the reference's instants, and its body axes."""
+    """Angles at up to ``most`` of the reference's times, and its body axes."""
     where = np.flatnonzero((theirs >= t[0]) & (theirs <= t[-1]))
     if len(where) < _LEAST:
         raise GyroLogError(
@@ -182,7 +189,7 @@ def _angles(
         size = np.sqrt(np.linalg.norm(of_a, axis=1) * np.linalg.norm(of_b, axis=1))
         moving = size > 0.0
         sigma = _LINE * np.linalg.norm(size) / size[moving]
-        with suppress(ValueError):  # rotations about one axis only, or none
+        with suppress(ValueError):  # without rotation about two axes
             body, _ = attitude_from_vectors(of_b[moving], of_a[moving], sigma)
     a = quat_multiply(a, body)
     world = mean_attitude(quat_multiply(b, a * [1, -1, -1, -1]))
@@ -190,7 +197,7 @@ def _angles(
 
 
 def _least(f: Callable[[float], float], x: float, width: float) -> float:
-    """Where f is least, near x: golden section."""
+    """The minimum of f near x, by golden-section search."""
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
     low, high = x - width, x + width
     for _ in range(24):

@@ -1,4 +1,4 @@
-"""Time stamps: as they are written, and their unit."""
+"""Time stamps: their formats and units."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ from fastatt.logs.names import TIME_UNITS, GyroLogWarning
 if TYPE_CHECKING:
     from fastatt.logs.tables import Table
 
-NO_STAMP = np.iinfo(np.int64).min  # of whole numbers and dates
+NO_STAMP = np.iinfo(np.int64).min  # missing, among whole numbers and dates
 DATE = "1970-01-01T00:00"
 Kind = Literal["float", "int", "date", "day"]
-# how stamps are written that are no plain numbers; a double does not hold 16 digits
+# formats of stamps that are not plain numbers; a double does not hold 16 digits
 _KINDS: dict[Kind, re.Pattern[str]] = {
     "date": re.compile(r"(19|20)\d\d-\d\d-\d\d[T ]\d\d:\d\d.*", re.ASCII),
     "day": re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d)(?:\.(\d+))?", re.ASCII),
     "int": re.compile(r"\d{16,19}", re.ASCII),
 }
-# years that 64 bits of ns hold; what is left to NumPy has no zone, of which it would warn
+# years that 64 bits of ns hold; NumPy would warn of time zones, so they are removed
 _ZONE = re.compile(
     r"(?P<local>(19|20)\d\d-[\d:T .-]*?)(Z|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d))?",
     re.ASCII,
 )
 _DAY = 86_400 * 10**9  # ns
-# of gyros, Hz: any other is a unit mistaken
+# sample rates of gyros, Hz; another rate means a wrong unit
 SLOWEST, FASTEST = 0.1, 1e6
 PLAUSIBLE = "accepted: above 0.1 Hz and up to 1 MHz"
-# sample rates at which gyros are mostly logged, Hz: they tell units 1000 apart from each other
+# usual sample rates of gyros, Hz, which distinguish units that are a factor 1000 apart
 _USUAL = (9.5, 9500.0)
-_SLOW = 0.475  # Hz; from here to the usual rates seconds are as likely as thousandths
+_SLOW = 0.475  # Hz; from here to the usual rates, s and ms are equally likely
 _EPOCH = (6.3e8, 4.1e9)  # s from 1970 to 1990 and 2100
-_SLOWEST_EPOCH = 1e-4  # Hz; below, stamps in the range of dates are counts of another unit
+_SLOWEST_EPOCH = 1e-4  # Hz; slower stamps in the range of dates have another unit
 
 
 def kind(cell: str) -> Kind:
-    """How the time stamps of a column are written, from its first cell."""
+    """The format of a column of time stamps, from its first cell."""
     return next((k for k, pattern in _KINDS.items() if pattern.fullmatch(cell)), "float")
 
 
 def from_text(how: Kind, cells: Sequence[str]) -> NDArray[Any]:
-    """Numbers; dates (ISO 8601) and times of day as ns; NaN or ``NO_STAMP`` of what is none.
+    """Numbers; dates (ISO 8601) and times of day as ns; NaN or ``NO_STAMP`` for invalid text.
 
-    Dates are counted from 1970, UTC; those without a zone are taken as they stand.
+    Dates are counted from 1970, UTC; those without a zone are taken as UTC.
     """
     if how == "float":
         return np.array([_number(cell) for cell in cells], dtype=np.float64)
@@ -90,13 +90,13 @@ def _time_of_day(cell: str) -> int:
 
 
 def known(stamps: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which stamps, or numbers, are any."""
+    """Which stamps, or numbers, are valid."""
     good: NDArray[np.bool_] = stamps != NO_STAMP
     return np.isfinite(stamps) if stamps.dtype.kind == "f" else good
 
 
 def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
-    """The stamps of one column, or ns of two: whole seconds and nanoseconds; of none None."""
+    """The stamps of one column, or ns from two columns of s and ns; None for no column."""
     if len(columns) < 2:
         return columns[0] if columns else None
     whole, part = (np.where(known(x), x, -1).astype(np.float64) for x in columns)
@@ -106,7 +106,7 @@ def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
 
 
 def past_midnight(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Times of day, ns, which go on where a day ends."""
+    """Times of day, ns, continued after midnight."""
     good = known(stamps)
     days = np.round(np.diff(stamps[good], prepend=stamps[good][:1]) / _DAY).astype(np.int64)
     whole = stamps.copy()
@@ -117,7 +117,7 @@ def past_midnight(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
 def times(
     table: Table, clock: list[int], stamps: NDArray[Any], time_unit: str | None
 ) -> tuple[NDArray[np.float64], float]:
-    """Times, s from the first stamp, NaN of a stamp that is none; what the clock says there, s."""
+    """Times from the first stamp, s, NaN for an invalid stamp; and the clock there, s."""
     good = known(stamps)
     if not good.any():
         raise table.error(f"{table.column(clock[0])} has no time stamp")
@@ -131,9 +131,9 @@ def times(
 
 
 def unit_of(table: Table, clock: list[int], stamps: NDArray[Any], said: str | None) -> str:
-    """The unit of time stamps: as said, as in the name of their column, or from their size.
+    """The unit of time stamps: as given, as in the name of their column, or from their size.
 
-    Raises ``GyroLogError`` where the size does not tell or the rate is none of a gyro's.
+    Raises ``GyroLogError`` if the size does not determine it, or the sample rate is not a gyro's.
     """
     if len(clock) > 1 or kind(table.first_row[clock[0]]) in ("date", "day"):
         return "ns"
@@ -165,14 +165,14 @@ def unit_of(table: Table, clock: list[int], stamps: NDArray[Any], said: str | No
     if not gaps.size:
         return "s"
     possible = plain
-    if "sampletimefine" in name.lower():  # Xsens: of a DOT in us, of others in tenths of ms
+    if "sampletimefine" in name.lower():  # Xsens: us for DOT, tenths of ms for others
         possible = ["100us", "us"]
         said_rate = [u for u in possible for x in table.rates if 0.8 < hertz[u] / x < 1.25]
         possible = said_rate[:1] or possible
     middle = float(np.median(numbers))
     dated = [u for u in possible if _EPOCH[0] < middle / TIME_UNITS[u] < _EPOCH[1]]
     dated = [u for u in dated if _SLOWEST_EPOCH < hertz[u] <= FASTEST]
-    # stamps in the range of dates have the dates' unit, at a slow rate too
+    # stamps in the range of dates have the unit of dates, also at a low rate
     guessed = dated or [u for u in possible if _USUAL[0] <= hertz[u] < _USUAL[1]]
     doubtful = not dated and guessed == ["ms"] and hertz["s"] > _SLOW
     if len(guessed) != 1 or doubtful or (dated and hertz[dated[0]] <= SLOWEST):

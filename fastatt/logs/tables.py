@@ -1,4 +1,4 @@
-"""Tables by their columns, and those in memory: data frames, data sets, mappings."""
+"""Tables as columns, and tables in memory: data frames, data sets, mappings."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from fastatt.logs.names import GyroLogError
 
 @dataclass
 class Table:
-    """A table before its rows are read: its columns, and what its first lines say."""
+    """A table before its rows are read: its columns, and the information in its first lines."""
 
     name: str  # of the file, for messages
-    names: list[str]  # of the columns; none where they are not known
+    names: list[str]  # of the columns; empty if they are not known
     n_columns: int
-    about: str = ""  # the file's name and its comments: what the table holds
-    rates: tuple[float, ...] = ()  # Hz, that lines before the numbers say
+    about: str = ""  # the file's name and its comments
+    rates: tuple[float, ...] = ()  # sample rates in lines before the numbers, Hz
     n_names: int = 0
     first_row: Sequence[str] = field(default_factory=list)
 
     def read(
         self, wanted: list[int], clock: list[int], *, numbers: int, strict: bool
     ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-        """Wanted columns (n, k), NaN where a cell is no number, and the time stamps.
+        """Wanted columns (n, k), NaN for cells without a number, and the time stamps.
 
         ``strict`` refuses a row without a stamp, or without one of the first ``numbers`` numbers.
         """
         raise NotImplementedError
 
     def place(self, row: int) -> str:
-        """Where a row stands, for a message."""
+        """The position of a row, for a message."""
         return f"row {row}"
 
     def error(self, text: object) -> GyroLogError:
-        """What is wrong with the table."""
+        """An error that names the table."""
         return GyroLogError(f"{self.name}: {text}")
 
     def shown(self) -> str:
@@ -58,7 +58,7 @@ class Table:
         return (i < len(self.names) and self.names[i]) or f"column {i + 1}"
 
     def index(self, column: object, argument: str) -> int:
-        """The place of a column by its name or number from 1."""
+        """The index of a column from its name or its number from 1."""
         text = names.printable(column)
         if self.names.count(text) == 1:
             return self.names.index(text)
@@ -70,7 +70,7 @@ class Table:
         )
 
     def chosen(self, columns: Sequence[str], n: int, argument: str) -> list[int]:
-        """The places of n columns."""
+        """The indices of n columns."""
         given = columns if isinstance(columns, (list, tuple)) else []
         found = [self.index(c, argument) for c in given]
         if len(set(found)) != n or len(found) != n:
@@ -104,14 +104,14 @@ class Frame(Table):
             name=name,
             names=[names.printable(n) for n in columns],
             n_columns=len(columns),
-            # an array's own dates and durations, in ns
+            # dates and durations of an array, in ns
             first_row=[stamps.DATE if x.dtype.kind in "mM" else str(x[0]) for x in self.arrays],
         )
 
     def read(
         self, wanted: list[int], clock: list[int], *, numbers: int, strict: bool
     ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-        """As ``Table.read`` says."""
+        """Implements ``Table.read``."""
         columns = {i: _plain(self.arrays[i]) for i in wanted}
         clocks = {i: _stamps(self.arrays[i]) for i in clock}
         for i, array in [*((i, columns[i]) for i in wanted[:numbers]), *clocks.items()]:
@@ -142,20 +142,20 @@ def _columns(source: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _array(found: Any) -> NDArray[Any]:
-    """An array without masks and time zones: what is masked is no number, times are in UTC."""
+    """An array without masks and time zones: masked values become NaN, times are in UTC."""
     array = np.asarray(found)
     if np.ma.is_masked(found) and array.dtype.kind in "fiumM":
         array = array.astype(np.float64) if array.dtype.kind in "iu" else array.copy()
         array[np.ma.getmaskarray(found)] = "NaT" if array.dtype.kind in "mM" else np.nan
     if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], datetime):
-        with warnings.catch_warnings():  # NumPy says that zones are gone
+        with warnings.catch_warnings():  # NumPy warns that zones are dropped
             warnings.simplefilter("ignore", UserWarning)
             return np.asarray(found, dtype="datetime64[ns]")
     return array
 
 
 def _plain(array: NDArray[Any]) -> NDArray[np.float64]:
-    """float64; NaN of what is no real, finite number."""
+    """float64; NaN for values that are not real, finite numbers."""
     try:
         if array.dtype.kind in "bcmM":
             raise TypeError
@@ -166,7 +166,7 @@ def _plain(array: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _stamps(array: NDArray[Any]) -> NDArray[Any]:
-    """Time stamps: int64 of whole numbers, dates and durations in ns, else float64."""
+    """Time stamps: int64 for whole numbers, dates and durations in ns, else float64."""
     if array.dtype.kind in "mM":
         unit = "datetime64[ns]" if array.dtype.kind == "M" else "timedelta64[ns]"
         return array.astype(unit).view(np.int64)

@@ -1,6 +1,6 @@
-"""Text tables: their head, then their rows, by pyarrow where it is installed and meets nothing odd.
+"""Text tables: their first lines, then their rows, by pyarrow if it is installed and can read them.
 
-What is odd is read row by row; both round to nearest, and their numbers are the same to the bit.
+Other files are read row by row. Both round to nearest and give the same bits.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from fastatt.logs.names import GyroLogError
 from fastatt.logs.tables import Table
 
 BYTES = 1 << 23  # read at a time
-_HEAD = 1000  # lines within which the numbers have to begin
+_HEAD = 1000  # lines within which the numbers must begin
 _RATE = re.compile(
     r"((sample|update)[ _]?rate|sampling[ _]?(rate|frequency)|frequency)([ _]*[(\[]hz[)\]])?"
     r"[\s:=,;\"']+(?P<rate>\d+\.?\d*(e[+-]?\d+)?)\s*(hz)?(?!\s*[\w.,])",
     re.IGNORECASE,
 )
-# what else a line may say the rate of
+# words of other rates in such a line
 _OTHER_RATE = re.compile(
     r"(?!.*(gyr|imu|ang))(?=.*(mag|acc|baro|gps|gnss|cut|filter|corner))", re.IGNORECASE
 )
@@ -46,11 +46,11 @@ _BLANKS = re.compile(rb"[ \t]+")
 
 
 class Text(Table):
-    """A text table: its head is read when it is made."""
+    """A text table, whose first lines are read when it is made."""
 
     def __init__(self, name: str, stream: Any, progress: Callable[[int], object] | None) -> None:
         self._blocks, self._progress = _whole_lines(stream), progress or (lambda n: None)
-        self._lines: list[Sequence[int]] = []  # in which the rows stand
+        self._lines: list[Sequence[int]] = []  # line numbers of the rows
         content = next(self._blocks, b"")
         while content.count(b"\n") < _HEAD and (more := next(self._blocks, b"")):
             content += more
@@ -92,7 +92,7 @@ class Text(Table):
     def read(
         self, wanted: list[int], clock: list[int], *, numbers: int, strict: bool
     ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-        """As ``Table.read`` says."""
+        """Implements ``Table.read``."""
         kinds: list[tuple[int, stamps.Kind]] = [(i, "float") for i in wanted]
         kinds += [(i, self._kind(i, clock)) for i in clock]
         needed = [*range(numbers), *range(len(wanted), len(kinds))] if strict else []
@@ -131,7 +131,7 @@ class Text(Table):
         return "int" if len(clock) > 1 else stamps.kind(self.first_row[i])
 
     def _clean(self, content: bytes) -> bytes:
-        """Lines without quotes and comments, with decimal points and one sign between columns."""
+        """Lines without quotes and comments, with decimal points and one kind of separator."""
         if b'"' in content:
             if self.decimal == "," and self.delimiter == ",":
                 content = _QUOTED_COMMA.sub(rb"\1.\2", content)
@@ -151,7 +151,7 @@ class Text(Table):
         return [cell.strip() for cell in text.lstrip("\ufeff").split(self.delimiter)]
 
     def _row(self, text: str) -> list[str]:
-        """Cells of a line; empty ones where a column is missing or added."""
+        """Cells of a line; empty ones if a column is missing or added."""
         cells = self._cut(text)
         if not self._complete(cells):
             cells = []
@@ -162,7 +162,7 @@ class Text(Table):
         return len(cells) == self.n_columns or _used(cells) == self._n_used
 
     def _refusal(self, text: str, line: int, i: int, kind: stamps.Kind) -> GyroLogError:
-        """What is wrong with a line whose column i holds no number or time stamp."""
+        """The error for a line whose column i has no number or time stamp."""
         cells = self._cut(text)
         if not self._complete(cells):
             return self.error(
@@ -177,7 +177,7 @@ class Text(Table):
     def _by_pyarrow(
         self, content: bytes, kinds: list[tuple[int, stamps.Kind]]
     ) -> list[NDArray[Any]] | None:
-        """Columns; None where pyarrow is not installed or would skip or refuse a line."""
+        """Columns; None if pyarrow is not installed or would skip or refuse a line."""
         try:
             import pyarrow as pa
             from pyarrow import csv
@@ -185,7 +185,7 @@ class Text(Table):
             return None
         numbers = {"float": pa.float64(), "int": pa.int64()}
         types = {str(i): numbers.get(kind, pa.string()) for i, kind in kinds}
-        if len(types) < len(kinds):  # a column of numbers and of stamps
+        if len(types) < len(kinds):  # one column has both numbers and stamps
             return None
         if content.startswith(b"\n") or b"\n\n" in content:  # pyarrow skips blank lines
             return None
@@ -213,7 +213,7 @@ class Text(Table):
 
 @contextmanager
 def opened(source: Any) -> Iterator[tuple[str, Any]]:
-    """A name and a stream of bytes of a path, "-" (standard input) or an open file; gzip too."""
+    """A name and a stream of bytes for a path, "-" (standard input) or an open file; gzip too."""
     with ExitStack() as stack:
         name = getattr(source, "name", "the file")
         if isinstance(source, str) and source == "-":
@@ -241,7 +241,7 @@ def opened(source: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _whole_lines(stream: Any) -> Iterator[bytes]:
-    """The bytes of a stream, cut after ends of lines, which are all made alike."""
+    """The bytes of a stream in blocks of whole lines, with one kind of line ends."""
     while data := stream.read(BYTES):
         data += stream.readline()
         yield data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
@@ -250,7 +250,7 @@ def _whole_lines(stream: Any) -> Iterator[bytes]:
 def _header(
     name: str, head: list[tuple[int, str]], comments: list[str], cells: list[str]
 ) -> list[str]:
-    """Names of columns: of a line, with the units of a line below it, or of a comment."""
+    """Names of columns, from a line, with the units in a line below it, or from a comment."""
     known = [c for c in comments if names.triples(_names(c), "gyro") or names.quaternion(_names(c))]
     if not head:
         return _names(known[-1]) if known else []
@@ -269,12 +269,12 @@ def _header(
 
 
 def _fits(header: list[str], cells: list[str]) -> bool:
-    # a separator may end the line of names or those of numbers, or both
+    # the line of names, those of numbers, or both may end with a separator
     return len(header) == len(cells) or (_used(header) == _used(cells) and bool(header))
 
 
 def _numbers(cells: Iterable[str]) -> bool:
-    """Whether a line is one of numbers, or of as many of them as a gyro has."""
+    """Whether a line consists of numbers, or has as many of them as a gyro has."""
     used = [cell for cell in cells if cell]
     words = sum(cell.lower() in ("nan", "-nan") for cell in used)
     count = words + int((~np.isnan(stamps.from_text("float", used))).sum())
@@ -287,7 +287,7 @@ def _plain(line: bytes) -> str:
 
 
 def _separators(line: bytes) -> tuple[str, str]:
-    """The sign between a row's columns (" ": any blanks), and the decimal sign."""
+    """The separator of columns (" ": any blanks), and the decimal sign."""
     quoted = _QUOTED_COMMA.search(line)
     row = _COMMENT.sub(b"", line).decode("utf-8", "replace")
     for delimiter in (";", "\t"):
@@ -300,7 +300,7 @@ def _separators(line: bytes) -> tuple[str, str]:
 
 def _names(text: str) -> list[str]:
     separator = next((d for d in (";", "\t", ",") if d in text), None)
-    # between blanks a unit in brackets belongs to the name before it
+    # a unit in brackets after a blank belongs to the name before it
     if separator is None:
         parts = re.split(r"\s+(?![\[(])", text)
     else:
@@ -309,5 +309,5 @@ def _names(text: str) -> list[str]:
 
 
 def _used(cells: Sequence[str]) -> int:
-    """How many columns there are before empty ones at the end."""
+    """The number of columns before empty ones at the end."""
     return max((i for i, cell in enumerate(cells, start=1) if cell), default=0)

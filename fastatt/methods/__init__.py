@@ -1,4 +1,4 @@
-"""The single list of methods; each has one file, with its step and its record."""
+"""The list of methods. Each has one file, with its step and its record."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def exponents(w: Any, t: Any, h: Any) -> Any:
 
 
 def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
-    # each is about half of the rotation
+    # each exponential is about half of the rotation
     u, v = exponents
     return 4.0 * larger(dot(u, u), dot(v, v))
 

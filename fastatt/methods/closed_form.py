@@ -1,4 +1,4 @@
-"""Closed forms of bodies: one evaluation for each save, whatever the number of steps."""
+"""The method "exact": a closed form, with one evaluation for each save."""
 
 from fastatt.methods.method import BODIES, Method
 

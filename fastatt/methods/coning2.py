@@ -1,4 +1,4 @@
-"""Coning-2: two intervals at a time."""
+"""The two-sample coning algorithm, over two intervals at a time."""
 
 from fastatt._jit import helper
 from fastatt.kernels.coning import (
@@ -21,7 +21,7 @@ def rates(v, h):
 
 @helper
 def increments(v, h):
-    # a line whose time 0 lies between the two intervals, moved to the start of the first
+    # a straight line about the time between the two intervals, moved to the start of the first
     a, b = increments_linear(v[:3], v[3:6], h[0], h[1])
     a = sub(a, scale(h[0], b))
     return rotation_vector_linear(a, b, h[0]) + rotation_vector_linear(a, b, h[0] + h[1])

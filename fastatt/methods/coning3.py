@@ -1,4 +1,4 @@
-"""Coning-3: three intervals at a time, polynomial or optimal for pure coning."""
+"""The three-sample coning algorithms: polynomial, or optimal for pure coning."""
 
 from fastatt._jit import helper
 from fastatt.kernels.coning import (

@@ -1,6 +1,6 @@
-"""Crouch-Grossman methods: exponentials of the rate as it is at a few instants of the step.
+"""Crouch-Grossman methods: exponentials of the rate at a few times within the step.
 
-Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1.
+Crouch and Grossman, *Journal of Nonlinear Science* 3 (1993) 1.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from fastatt.tracing.functions import larger
 
 
 def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
-    # exponents are plain rates times a span
+    # exponents are rates times a share of the step
     return reduce(larger, [dot(u, u) for u in exponents])
 
 
 def _method(
     name: str, order: int, frozen: tuple[tuple[float, float], ...], **fields: Any
 ) -> Method:
-    """``frozen`` has (share of the step, when in it) of each exponential's rate."""
+    """A method with exponentials; ``frozen`` has (share of the step, time in it) of each."""
 
     def exponents(w: Any, t: Any, h: Any) -> Any:
         return tuple(scale(share * h, w(t + at * h)) for share, at in frozen)

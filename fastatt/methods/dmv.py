@@ -1,9 +1,10 @@
-"""DMV: the discrete Moser-Veselov step with modified inertia, to orders 2 to 10, for free bodies.
+"""DMV: the discrete Moser-Veselov step with modified inertia, of orders 2 to 10, for free bodies.
 
-What is stepped is not m but u = h m/(2K), K the modified moments, which a free body keeps. The step
-is implicit in c, the tangent of half the rotation angle: c1 = (1 + |c|²) u1 + κ1 c2 c3, cyclic,
-κ1 = (K2 − K3)/K1; then q∘(1, c)/√(1 + |c|²) and u1 + 2 κ1 c2 c3/(1 + |c|²). No trigonometry;
-keeps |m|, the energy and the momentum in space.
+The step is taken in u = h m/(2K) in place of m, with the modified moments K, which a free body
+conserves. It is implicit in c, the tangent of half the rotation angle: c1 = (1 + ``|c|²``) u1 +
+κ1 c2 c3, cyclic, with κ1 = (K2 − K3)/K1. The new attitude is q∘(1, c)/√(1 + ``|c|²``) and the new
+u1 is u1 + 2 κ1 c2 c3/(1 + ``|c|²``). There is no trigonometry; ``|m|``, the energy and the angular
+momentum along inertial axes are conserved.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from fastatt.tracing.formulas import Vector, dot, plus, scale
 from fastatt.tracing.formulas import moser_veselov as mv
 from fastatt.tracing.graph import Single, choose
 
-# numbers of each level of coefficients, from the second power of the step on
+# number of coefficients of each level, from the second power of the step on
 _SIZES = (4, 6, 8, 10)
 
 
@@ -29,7 +30,7 @@ def coefficients(level: int, inertia: Vector) -> Vector:
 
 
 def corrections(level: int, C: Any, H: Any, k: Vector) -> Vector:
-    """(s, d) of the modified moments from the coefficients k, the smallest added first."""
+    """(s, d) of the modified moments from the coefficients k, added from the smallest on."""
     each = (mv.corrections2, mv.corrections4, mv.corrections6, mv.corrections8)
     found: Vector = (0.0, 0.0)
     for n in reversed(range(level)):
@@ -39,13 +40,13 @@ def corrections(level: int, C: Any, H: Any, k: Vector) -> Vector:
 
 
 def tolerance(x: Any) -> float:
-    """Square of the change below which Newton's iteration in the precision of x has converged."""
-    # Newton's last change e leaves e²: 1e-6 leaves 1e-12, less than any level's own error there
+    """Square of the change below which Newton's iteration, in the precision of x, has converged."""
+    # after a last change e Newton's iteration has the error e²; 1e-12 is below each level's error
     return 1e-7 if isinstance(x, Single) else 1e-12
 
 
 def scaled_inertia(motion: Any) -> Any:
-    """Principal moments over the largest one, and that."""
+    """Principal moments divided by the largest one, and the largest one."""
     a, b, c = motion.moments
     largest = choose(a > b, a, b)
     largest = choose(c > largest, c, largest)
@@ -53,7 +54,7 @@ def scaled_inertia(motion: Any) -> Any:
 
 
 def modified(level: int, h: Any, m: Vector, scaled: Any, k: Vector) -> Any:
-    """h/(2K) of each axis and (K2 − K3)/K1, cyclic, for a step h at momentum m."""
+    """h/(2K) for each axis and (K2 − K3)/K1, cyclic, for a step h at momentum m."""
     inertia, largest = scaled
     f = h / largest
     square = mv.squared(scale(f, m))
@@ -64,9 +65,10 @@ def modified(level: int, h: Any, m: Vector, scaled: Any, k: Vector) -> Any:
 
 
 def squared_turn(motion: Any, h: Any, m: Vector) -> Any:
-    """(|m| h/I_min)²: what the series of the modified moments are in, of a needle far beyond |w| h.
+    """(``|m|`` h/I_min)², the variable of the series of the modified moments.
 
-    Not the rotation that is solved for: near π the modified moments make it small again.
+    For a needle it is far above ``|w| h``. The rotation angle of the step is not used: near π the
+    modified moments make it small.
     """
     a, b, c = motion.half_inverse
     most = choose(a > b, a, b)
@@ -77,7 +79,7 @@ def squared_turn(motion: Any, h: Any, m: Vector) -> Any:
 
 
 def turned(motion: Any, a: Vector, u: Vector, kappa: Vector, z: Any) -> Any:
-    """The attitude after one step, c and 1/(1 + |c|²); z, infinite where c did not converge."""
+    """The attitude after one step, c and 1/(1 + ``|c|²``); z is infinite if c did not converge."""
     c, change = mv.solve(u, kappa)
     r, inverse = mv.rotation(c)
     z = choose(change < tolerance(u[0]), z, math.inf)

@@ -1,9 +1,9 @@
 """Gauss-12: the motion of the rate's polynomial through six Gauss nodes, by its power series.
 
-The polynomial's own motion departs from the rate's by O(h¹³) a step, as its nodes are Gauss's
-(Hairer, Lubich, Wanner, *Geometric Numerical Integration*, 2006, §II.1.2). The attitude's equation
-is linear, so that one series about the middle of the step leads to both of its ends: half the step
-is its reach, and terms of one parity cancel.
+The motion of the polynomial differs from that of the rate by O(h¹³) in a step, since the nodes are
+Gauss nodes (Hairer, Lubich and Wanner, *Geometric Numerical Integration*, 2006, §II.1.2). The
+attitude's equation is linear, so that one series about the middle of the step reaches both ends:
+its radius is half the step, and terms of one parity cancel.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
 from fastatt.tracing.functions import larger
 
 _NODES = 6
-#: terms after the first; of an odd number the next one cancels too
+#: terms after the first; with an odd number the next term cancels too
 _TERMS = 2 * _NODES - 1
 
 

@@ -1,12 +1,12 @@
 """GBS-16: the explicit midpoint rule, extrapolated in eight columns.
 
-A step is crossed by the midpoint rule in 4, 6, … 24 substeps. Its error is a series in the squares
-of their lengths, seven terms of which a weighted sum of the results takes away. A stage is one
-substep, of one slope: a Runge-Kutta method of high order combines a dozen slopes, which takes
-longer than most torques do. Gragg, SIAM J. Numer. Anal. 2 (1965) 384.
+The midpoint rule crosses a step in 4, 6, … 24 substeps. Its error is a series in the squares of
+their lengths, and a weighted sum of the results removes seven terms of it. A stage is one substep
+with one slope, while a Runge-Kutta method of high order combines a dozen slopes, which takes
+longer than evaluating most torques. Gragg, *SIAM Journal on Numerical Analysis* 2 (1965) 384.
 
-In place of the momentum m a column steps v = (h/n) I⁻¹ m, half of the body's rotation in two of its
-n substeps: neither their length nor a moment of inertia is left to multiply by in each of them.
+In place of the momentum m, a column steps v = (h/n) I⁻¹ m, half of the body's rotation in two of
+its n substeps. Multiplications by their length and by moments of inertia are thus avoided.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fastatt.scene.equations import Body
 from fastatt.tracing.formulas import Vector, axpy, largest, minus, onto, plus, product, rigid, scale
 from fastatt.tracing.graph import choose
 
-#: substeps of each column: few, but far enough apart for small weights, which multiply rounding
+#: substeps of each column: few, and far enough apart for small weights, which multiply rounding
 COLUMNS = (4, 6, 8, 10, 12, 14, 18, 24)
 _WEIGHTS = [math.prod(n * n / (n * n - m * m) for m in COLUMNS if m != n) for n in COLUMNS]
 
@@ -33,7 +33,7 @@ def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
         end, found = column(motion, t, h, n, start, slopes[0])
         ends.append(end)
         slopes += found
-    # of differences: what the weights miss of 1 by rounding would push every step the same way
+    # sums of differences: the rounding of the weights' sum would act in the same way in every step
     d = ends[0]
     for weight, end in zip(_WEIGHTS, ends, strict=True):
         d = axpy(weight, minus(end, ends[0]), d)
@@ -42,9 +42,9 @@ def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
 
 
 def _state(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) -> Any:
-    """(how far n substeps go, their slopes), of any motion."""
+    """(the change over n substeps, their slopes), for any equations of motion."""
     slopes = []
-    # how far it is from the start: rounded at that size, not at the state's
+    # the difference from the start, which is rounded at its own size
     before, now = (0.0,) * len(start), scale(h * (1.0 / n), first)
     for k in range(1, n):
         slopes.append(motion.field(motion.at(t + (k / n) * h), plus(start, now)))
@@ -53,7 +53,7 @@ def _state(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) ->
 
 
 def _angles(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) -> Any:
-    """Columns of a body, which is stepped by v; slopes only where the attitude has poles."""
+    """Columns of a body, which steps v; slopes are computed only if the attitude has poles."""
     size = motion.plain.size
     frequency = 1.0 / choose(h == 0.0, 1.0, h)
     span = (h + h) / n

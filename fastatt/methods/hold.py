@@ -1,4 +1,4 @@
-"""Hold: each sample's rate kept over the interval that follows; increments taken as they are."""
+"""Hold: each rate is kept over the next interval; increments are used as rotation vectors."""
 
 from fastatt._jit import helper
 from fastatt.kernels.vec3 import scale

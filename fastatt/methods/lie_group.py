@@ -1,7 +1,7 @@
-"""Lie-group methods for a given rate: a method is its exponents.
+"""Lie-group methods for a prescribed rate, which are defined by their exponents.
 
-Every such method only rotates its state, q∘exp(u1)∘exp(u2)…, so that it stays on the group by
-construction. Iserles, Munthe-Kaas, Nørsett and Zanna, Acta Numerica 9 (2000) 215.
+Such a method only rotates its state, q∘exp(u1)∘exp(u2)…, so that it stays a rotation by
+construction. Iserles, Munthe-Kaas, Nørsett and Zanna, *Acta Numerica* 9 (2000) 215.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fastatt.tracing.trace import traceable
 
 
 def one_exponential(motion: Any, t: Any, h: Any, x: Vector) -> Any:
-    """The exponential of the rate at the middle of the step: exact for a constant rate."""
+    """The exponential of the rate at the middle of the step, which is exact for a constant rate."""
     u = scale(h, motion.rate(t + 0.5 * h))
     return motion.turned(x, u), dot(u, u)
 
@@ -34,8 +34,8 @@ def one_exponential(motion: Any, t: Any, h: Any, x: Vector) -> Any:
 def gauss_polynomial(w: Any, t: Any, h: Any, n: int) -> list[Vector]:
     """h times the coefficients of the rate's polynomial through n Gauss nodes, n even.
 
-    In powers of the time from the middle of the step over h. Of a constant rate all but the first
-    are exactly 0.
+    The variable is the time from the middle of the step divided by h. For a constant rate all
+    coefficients but the first are exactly 0.
     """
     nodes, even, odd = _fits(n)
     pairs = [(w(t + (0.5 - x) * h), w(t + (0.5 + x) * h)) for x in nodes]
@@ -53,7 +53,7 @@ def gauss_polynomial(w: Any, t: Any, h: Any, n: int) -> list[Vector]:
 
 @cache
 def _fits(n: int) -> tuple[Any, Any, Any]:
-    """Nodes on one side of the middle; coefficients from sums over both sides, and from gaps."""
+    """Nodes on one side of the middle; coefficients from sums and differences of both sides."""
     nodes = 0.5 * np.polynomial.legendre.leggauss(n)[0][n // 2 :]
     even = 2.0 * np.vander(nodes**2, increasing=True)
     fits = (np.linalg.inv(even), np.linalg.inv(even * nodes[:, None]))
@@ -61,10 +61,10 @@ def _fits(n: int) -> tuple[Any, Any, Any]:
 
 
 def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
-    """Squared rotation angle of a method of one exponential or of equal ones.
+    """Squared rotation angle of a method with one exponential, or with equal ones.
 
-    The exponents alone shrink again where a series fails; the first rate that was asked for does
-    not.
+    The first rate of the step is included, since the exponents become small again where a series
+    fails.
     """
     n = float(len(exponents) ** 2)
     turns = [n * dot(u, u) for u in exponents]
@@ -72,7 +72,7 @@ def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
 
 
 def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callable[..., Any]:
-    """The step of ``exponents(w, t, h) -> (u1, u2, …)``, w(t) the rate."""
+    """The step of ``exponents(w, t, h) -> (u1, u2, …)``, with the rate w(t)."""
 
     def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
         asked: list[Vector] = []
@@ -102,7 +102,7 @@ def lie_method(
     exact_for_constant: bool = True,
     **fields: Any,
 ) -> Method:
-    """Record of a method that rotates the state by its exponents, with another step for bodies."""
+    """Record of a method that rotates the state by its exponents; ``body`` steps bodies."""
     steps = Steps(
         rate=lie_step(exponents, turns),
         constant=one_exponential if exact_for_constant else None,
@@ -125,20 +125,34 @@ def lie_method(
 def lie_group(
     name: str, *, order: int, exponents: Callable[..., Any], limit: float = 1.0
 ) -> Method:
-    """A custom Lie-group method for prescribed rates, accepted wherever a method's name is.
+    """Define a Lie-group method for prescribed rates.
+
+    The step is q∘exp(u1)∘exp(u2)…, with exponents that a function computes from the rate. The
+    method is accepted wherever a method's name is.
 
     Parameters
     ----------
-    name : what tables call it.
-    order : the order declared, which ``fastatt.check_convergence`` compares with what is measured.
-    exponents : ``f(w, t, h) -> (u1, u2, …)``, tuples of three: the step is q∘exp(u1)∘exp(u2)…, in
-        body axes, rad. ``w(t)`` gives the rate, rad/s. Ordinary arithmetic, ``math`` and the
-        kernels of ``fastatt.kernels``; it is called once, with numbers that record it.
-    limit : largest |w| h of a step, rad, beyond which the status says so.
+    name : str
+        Name of the method.
+    order : int
+        Declared order, which :func:`check_convergence` compares with the measured one.
+    exponents : callable
+        ``f(w, t, h) -> (u1, u2, …)``, rotation vectors along body axes, rad, as tuples of three.
+        w(t) is the rate, rad/s, t the time at the begin of the step, s, and h the step size, s. The
+        function is traced: it may use arithmetic, ``math`` and the kernels of
+        :mod:`fastatt.kernels`.
+    limit : float, default 1.0
+        Largest ``|w| h`` of a step, rad; beyond it the status is ``STEP_TOO_LARGE``.
+
+    Returns
+    -------
+    Method
+        The method.
 
     Raises
     ------
-    TypeError, ValueError : an argument that does not fit, by name, with what is accepted.
+    TypeError, ValueError
+        If an argument does not fit, or if the exponents do not add up to h w at a constant rate.
 
     Examples
     --------
@@ -173,10 +187,10 @@ def lie_group(
 
 
 def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
-    """How often exponents ask for the rate, and how many there are.
+    """How often exponents evaluate the rate, and how many exponents there are.
 
-    Raises ``ValueError`` where the function returns no tuple of exponents, or where at a constant
-    rate they do not add up to the rotation of a step, which order 1 requires.
+    Raises ``ValueError`` if the function does not return a tuple of exponents, or if they do not
+    add up to the rotation of a step at a constant rate, which order 1 requires.
     """
     graph = Graph()
     asked = 0
@@ -212,7 +226,7 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
 
 
 def named(name: Any) -> str:
-    """A name, and nothing else."""
+    """The name of a method; raises ``TypeError`` for anything else."""
     if not isinstance(name, str) or not name:
         raise TypeError(f"name: found {name!r}; accepted: a name")
     return name

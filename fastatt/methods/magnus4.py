@@ -11,7 +11,7 @@ from fastatt.tracing.formulas import axpy, minus, plus, scale, vec3
 def exponents(w: Any, t: Any, h: Any) -> Any:
     a = w(t + 0.21132486540518713 * h)
     b = w(t + 0.7886751345948129 * h)
-    # u = h (a + b)/2 + (√3/12) h² a×b; with b − a the bracket of a constant rate is exactly 0
+    # u = h (a + b)/2 + (√3/12) h² a×b; with b − a the bracket is exactly 0 for a constant rate
     bracket = vec3.cross(a, minus(b, a))
     mean = scale(0.5, plus(a, b))
     return (scale(h, axpy(0.14433756729740643 * h, bracket, mean)),)

@@ -1,4 +1,4 @@
-"""What a method says of itself, and its steps as formulas on recorded numbers."""
+"""The record of a method, and its steps as formulas on traced numbers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 from fastatt.attitudes import ATTITUDES, QUATERNION, Attitude
 from fastatt.scene.torque_record import Dependence
 
-#: key of the limits of a rigid body
+#: key of the limit for a rigid body
 BODY = "body"
-#: of a body under a torque, where that is another one
+#: key of the limit for a body under a torque, if it is another one
 TORQUED = "torqued"
 FREE = ("spherical", "symmetric", "free")
 BODIES = (*FREE, "torqued")
@@ -20,17 +20,18 @@ BODIES = (*FREE, "torqued")
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """The formulas of a method: plain functions on recorded numbers.
+    """The formulas of a method: plain functions on traced numbers.
 
-    ``rate(motion, t, h, x)`` and ``body(motion, t, h, x)`` give (x(t + h), z) of a
-    ``scene.equations.Turning`` and a ``Body``, z the squared angle (rad²) of the step's largest
-    rotation, infinite where an iteration did not converge. ``constant`` is ``rate`` of a rate that
-    never changes, where that is another one.
+    ``rate(motion, t, h, x)`` and ``body(motion, t, h, x)`` return (x(t + h), z) for the equations
+    of motion ``scene.equations.Turning`` and ``Body``. z is the squared angle (rad²) of the step's
+    largest rotation, infinite if an iteration did not converge. ``constant`` replaces ``rate`` for
+    a constant rate, if it is given.
 
-    A splitting has ``stage(motion, t, h, k, x, e)`` instead: h s of free motion, then k s of the
-    other flow. ``prepare(motion, h, x)`` gives the numbers e that a run with step h needs of a body
-    in addition to its parameters, from its initial state; ``enter`` and ``leave`` change between
-    the state and the one that is stepped: ``f(motion, t, s, k, x, e)``, s after the start t.
+    A splitting method has ``stage(motion, t, h, k, x, e)`` instead: free motion for h s, then the
+    other flow for k s. ``prepare(motion, h, x)`` returns the numbers e that a run with step size h
+    needs of a body in addition to its parameters, from its initial state. ``enter`` and ``leave``
+    convert between the state and the stepped variables: ``f(motion, t, s, k, x, e)``, s after the
+    start t.
     """
 
     rate: Callable[..., Any] | None = None
@@ -44,20 +45,75 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """One method's record: everything that tests, benches, tables and advice are made from.
+    """The record of a method, from which tests, benchmarks, tables and advice are generated.
 
-    ``limits`` is the largest |w|h (rad a step) for which a step is trustworthy, by the ``family``
-    of a representation:
-    its error is then at most 0.1 rad a rad turned, for rates that change no faster than the body
-    turns; of ``dmv`` the largest |m|h/I_min, of ``strang2`` and its compositions the
-    largest |m|h √(|1/I1 − 1/I2| |1/I3 − 1/I2|), I2 the intermediate moment, and under a torque, as
-    "torqued", the largest |w|h too. That of a rigid body stands under "body", those of samples
-    under "rates" and "increments". Beyond, the body's status says so, but where the rate is
-    constant and the method ``exact_for_constant``.
-    ``damping_limit`` is the largest c h/I of linear damping, whose factor is then right to 0.1, of
-    splittings the angle to 0.1 |w|h.
-    ``rate_calls`` is the number of evaluations of the rate or the torque a step, ``exponentials``
-    that of exponentials.
+    Records are in :data:`fastatt.METHODS`. :func:`runge_kutta` and :func:`lie_group` make further
+    ones.
+
+    Parameters
+    ----------
+    name : str
+        Name of the method.
+    order : int
+        Order, as tests measure it.
+    scenes : tuple of str
+        Kinds of scenes (``Scene.kind``) that the method accepts, "rates" and "increments" for
+        samples.
+    conserves : tuple of str
+        Quantities that the method conserves.
+    rate_calls : int
+        Evaluations of the rate or torque in a step.
+    exponentials : int
+        Exponentials in a step.
+    limits : mapping of str to float
+        Largest ``|w| h``, rad, of a step whose error is at most 0.1 rad per radian of rotation, for
+        rates that change no faster than the body rotates. Keys are families of representations,
+        "body" and "torqued" for rigid bodies, "rates" and "increments" for samples. Beyond the
+        limit the status is ``STEP_TOO_LARGE``. The ``measure`` says what is limited.
+    source : str
+        Author, year and equation.
+    summary : str
+        A line for tables.
+    uses : tuple of str
+        Formulas of a representation that the method needs.
+    steps : Steps, optional
+        The formulas; None for the closed form and for methods for samples.
+    window : Window, optional
+        The formulas of a method for samples.
+    exact_for_constant : bool
+        Whether the method is exact for a constant rate, with no limit of the step.
+    orders : mapping of str to int
+        Orders on kinds of scenes for which they differ from ``order``.
+    stages : tuple of tuple of float
+        (h, k, c) of each stage of a splitting method: its share of free motion, its share of the
+        other flow, and the time of the other flow as a share of the step.
+    reversible : tuple of str
+        Kinds of scenes on which a step backwards reverses a step, to rounding.
+    symplectic : bool
+        Whether the step of a conservative system is symplectic.
+    sorted_axes : bool
+        Whether the principal moments must be in order.
+    takes : Dependence
+        How a torque may depend on w.
+    measure : {"turn", "momentum", "asymmetry"}
+        What ``limits`` hold for: "turn" ``|w| h``; "momentum" ``|m| h``/I_min; "asymmetry" ``|m|
+        h`` √(``|1/I1 − 1/I2|`` ``|1/I3 − 1/I2|``) with the intermediate moment I2, and under a
+        torque also ``|w| h``.
+    damping_limit : float
+        Largest c h/I of linear damping, with a relative error of at most 0.1 of its factor, for
+        splitting methods an error of the angle of at most 0.1 ``|w| h``.
+    compensates : bool
+        Whether ``compensated=True`` is accepted.
+    couples : bool
+        Whether velocity, position and states can be stepped together with the attitude, as scenes
+        with mass or states need.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> rk8 = fa.METHODS["rk8"]
+    >>> rk8.order, rk8.couples
+    (8, True)
     """
 
     name: str
@@ -69,66 +125,89 @@ class Method:
     limits: Mapping[str, float]
     source: str
     summary: str = ""
-    #: formulas of a representation that it calls: one that has them fits
+    #: formulas of a representation that the method needs
     uses: tuple[str, ...] = ("start",)
-    #: None of the closed form and of methods for samples
+    #: None for the closed form and for methods for samples
     steps: Steps | None = field(default=None, repr=False)
-    #: of a method for samples: what it makes of a window of them
+    #: the formulas of a method for samples
     window: Any = field(default=None, repr=False)
     exact_for_constant: bool = False
     orders: Mapping[str, int] = field(default_factory=dict)
-    #: (h, k, c) of each stage of a step: its share of free motion and of the other flow, and at
-    #: which share of the step the other flow acts; none for a method of one stage
+    #: (h, k, c) of each stage of a step: its shares of free motion and of the other flow, and the
+    #: time of the other flow as a share of the step; empty for a method of one stage
     stages: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
-    #: kinds of scenes on which a step back undoes a step, to rounding
+    #: kinds of scenes on which a step backwards reverses a step, to rounding
     reversible: tuple[str, ...] = ()
     #: the step of a conservative system is a symplectic map
     symplectic: bool = False
-    #: needs the principal axes in ascending order
+    #: whether the intermediate principal axis must be the second
     sorted_axes: bool = False
     #: how a torque may depend on w
     takes: Dependence = Dependence.RATE
-    #: what ``limits`` hold for: "turn", "momentum" or "asymmetry"
+    #: the quantity that ``limits`` bound: "turn", "momentum" or "asymmetry"
     measure: str = "turn"
-    #: largest c h/I, of linear damping
+    #: largest c h/I of linear damping
     damping_limit: float = math.inf
-    #: whether it can carry what rounding loses
+    #: whether it can compensate rounding
     compensates: bool = False
-    #: whether velocity, position and states can be part of what it steps, as a scene with mass or
-    #: states needs; its step of a body is then that of a rate with states too
+    #: whether velocity, position and states can be stepped together with the attitude; the step of
+    #: a body then serves rates with states too
     couples: bool = False
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """The library's own by their names: they are made of functions within functions."""
+        """Pickle the library's methods by name, since they contain nested functions."""
         listed = _listed(self.name) is self
         return (_listed, (self.name,)) if listed else super().__reduce_ex__(protocol)
 
     @property
     def is_stepped(self) -> bool:
-        """Whether it takes steps of a scene: neither the closed form nor a method for samples."""
+        """Whether the method takes steps: False for the closed form and for methods for samples."""
         return self.steps is not None
 
     @property
     def is_exact(self) -> bool:
-        """Whether it is a closed form: no steps, any time in one evaluation."""
+        """Whether the method is a closed form, with one evaluation for each time."""
         return self.steps is None and self.window is None
 
     @property
     def reduces(self) -> bool:
-        """Whether a reducer can see its steps: what is stepped is the state."""
+        """Whether ``reduce`` is accepted: the stepped variables are the state."""
         return self.steps is not None and self.steps.stage is None
 
     def order_of(self, scene: str) -> int:
-        """Order on one kind of scene, where it differs from ``order``."""
+        """Order on a kind of scene.
+
+        Parameters
+        ----------
+        scene : str
+            A kind of scene, ``Scene.kind``.
+
+        Returns
+        -------
+        int
+            The order.
+        """
         return self.orders.get(scene, self.order)
 
     @property
     def representations(self) -> tuple[str, ...]:
-        """Names of the library's representations that fit."""
+        """Names of the library's representations that the method accepts."""
         return tuple(name for name, attitude in ATTITUDES.items() if self.stores(attitude))
 
     def stores(self, representation: str | Attitude) -> bool:
-        """Whether a representation has the formulas that it calls; samples give quaternions."""
+        """Whether the method accepts a representation.
+
+        Parameters
+        ----------
+        representation : str or Attitude
+            A name or a representation.
+
+        Returns
+        -------
+        bool
+            Whether the representation has the formulas that the method needs; methods for samples
+            accept quaternions only.
+        """
         if isinstance(representation, str):
             representation = ATTITUDES[representation]
         if self.window is not None:
@@ -138,7 +217,22 @@ class Method:
     def limit(
         self, representation: str | Attitude, *, body: bool = False, torqued: bool = False
     ) -> float:
-        """Largest |w|h, rad, of a representation; the least that there is if it has no family."""
+        """Largest ``|w| h`` of a step in a representation.
+
+        Parameters
+        ----------
+        representation : str or Attitude
+            A name or a representation.
+        body : bool, default False
+            Whether the scene has inertia.
+        torqued : bool, default False
+            Whether there is a torque.
+
+        Returns
+        -------
+        float
+            The limit, rad; the smallest of all limits for a representation without ``family``.
+        """
         if torqued and TORQUED in self.limits:
             return self.limits[TORQUED]
         key = representation if isinstance(representation, str) else representation.family
@@ -149,7 +243,7 @@ class Method:
 
 
 def _listed(name: str) -> Method | None:
-    """The library's method of a name."""
+    """The library's method of a name, for unpickling."""
     from fastatt.methods import METHODS
 
     return METHODS.get(name)

@@ -1,7 +1,8 @@
-"""Picard: six intervals at a time, the kinematic equation iterated on Gauss nodes.
+"""Picard: six intervals at a time, with the kinematic equation iterated on Gauss nodes.
 
-A polynomial through the samples gives the rate at six Gauss nodes; q ← 1 + ½∫q∘w is iterated there,
-and read off at the instants in a Legendre basis, which keeps the digits that powers of t lose.
+A polynomial through the samples gives the rate at six Gauss nodes, where q ← 1 + ½∫q∘w is iterated.
+The attitudes at the samples follow from a Legendre series, which keeps digits that powers of t
+lose.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from fastatt.methods.windows import Iteration, Window
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 
 SPAN = 6
-# at the limits noise, whose polynomial goes far beyond the samples, takes some 70, a cone 20 or 30
+# at the limits, noise takes some 70 passes, since its polynomial overshoots; a cone takes 20 or 30
 PASSES = 128
 
 
@@ -38,7 +39,7 @@ def _table(values: Any) -> tuple[Vector, ...]:
 _NODES, _INTEGRATION, _COEFFICIENTS = _collocation()
 NODES: Vector = tuple(_NODES.tolist())
 INTEGRATION, COEFFICIENTS = _table(_INTEGRATION), _table(_COEFFICIENTS)
-# the state: T w/2 at the nodes, T the length of the window, attitudes there,
+# the state: T w/2 at the nodes, with the length T of the window, the attitudes there,
 _RATES = 3 * SPAN
 _ATTITUDES = _RATES + 4 * SPAN
 # and the ends of the intervals as shares of T
@@ -59,7 +60,7 @@ def _combined(table: tuple[Vector, ...], vectors: list[Vector]) -> list[Vector]:
 
 
 def _instants(h: Vector) -> tuple[Any, Vector]:
-    """T, and the samples' instants from the window's start as shares of it."""
+    """T, and the times of the samples since the begin of the window as shares of it."""
     times = [0.0]
     for interval in h:
         times.append(times[-1] + interval)
@@ -67,7 +68,7 @@ def _instants(h: Vector) -> tuple[Any, Vector]:
 
 
 def _fitted(values: list[Any], instants: Vector) -> list[tuple[Any, Any]]:
-    """(value, derivative) at each node of Newton's polynomial through values at the instants."""
+    """(value, derivative) at each node of Newton's polynomial through values at given times."""
     d = list(values)
     for level in range(1, SPAN + 1):
         for i in range(SPAN, level - 1, -1):
@@ -84,7 +85,7 @@ def _fitted(values: list[Any], instants: Vector) -> list[tuple[Any, Any]]:
 
 
 def rates(v: Vector, h: Vector) -> Vector:
-    """The first state, of rates (rad/s)."""
+    """The first state, from rates (rad/s)."""
     total, instants = _instants(h)
     axes = [_fitted([v[3 * i + axis] for i in range(SPAN + 1)], instants) for axis in range(3)]
     half = 0.5 * total
@@ -92,7 +93,7 @@ def rates(v: Vector, h: Vector) -> Vector:
 
 
 def increments(v: Vector, h: Vector) -> Vector:
-    """The first state, of increments (rad): their polynomial's derivative is T w."""
+    """The first state, from increments (rad), whose polynomial has the derivative T w."""
     _, instants = _instants(h)
     axes = []
     for axis in range(3):
@@ -104,7 +105,7 @@ def increments(v: Vector, h: Vector) -> Vector:
 
 
 def _begun(half_angles: list[Vector], instants: Vector) -> Vector:
-    """With attitudes that are right but for coning: the exponential of the rates' integral."""
+    """The first state, with attitudes without coning: exponentials of the rates' integral."""
     turns = [scale(2.0, u) for u in _combined(INTEGRATION, half_angles)]
     return (*_flat(half_angles), *_flat([quat.exp(u) for u in turns]), *instants[1:-1])
 
@@ -116,7 +117,7 @@ def _slopes(state: Vector) -> list[Vector]:
 
 
 def improve(state: Vector) -> Vector:
-    """A pass: q ← 1 + ∫q̇ at the nodes."""
+    """One pass: q ← 1 + ∫q̇ at the nodes."""
     integrals = _combined(INTEGRATION, _slopes(state))
     attitudes = [(1.0 + q0, *q) for q0, *q in integrals]
     return (*state[:_RATES], *_flat(attitudes), *state[_ATTITUDES:])
@@ -135,7 +136,7 @@ def read(state: Vector) -> Vector:
 def _integrals(t: Any) -> Vector:
     """Integrals to t of the Legendre polynomials shifted to [0, 1].
 
-    Of x = 2t − 1: (x + 1)/2, then (P_{k+1} − P_{k−1})/(4k + 2).
+    With x = 2t − 1 they are (x + 1)/2, then (P_{k+1} − P_{k−1})/(4k + 2).
     """
     x = 2.0 * t - 1.0
     p = [1.0, x]

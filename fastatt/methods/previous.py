@@ -1,4 +1,4 @@
-"""Previous: an interval and the one before it, the causal coning correction."""
+"""Previous: an interval and the one before it give a causal coning correction."""
 
 from fastatt._jit import helper
 from fastatt.kernels.coning import (

@@ -11,7 +11,7 @@ TABLEAU = Tableau(
 METHOD = explicit_method(
     "rk4",
     TABLEAU,
-    # stable up to 4√2 on quaternions and 2√2 on matrices, but wrong long before
+    # stable up to 4√2 on quaternions and 2√2 on matrices, but inaccurate well below these
     of_quaternions=1.7,
     of_matrices=1.5,
     first_turn=True,

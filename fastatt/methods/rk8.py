@@ -1,7 +1,7 @@
-"""RK8: an explicit Runge-Kutta method of order 8 on the numbers of the state.
+"""RK8: an explicit Runge-Kutta method of order 8 on the numbers of the state, with 12 stages.
 
-It has 12 stages. Those of order 8 with 11, of Cooper and Verner (1972), are less accurate by more
-than a stage saves.
+The methods of order 8 with 11 stages of Cooper and Verner (1972) lose more accuracy than the stage
+saves.
 """
 
 from fastatt.methods.method import BODIES

@@ -1,6 +1,7 @@
 """RK9: an explicit Runge-Kutta method of order 9 on the numbers of the state.
 
-Fifteen stages take more time than the twelve of ``rk8``, and fewer steps at tight tolerances.
+Its fifteen stages take longer than the twelve of ``rk8``, but it needs fewer steps at tight
+tolerances.
 """
 
 from fastatt.methods.method import BODIES

@@ -25,7 +25,7 @@ def body(motion: Any, t: Any, h: Any, x: Vector) -> Any:
     m = motion.momentum_of(x)[:3]
 
     def stage(at: Any, u: Vector, m: Vector) -> Any:
-        """(u̇, ṁ) of the rotation vector u from the attitude a and of the momentum m."""
+        """(u̇, ṁ) of the rotation vector u from the attitude a, and of the momentum m."""
         rate_of_m = motion.momentum_rate(at, motion.plain.turn(a, u), m)
         return so3.dexpinv_short(u, motion.angular_velocity(m)), rate_of_m
 
@@ -52,6 +52,6 @@ METHOD = lie_method(
     body_limit=1.9,
     damping_limit=1.7,
     exact_for_constant=False,  # its equation is singular at 2π
-    summary="Runge-Kutta on the rotation vector; half of magnus4's error in large-angle coning",
+    summary="Runge-Kutta on the rotation vector; less error than magnus4 in coning near 1 rad",
     source="Munthe-Kaas, Appl. Numer. Math. 29 (1999) 115",
 )

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods on the numbers of the state: a method is its tableau.
+"""Explicit Runge-Kutta methods on the numbers of the state, which are defined by their tableaus.
 
 A tableau is checked when it is made: row sums, and the order conditions of every rooted tree up to
 its order. Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations I* (1993), §II.2.
@@ -20,19 +20,19 @@ from fastatt.methods.lie_group import named
 from fastatt.methods.method import BODIES, Method, Steps
 from fastatt.tracing.formulas import Vector, axpy, largest, scale, weighted
 
-# of trees beyond, 719 of order 10 and more, the conditions are not checked
+# order conditions beyond, 719 of order 10 alone, are not checked
 _CHECKED = 9
 _CLOSE = 1e-12
-# what w is multiplied by on the right: −i/2 times Pauli's matrices, and [e_k×]
+# the generators that multiply w: −i/2 times the Pauli matrices, and [e_k×]
 _QUATERNIONS = -0.5j * np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
 _MATRICES = np.cross(np.eye(3)[None], np.eye(3)[:, None])
 
 
 @dataclass(frozen=True)
 class Tableau:
-    """c, a and b of a method of s stages: a has a row for each stage but the first.
+    """The coefficients c, a and b of a method; a has a row for each stage but the first.
 
-    Raises ``ValueError`` where a row does not sum to its node, or an order condition does not hold.
+    Raises ``ValueError`` if a row does not sum to its node, or an order condition does not hold.
     """
 
     order: int
@@ -91,13 +91,13 @@ class Tableau:
 
     @property
     def stages(self) -> int:
-        """Evaluations a step."""
+        """The number of stages."""
         return len(self.b)
 
 
 @cache
 def trees(n: int) -> tuple[Any, ...]:
-    """Rooted trees of n nodes: a tree is the sorted tuple of its root's branches."""
+    """Rooted trees of n nodes; a tree is the sorted tuple of its root's branches."""
     if n == 1:
         return ((),)
     found = set()
@@ -114,22 +114,22 @@ def nodes(tree: Any) -> int:
 
 
 def density(tree: Any) -> int:
-    """γ: the product of the sizes of all subtrees."""
+    """γ of a tree: the product of the sizes of all subtrees."""
     return nodes(tree) * math.prod(density(branch) for branch in tree)
 
 
 def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
-    """The step of a tableau on any motion.
+    """The step of a tableau for any equations of motion.
 
-    z is that of the fastest stage; ``first_turn`` takes the body's own rate of its start rather
-    than that of the last stage.
+    z is that of the fastest stage. ``first_turn`` uses the rotation of the body at the begin of the
+    step in place of that of the last stage.
     """
     s = len(tableau.b)
-    # after which stage's state each slope of the sum is needed no more
+    # the stage after which each slope of the sum is no longer needed
     rows = (*((), *tableau.a), ())
     last = [max((i for i in range(j + 1, s) if rows[i][j]), default=s) for j in range(s)]
     done = [[j for j in range(s) if last[j] == i and tableau.b[j]] for i in range(s + 1)]
-    # weights are taken over the first one's, a product less, or over the largest if that is small
+    # weights are divided by the first one, to save a product, or by the largest if that is small
     k = next(tableau.b[j] for part in done for j in part)
     k = k if abs(k) > 0.1 * max(map(abs, tableau.b)) else max(tableau.b, key=abs)
 
@@ -143,7 +143,7 @@ def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
             if any(row):
                 factor, sum_ = weighted(row, slopes)
                 y = axpy(h * factor, sum_, start)
-            # a slope that no later stage needs is added now: fewer numbers wait in registers
+            # a slope that no later stage needs is added now, to keep fewer values in registers
             for j in done[i]:
                 d = _added(tableau.b[j] / k, slopes[j], d)
             if c not in given:
@@ -152,7 +152,7 @@ def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
         for j in done[len(tableau.b)]:
             d = _added(tableau.b[j] / k, slopes[j], d)
         assert d is not None
-        # of coordinates, which a stage may bring nearer to their pole than the start is
+        # coordinates may be nearer to their pole at a stage than at the begin of the step
         most = largest(slopes) if motion.attitude.has_poles else slopes[0]
         z = h * h * motion.turning(given[tableau.c[0]], most, start if first_turn else y)
         return motion.advanced(x, scale(h * k, d)), z
@@ -174,9 +174,9 @@ def explicit_method(
     first_turn: bool = False,
     **fields: Any,
 ) -> Method:
-    """Record of a tableau, with its limits."""
-    # modified Rodrigues parameters go from half a turn towards a whole one in a step, where they
-    # are infinite, and the angles' rates grow without bound near their poles
+    """The record of a tableau, with its limits."""
+    # modified Rodrigues parameters may pass from a rotation of π towards 2π within a step, where
+    # they are infinite, and the rates of angles grow without bound near their poles
     of_mrp = min(0.8 * of_quaternions, 2.5)
     limits = dict(zip(FAMILIES, (of_quaternions, of_matrices, of_mrp, 0.3), strict=True))
     step = stepped(tableau, first_turn=first_turn)
@@ -204,20 +204,37 @@ def runge_kutta(
     a: Sequence[Sequence[float]],
     b: Sequence[float],
 ) -> Method:
-    """A custom explicit Runge-Kutta method, accepted wherever a method's name is.
+    """Define an explicit Runge-Kutta method by its tableau.
+
+    The method is accepted wherever a method's name is.
 
     Parameters
     ----------
-    name : what tables call it.
-    order : the order declared; up to order 9 all its conditions are checked here.
-    c : the nodes, the first of them 0.
-    a : a row for each stage but the first, of one number, two, and so on.
-    b : the weights.
+    name : str
+        Name of the method.
+    order : int
+        Declared order. Up to order 9 all order conditions are checked.
+    c : sequence of float
+        Nodes, the first of which is 0.
+    a : sequence of sequence of float
+        A row for each stage but the first, of one number, two, and so on.
+    b : sequence of float
+        Weights.
+
+    Returns
+    -------
+    Method
+        The method.
 
     Raises
     ------
-    ValueError, TypeError : numbers that are no tableau, rows that do not sum to their nodes, an
-        order condition that does not hold, with what was found.
+    ValueError, TypeError
+        If the numbers are not a tableau, a row does not sum to its node, or an order condition does
+        not hold.
+
+    References
+    ----------
+    Hairer, Nørsett and Wanner, *Solving Ordinary Differential Equations I* (1993), §II.2.
 
     Examples
     --------
@@ -259,7 +276,7 @@ def _growth(tableau: Tableau, z: complex) -> complex:
 
 
 def _trusted(tableau: Tableau, k: float) -> float:
-    """Largest angle (rad) at a constant rate that is right to 5 %, with its size to 20 %."""
+    """Largest angle (rad) at a constant rate that is right to 5 %, with a norm right to 20 %."""
     for theta in np.arange(0.05, 6.0, 0.05):
         factor = _growth(tableau, 1j * k * theta)
         angle = math.atan2(factor.imag, factor.real) / k
@@ -269,10 +286,10 @@ def _trusted(tableau: Tableau, k: float) -> float:
 
 
 def _of_cones(tableau: Tableau, generators: Any) -> float:
-    """Largest rotation angle (rad) about a cone of half angle 1/2 whose angle is right to 10 %.
+    """Largest rotation angle (rad) about a cone of half angle 1/2 with a relative error of 10 %.
 
-    There w rotates twice as fast as the body. Ẋ = X Σ w_k G_k, whose X(1) is
-    exp(w(0) + Ω e3) exp(−Ω e3), is what quaternions obey or matrices, as ``generators`` G say.
+    w rotates twice as fast as the body there. Quaternions and matrices obey Ẋ = X Σ w_k G_k, with
+    the ``generators`` G, whose X(1) is exp(w(0) + Ω e3) exp(−Ω e3).
     """
     theta = np.arange(0.05, 6.01, 0.05)
     frequency = theta / (2.0 * math.sin(0.25))
@@ -297,14 +314,14 @@ def _of_cones(tableau: Tableau, generators: Any) -> float:
     spin = frequency[:, None, None] * generators[2]
     true = exponential(turned(0.0) + spin) @ exponential(-spin)
     trace = np.einsum("nij,nij->n", true.conj(), u @ v).real
-    # that of a rotation by φ is 2 cos φ/2 or 1 + 2 cos φ
+    # the trace for a rotation by φ is 2 cos φ/2 or 1 + 2 cos φ
     half = 0.5 * (trace if size == 2 else np.sqrt(np.maximum(trace + 1.0, 0.0)))
     wrong = 2.0 * np.arccos(np.clip(half, 0.0, 1.0)) > 0.1 * theta
     return float(theta[max(0, int(wrong.argmax()) - 1)]) if wrong.any() else 6.0
 
 
 def _damping(tableau: Tableau) -> float:
-    """Largest c h/I whose factor is right to 0.1."""
+    """Largest c h/I for which the damping factor is right to 0.1."""
     for x in np.arange(0.05, 8.0, 0.05):
         if abs(_growth(tableau, -x) - math.exp(-x)) > 0.1:
             return max(0.05, float(x) - 0.05)

@@ -17,7 +17,7 @@ def sampled_method(
     of_increments: float = math.inf,
     **others: Any,
 ) -> Method:
-    """Record of a method for samples, with its largest |w| over an interval, rad, for each kind."""
+    """Record of a method for samples, with its largest angle over an interval, rad."""
     kinds = {"sampled rates": False, "increments": True}
     return Method(
         window=window,

@@ -1,16 +1,19 @@
-"""Rotations about two principal axes, and their compositions of higher order.
+"""Splitting methods: rotations about two principal axes, and compositions of higher order.
 
-With the Casimir |m|²/(2 I2) taken out, I2 the intermediate moment, the kinetic energy is that of
-two rotors, ½ m1² (1/I1 − 1/I2) + ½ m3² (1/I3 − 1/I2), each of which rotates body and momentum about
-its axis at a constant rate; what was taken out is one rotation about the momentum. Explicit, stable
-at any step, reversible; |m| and the momentum in space stay what they were.
+With the Casimir ``|m|²``/(2 I2) removed, where I2 is the intermediate moment, the kinetic energy is
+that of two rotors, ½ m1² (1/I1 − 1/I2) + ½ m3² (1/I3 − 1/I2). Each rotates body and momentum about
+its axis at a constant rate; the Casimir itself is one rotation about the momentum. The methods are
+explicit, stable at any step size and reversible; ``|m|`` and the momentum along inertial axes are
+conserved.
 
-What is stepped lies half a rotation about axis 1 ahead of the state: two rotations a stage, not
-three. Under a torque a stage is all of the free motion and a kick, and half a kick ahead.
+The stepped state is half a rotation about axis 1 ahead, so that a stage has two rotations in place
+of three. Under a torque a stage is all of the free motion and a kick, and the stepped state is half
+a kick ahead.
 
-A torque is sampled once a stage, however symmetric the body, which must not rotate far between two
-samples. Its limit is of |w|h, where the stages give the impulse of a torque with two
-periods a revolution, as a gravity gradient has, to 0.3 of it, and that of a dipole to 0.1.
+A torque is sampled once in a stage, so that even a symmetric body must not rotate far between two
+samples. The limit of ``|w| h`` is where the stages give the impulse of a torque with two periods in
+a revolution, such as a gravity gradient, with a relative error of 0.3, and that of a dipole with
+0.1.
 """
 
 from __future__ import annotations
@@ -28,30 +31,30 @@ from fastatt.tracing.functions import larger
 
 
 def _rotor(turn: Any, half: Any, a: Vector) -> Any:
-    """The attitude turned about an axis, and cosine and sine of the angle."""
+    """The attitude rotated about an axis, with cosine and sine of the angle."""
     s, c = trig.sincos_bounded(half)
     return turn(a, c, s), 1.0 - 2.0 * s * s, 2.0 * s * c
 
 
 def first(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
-    """h s of the rotor about axis 1."""
+    """The rotor about axis 1, for h s."""
     a, C, S = _rotor(motion.attitude.turn_first, -0.5 * h * motion.gyroscopic[2] * m[0], a)
     return a, vec3.turn_first(m, C, S)
 
 
 def third(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
-    """h s of the rotor about axis 3."""
+    """The rotor about axis 3, for h s."""
     a, C, S = _rotor(motion.attitude.turn_third, 0.5 * h * motion.gyroscopic[0] * m[2], a)
     return a, vec3.turn_third(m, C, S)
 
 
 def spherical(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
-    """The attitude h s later of a sphere of moment I2."""
+    """The attitude of a sphere with moment I2 after h s."""
     return motion.turned(a, scale((h + h) * motion.half_inverse[1], m))
 
 
 def ahead(motion: Any, t: Any, s: Any, k: Any, x: Vector) -> Vector:
-    """The state k s of the last flow ahead, and s s of what is left to the end."""
+    """The state after the last flow for k s, and after s s of the rest of the step."""
     a, m = motion.attitude_of(x), motion.momentum_of(x)
     if motion.is_free:
         a, m = first(motion, k, a, m)
@@ -60,8 +63,8 @@ def ahead(motion: Any, t: Any, s: Any, k: Any, x: Vector) -> Vector:
 
 
 def prepare(motion: Any, h: Any, x: Vector) -> Vector:
-    # any step is stable, and exact for a free symmetric body: what a step misses grows with the
-    # mean of the rotors' angles, |m| h √(|1/I1 − 1/I2| |1/I3 − 1/I2|)
+    # any step size is stable, and exact for a free symmetric body; the error grows with the mean of
+    # the rotors' angles, |m| h √(|1/I1 − 1/I2| |1/I3 − 1/I2|)
     apart = abs(motion.gyroscopic[0] * motion.gyroscopic[2])
     if not motion.is_free:
         return apart, h * h
@@ -70,7 +73,7 @@ def prepare(motion: Any, h: Any, x: Vector) -> Vector:
 
 
 def squared_angle(motion: Any, e: Vector, m: Vector, share: float) -> Any:
-    """The larger of (|w|h)² and of ``share`` times that of the rotors, rad²."""
+    """The larger of (``|w| h``)² and of ``share`` times that of the rotors, rad²."""
     w = motion.angular_velocity(m)
     return e[1] * larger(dot(w, w), share * e[0] * dot(m, m))
 
@@ -103,13 +106,13 @@ def _steps(limit: float, torqued_limit: float) -> Steps:
 def stages(
     kicks: tuple[float, ...], drifts: tuple[float, ...]
 ) -> tuple[tuple[float, float, float], ...]:
-    """A drift and the kick after it; the first kick is done with the last of the step before."""
+    """Free motion and the kick after it; a step's first kick joins the last one before."""
     after = (*kicks[1:-1], 2.0 * kicks[0])
     return tuple(zip(drifts, after, accumulate(drifts), strict=True))
 
 
 def composition(half: tuple[float, ...]) -> tuple[tuple[float, float, float], ...]:
-    """Stages of a palindromic composition, from the first half of its steps and the middle one."""
+    """Stages of a palindromic composition, from the first half of its steps with the middle one."""
     steps = (*half, *half[-2::-1])
     around = pairwise((0.0, *steps, 0.0))
     return stages(tuple(0.5 * (before + after) for before, after in around), steps)
@@ -138,8 +141,8 @@ def _method(
         exponentials=0,
         measure="asymmetry",
         limits=dict.fromkeys(FAMILIES, limit) | {TORQUED: torqued_limit},
-        # strang2 rotates the body with the rate of the middle, which a strong damping makes wrong;
-        # a stage backwards undoes damping, and makes e^x of what the gyroscopic coupling left
+        # strang2 rotates the body with the rate in the middle, which is wrong under strong damping;
+        # a stage with a negative step multiplies errors of the gyroscopic coupling by e^x
         damping_limit=damping_limit,
         summary=summary,
         source=source,

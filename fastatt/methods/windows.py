@@ -1,9 +1,9 @@
-"""What a method for gyro samples is: it maps a window of them to the window's rotations.
+"""Methods for gyro samples, which map a window of samples to the rotations within it.
 
-A window covers ``span`` intervals and reads ``history`` intervals before it. Of rates it holds the
-samples at the ends of all these intervals, of increments the angles over them. Beyond the ends of a
-log it holds samples extrapolated by the polynomial that the method fits, which makes the first and
-last fit that of the nearest whole window.
+A window covers ``span`` intervals and reads ``history`` intervals before it. It holds the rates at
+the ends of all these intervals, or the angle increments over them. Beyond the ends of a log,
+samples are extrapolated by the polynomial that the method fits, so that the first and the last
+windows use the polynomial of the nearest whole window.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from fastatt.tracing.functions import larger
 from fastatt.tracing.graph import both, choose
 from fastatt.tracing.trace import traceable
 
-#: intervals between two renormalisations, a whole number of every window's span
+#: intervals between two renormalisations, a multiple of every window's span
 CHUNK = 48
-#: most intervals that a window may look back
+#: the largest ``history`` of a window
 MOST_HISTORY = 8
-# a state of some 1 that a pass moves by more will not come back
+# a state of size 1 that a pass changes by more does not converge
 _FAR = 1e6
 
 
 def products(q: Sequence[Any], d: Sequence[Any]) -> list[Any]:
-    """q∘d of each of the flat quaternions d, flat."""
+    """q∘d for each of the flat quaternions d, flat."""
     mul = traceable(quat.mul)
     return [x for i in range(0, len(d), 4) for x in mul(q, d[i : i + 4])]
 
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """A method whose attitudes come of passes over a state, until it stays as it is.
+    """A method that repeats passes over a state until it does not change.
 
-    ``rates(v, h)`` and ``increments(v, h)`` give the first state, a flat tuple of numbers of some
-    1, from the window's samples and intervals, ``improve(state)`` the next, at most ``passes``
-    times, and ``read(state)`` the flat unit quaternions from the window's start to the end of each
-    interval. They are called with recorded numbers.
+    ``rates(v, h)`` and ``increments(v, h)`` return the first state, a flat tuple of numbers of size
+    1, from the samples and intervals of the window. ``improve(state)`` returns the next state, at
+    most ``passes`` times, and ``read(state)`` the flat unit quaternions from the begin of the
+    window to the end of each interval. They are called with traced numbers.
     """
 
     rates: Callable[..., Any]
@@ -49,14 +49,13 @@ class Iteration:
     passes: int
 
     def begin(self, increments: bool, v: Any, h: Any) -> Any:
-        """The first state, and 1, for one that moves."""
+        """The first state, and 1, which says that it changes."""
         return (*(self.increments if increments else self.rates)(v, h), 1.0)
 
     def again(self, state: Any) -> Any:
-        """The next, and whether it moves on: not after a pass that moved it by 8 ulps of 1 at most.
+        """The next state, and whether it changed by more than 8 ulps of 1.
 
-        Each window so has as many passes as it needs, independently of the others. One that is far
-        off, which no limit of a method allows, stays too.
+        Each window has as many passes as it needs, independently of the other windows.
         """
         *before, moving = state
         after = self.improve(tuple(before))

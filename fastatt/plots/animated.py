@@ -1,4 +1,4 @@
-"""A body's motion as a film."""
+"""An animation of a body's motion."""
 
 from __future__ import annotations
 
@@ -28,21 +28,36 @@ _SEEN_FROM = (22.0, 35.0)
 def animation(
     run: Trajectory, path: str | Path, *, body: int = 0, seconds: float | None = None, fps: int = 20
 ) -> None:
-    """Film a body, drawn as a box with its axes, against axes fixed in space.
+    """Write an animation of a body, drawn as a box with its axes, against inertial axes.
 
     Attitudes between saves are those of :func:`fastatt.interpolate`.
 
     Parameters
     ----------
-    run : with two saves at least, at most 180° apart.
-    path : ends with .gif, or .mp4 where ffmpeg is installed.
-    body : which of an ensemble.
-    seconds : how long the film takes; None is as long as the motion, at most 10 s.
-    fps : pictures a second.
+    run : Trajectory
+        With two saves at least, at most 180° of rotation apart.
+    path : str or Path
+        The animation's file: .gif, or .mp4 where ffmpeg is installed.
+    body : int, default 0
+        Which body of an ensemble.
+    seconds : float, optional
+        Duration of the animation, s. By default it lasts as long as the motion, at most 10 s.
+    fps : int, default 20
+        Pictures per second.
 
     Raises
     ------
-    ValueError : an argument that does not fit, a film without a writer, saves too far apart.
+    ValueError
+        An argument out of range, a file format without a writer, saves too far apart.
+    TypeError
+        ``run`` is no Trajectory.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
+    >>> fa.plots.animation(run, "run.gif")  # doctest: +SKIP
     """
     check_run(run)
     n = run.status.size
@@ -73,7 +88,7 @@ def animation(
 
 
 class _Stage:
-    """A box and its axes, moved from picture to picture."""
+    """A box and its axes, drawn at one attitude after another."""
 
     def __init__(self, figure: Any) -> None:
         self.axes = figure.add_axes((0.0, 0.0, 1.0, 0.94), projection="3d", computed_zorder=False)

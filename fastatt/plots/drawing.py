@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,22 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.propagation.trajectory import Trajectory
 
-# Okabe and Ito's colours, which colour-blind readers distinguish; in grey the markers differ
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999999")
-_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*")
+# Okabe and Ito's colours, which colour-blind readers distinguish
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+GREY = "0.6"
+_MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">", "p", "h")
 
 
-def styles_of(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and marker of each name, filled markers for the first eight, then hollow ones."""
+def styles_of(names: Sequence[str], grey: Container[str] = ()) -> dict[str, dict[str, Any]]:
+    """Colour and marker of each name, no pair twice; those of ``grey`` are thin and grey."""
+    every = list(dict.fromkeys(names))
     found = {}
-    for i, name in enumerate(dict.fromkeys(names)):
-        found[name] = {"color": COLOURS[i % 8], "marker": _MARKERS[i % 8], "ms": 5, "lw": 1.4}
-        if i // 8 % 2:
+    for i, name in enumerate(name for name in every if name not in grey):
+        colour, marker = COLOURS[i % len(COLOURS)], _MARKERS[i % len(_MARKERS)]
+        found[name] = {"color": colour, "marker": marker, "ms": 5, "lw": 1.5}
+    for i, name in enumerate(name for name in every if name in grey):
+        found[name] = {"color": GREY, "marker": _MARKERS[i % len(_MARKERS)], "ms": 3.5, "lw": 0.9}
+        if i // len(_MARKERS) % 2:
             found[name]["markerfacecolor"] = "white"
     return found
 
@@ -65,7 +70,7 @@ def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:
     sphere = figure.add_subplot(1, 2, 1, projection="3d")
     view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
     plane = figure.add_subplot(1, 2, 2)
-    across = "angular velocity across the momentum, rad/s"
+    across = "angular velocity across the angular momentum, rad/s"
     plane.set(aspect="equal", xlabel=across, ylabel=across)
     plane.grid(visible=True, alpha=0.3)
     return figure, sphere, view, plane

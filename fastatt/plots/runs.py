@@ -33,75 +33,100 @@ _SAVES = 500
 # bodies whose curves are drawn at most, and by default
 _CURVES, _CHOSEN = 8, 4
 _STYLES = ("-", "--", "-.")
-# deg; angles that change by more from save to save have passed a pole or 180°
+# deg; where angles change by more from save to save the third axis has passed a pole
 _JUMP = 120.0
 
 
-def history(
-    run: Trajectory, path: str | Path, scene: Scene | None = None, *, attitude: str = "angles"
-) -> None:
+def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> None:
     """Draw attitude, angular velocity and drift over time.
 
-    Of one body its 3-1-3 angles in degrees or, with ``attitude="axis"``, its third axis in space,
-    and its rates; of many the percentiles, at up to 500 saves, of the angle from the first save and
-    of |w|. The drift is the norm error and, with the scene given, that of energy and momentum, as
-    :func:`fastatt.drift` defines it; of many bodies the median and the largest.
+    Of one body: the direction of its third axis in space, its 3-1-3 Euler angles without jumps by
+    360°, and its angular velocity. Of many bodies: percentiles, at up to 500 saves, of the angle
+    from the first save and of |w|. The drift is the norm error and, where the scene is given, the
+    error of energy and angular momentum, as :func:`fastatt.drift` defines them; of many bodies
+    the median and the largest.
 
     Parameters
     ----------
-    run : with two saves at least.
-    path : of the picture; its ending says the format (png, pdf, svg).
-    scene : the run's, for energy and momentum.
-    attitude : "angles" or "axis".
+    run : Trajectory
+        With two saves at least.
+    path : str or Path
+        The picture's file; its ending names the format (png, pdf, svg).
+    scene : Scene, optional
+        The run's scene, for energy and angular momentum.
 
     Raises
     ------
-    ValueError : a run with one save.
+    ValueError
+        A run with one save.
+    TypeError
+        ``run`` is no Trajectory.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
+    >>> fa.plots.history(run, "run.png", body)  # doctest: +SKIP
     """
-    checks.choice("attitude", attitude, ("angles", "axis"))
     check_run(run)
     many = run.status.size > 1
     if many:
         run = _thinned(run)
-    figure = Figure(figsize=(9.0, 8.2), layout="constrained")
-    turned, rates, drifts = figure.subplots(3, 1, sharex=True)
-    if many:
-        turned_by = np.degrees(angle_between(run.q, run.q[:1]))
-        _percentiles(turned, run.t, turned_by, "angle from the first save, deg")
-        _percentiles(rates, run.t, np.linalg.norm(run.w, axis=-1), "|w|, rad/s")
-        _legend(turned)
-    else:
-        (_angles if attitude == "angles" else _axis)(turned, run)
-        _rates(rates, run)
-    _drifts(drifts, run, scene)
-    drifts.set_xlabel("time, s")
-    for axes in (turned, rates, drifts):
-        axes.grid(visible=True, alpha=0.3)
+    figure = Figure(figsize=(9.0, 8.2 if many else 10.4), layout="constrained")
     figure.suptitle(_title(run))
+    panels = figure.subplots(3 if many else 4, 1, sharex=True)
+    for axes in panels:
+        axes.grid(visible=True, alpha=0.3)
+    panels[-1].set_xlabel("time, s")
+    if many:
+        rotated = np.degrees(angle_between(run.q, run.q[:1]))
+        _percentiles(panels[0], run.t, rotated, "angle from the first save, deg")
+        _percentiles(panels[1], run.t, np.linalg.norm(run.w, axis=-1), "|w|, rad/s")
+        _legend(panels[0])
+    else:
+        _axis(panels[0], run)
+        _angles(panels[1], run)
+        _rates(panels[2], run)
+    _drifts(panels[-1], run, scene)
     save(figure, path)
 
 
 def polhode(
     run: Trajectory, scene: Scene, path: str | Path, *, bodies: Sequence[int] | None = None
 ) -> None:
-    """Draw the angular momentum seen from the body, and the angular velocity seen from space.
+    """Draw the direction of the angular momentum in body axes, and the angular velocity in space.
 
-    On the left its direction along body axes on the unit sphere, faint on the far side; on the
-    right the angular velocity in the plane through the body that is square to the first save's
-    momentum. Without torque these are Poinsot's polhode and herpolhode.
+    On the left: the angular momentum's direction along body axes on the unit sphere, faint on the
+    far side. On the right: the angular velocity in the inertial plane through the body that is
+    perpendicular to the first save's angular momentum. Without torque these curves are Poinsot's
+    polhode and herpolhode.
 
     Parameters
     ----------
-    run : with two saves at least, close enough to draw curves through.
-    scene : the run's, with inertia.
-    path : of the picture; its ending says the format (png, pdf, svg).
-    bodies : up to 8 of an ensemble; None takes 4 without a flag, evenly from the
+    run : Trajectory
+        With two saves at least, close enough to draw curves through.
+    scene : Scene
+        The run's scene, with inertia.
+    path : str or Path
+        The picture's file; its ending names the format (png, pdf, svg).
+    bodies : sequence of int, optional
+        Up to 8 bodies of an ensemble. By default 4 bodies without a flag, evenly spaced from the
         first to the last.
 
     Raises
     ------
-    ValueError : a scene without inertia, a run with one save, bodies that are not there or carry a
-        flag.
+    ValueError
+        A scene without inertia, a run with one save, bodies out of range or with a flag.
+    TypeError
+        ``run`` is no Trajectory.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
+    >>> fa.plots.polhode(run, body, "polhode.png")  # doctest: +SKIP
     """
     check_run(run)
     if as_scene(scene).inertia is None:
@@ -133,8 +158,8 @@ def polhode(
         plane.plot(*across.T, color=tints[body], lw=1.3)
         plane.plot(*across[:1].T, color=tints[body], marker="o", ms=5)
     axes_on(ball, "xyz")
-    ball.set_title("Polhode: direction of the momentum along body axes")
-    plane.set_title("Herpolhode: angular velocity in space, from the dot on")
+    ball.set_title("Polhode: direction of the angular momentum\nin body axes")
+    plane.set_title("Herpolhode: angular velocity\nin inertial axes, from the dot on")
     if chosen.size > 1:
         entries = [Line2D([], [], color=tints[k], lw=2.4) for k in chosen.tolist()]
         names = [f"body {k}" for k in chosen]
@@ -185,17 +210,17 @@ def _lines(axes: Any, run: Trajectory, values: NDArray[Any], names: Sequence[str
         axes.plot(run.t, values[:, k], color=COLOURS[k], ls=_STYLES[k], lw=1.4, label=name)
 
 
-def _angles(axes: Any, run: Trajectory) -> None:
-    angles = (np.degrees(_of_one(run, run.euler313)) + 180.0) % 360.0 - 180.0
-    angles[1:][np.abs(np.diff(angles, axis=0)) > _JUMP] = np.nan
-    _lines(axes, run, angles, "φθψ")
-    axes.set(ylabel="3-1-3 angles, deg", ylim=(-190, 190), yticks=range(-180, 181, 90))
+def _axis(axes: Any, run: Trajectory) -> None:
+    _lines(axes, run, _of_one(run, run.dcm[..., 2]), ("X", "Y", "Z"))
+    axes.set(ylabel="third body axis\nalong inertial X, Y, Z", ylim=(-1.1, 1.1))
     _legend(axes)
 
 
-def _axis(axes: Any, run: Trajectory) -> None:
-    _lines(axes, run, _of_one(run, run.dcm[..., 2]), ("X", "Y", "Z"))
-    axes.set(ylabel="third body axis along X, Y, Z", ylim=(-1.1, 1.1))
+def _angles(axes: Any, run: Trajectory) -> None:
+    angles = np.degrees(np.unwrap(_of_one(run, run.euler313), axis=0))
+    angles[1:][np.abs(np.diff(angles, axis=0)) > _JUMP] = np.nan
+    _lines(axes, run, angles, "φθψ")
+    axes.set_ylabel("3-1-3 Euler angles, deg")
     _legend(axes)
 
 
@@ -203,7 +228,7 @@ def _rates(axes: Any, run: Trajectory) -> None:
     w = _of_one(run, run.w)
     _lines(axes, run, w, ("$w_x$", "$w_y$", "$w_z$"))
     axes.plot(run.t, np.linalg.norm(w, axis=-1), color="k", lw=1.8, label="|w|")
-    axes.set_ylabel("w along body axes, rad/s")
+    axes.set_ylabel("angular velocity\nalong body axes, rad/s")
     _legend(axes)
 
 
@@ -213,10 +238,10 @@ def _of_one(run: Trajectory, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
-    found: dict[str, Any] = {"from the group": np.abs(run.norm_error)}
+    found: dict[str, Any] = {"norm error": np.abs(run.norm_error)}
     if scene is not None and as_scene(scene).inertia is not None:
         measured = drift(run, scene)
-        found |= {"energy": measured.energy, "momentum": measured.momentum}
+        found |= {"energy": measured.energy, "angular momentum": measured.momentum}
     for k, (name, values) in enumerate(found.items()):
         if values is None:
             continue

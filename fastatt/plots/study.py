@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from fastatt.plots.drawing import (
+    GREY,
     axes_on,
     curve_on,
     save,
@@ -21,20 +21,30 @@ from fastatt.plots.drawing import (
     styles_of,
     tints_of,
 )
+from fastatt.plots.labels import Label, write_labels
 
 _LINES: dict[str, Any] = {"quat": "-", "dcm": ":", "quat in float32": (0, (6, 2))}
-_KINDS = {"quat": "quaternion", "dcm": "matrix", "quat in float32": "quaternion, float32"}
-_ENTRY = 1.2  # inches, the width of a legend's entry below the panels
+_KINDS = {
+    "quat": "quaternion",
+    "dcm": "matrix",
+    "quat in float32": "quaternion in float32",
+}
+_FRONTIER: dict[str, Any] = {"color": "k", "lw": 7, "alpha": 0.12}
+_LEAST = 1e-17  # rad, drawn in place of an error of 0, which a logarithmic axis cannot show
 
 
 @dataclass(frozen=True)
 class MethodCurve:
-    """One method's errors (rad) against its times per body (s) over a ladder of steps."""
+    """One method's errors (rad) against its times per body (s) over a ladder of step sizes.
+
+    ``leads``: no other method is both faster and more accurate everywhere.
+    """
 
     method: str
     kind: str
     seconds: Sequence[float]
     errors: Sequence[float]
+    leads: bool = True
 
 
 @dataclass(frozen=True)
@@ -67,44 +77,75 @@ class Polhode:
 
 
 def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
-    """Error against time per body, both logarithmic, a panel for each ensemble or input."""
-    width = max(8.0, 5.8 * len(panels))
-    figure = Figure(figsize=(width, 6.4), layout="constrained")
-    drawn = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
-    styles = styles_of([ladder.method for panel in panels for ladder in panel.ladders])
+    """Error against time per body, both logarithmic, a panel for each ensemble or input.
+
+    In a panel where a method leads nowhere it is grey, and drawn as quaternions only.
+    """
+    columns = min(2, len(panels))
+    lines = -(-len(panels) // columns)
+    figure = Figure(figsize=(max(8.0, 5.6 * columns), 5.2 * lines + 1.0), layout="constrained")
+    figure.suptitle(heading)
+    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+    drawn, free = np.split(grid.ravel(), [len(panels)])
+    for axes in grid[:, 0]:
+        axes.set_ylabel("attitude error at the end, median over bodies, rad")
+    ladders = [ladder for panel in panels for ladder in panel.ladders]
+    leading = styles_of([ladder.method for ladder in ladders if ladder.leads])
+    grey = [ladder.method for ladder in ladders if not ladder.leads]
+    others = styles_of(grey, grey=grey)
+    kinds = {ladder.kind for ladder in ladders if ladder.leads}
+    entries = {_KINDS[kind]: {"color": "k", "ls": _LINES[kind]} for kind in _KINDS if kind in kinds}
+    shown = {"frontier": _FRONTIER, **(entries if len(entries) > 1 else {})}
+    if grey:
+        shown["dominated by other methods"] = {"color": GREY, "lw": 0.9}
+    samples = [Line2D([], [], **style) for style in shown.values()]
+    if free.size:
+        free[0].set_axis_off()
+        free[0].legend(samples, shown, loc="center", frameon=False)
+    else:
+        figure.legend(samples, shown, loc="outside lower center", ncols=len(shown), frameon=False)
     for axes, panel in zip(drawn, panels, strict=True):
-        best = panel.frontier
-        x = np.array(best.seconds) * 1e6
-        axes.plot(x, best.errors, color="k", lw=7, alpha=0.12, zorder=0)
-        for ladder in panel.ladders:
-            x = np.array(ladder.seconds) * 1e6
-            axes.plot(x, ladder.errors, ls=_LINES[ladder.kind], **styles[ladder.method])
         axes.set(xscale="log", yscale="log", title=panel.title)
         axes.set_xlabel(f"time per body for {panel.t_end:g} s of motion, µs")
         axes.grid(visible=True, alpha=0.3)
-    entries = {name: Line2D([], [], **style) for name, style in styles.items()}
-    entries["frontier"] = Line2D([], [], color="k", lw=7, alpha=0.12)
-    kinds = {ladder.kind for panel in panels for ladder in panel.ladders}
-    if len(kinds) > 1:
-        for kind, name in _KINDS.items():
-            if kind in kinds:
-                entries[name] = Line2D([], [], color="k", ls=_LINES[kind], lw=1.4)
-    lines = math.ceil(len(entries) * _ENTRY / width)
-    columns = math.ceil(len(entries) / lines)
-    figure.legend(
-        entries.values(), entries.keys(), loc="outside lower center", fontsize=9, ncols=columns
-    )
-    drawn[0].set_ylabel("attitude error, median over bodies, rad")
-    figure.suptitle(heading)
+        axes.margins(x=0.08, y=0.06)
+        axes.plot(*_points(panel.frontier), **_FRONTIER, zorder=0)
+    for axes, panel in zip(drawn, panels, strict=True):
+        _ladders(axes, panel, leading, others)
     save(figure, path)
+
+
+def _ladders(
+    axes: Any,
+    panel: Panel,
+    leading: Mapping[str, dict[str, Any]],
+    others: Mapping[str, dict[str, Any]],
+) -> None:
+    """One panel's curves, each method's name next to the first of its curves."""
+    labels: dict[str, Label] = {}
+    for ladder in sorted(panel.ladders, key=lambda ladder: not ladder.leads):
+        if not ladder.leads and ladder.kind != "quat":
+            continue
+        style = (leading if ladder.leads else others)[ladder.method]
+        points = _points(ladder)
+        axes.plot(*points, **style, ls=_LINES[ladder.kind], zorder=2 if ladder.leads else 1)
+        colour, size = (style["color"], 9.0) if ladder.leads else ("0.4", 7.5)
+        labels.setdefault(ladder.method, Label(ladder.method, *points, colour, size))
+    write_labels(axes, list(labels.values()))
+
+
+def _points(ladder: MethodCurve) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Times per body, µs, and errors, rad."""
+    return np.array(ladder.seconds) * 1e6, np.maximum(ladder.errors, _LEAST)
 
 
 def polhodes(
     polhodes: Sequence[Polhode], herpolhodes: Mapping[float, NDArray[Any]], path: Path
 ) -> None:
-    """Polhodes on the momentum sphere in body axes; herpolhodes in the plane fixed in space.
+    """Polhodes on the sphere of angular momenta in body axes; herpolhodes in a plane in space.
 
-    The latter are angular velocities across the momentum, (T, 2), rad/s, by the kinetic energy (J).
+    The latter are angular velocities perpendicular to the angular momentum, (T, 2), rad/s, by the
+    kinetic energy (J).
     """
     figure, sphere, view, plane = sphere_and_plane()
     tints = tints_of([p.energy for p in polhodes])
@@ -115,36 +156,48 @@ def polhodes(
         for curve in polhode.curves:
             curve_on(sphere, curve, view, styles[polhode.energy])
     axes_on(sphere, ("$I_1$", "$I_2$", "$I_3$"))
-    sphere.set_title("Polhodes: the momentum seen from the body, faint on the far side")
+    sphere.set_title("Polhodes: the angular momentum in body axes,\nfaint on the far side")
     for energy, curve in herpolhodes.items():
         plane.plot(*curve.T, **{**styles[energy], "lw": 1.3})
-    plane.set_title("Herpolhodes: the angular velocity in space over 40 s")
+    plane.set_title("Herpolhodes: the angular velocity\nin inertial axes over 40 s")
     entries = [Line2D([], [], **style) for style in styles.values()]
     place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(names)}
     figure.legend(entries, names.values(), title="kinetic energy", **place)
-    figure.suptitle("A free body with a momentum of 1 N·m·s and moments $I_1 > I_2 > I_3$")
+    figure.suptitle(
+        "A free body with an angular momentum of 1 N·m·s and principal moments $I_1 > I_2 > I_3$"
+    )
     save(figure, path)
 
 
 def recordings(logs: Sequence[Departures], reference: str, path: Path) -> None:
-    """Each method's angle from the reference over time, a panel for each recording."""
+    """Each method's angle from the reference method over time, a panel for each recording."""
     columns = min(2, len(logs))
     lines = -(-len(logs) // columns)
-    figure = Figure(figsize=(6 * columns, 3.4 * lines), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(lines, columns)).ravel()
+    figure = Figure(figsize=(max(7.0, 5.6 * columns), 3.8 * lines + 0.6), layout="constrained")
+    figure.suptitle(f"Gyro recordings: difference of each method from {reference}")
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
+    styles = styles_of([name for log in logs for name in log.methods])
     for axes, log in zip(panels, logs, strict=False):
-        styles = styles_of(list(log.methods))
         every = max(1, len(log.t) // 12)
+        labels = []
         for name, angle in log.methods.items():
-            axes.plot(log.t, angle, label=name, markevery=every, **styles[name])
+            axes.plot(log.t, angle, markevery=every, **styles[name])
+            labels.append(_spread(name, log.t, angle, styles[name]["color"]))
         if log.maker is not None:
-            axes.plot(log.t, log.maker, color="0.5", lw=2.5, label="maker's orientation")
-        axes.set(yscale="log", xlabel="time, s", ylabel=f"angle from {reference}, deg")
-        axes.set_ylim(bottom=1e-4)
+            axes.plot(log.t, log.maker, color="0.5", lw=2.5)
+            labels.append(_spread("maker's orientation", log.t, log.maker, "0.4"))
+        axes.set(yscale="log", xlabel="time, s", ylabel=f"difference from {reference}, deg")
+        drawn = np.concatenate([*log.methods.values(), [1.0] if log.maker is None else log.maker])
+        axes.set_ylim(bottom=max(1e-4, 0.5 * float(np.nanquantile(drawn, 0.02))))
         axes.set_title(log.title, fontsize=10)
         axes.grid(visible=True, alpha=0.3)
-        if log.methods or log.maker is not None:
-            axes.legend(fontsize=7, ncols=2)
+        write_labels(axes, labels)
     for axes in panels[len(logs) :]:
         axes.remove()
     save(figure, path)
+
+
+def _spread(name: str, t: NDArray[Any], values: NDArray[Any], colour: Any) -> Label:
+    """A label next to one of 25 points of a curve, none of them at its beginning."""
+    some = np.linspace(len(t) // 5, len(t) - 1, 25).astype(int)
+    return Label(name, t[some], values[some], colour)

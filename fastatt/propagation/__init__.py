@@ -1,1 +1,1 @@
-"""Runs from arguments to trajectories: checked, planned, executed, evaluated."""
+"""From the arguments of a run to its trajectory: checking, planning, executing and evaluating."""

@@ -1,4 +1,4 @@
-"""Angular velocity back from a history of attitudes."""
+"""Angular velocities from a history of attitudes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,50 @@ from fastatt.scene.time_series import derivatives
 def angular_velocity(
     q: ArrayLike, dt: ArrayLike, *, frame: str = "body", order: int = 4
 ) -> NDArray[np.float64]:
-    """w = 2 q*∘q̇ (body axes) or 2 q̇∘q* (inertial axes) of attitudes at instants, rad/s.
+    """Angular velocities at the times of a history of attitudes.
 
-    ``q`` is (S, 4) or (S, N, 4), time first, of either sign; ``dt`` the interval or the (S − 1,)
-    intervals, s. The derivative is that of the polynomial through ``order`` + 1 neighbours, centred
-    where they are there (Berrut and Trefethen, SIAM Rev. 46 (2004), eq. 9.4): the error falls as
-    dt^order; noise of size e in q comes out as some e/dt.
+    The result is w = 2 q*∘q̇ along body axes, or 2 q̇∘q* along inertial axes.
 
-    Raises ``ValueError`` for fewer than ``order`` + 1 attitudes, other shapes, or intervals that
-    are not positive or too short for the rates to be numbers.
+    Parameters
+    ----------
+    q : array_like, shape (S, 4) or (S, N, 4)
+        Attitudes, body to inertial, scalar first, time first. The sign of each quaternion does not
+        matter.
+    dt : float or array_like of shape (S - 1,)
+        The interval, or the intervals, between the attitudes, s.
+    frame : {"body", "inertial"}, default "body"
+        Axes of the result.
+    order : int, default 4
+        Degree of the polynomial that is differentiated; the error falls as dt^order.
+
+    Returns
+    -------
+    ndarray, shape (S, 3) or (S, N, 3)
+        Angular velocities, rad/s.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than ``order`` + 1 attitudes, if a shape is another one, or if an
+        interval is not positive or so short that the rates overflow.
+
+    Notes
+    -----
+    The derivative is that of the polynomial through ``order`` + 1 neighbouring attitudes, which are
+    centred except near the ends. Noise of size e in q becomes noise of the order of e/dt.
+
+    References
+    ----------
+    Berrut and Trefethen, *SIAM Review* 46 (2004), equation 9.4.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> t = np.arange(9) * 0.1
+    >>> q = np.stack([np.cos(t / 4), 0 * t, 0 * t, np.sin(t / 4)], axis=1)
+    >>> np.allclose(fa.angular_velocity(q, 0.1), [0.0, 0.0, 0.5], atol=1e-7)
+    True
     """
     checks.choice("frame", frame, ("body", "inertial"))
     m = checks.whole("order", order, 1) + 1

@@ -1,4 +1,4 @@
-"""Breakpoints of a run: where its steps end, and between which times each step evaluates."""
+"""Breakpoints of a run: where its steps end, and the time window in which each step evaluates."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ _EPS = float(np.finfo(np.float64).eps)
 
 
 class Breaks(NamedTuple):
-    """The breakpoints that a run crosses, in its order, and the windows between them.
+    """The breakpoints that a run crosses, in its order, and the time windows between them.
 
-    ``times`` are those at which stretches of the run begin, s, the first that of the run;
-    ``since`` the same from its begin on, with ``slack`` of their rounding. Rates, torques and
-    forces of each stretch are evaluated from ``low`` to ``high``, next to its two breakpoints.
+    ``times`` are the times at which stretches of the run begin, s, the first being that of the run;
+    ``since`` are these times counted from the begin of the run, with ``slack`` for their rounding.
+    The rates, torques and forces of a stretch are evaluated from ``low`` to ``high`` only, which
+    lie next to its two breakpoints.
     """
 
     times: NDArray[np.float64]
@@ -31,10 +32,10 @@ class Breaks(NamedTuple):
 
 @lru_cache(maxsize=64)
 def breaks_of(breakpoints: tuple[float, ...], begin: float, duration: float) -> Breaks:
-    """Those of sorted ``breakpoints`` that lie inside a run of a ``duration``, s, of either sign.
+    """Select the sorted ``breakpoints`` inside a run of a ``duration``, s, of either sign.
 
-    A breakpoint at the begin or the end, to rounding, is none of them, but no window extends
-    beyond it.
+    A breakpoint that coincides with the begin or the end, to rounding, does not divide the run, but
+    limits the time window.
     """
     every = np.array(breakpoints, dtype=np.float64)
     edges = np.concatenate([[-np.inf], every, [np.inf]])
@@ -43,7 +44,7 @@ def breaks_of(breakpoints: tuple[float, ...], begin: float, duration: float) -> 
     since = every - begin
     slack = 16.0 * _EPS * (np.abs(every) + abs(begin))
     inside = (sign * since > slack) & (sign * since < abs(duration) - slack)
-    # the stretch in which the run begins lies between two of all
+    # the run begins in the stretch between these two breakpoints
     first = int((since <= slack).sum() if sign > 0.0 else (since < -slack).sum())
     stretches = first + int(sign) * np.arange(inside.sum() + 1)
     order = np.flatnonzero(inside)[:: int(sign)]
@@ -60,14 +61,14 @@ def breaks_of(breakpoints: tuple[float, ...], begin: float, duration: float) -> 
 def parts_of(
     breakpoints: tuple[float, ...], begin: float, h: float, n_steps: int, end: float | None
 ) -> Parts:
-    """The parts of those of ``n_steps`` steps that breakpoints divide, or the end of the run.
+    """The parts of those steps that breakpoints or the end of the run divide.
 
-    ``end`` is the time of the run's end since its begin, s, where that is no whole step.
+    ``end`` is the time of the end since the begin of the run, s, if it is not a whole step.
     """
     found = breaks_of(breakpoints, begin, n_steps * h if end is None else end)
     clocks: list[tuple[float, ...]] = [(h, 0, begin, found.low[0], found.high[0], 0, 0)]
     steps = [-1]
-    # the step that is taken in parts, if any, and how far they got; where whole steps go on
+    # the step that is divided, if any, and the time that its parts reached; the next whole step
     divided, reached, resumes = -1, 0.0, -1
 
     def add(step: int, *clock: float) -> None:

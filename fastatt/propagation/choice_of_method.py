@@ -1,4 +1,4 @@
-"""The method and the representation of a run: which fit a scene, and which is taken."""
+"""The choice of method and representation for a scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fastatt.scene.torque_record import Dependence
 if TYPE_CHECKING:
     from fastatt.device.program import Device
 
-# in this order, the first that fits the scene and the representation
+# the default is the first of these that fits the scene and the representation
 DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
 # names of explicit Runge-Kutta methods in other libraries
 _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")
@@ -28,11 +28,35 @@ _PROJECTED = 64
 def methods_for(
     scene: Scene, representation: str | Attitude | None = None, *, need: str = ""
 ) -> list[str]:
-    """Names of the methods that fit a scene and a representation, by name or one's own.
+    """Names of the methods that fit a scene and a representation.
 
-    ``need`` names a further property of the method, such as "is_stepped".
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    representation : str or Attitude, optional
+        A name in ``fastatt.attitudes.ATTITUDES`` or an :class:`Attitude`. The default lists methods
+        for any representation.
+    need : str, optional
+        Name of a property of :class:`Method` that must be true, such as "is_stepped".
 
-    Raises ``TypeError`` for what is no scene, ``ValueError`` for what is no representation.
+    Returns
+    -------
+    list of str
+        Names in :data:`fastatt.METHODS`.
+
+    Raises
+    ------
+    TypeError
+        If ``scene`` is not a scene.
+    ValueError
+        If the representation is unknown.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> "magnus4" in fa.methods_for(fa.Scene(rate=fa.rates.Constant((0.1, 0.2, 0.3))))
+    True
     """
     as_scene(scene)
     if representation is not None:
@@ -45,7 +69,7 @@ def methods_for(
 
 
 def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
-    """Whether a method takes a scene, in a representation, by name or one's own."""
+    """Whether a method fits a scene in a representation, which is a name or an ``Attitude``."""
     takes_kind = scene.kind in method.scenes or (scene.states > 0 and method.couples)
     return (
         takes_kind
@@ -67,7 +91,7 @@ def _takes(method: Method, scene: Scene) -> bool:
 
 
 def attitude_of(representation: str | Attitude) -> Attitude:
-    """The representation of a name, or one's own."""
+    """The representation of a name; an ``Attitude`` is returned as it is."""
     if isinstance(representation, Attitude):
         return representation
     return ATTITUDES[checks.choice("representation", representation, ATTITUDES)]
@@ -85,12 +109,12 @@ def method_of(
     need: str = "",
     why: str = "method",
 ) -> Method:
-    """The method of a name, or one's own, that fits a scene in a representation.
+    """The method of a name, or a custom method, that fits a scene in a representation.
 
-    None is the first of magnus4, exact, rk8 and rk4 that fits, else of all; ``need`` as of
-    ``methods_for``, and ``why`` what is said to be refused then.
+    None gives the first of magnus4, exact, rk8 and rk4 that fits, or else the first of all methods.
+    ``need`` is that of ``methods_for``, and ``why`` the argument that the message names.
 
-    Raises ``ValueError`` for one that does not fit, with those that do, and where none does.
+    Raises ``ValueError`` for a method that does not fit, with those that do, and if none fits.
     """
     if isinstance(method, Method):
         if not fits(method, scene, representation):
@@ -109,13 +133,13 @@ def method_of(
 
 
 def _named(scene: Scene, method: str | None, representation: str | Attitude, need: str) -> str:
-    """The name of a method that fits, or of the first that does."""
-    # anything may come, and a list has no hash
+    """The given name if its method fits, or the name of the default method."""
+    # users may pass anything, also what has no hash
     known = METHODS.get(method) if isinstance(method, str) else None
     if known is not None and fits(known, scene, representation):
         return known.name
     if known is not None and known.is_exact and scene.kind == "torqued":
-        form_of(scene)  # says why there is none
+        form_of(scene)  # raises, with the reason
     if method is not None:
         name, able = "method", methods_for(scene, need=need)
         if method in able:
@@ -138,7 +162,7 @@ def _named(scene: Scene, method: str | None, representation: str | Attitude, nee
 
 
 def _reason(method: Method, scene: Scene) -> str:
-    """Why a method does not take a scene, as the end of a message; empty where it does."""
+    """The reason why a method does not fit a scene, as the end of a message; empty if it fits."""
     found = "a rate" if scene.kind == "rate" else "inertia"
     if method.window is not None:
         return f" ({method.name} is for samples: fastatt.integrate_rates)"
@@ -168,7 +192,7 @@ def chosen(
     device: Device | None = None,
     events: tuple[Event, ...] = (),
 ) -> Choice:
-    """How a scene is propagated, from what a user asks for.
+    """How a scene is propagated, from the arguments of ``propagate``.
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
@@ -210,7 +234,7 @@ def chosen(
 
 
 def _projection(normalise: str | int) -> int:
-    """Steps between two returns to the group, 0 for none."""
+    """The number of steps between two projections, 0 for none."""
     if isinstance(normalise, str) and normalise in ("output", "never"):
         return 0
     try:

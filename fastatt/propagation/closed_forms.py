@@ -1,4 +1,4 @@
-"""Closed forms of motions: which one bodies have, traced, compiled and run at many times."""
+"""Closed forms of motions: which one a scene has, its compiled formulas, and their evaluation."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_functi
 from fastatt.codegen.memory import address_of
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of, without_compiler
+from fastatt.engine.run import Results
 from fastatt.engine.status import Status
 from fastatt.propagation.initial import Given
-from fastatt.propagation.trajectory import Results
 from fastatt.scene import torques
 from fastatt.scene.inertia import Principal, about_arm
 from fastatt.scene.scene import Scene
@@ -36,20 +36,21 @@ from fastatt.tracing.graph import Graph, flattened
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_SIDE_BY_SIDE = 2  # vectors: while one waits for a root or a quotient the other goes on
-_TOGETHER = 64  # a few bodies go side by side at so many groups of times
+_SIDE_BY_SIDE = 2  # vectors computed together, to hide the latency of roots and quotients
+_TOGETHER = 64  # groups of times over which the lanes of a few bodies are spread
 _PIECE = 1 << 20  # attitudes between two checks for Ctrl-C
-_STEPS = 1 << 12  # times that share one preparation of their bodies
-_SMALL = 1 << 14  # attitudes that are not worth a second thread
+_STEPS = 1 << 12  # times for which the constants of bodies are computed once
+_SMALL = 1 << 14  # attitudes below which one thread is fastest
 
-# what a body is given by, with the numbers of each; axes are those of ``Principal``, if any
+# inputs of a body, with their sizes; axes are those of ``Principal``, if there are any
 _GIVEN = {"q": 4, "w": 3, "moments": 3, "axes": 4, "pull": 3}
 
 
 class Solution(NamedTuple):
-    """A motion: the formula of its constants, and (attitude, w) from them, the moments and t.
+    """The solution of a motion in two formulas.
 
-    Constants are of (q, w, moments), or with the ``pull`` last.
+    ``prepare`` computes constants from (q, w, moments), and from the ``pull`` too if ``pulled``;
+    ``state`` computes the attitude and w from the constants, the moments and t.
     """
 
     prepare: Callable[..., Any]
@@ -76,10 +77,11 @@ _HEAVY_TOP = Solution(formulas.heavy_top.setup, _top, pulled=True)
 
 
 class BodySolution(NamedTuple):
-    """The closed form of bodies: which, of what bodies, and what pulls at their third axes, N·m.
+    """The closed form of given bodies.
 
-    ``pull`` is (3,) or (N, 3), along inertial axes; ``gain``, rad/s, of each body or of all, is
-    what the square root of the sum of squares of |w| and it never exceeds in |w|.
+    ``pull`` is the moment of the weight about the fixed point, N·m, which acts on the third axes,
+    (3,) or (N, 3) along inertial axes. ``gain``, rad/s, bounds the growth of ``|w|``: the square
+    root of ``|w|²`` + ``gain²`` at the start is never exceeded.
     """
 
     solution: Solution
@@ -88,21 +90,21 @@ class BodySolution(NamedTuple):
     gain: NDArray[np.float64] = np.zeros(())
 
 
-#: torques that have a closed form, by name
+#: names of the torques for which there is a closed form
 LEVERS = tuple(m.__name__ for m in Torque.__subclasses__() if m.lever is not None)
 _Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def heavy_top_form(body: Principal, lever: _Lever) -> BodySolution:
-    """The closed form of bodies with a lever, as of ``torques.lever_of``.
+    """The closed form of bodies with the lever that ``torques.lever_of`` found.
 
-    Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, by its number.
+    Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, with its index.
     """
     arm, pull = lever
     found, reach = about_arm(body, arm)
     check_above_zero(found)
     pull = reach[..., None] * pull
-    # A |w|² is at most what it was and 4 |pull|
+    # A |w|² grows by 4 |pull| at most
     gain = 2.0 * np.sqrt(np.linalg.norm(pull, axis=-1) / found.moments[..., 0])
     return BodySolution(_HEAVY_TOP, found, pull, gain)
 
@@ -110,7 +112,7 @@ def heavy_top_form(body: Principal, lever: _Lever) -> BodySolution:
 def form_of(scene: Scene) -> BodySolution:
     """The closed form of a scene's motion.
 
-    Raises ``ValueError`` where there is none, with the body or the torque that has none.
+    Raises ``ValueError``, with the body or the torque, if there is none.
     """
     known = scene.memo.get("closed form")
     if known is None:
@@ -139,7 +141,7 @@ def _form_of(scene: Scene) -> BodySolution:
 
 
 def check_above_zero(body: Principal) -> None:
-    """Refuse moments of no body for which there is no closed form."""
+    """Refuse moments of zero, for which there is no closed form."""
     if (body.moments < 0.0).any():
         raise ValueError(
             f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
@@ -151,9 +153,9 @@ def check_above_zero(body: Principal) -> None:
 def _traced(
     solution: Solution, kind: str, turned: bool, stored: Any = None, *, native: bool = False
 ) -> tuple[Flat, Flat]:
-    """The constants of a body, then attitude and angular velocity at a time.
+    """The graphs of a body's constants, and of attitude and angular velocity at a time.
 
-    ``turned``: the principal axes are not those of the body; ``stored`` as of ``Evaluation``.
+    ``turned`` says that the principal axes are not the body axes; ``stored`` as in ``Evaluation``.
     """
     quat = formulas.quat
     graph = Graph(native=native)
@@ -193,12 +195,12 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
         numbers: int, memory: int, places: int,
         first_block: int, last_block: int, first_step: int, last_step: int,
     ) -> int:  # fmt: skip
-        """Blocks of lanes and the times of each, from the address of the table.
+        """Evaluate blocks of lanes at the times of each, given the address of the table.
 
-        Lane l is body l mod N at the times from number (l div N) span on: a few bodies at many
-        times fill vectors as well as many bodies do. A last block is filled up with the last lane,
-        and times after the last are the last again. ``memory`` is the address of the rows, and
-        ``places`` that of 2 blocks of numbers. The result is 1 where a result is not finite.
+        Lane l is body l mod N at the times from number (l div N) span on, so that a few bodies at
+        many times fill vectors as well as many bodies do. A last block is filled with copies of the
+        last lane, and times beyond the last one repeat it. ``memory`` is the address of the rows,
+        and ``places`` that of 2 blocks of indices. Returns 1 if a result is not finite.
         """
         table = wholes(numbers)
         entry, bodies, times = table[ENTRY], table[BODIES], table[TIMES]
@@ -219,7 +221,7 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
                         body, group = 0, group + 1
             for i in range(5):
                 source, stride = reals(table[INPUTS + 2 * i], kind), table[INPUTS + 2 * i + 1]
-                # what all bodies share stays
+                # inputs that all bodies share are not loaded again
                 if stride > 0 or block == first_block:
                     to = row_of[i] * lanes
                     for j in range(lanes):
@@ -234,7 +236,7 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
                 rows[time + j] = t[min(place[lanes + j] + first_step, times - 1)]
             for step in range(first_step, last_step):
                 call_generated(entry, STATE, (rows, place), (lanes,))
-                # the next times, stored well before vectors of them are loaded
+                # the next times; they are stored well before they are loaded as vectors
                 for j in range(lanes):
                     rows[time + j] = t[min(place[lanes + j] + step + 1, times - 1)]
                 for j in range(lanes):
@@ -255,7 +257,7 @@ _SIGNATURE = types.int64(*[types.int64] * 7)
 
 
 class _Compiled(NamedTuple):
-    """The formulas compiled, in rows of a shape, with the loop that calls them."""
+    """The compiled formulas, with the layout of their rows and the loop that calls them."""
 
     shape: Shape
     memory: Memory
@@ -280,9 +282,9 @@ def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -
 
 
 class Evaluation:
-    """Evaluation of the motion of the same bodies from any start, at as many times: prepared once.
+    """Evaluates the closed form of the same bodies at equally many times; prepared once.
 
-    ``stored`` gives the numbers of an attitude from a quaternion; None stores the quaternion.
+    ``stored`` converts a quaternion to the numbers that are stored; None stores the quaternion.
     """
 
     def __init__(
@@ -294,6 +296,8 @@ class Evaluation:
     ) -> None:
         size, n = shape
         moments, axes = form.body
+        #: rad/s, of any body
+        self.largest_gain = float(form.gain.max())
         self._formulas = (form.solution, kind_of(kind), axes is not None, stored)
         given = {"moments": moments, "axes": axes, "pull": form.pull}
         self._bodies = {name: rows(x, kind) for name, x in given.items() if x is not None}
@@ -311,10 +315,10 @@ class Evaluation:
         out: tuple[NDArray[Any], NDArray[Any]],
         threads: int,
     ) -> bool:
-        """Attitudes (T, N, k) and w (T, N, 3), rows with gaps or not, at times (T,).
+        """Write attitudes (T, N, k) and w (T, N, 3) at times (T,); the rows of both may have gaps.
 
-        All are in the same precision; q and w that bodies start with are (N, k), one row for all,
-        or (k,). Gives whether a result is not finite.
+        All arrays have the same precision. The initial q and w are (N, k), (1, k) for all bodies,
+        or (k,). Returns whether a result is not finite.
         """
         if without_compiler():
             self._in_python(start, t, out)
@@ -352,7 +356,7 @@ class Evaluation:
         t: NDArray[Any],
         out: tuple[NDArray[Any], NDArray[Any]],
     ) -> None:
-        """Without a compiler, on one thread: a column a number of the formulas."""
+        """Evaluate without a compiler, with an array for each number of the formulas."""
         prepare, state = _traced(*self._formulas)
         bodies = {**self._bodies, **dict(zip("qw", map(np.atleast_2d, start), strict=True))}
         given = {(name, i): x[:, i] for name, x in bodies.items() for i in range(x.shape[1])}
@@ -365,17 +369,17 @@ class Evaluation:
 
 
 def _address(x: NDArray[Any]) -> int:
-    """Where an array with gaps between its rows begins."""
+    """Address of an array whose rows may have gaps between them."""
     return int(x.__array_interface__["data"][0])
 
 
 def _stride(x: NDArray[Any]) -> int:
-    """From a body's row to the next, in numbers: none where all share one."""
+    """Distance between the rows of two bodies, in numbers; 0 if all bodies share one row."""
     return x.shape[-1] if x.ndim == 2 and len(x) > 1 else 0
 
 
 def rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Numbers of bodies as ``Evaluation`` takes them."""
+    """Numbers of bodies in the form that ``Evaluation`` takes."""
     if x.dtype is not kind or not x.flags.carray:
         x = np.require(x, kind, ["C", "A"])
     return x if x.ndim == 2 else np.atleast_2d(x)
@@ -383,12 +387,12 @@ def rows(x: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
 
 @functools.cache
 def _stored_of(attitude: Attitude) -> Callable[[Any], Any] | None:
-    """What a trajectory holds in a representation, of a quaternion."""
+    """The conversion from a quaternion to the numbers that a trajectory holds."""
     return None if attitude is QUATERNION else lambda q: attitude.raw(attitude.start(q))
 
 
 def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
-    """A plan's states at some of its saves; warns of angles of which rounding leaves few digits."""
+    """A plan's states at some of its saves; warns if rounding leaves few digits of the angles."""
     kind, stored, form = plan.kind, plan.attitude.stored, form_of(plan.scene)
     since = plan.clock.since[saves]
     results = plan.results(len(since))
@@ -398,14 +402,13 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
     if evaluation is None:
         evaluation = Evaluation(form, kind, out.shape[:2], _stored_of(plan.attitude))
         plan.evaluations[len(since)] = evaluation
-    with np.errstate(over="ignore"):
-        times = since.astype(kind)
     split = (out[..., :stored], out[..., stored:])
-    has_bad = evaluation.fill((given.q, given.y), times, split, threads)
-    # |w| and what it gains are below twice their largest component
     with np.errstate(over="ignore", invalid="ignore"):
-        largest = np.abs(given.y).max() + form.gain.max()
-        most = 2.0 * largest * np.abs(since).max(initial=0.0)
+        times = since.astype(kind)
+        has_bad = evaluation.fill((given.q, given.y), times, split, threads)
+        # |w| and what it gains are below twice their largest component
+        largest = max(given.y.max(), -given.y.min()) + evaluation.largest_gain
+        most = 2.0 * largest * max(abs(since[0]), abs(since[-1]))
     if not most <= rounding.most_turned(kind) ** 0.5:
         angles = turned(given.y, since, form.gain)
         if text := rounding.of_angles(angles, kind):
@@ -419,7 +422,7 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
 
 
 def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest |w| t of each body, rad; ``gain`` as of a ``BodySolution``."""
+    """The largest ``|w| t`` of each body, rad, with the ``gain`` of a ``BodySolution``."""
     with np.errstate(over="ignore", invalid="ignore"):
         rates = np.asarray(w, dtype=np.float64)
         squares = (rates * rates) @ np.ones(3) + gain * gain

@@ -1,4 +1,4 @@
-"""How far a trajectory has drifted from what the exact motion keeps."""
+"""The drift of a trajectory: how far it departs from what the exact motion conserves."""
 
 from __future__ import annotations
 
@@ -20,14 +20,27 @@ from fastatt.scene.torque_record import Torque
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Departures from the invariants, each (S, N), or (S,) for one body.
+    """The drift of a trajectory, as :func:`drift` measures it.
 
-    ``norm``: | |q| − 1 |; ``orthogonality``: ‖C Cᵀ − 1‖ (Frobenius); both of the propagated state,
-    before it was projected for output. ``energy``: kinetic and potential energy less the first
-    save's, over the largest kinetic energy saved, of the rotation, and of the translation too where
-    the torque reads the position; None where the torque has no potential or the rate is given.
-    ``momentum``: length of the change of the angular momentum in space, wheels included, since the
-    first save, over the largest saved; None under a torque.
+    Each array is (S, N), or (S,) for one body.
+
+    Attributes
+    ----------
+    norm : ndarray
+        The norm error ``||q| − 1|`` of the propagated state, before it was projected for output.
+    orthogonality : ndarray
+        The orthogonality error ‖C Cᵀ − 1‖ (Frobenius norm) of the propagated state, before it was
+        projected for output.
+    energy : ndarray or None
+        The change of kinetic plus potential energy since the first save, relative to the largest
+        kinetic energy of all saves. The kinetic energy is that of the rotation, and also that of
+        the translation if the torque depends on the position. None if the torque has no potential,
+        or for a rate scene.
+    momentum : ndarray or None
+        The length of the change of the angular momentum along inertial axes, wheels included, since
+        the first save, relative to the largest angular momentum of all saves. None under a torque.
+    trajectory : Trajectory
+        The trajectory.
     """
 
     norm: NDArray[Any]
@@ -37,33 +50,65 @@ class Drift:
     trajectory: Trajectory
 
     def angle_to(self, reference: ArrayLike) -> Any:
-        """Geodesic angle to reference attitudes, rad; quaternions or matrices that broadcast."""
+        """Geodesic angle between the trajectory's attitudes and reference attitudes.
+
+        Parameters
+        ----------
+        reference : array_like
+            Quaternions or rotation matrices, in a shape that broadcasts against the trajectory's.
+
+        Returns
+        -------
+        ndarray
+            The angle, rad.
+        """
         return angle_between(self.trajectory.q, reference)
 
 
-def drift(trajectory: Trajectory, scene: Scene) -> Drift:
-    """Departures of a trajectory from its scene's invariants, per save and body.
+def drift(run: Trajectory, scene: Scene) -> Drift:
+    """Measure the drift of a trajectory from the invariants of its scene, for each save and body.
 
-    Raises ``TypeError`` when the arguments are not a trajectory and a scene.
+    Parameters
+    ----------
+    run : Trajectory
+        A run with a history.
+    scene : Scene
+        The scene of the run.
+
+    Returns
+    -------
+    Drift
+        The norm and orthogonality errors, and the relative changes of energy and angular momentum.
+
+    Raises
+    ------
+    TypeError
+        If the arguments are not a trajectory and a scene.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.1, n_steps=100, save_every=50)
+    >>> bool(fa.drift(run, body).energy.max() < 1e-13)
+    True
     """
-    if not isinstance(trajectory, Trajectory):
-        raise TypeError(f"trajectory: found {checks.brief(trajectory)}; accepted: a Trajectory")
+    if not isinstance(run, Trajectory):
+        raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
     as_scene(scene)
-    norm_error = np.abs(
-        trajectory.norm_error[:, 0] if trajectory.one_body else trajectory.norm_error
-    )
-    C = trajectory.dcm
+    norm_error = np.abs(run.norm_error[:, 0] if run.one_body else run.norm_error)
+    C = run.dcm
     matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))
-    length = np.abs(np.linalg.norm(trajectory.q, axis=-1) - 1.0)
-    attitude = trajectory.attitude
+    length = np.abs(np.linalg.norm(run.q, axis=-1) - 1.0)
+    attitude = run.attitude
     of_matrix = attitude.to_dcm_array is not None
     of_quaternion = not of_matrix and attitude.to_quat_array in (None, same)
     return Drift(
         norm=norm_error if of_quaternion else length,
         orthogonality=norm_error if of_matrix else matrix,
-        energy=_energy(trajectory, scene),
-        momentum=_momentum(trajectory, scene),
-        trajectory=trajectory,
+        energy=_energy(run, scene),
+        momentum=_momentum(run, scene),
+        trajectory=run,
     )
 
 
@@ -96,7 +141,7 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
 
 
 def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:
-    """Momentum of wheels, that broadcasts against (S, N, 3), or (S, 3) of one body."""
+    """Angular momentum of wheels, which broadcasts against (S, N, 3), or (S, 3) for one body."""
     if not isinstance(momentum, TimeSeries):
         return np.asarray(momentum)
     found = momentum.at(trajectory.t)

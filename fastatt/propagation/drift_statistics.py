@@ -1,4 +1,4 @@
-"""Drift statistics gathered while a run goes on: a fixed number of bytes a body, no history."""
+"""Drift statistics gathered during a run, in a fixed amount of memory for each body."""
 
 from __future__ import annotations
 
@@ -15,14 +15,19 @@ from fastatt.propagation.propagate import propagate
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene
 
-# a share of powers of 2: below round-off of float64 up to a motion that is lost
+# the bins are powers of 2, from below the round-off of float64 to errors of any size
 _LOWEST, _BINS = -56, 64
 
 
 class Measure:
-    """The values of one measure at the saves of every body, as their maximum and a histogram.
+    """One measure of the drift at the saves of every body: its maximum and a histogram.
 
-    ``maximum`` (N,). 64 bins of a factor of 2 hold the rest: 256 bytes a body.
+    The histogram has 64 bins, each a factor of 2 wide, and takes 256 bytes for each body.
+
+    Attributes
+    ----------
+    maximum : ndarray, shape (N,)
+        The largest value of each body.
     """
 
     def __init__(self, n_bodies: int) -> None:
@@ -35,7 +40,7 @@ class Measure:
 
     @classmethod
     def joined(cls, parts: Sequence[Measure]) -> Measure:
-        """The saves of many bodies as those of one; a body that is lost is infinitely far."""
+        """The saves of several groups as those of one; a body without results is infinite."""
         found = cls(1)
         worst = [
             np.where(np.isnan(part.maximum), np.inf, part.maximum).max(initial=0.0)
@@ -47,7 +52,7 @@ class Measure:
         return found
 
     def add(self, values: NDArray[Any]) -> None:
-        """Values (S, N) of some saves."""
+        """Add the values (S, N) of some saves."""
         self.maximum = np.maximum(self.maximum, values.max(axis=0, initial=0.0))
         with np.errstate(divide="ignore"):
             power = np.nan_to_num(np.log2(values), nan=_BINS, posinf=_BINS, neginf=_LOWEST)
@@ -57,9 +62,22 @@ class Measure:
         self._counts += np.bincount(flat, minlength=n * _BINS).reshape(n, _BINS).astype(np.uint32)
 
     def percentile(self, percent: float) -> NDArray[np.float64]:
-        """What so many percent of a body's saves do not exceed, (N,); right to a factor of 2.
+        """The value that a given percentage of a body's saves do not exceed.
 
-        Raises ``ValueError`` for what is not between 0 and 100.
+        Parameters
+        ----------
+        percent : float
+            Percentage, 0 to 100.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            The percentile of each body, right to a factor of 2.
+
+        Raises
+        ------
+        ValueError
+            If ``percent`` is not between 0 and 100.
         """
         share = checks.real("percent", percent) / 100.0
         if not 0.0 <= share <= 1.0:
@@ -73,10 +91,18 @@ class Measure:
 
 @dataclass(frozen=True, eq=False)
 class DriftStatistics:
-    """Drifts of a run, as ``fastatt.drift`` defines them, over its saves.
+    """The drift of a run over its saves, as :func:`drift_statistics` gathers it.
 
-    Each is a :class:`Measure` or, where the scene does not keep it, None. ``trajectory`` holds the
-    final state and the status.
+    Attributes
+    ----------
+    norm, orthogonality : Measure
+        Norm and orthogonality errors, as :class:`Drift` defines them.
+    energy, momentum : Measure or None
+        Relative changes of energy and angular momentum; None if the scene does not conserve them.
+    saves : int
+        Number of saves.
+    trajectory : Trajectory
+        The final state and the status.
     """
 
     norm: Measure
@@ -92,27 +118,57 @@ def drift_statistics(
     q0: ArrayLike,
     w0: ArrayLike | None = None,
     *,
-    every: int,
+    save_every: int,
     **options: Any,
 ) -> DriftStatistics:
-    """Propagate and gather the drift every so many steps, without storing a history.
+    """Propagate and gather statistics of the drift without storing a history.
 
-    ``options`` are those of :func:`fastatt.propagate` but ``save_every``, ``on_save`` and
-    ``progress``; 17 saves are in memory at a time, and 1 kB of counts a body. Energies and momenta
-    are in relation to the largest of those 17.
+    17 saves are in memory at a time, and 1 kB of counts for each body.
 
-    Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+    Parameters
+    ----------
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`.
+    w0 : array_like, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
+    save_every : int
+        Number of steps between two saves at which the drift is measured.
+    **options : dict
+        Further arguments of :func:`fastatt.propagate`, except ``on_save`` and ``progress``.
+
+    Returns
+    -------
+    DriftStatistics
+        The largest value and a histogram of each measure, for each body. Changes of energy and
+        momentum are relative to the largest values of the 17 saves in memory.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit, as in :func:`fastatt.propagate`.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> found = fa.drift_statistics(
+    ...     body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.1, n_steps=100, save_every=10
+    ... )
+    >>> found.saves, bool(found.energy.maximum.max() < 1e-13)
+    (10, True)
     """
-    for name in ("save_every", "on_save", "progress"):
+    for name in ("on_save", "progress"):
         if name in options:
-            raise TypeError(f"{name}: found; accepted: every, the steps between two looks")
-    checks.whole("every", every, 1)
+            raise TypeError(f"{name}: found; accepted: save_every alone")
+    checks.whole("save_every", save_every, 1)
     found: dict[str, Measure] = {}
     saves = 0
     begin: dict[str, NDArray[Any]] = {}
 
     def since_begin(name: str, values: NDArray[Any]) -> Any:
-        """The values with those of the initial save before them."""
+        """The values together with those of the initial save."""
         if saves:
             return np.concatenate([begin[name], values])
         begin[name] = values[:1].copy()
@@ -133,7 +189,7 @@ def drift_statistics(
                 rows = values.reshape(piece.t.size, -1)[1:]
                 found.setdefault(name, Measure(rows.shape[1])).add(rows)
 
-    last = propagate(scene, q0, w0, save_every=every, on_save=take, **options)
+    last = propagate(scene, q0, w0, save_every=save_every, on_save=take, **options)
     return DriftStatistics(
         norm=found["norm"],
         orthogonality=found["orthogonality"],

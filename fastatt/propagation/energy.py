@@ -1,4 +1,4 @@
-"""Energy and angular momentum of one body or many, from what a trajectory holds."""
+"""Energy and angular momentum of one body or many."""
 
 from __future__ import annotations
 
@@ -23,13 +23,32 @@ from fastatt.tracing.formulas import quat
 def angular_momentum(
     w: ArrayLike, inertia: ArrayLike, q: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Angular momentum I w, N·m·s, along body axes or, with attitudes ``q``, along inertial axes.
+    """Angular momentum I w along body axes, or along inertial axes if attitudes are given.
 
-    ``w`` (3,), (N, 3) or (S, N, 3) is in rad/s along body axes, ``q`` has 4 in place of 3;
-    ``inertia`` is that of a scene: moments or a tensor, for all bodies or each. A body whose rates
-    are not finite has no number, here and in what follows.
+    Parameters
+    ----------
+    w : array_like, shape (3,), (N, 3) or (S, N, 3)
+        Angular velocities along body axes, rad/s.
+    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+        Principal moments or tensors, kg·m², as in :class:`Scene`.
+    q : array_like, shape (4,), (N, 4) or (S, N, 4), optional
+        Attitudes, body to inertial. If given, the result is along inertial axes.
 
-    Raises ``ValueError`` for shapes that do not fit.
+    Returns
+    -------
+    ndarray, shape (3,), (N, 3) or (S, N, 3)
+        Angular momentum, N·m·s; NaN for a body whose angular velocity is not finite.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit each other.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> fa.angular_momentum([0.5, 0.0, 2.0], (2.0, 1.0, 0.5)).tolist()
+    [1.0, 0.0, 1.0]
     """
     rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", flag=True)
     given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
@@ -46,7 +65,31 @@ def angular_momentum(
 
 
 def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
-    """½ w·I w, J: (), (N,) or (S, N); arguments as of :func:`angular_momentum`."""
+    """Rotational kinetic energy ½ w·I w.
+
+    Parameters
+    ----------
+    w : array_like, shape (3,), (N, 3) or (S, N, 3)
+        Angular velocities along body axes, rad/s.
+    inertia : array_like, shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+        Principal moments or tensors, kg·m², as in :class:`Scene`.
+
+    Returns
+    -------
+    ndarray, shape (), (N,) or (S, N)
+        Kinetic energy, J; NaN for a body whose angular velocity is not finite.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit each other.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> float(fa.kinetic_energy([0.5, 0.0, 2.0], (2.0, 1.0, 0.5)))
+    1.25
+    """
     m = angular_momentum(w, inertia)
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(0.5 * np.einsum("...i,...i->...", np.asarray(w, dtype=np.float64), m))
@@ -55,14 +98,39 @@ def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
 def potential_energy(
     scene: Scene, q: ArrayLike, t: ArrayLike = 0.0, r: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Potential energy of a scene's torque, J: (), (N,) or (S, N) as of attitudes q.
+    """Potential energy of a scene's torque.
 
-    ``q`` is (4,), (N, 4) or (S, N, 4), not of length zero, ``t`` a number or (S,), s. Zero where
-    nothing acts. ``r``, m, is the position, with 3 in place of 4, where the torque reads it: the
-    energy is then that of torque and force together.
+    Parameters
+    ----------
+    scene : Scene
+        A scene whose torque has a potential; each class of :mod:`fastatt.torques` says whether it
+        has one. Without a torque the result is zero.
+    q : array_like, shape (4,), (N, 4) or (S, N, 4)
+        Attitudes, body to inertial, of any norm above zero.
+    t : float or array_like of shape (S,), default 0.0
+        Time or times, s.
+    r : array_like, shape (3,), (N, 3) or (S, N, 3), optional
+        Positions along inertial axes, m, if the torque depends on them. The energy is then that of
+        torque and force together.
 
-    Raises ``ValueError`` for a torque that has none: ``fastatt.torques`` says which do; it and
-    ``TypeError`` for other shapes and things.
+    Returns
+    -------
+    ndarray, shape (), (N,) or (S, N)
+        Potential energy, J.
+
+    Raises
+    ------
+    ValueError
+        If the torque has no potential, or if a shape does not fit.
+    TypeError
+        If an argument has the wrong type.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0, 0, 0.1), 10.0))
+    >>> float(fa.potential_energy(top, [1, 0, 0, 0]))
+    1.0
     """
     as_scene(scene)
     attitudes = checks.array("q", q, "(4,), (N, 4) or (S, N, 4)", flag=True)

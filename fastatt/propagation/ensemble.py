@@ -1,4 +1,4 @@
-"""A scene with initial states, and the choice of some of its bodies."""
+"""A scene together with initial states, and the selection of some of its bodies."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Ensemble:
     ) -> Ensemble:
         """An ensemble from the arguments of ``propagate``.
 
-        Raises ``TypeError`` for what is no scene, else as ``propagate`` does.
+        Raises ``TypeError`` if ``scene`` is not a scene, and errors as ``propagate`` does.
         """
         start, beside = initial(as_scene(scene), (q0, w0, v0, r0, s0), flag=False)
         found = cls(scene, start, **beside)
@@ -55,7 +55,7 @@ class Ensemble:
         return max((len(x) for x in states if x is not None and x.ndim == 2), default=1)
 
     def take(self, rows: NDArray[np.intp]) -> Ensemble:
-        """The bodies of some rows, each with its own numbers."""
+        """The bodies of the given rows."""
 
         def chosen(x: NDArray[Any] | None) -> Any:
             return None if x is None else np.broadcast_to(x, (self.size, x.shape[-1]))[rows]

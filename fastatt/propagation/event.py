@@ -15,22 +15,32 @@ from fastatt.scene.models import Packed, resources_of
 from fastatt.scene.scene import Scene
 from fastatt.tracing.user import FORMS, user_function
 
-#: of ``FORMS``, by how many arguments the function takes
+#: the form in ``FORMS``, by the number of the function's arguments
 _FORMS = {4: "event", 6: "event at position"}
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A function of the motion whose first crossing of zero is wanted: made by :func:`event`."""
+    """A function of the motion whose first zero crossing is located; :func:`event` makes it.
+
+    Attributes
+    ----------
+    function : callable
+        The function.
+    direction : {-1, 0, 1}
+        The direction of the crossing.
+    terminal : bool
+        Whether the body stops there.
+    """
 
     function: Callable[..., Any]
     direction: int = 0
     terminal: bool = False
 
     def watch(self, scene: Scene, position: bool) -> Watch:
-        """What the engine watches: the function with the scene's parameters, and its direction.
+        """The function with the scene's parameters, and its direction, as the engine takes them.
 
-        Raises ``TypeError`` and ``ValueError`` for a function that the scene can't be given to.
+        Raises ``TypeError`` and ``ValueError`` for a function that does not fit the scene.
         """
         plain = getattr(self.function, "py_func", self.function)
         form = _FORMS.get(_arguments(plain))
@@ -51,7 +61,7 @@ class Event:
 
 
 def _arguments(function: Any) -> int:
-    """How many arguments a function needs; 0 of what has no signature."""
+    """The number of arguments that a function requires; 0 if it has no signature."""
     try:
         found = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
@@ -60,27 +70,27 @@ def _arguments(function: Any) -> int:
 
 
 def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -> Event:
-    """The first time at which a function of a body's motion crosses zero.
+    """Locate the first time at which a function of a body's motion crosses zero.
 
-    ``fastatt.propagate(..., events=[...])`` takes it, and the trajectory's ``event_times`` holds
-    the time of each body, located between the steps to the method's order. Functions are traced as
-    torques are, so that they are part of the loop.
+    ``fastatt.propagate(..., events=[...])`` accepts the result, and the trajectory's
+    ``event_times`` holds the time of each body, located between the steps to the order of the
+    method. The function is traced, as torques are, so that it becomes part of the compiled loop.
 
     Parameters
     ----------
     g : callable
-        ``g(t, q, w, p) -> float``, plain or jitted: the time, s, the unit attitude, body to
-        inertial, the angular velocity along body axes, rad/s, and the tuple of the scene's
-        ``params``, empty where there are none. Where the position is carried also
-        ``g(t, q, w, v, r, p)``: the velocity along body axes, m/s, and the position along inertial
-        axes, m.
-    direction : int
-        1: g rises through zero along the run; -1: it falls; 0: either. A g that is zero where a
-        step begins or ends has crossed there.
-    terminal : bool
-        Whether the body stays where it is from then on: all later saves hold its state at the
-        event, its later events are not found, and its status is not changed. The run goes on for
-        the other bodies.
+        ``g(t, q, w, p) -> float``, plain or jitted. Its arguments are the time, s, the unit
+        quaternion, body to inertial, the angular velocity along body axes, rad/s, and the tuple of
+        the scene's ``params``, which is empty if there are none. If the position is propagated,
+        ``g(t, q, w, v, r, p)`` is accepted too, with the velocity along body axes, m/s, and the
+        position along inertial axes, m.
+    direction : {-1, 0, 1}, default 0
+        1 if g must rise through zero along the run, -1 if it must fall, 0 for either. A g that is
+        zero at the begin or the end of a step has crossed there.
+    terminal : bool, default False
+        Whether the body stops at the event: all later saves hold its state at the event, its later
+        events are not located, and its status does not change. The run continues for the other
+        bodies.
 
     Returns
     -------
@@ -90,17 +100,17 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     Raises
     ------
     TypeError
-        For what is no function, or a ``terminal`` that is no truth value.
+        If ``g`` is not a function, or ``terminal`` is not True or False.
     ValueError
-        For another direction.
+        If ``direction`` is not -1, 0 or 1.
 
     Notes
     -----
-    A crossing is found where g has different signs at the two ends of a step. Where g has the same
-    sign at both ends, but turns towards zero in between, its extremum within the step is searched,
-    so that two crossings in one step are found too. Out of reach are two crossings in a step in
-    which g does not look like a parabola, as of a g with kinks; of three crossings in one step any
-    of them may be found. Where g is not a number there is no crossing.
+    A crossing is found if g has different signs at the two ends of a step. If g has the same sign
+    at both ends but approaches zero in between, its extremum within the step is searched, so that
+    two crossings in one step are found too. They are missed if g does not resemble a parabola
+    within the step, for example at a kink. Of three crossings in one step any one may be found.
+    Where g is NaN there is no crossing.
 
     Examples
     --------
@@ -127,9 +137,9 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
 
 
 def events_of(events: Event | Sequence[Event]) -> tuple[Event, ...]:
-    """The events of a run.
+    """The events of a run as a tuple.
 
-    Raises ``TypeError`` for what is none.
+    Raises ``TypeError`` for anything else.
     """
     found = (events,) if isinstance(events, Event) else events
     if not isinstance(found, (list, tuple)) or not all(isinstance(x, Event) for x in found):
@@ -138,7 +148,7 @@ def events_of(events: Event | Sequence[Event]) -> tuple[Event, ...]:
 
 
 def check_steps(events: Sequence[Event], scene: Scene, ends: float | None) -> None:
-    """Refuse events, with ``ValueError``, in a run that takes some of its steps in parts."""
+    """Refuse events, with ``ValueError``, in a run that divides some of its steps."""
     if not events:
         return
     if scene.breakpoints:
@@ -150,7 +160,7 @@ def check_steps(events: Sequence[Event], scene: Scene, ends: float | None) -> No
 
 
 def watching(packed: Packed, watches: Sequence[Watch]) -> Packed:
-    """What moves, with the tables and functions that events need."""
+    """The structure and parameters of a scene, with those that its events need."""
     found = dict(packed.resources)
     for watch in watches:
         found |= resources_of(watch.function)

@@ -1,4 +1,4 @@
-"""The steps of a planned run: all of them at once, or a few saves at a time."""
+"""Execution of a planned run: all steps at once, or a few saves at a time."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine import pool
-from fastatt.engine.run import Run, Span
+from fastatt.engine.run import Results, Run, Span
 from fastatt.engine.status import Status
 from fastatt.propagation import closed_forms
 from fastatt.propagation.histories import History, check_memory
 from fastatt.propagation.initial import Given
 from fastatt.propagation.options import RING, PerBodyClock, RunOptions, save_batches
 from fastatt.propagation.resume import MOST, check, check_begin, loaded
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.threads import progress_bar
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ Deliver = Callable[[Trajectory], None]
 def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Trajectory:
     """The trajectory of a plan from initial values that were checked.
 
-    Raises ``MemoryError`` where saves will not fit, ``ValueError`` for a checkpoint of another run.
+    Raises ``MemoryError`` if the saves do not fit, ``ValueError`` for a checkpoint of another run.
     """
     clock, shape = plan.clock, (plan.clock.saves, plan.n_bodies, plan.width)
     takers: list[Callable[[Trajectory], object]] = []
@@ -91,7 +91,7 @@ def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Traject
 def _closed_form(
     plan: Plan, given: Given, times: Times, options: RunOptions, deliver: Deliver | None
 ) -> Trajectory:
-    """The closed form at all saves, or at a few at a time; then the last is returned."""
+    """Evaluate the closed form at all saves, or at a few at a time, and return the last."""
 
     def at(saves: slice) -> Trajectory:
         results = closed_forms.results_at(plan, given, saves, options.n_threads)
@@ -112,10 +112,10 @@ def _at_once(
     options: RunOptions,
     done: Done,
 ) -> Trajectory:
-    """All steps of an ensemble, of a large one a part of the bodies after the other."""
+    """Take all steps; a large ensemble is run in groups of bodies, one group after the other."""
     n, device = plan.n_bodies, plan.choice.device
     results = plan.results(plan.clock.saves)
-    angles: list[NDArray[Any]] = []
+    squares: list[NDArray[Any]] = []
     size, largest = n if device or options.start else PART, 0.0
     warned = not plan.is_short and plan.warn_of_first(given)
     for a in range(0, n, size):
@@ -127,11 +127,11 @@ def _at_once(
             _leave_unfinished(plan, results, part, stopped.reached)
             stopped.trajectory = plan.trajectory(times, results, given.one_body)
             raise
-        angles.append(np.sqrt(run.diagnostics[0]))
+        squares.append(run.diagnostics[0])
         largest = max(largest, run.largest_angle)
     end = plan.end(given, run, t0, plan.clock.end) if _keeps_end(plan, options) else None
     if not warned:
-        plan.warn_after(given, largest, angles)
+        plan.warn_after(given, largest, squares)
     if device is not None and device.saves is not None:
         results = results._replace(out=device.saves)
     return plan.trajectory(times, results, given.one_body, end)
@@ -146,7 +146,7 @@ def _in_batches(
     deliver: Deliver | None,
     done: Done | None,
 ) -> Trajectory:
-    """A few saves at a time, each delivered once, or a few steps; the final states are returned."""
+    """Run a few saves, or steps, at a time; deliver the saves and return the final states."""
     clock, span, start = plan.clock, plan.span, options.start
     results = plan.results(min(clock.saves, 1 + RING))
     run = plan.started(given, t0, results, (0, plan.n_bodies), start)
@@ -182,13 +182,13 @@ def _in_batches(
     final = 0 if is_over else new.stop - 1
     end = plan.end(given, run, t0, clock.end) if _keeps_end(plan, options) else None
     if not warned:
-        plan.warn_after(given, run.largest_angle, [np.sqrt(run.diagnostics[0])])
+        plan.warn_after(given, run.largest_angle, [run.diagnostics[0]])
     last_save = results.saves(slice(final, final + 1))
     return plan.trajectory(times[-1:], last_save, given.one_body, end)
 
 
 def _checkpoints(plan: Plan) -> list[int]:
-    """Steps after which a checkpoint may be written, in a run without saves on the way."""
+    """Steps after which a checkpoint may be written, in a run without saves before its end."""
     span = plan.span
     each = span.end_of_piece(0, _CHECKED // plan.n_bodies)
     return [*range(span.end_of_piece(span.origin, each), span.n_steps, each), span.n_steps]
@@ -203,7 +203,7 @@ def _keeps_end(plan: Plan, options: RunOptions) -> bool:
 
 
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:
-    """Steps of a span, of a run's bodies; ``done`` is called with the number of body-steps."""
+    """Take the steps of a span; ``done`` is called with the number of body-steps."""
     n, width = run.bodies[1], plan.job.width
     # a short run is over before Ctrl-C could be answered
     is_whole = span is plan.span and n == plan.n_bodies
@@ -222,7 +222,7 @@ def _leave_unfinished(
     part: slice,
     reached: list[tuple[int, int, int]],
 ) -> None:
-    """Flag bodies that did not reach the end, their saves NaN from where they stopped."""
+    """Flag the bodies that did not reach the end; their later saves are NaN."""
     clock, span, width = plan.clock, plan.span, plan.job.width
     saved, n = np.array(clock.saved), plan.n_bodies
     order = np.arange(n) if clock.order is None else clock.order

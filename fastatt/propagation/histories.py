@@ -1,4 +1,4 @@
-"""Histories that do not fit into memory: a file that grows by a few saves at a time."""
+"""Histories that do not fit into memory: files that grow by a few saves at a time."""
 
 from __future__ import annotations
 
@@ -13,30 +13,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.engine.run import Results
+from fastatt.propagation.trajectory import Trajectory
 
-# bytes that need no check of the free memory
+# bytes below which the free memory is not checked
 _LITTLE = 1 << 30
 
 
 @dataclass(frozen=True)
 class ToFile:
-    """A file for the saves of a run: what :func:`fastatt.to_file` gives."""
+    """A file for the saves of a run; :func:`to_file` makes it.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    """
 
     path: Path
 
 
 def to_file(path: str | os.PathLike[str]) -> ToFile:
-    """A file that the saves of a run are written to: ``propagate(..., on_save=fa.to_file(path))``.
+    """Write the saves of a run to a file: ``propagate(..., on_save=fa.to_file(path))``.
 
     The file grows by 16 saves at a time, so that a history may be larger than memory. It holds
-    (S, N, k) numbers: attitudes, then w, v, r and s where the scene carries them, then norm errors.
+    (S, N, k) numbers: the attitudes, then w, v, r and s if the scene has them, then the norm error.
 
     Parameters
     ----------
     path : str or os.PathLike
-        ``*.npy``, which the trajectory then maps into memory, or ``*.zarr`` (needs zarr): chunks of
-        16 saves of at most 65536 bodies.
+        ``*.npy``, which the trajectory then maps into memory, or ``*.zarr`` (needs zarr), in chunks
+        of 16 saves of at most 65536 bodies.
 
     Returns
     -------
@@ -46,12 +53,13 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     Raises
     ------
     TypeError
-        For what is no path.
+        If ``path`` is not a path.
     ValueError
-        For another kind of file.
+        If the file is of another kind.
 
     Examples
     --------
+    >>> import fastatt as fa
     >>> fa.to_file("history.npy").path.name
     'history.npy'
     """
@@ -64,7 +72,7 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
 
 
 def saving(on_save: Any) -> tuple[Callable[[Trajectory], object] | None, Path | None]:
-    """The function and the file that ``on_save`` names, each at most once.
+    """The function and the file in ``on_save``, each at most once.
 
     Raises ``TypeError`` and ``ValueError`` for anything else.
     """
@@ -83,16 +91,17 @@ def saving(on_save: Any) -> tuple[Callable[[Trajectory], object] | None, Path | 
 
 
 class History:
-    """A file of (S, N, k) numbers: attitudes, w, v, r, s where they are carried, departures last.
+    """A file of (S, N, k) numbers: attitudes, then w, v, r and s if present, then norm errors.
 
-    ``*.npy`` is mapped into memory, as ``array``; ``*.zarr`` a Zarr array, in chunks of 16 saves of
-    at most 65536 bodies. One of which the first saves are there is opened, else it is made.
+    ``*.npy`` is mapped into memory, as ``array``; ``*.zarr`` is a Zarr array in chunks of 16 saves
+    of at most 65536 bodies. With ``first`` saves already written the file is opened, else it is
+    created.
     """
 
     def __init__(
         self, target: Path, shape: tuple[int, int, int], kind: np.dtype[Any], first: int
     ) -> None:
-        #: how many there are
+        #: the number of saves in the file
         self.saves = first
         if not first:
             _check_room(shape, kind, _free_on_disk(target), "disk")
@@ -114,7 +123,7 @@ class History:
         self.saves = rows.stop
 
     def results(self, saves: int, status: NDArray[np.uint8]) -> Results:
-        """The first saves, of a file that is mapped into memory."""
+        """The first saves, if the file is mapped into memory."""
         assert self.array is not None
         return Results(self.array[:saves, :, :-1], self.array[:saves, :, -1], status)
 
@@ -137,10 +146,7 @@ def _zarr(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
 
 
 def check_memory(shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:
-    """Refuse what memory will not hold.
-
-    Raises ``MemoryError``, with the sizes.
-    """
+    """Raise ``MemoryError``, with the sizes, if an array does not fit into memory."""
     if _bytes(shape, kind) > _LITTLE and (free := _available()) is not None:
         _check_room(shape, kind, free, "memory")
 
@@ -165,7 +171,7 @@ def _free_on_disk(path: Path) -> int:
 
 
 def _available() -> int | None:
-    """Bytes of memory that can be had, None where the system does not tell."""
+    """Bytes of available memory; None if the system does not report them."""
     try:
         with Path("/proc/meminfo").open() as file:
             for line in file:

@@ -1,4 +1,4 @@
-"""The source that runs: a step's flat loop as text that can be read."""
+"""The operations of a step as text."""
 
 from __future__ import annotations
 
@@ -37,13 +37,33 @@ def inspect_step(
     dtype: DTypeLike = np.float64,
     reduce: Reducer | None = None,
 ) -> str:
-    """The flat loop that a scene's run executes, as text, its operations counted.
+    """Show the loop that a run of a scene executes, as text with the number of its operations.
 
-    A step is one straight line: what the scene does not require is not there. ``a*b + c`` is one
-    fused instruction where the processor has it. Arguments are those of
-    :func:`fastatt.propagate`; with ``reduce`` the function's operations are among them.
+    A step is a sequence of operations without branches, and contains only what the scene requires.
+    ``a*b + c`` is one fused instruction if the processor has it.
 
-    Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+    Parameters
+    ----------
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    method : str or Method, optional
+        The method, as in :func:`fastatt.propagate`.
+    representation : str or Attitude, default "quat"
+        The representation of the attitude.
+    dtype : {float64, float32}, default float64
+        Precision of the state.
+    reduce : Reducer, optional
+        A user-defined function after every step; its operations are then included.
+
+    Returns
+    -------
+    str
+        The operations of one step, one on each line.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit, as in :func:`fastatt.propagate`.
 
     Examples
     --------
@@ -80,7 +100,7 @@ def inspect_step(
 def job_of(
     scene: Scene, method: Any, representation: Any, kind: Any, reduce: Reducer | None = None
 ) -> Job:
-    """The job of a scene without its bodies."""
+    """The job of a scene, without its bodies."""
     choice = chosen(scene, method, representation, reducer=reduce)
     packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
     if reduce is not None:

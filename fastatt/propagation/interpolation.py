@@ -1,4 +1,4 @@
-"""Attitudes and rates between the saves of a run."""
+"""Attitudes and angular velocities between the saves of a run."""
 
 from __future__ import annotations
 
@@ -12,49 +12,65 @@ from fastatt.codegen.rows import kind_of, rows
 from fastatt.tracing.formulas import dot, minus, plus, quat, scale, so3
 
 _NODES = 4
-# rows that are gathered at a time
+# rows that are evaluated at a time
 _ROWS = 1 << 16
-# rad, between the interpolants through four saves and through two: the saves say too little
+# rad; a larger difference of the interpolants through four saves and through two is warned of
 _DOUBT = 0.1
 
 
 def interpolate(
     t: ArrayLike, q: ArrayLike, w: ArrayLike, times: ArrayLike, *, invalid: str = "raise"
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Attitudes and angular velocities between saves, from those at the saves.
-
-    Over an interval q = q_a∘exp(s φ)∘exp(ψ(s)), where φ = log(q_a*∘q_b) and ψ is the Hermite
-    polynomial that has the attitudes and the rates of the four saves around it: of degree 7, so
-    that the error falls as the interval to the 8th power, that of the rates as the 7th. Two saves
-    give orders 4 and 3, three 6 and 5. At a save it is what was saved, to rounding.
+    """Interpolate attitudes and angular velocities between the saves of a run.
 
     Parameters
     ----------
-    t : (S,), times of the saves, s, rising or falling; two at least.
-    q : (S, 4) or (S, N, 4), attitudes there, body to inertial, scalar first, of either sign.
-    w : (S, 3) or (S, N, 3), angular velocities there along body axes, rad/s.
-    times : a number or (T,), in any order, none outside of ``t``.
-    invalid : "raise" refuses what is not finite, zero quaternions, and bodies that rotate too far
-        between saves; "flag" gives NaN where these enter, and does not affect other bodies.
+    t : array_like, shape (S,)
+        Times of the saves, s, rising or falling; at least two.
+    q : array_like, shape (S, 4) or (S, N, 4)
+        Attitudes at the saves, body to inertial, scalar first, of either sign.
+    w : array_like, shape (S, 3) or (S, N, 3)
+        Angular velocities at the saves along body axes, rad/s.
+    times : float or array_like of shape (T,)
+        Times at which attitudes are wanted, s, in any order and within ``t``.
+    invalid : {"raise", "flag"}, default "raise"
+        "raise" refuses values that are not finite, zero quaternions, and bodies that rotate by more
+        than π between two saves. "flag" returns NaN where they enter, and does not affect other
+        bodies.
 
     Returns
     -------
-    q, w : (T, 4) or (T, N, 4), unit, and (T, 3) or (T, N, 3); without the first axis for one time.
+    q : ndarray, shape (T, 4) or (T, N, 4)
+        Unit quaternions, without the first axis if ``times`` is a number.
+    w : ndarray, shape (T, 3) or (T, N, 3)
+        Angular velocities along body axes, rad/s.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit; with "raise", a body whose rate is more
-        than π from one save to the next: the number of its revolutions is not known then.
+    ValueError
+        If an argument does not fit. With ``invalid="raise"`` also if a body rotates by more than π
+        from one save to the next, since its number of revolutions is unknown then.
+    TypeError
+        If an argument has the wrong type.
 
     Warns
     -----
-    StepWarning : where the polynomials through four and through two saves are more than 0.1 rad
-        apart: the motion changes too fast between saves.
+    StepWarning
+        If the polynomials through four and through two saves differ by more than 0.1 rad, since the
+        motion then changes too fast between the saves.
+
+    Notes
+    -----
+    Over an interval q = q_a∘exp(s φ)∘exp(ψ(s)), where φ = log(q_a*∘q_b) and ψ is the Hermite
+    polynomial through the attitudes and the rates of the four saves around it. Its degree is 7, so
+    that the error falls as the interval to the 8th power, and that of the rates as the 7th. Two
+    saves give orders 4 and 3, three saves 6 and 5. At a save the result is the saved value, to
+    rounding.
 
     References
     ----------
-    Error of Hermite's polynomial: Davis, *Interpolation and Approximation* (1975), theorem 3.5.1;
-    polynomials in the logarithm: Park and Ravani, ACM Trans. Graphics 16 (1997) 277.
+    Error of Hermite's polynomial: Davis, *Interpolation and Approximation* (1975), theorem 3.5.1.
+    Polynomials in the logarithm: Park and Ravani, *ACM Transactions on Graphics* 16 (1997) 277.
 
     Examples
     --------
@@ -67,22 +83,11 @@ def interpolate(
     True
     """
     flag = checks.choice("invalid", invalid, ("raise", "flag")) == "flag"
-    when = checks.array("t", t, "(S,)").astype(np.float64)
+    when, asked = _checked_times(t, times)
     count = when.size
-    gaps = np.diff(when)
-    if count < 2 or not ((gaps > 0.0).all() or (gaps < 0.0).all()):
-        raise ValueError(f"t: found {checks.brief(when)}; accepted: two or more, rising or falling")
     attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
     wanted = (*attitudes.shape[:-1], 3)
     rates = checks.array("w", w, str(wanted), flag=flag)
-    asked = checks.array("times", times, "a number or (T,)").astype(np.float64)
-    low, high = sorted((when[0], when[-1]))
-    outside = np.flatnonzero((asked < low) | (asked > high))
-    if outside.size:
-        raise ValueError(
-            f"times[{outside[0]}] is {asked.ravel()[outside[0]]}; accepted: {low} to {high}, "
-            "the saves' span"
-        )
     shape = asked.shape
     kind = np.result_type(attitudes, rates)
     tails = attitudes.shape[1:-1]
@@ -93,6 +98,118 @@ def interpolate(
     return q_out, w_out
 
 
+def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[Any]:
+    """Interpolate user-defined states, velocities or positions between the saves of a run.
+
+    Parameters
+    ----------
+    t : array_like, shape (S,)
+        Times of the saves, s, rising or falling; at least two.
+    s : array_like, shape (S, n) or (S, N, n)
+        Numbers at the saves: ``run.s``, ``run.v`` or ``run.r``. Numbers that are not finite give
+        NaN at the times that they are used for, in their own column alone.
+    times : float or array_like of shape (T,)
+        Times at which the numbers are wanted, s, in any order and within ``t``.
+
+    Returns
+    -------
+    ndarray, shape (T, n) or (T, N, n)
+        The numbers at ``times``, without the first axis if ``times`` is a number.
+
+    Raises
+    ------
+    ValueError
+        If an argument does not fit.
+    TypeError
+        If an argument has the wrong type.
+
+    Warns
+    -----
+    StepWarning
+        If the polynomials through eight and through four saves differ by more than a tenth of the
+        range of a column, since it then changes too fast between the saves.
+
+    Notes
+    -----
+    The result is the polynomial through the eight nearest saves, four on either side where they
+    exist, or through all saves if there are fewer. Its error falls as the interval to the 8th
+    power. Across a breakpoint, where a derivative jumps, interpolate each part on its own, or save
+    at the times that are wanted (``save_at``).
+
+    References
+    ----------
+    Error of the interpolating polynomial: Davis, *Interpolation and Approximation* (1975),
+    theorem 3.1.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> t = np.linspace(0.0, 2.0, 21)
+    >>> s = np.stack([np.sin(t), np.cos(t)], axis=1)
+    >>> bool(np.abs(fa.interpolate_states(t, s, 0.33) - [np.sin(0.33), np.cos(0.33)]).max() < 1e-11)
+    True
+    """
+    when, asked = _checked_times(t, times)
+    count = when.size
+    values = checks.array("s", s, f"({count}, n) or ({count}, N, n)", flag=True)
+    columns = values.reshape(count, -1)
+    at = asked.ravel()
+    out = np.empty((at.size, columns.shape[1]), values.dtype)
+    apart = np.zeros(columns.shape[1])
+    step = max(1, _ROWS // columns.shape[1])
+    for a in range(0, at.size, step):
+        part = slice(a, a + step)
+        with np.errstate(all="ignore"):
+            out[part] = _polynomial(when, columns, at[part], 2 * _NODES)
+            rough = _polynomial(when, columns, at[part], _NODES)
+            apart = np.fmax(apart, np.abs(out[part] - rough).max(axis=0, initial=0.0))
+    rounded = 1e3 * np.finfo(values.dtype).eps * np.abs(columns).max(axis=0)
+    poor = np.flatnonzero(apart > 0.1 * np.ptp(columns, axis=0) + rounded)
+    if poor.size:
+        rounding.warn(
+            f"t: saves are too far apart for {poor.size} of {apart.size} columns of s, up to "
+            f"{apart[poor].max():.2g} between the polynomials through eight and four of them: save "
+            "more often"
+        )
+    return out.reshape(*asked.shape, *values.shape[1:])
+
+
+def _checked_times(t: ArrayLike, times: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Times of saves, and times between them, checked."""
+    when = checks.array("t", t, "(S,)").astype(np.float64)
+    gaps = np.diff(when)
+    if when.size < 2 or not ((gaps > 0.0).all() or (gaps < 0.0).all()):
+        raise ValueError(f"t: found {checks.brief(when)}; accepted: two or more, rising or falling")
+    asked = checks.array("times", times, "a number or (T,)").astype(np.float64)
+    low, high = sorted((when[0], when[-1]))
+    outside = np.flatnonzero((asked < low) | (asked > high))
+    if outside.size:
+        raise ValueError(
+            f"times[{outside[0]}] is {asked.ravel()[outside[0]]}; accepted: {low} to {high}, "
+            "the saves' span"
+        )
+    return when, asked
+
+
+def _polynomial(
+    t: NDArray[np.float64], columns: NDArray[Any], times: NDArray[np.float64], most: int
+) -> NDArray[Any]:
+    """The polynomial through the nearest saves, at most so many, at times within ``t``."""
+    n = min(most, t.size)
+    way = np.sign(t[1] - t[0])
+    left = np.searchsorted(way * t, way * times, side="right") - 1
+    nodes = np.clip(left - (n - 1) // 2, 0, t.size - n)[:, None] + np.arange(n)
+    found = np.zeros((times.size, columns.shape[1]))
+    for k in range(n):
+        others = np.delete(t[nodes], k, axis=1)
+        own = t[nodes[:, k]]
+        weight = ((times[:, None] - others) / (own[:, None] - others)).prod(axis=1)
+        # a save that is not finite has no part in the saves themselves
+        found += np.where(weight[:, None] == 0.0, 0.0, weight[:, None] * columns[nodes[:, k]])
+    return found
+
+
 def _between(
     t: NDArray[np.float64],
     q: NDArray[Any],
@@ -101,14 +218,14 @@ def _between(
     *,
     flag: bool,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Attitudes (T, N, 4) and angular velocities (T, N, 3), of checked arguments."""
+    """Attitudes (T, N, 4) and angular velocities (T, N, 3), from checked arguments."""
     count, bodies, kind = t.size, q.shape[1], q.dtype
     way = np.sign(t[1] - t[0])
     left = np.clip(np.searchsorted(way * t, way * times, side="right") - 1, 0, count - 2)
     many = min(_NODES, count)
     first = np.clip(left - 1, 0, count - many)
     far = _far(t, w, np.unique(first[:, None] + np.arange(many - 1)), flag=flag)
-    # the interval's own ends come first
+    # the two ends of the interval come first
     own = left[:, None] + np.arange(2)
     around = first[:, None] + np.arange(many)
     other = around[(around != own[:, :1]) & (around != own[:, 1:])].reshape(times.size, many - 2)
@@ -155,7 +272,7 @@ def _between(
 def _far(
     t: NDArray[np.float64], w: NDArray[Any], used: NDArray[np.intp], *, flag: bool
 ) -> NDArray[np.bool_]:
-    """Bodies that rotate by more than π over an interval that is used, (N,); or refuse them."""
+    """Bodies that rotate by more than π over an interval in use, (N,), unless they are refused."""
     size = np.sqrt((w.astype(np.float64) ** 2).sum(axis=-1))
     span = np.abs(t[used + 1] - t[used])[:, None]
     turn = np.fmax(size[used], size[used + 1]) * span
@@ -171,7 +288,7 @@ def _far(
 
 
 def _weights(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (T, 4 n) at s of values, then slopes, at n nodes; then of both in the derivative."""
+    """Weights (T, 4 n) at s: of the values and slopes at n nodes, then those of the derivative."""
     n = nodes.shape[1]
     gaps = nodes[:, :, None] - nodes[:, None, :]
     ahead = (s[:, None] - nodes)[:, None, :] + np.zeros((n, 1))
@@ -197,7 +314,7 @@ def _weights(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _through(clock: Any, *saves: Any) -> Any:
-    """(q, w, how far it is from the cubic through two saves) from n attitudes, then their rates."""
+    """(q, w, difference from the cubic through two saves), from n attitudes and n rates."""
     n = len(saves) // 2
     q, w = saves[:n], saves[n:]
     s, h, at = clock[0], clock[1], clock[2:n]

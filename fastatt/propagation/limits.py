@@ -1,4 +1,4 @@
-"""Where a run leaves what its method can do: each body's status, warnings with a remedy."""
+"""The limits of methods: the largest steps, and warnings with a step size that would do."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from fastatt.scene.scene import Scene
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-# evaluations a step beyond which monitoring the rotation angle costs next to nothing
+# evaluations in a step beyond which monitoring the rotation angle takes almost no extra time
 _STAGES = 4
 
 
 def turn_limit(
     scene: Scene, method: Method, representation: Attitude, dtype: DTypeLike = np.float64
 ) -> float:
-    """Largest |w|h, rad, of one step; where one exponential is the whole answer, of rounding."""
+    """The largest ``|w| h`` of a step, rad; where one exponential is exact, that of rounding."""
     if scene.is_constant and method.exact_for_constant:
         return rounding.most_turned(dtype)
     kind = scene.kind
@@ -36,7 +36,7 @@ def turn_limit(
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
-    """The angle that the method limits, rad, of each body's first step; w (3,) or (N, 3)."""
+    """The angle that the method limits, rad, in each body's first step; w is (3,) or (N, 3)."""
     with np.errstate(over="ignore", invalid="ignore"):
         if method.measure == "turn":
             return np.asarray(lengths(_finite(w)) * abs(h))
@@ -60,7 +60,7 @@ def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
-    """|m|/I_min of each body, rad/s: a free body never rotates faster."""
+    """``|m|/I_min`` of each body, rad/s, which a free body's angular velocity never exceeds."""
     given = np.asarray(scene.inertia)
     least = scene.principal.moments.min(axis=-1)
     rates = _finite(w)
@@ -70,10 +70,11 @@ def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64] | float | None:
-    """Rates, rad/s, that each body never exceeds; None where they are not known beforehand.
+    """Bounds of each body's angular velocity, rad/s; None if they are not known before the run.
 
-    0 of free bodies, whose initial momentum bounds them. Coordinates have poles, a planet's gravity
-    has a centre; where a step has many stages, steps without monitoring save too little.
+    The bound of free bodies is given as 0, since it follows from their initial momentum. There is
+    no bound for coordinates with poles and for torques that depend on the position. A step with
+    many stages is monitored always, since leaving monitoring out saves too little.
     """
     method: Method = choice.method
     if choice.attitude.has_poles or scene.needs_position:
@@ -88,7 +89,7 @@ def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64
 
 
 def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
-    """Largest known rotation angle of a step, rad, that needs no monitoring."""
+    """The largest known rotation angle of a step, rad, for which steps are not monitored."""
     if scene.is_constant and method.exact_for_constant:
         return 3.0  # of exponentials good up to π
     if method.measure == "asymmetry":
@@ -98,7 +99,7 @@ def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
 
 
 def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
-    """Largest c h/I of the damping in a scene, of each body or of all."""
+    """The largest c h/I of a scene's damping, for each body or for all."""
     if scene.kind != "torqued":
         return np.zeros(1)
     with np.errstate(over="ignore"):
@@ -106,7 +107,7 @@ def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
 
 
 def warn(plan: Plan, angles: NDArray[Any]) -> bool:
-    """Warn, once, of steps that are too large or too small, by each body's rotation angle, rad."""
+    """Warn, once, of steps that are too large or too small, from the rotation angles, rad."""
     limit, damped, kind = plan.limit, plan.damped, plan.kind
     method, h = plan.choice.method, plan.clock.steps
     seen = np.asarray(angles)

@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from fastatt.device.program import Device
     from fastatt.propagation.resume import End
 
-#: saves that are kept at a time where all of them are not
+#: saves that are in memory at a time in a run without a history
 RING = 16
 _EPS = float(np.finfo(np.float64).eps)
-# steps of the fastest body between two times at which bodies wait for each other
+# steps of the body with most steps between two times at which all bodies are synchronised
 _LEG = 4096
 
 
 @dataclass(frozen=True)
 class Choice:
-    """How a scene is propagated: method, representation, and when the state is projected.
+    """How a scene is propagated: its method, representation, and projection.
 
-    It is projected onto its group every ``projection`` steps, never if that is 0, and for output
-    unless ``raw``.
+    The state is projected every ``projection`` steps (never if that is 0), and for output unless
+    ``raw``.
     """
 
     method: Method
@@ -47,15 +47,15 @@ class Choice:
     raw: bool = False
     reducer: Reducer | None = None
     events: tuple[Event, ...] = ()
-    #: where it runs, if not on the processor
+    #: the GPU that it runs on, if any
     device: Device | None = None
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Steps and saves of a run, which goes on after ``done`` steps.
+    """The steps and saves of a run that begins after ``done`` steps.
 
-    ``ends`` is the time of the end since step 0, s, where the last step is shorter.
+    ``ends`` is the time of the end since step 0, s, if the last step is shorter.
     """
 
     h: float
@@ -63,7 +63,7 @@ class Clock:
     every: int | None
     done: int = 0
     ends: float | None = None
-    #: the order in which bodies are run, if other than 0, 1, ...
+    #: the order in which bodies are run; None for 0, 1, ...
     order: ClassVar[NDArray[np.int64] | None] = None
 
     @classmethod
@@ -72,7 +72,7 @@ class Clock:
     ) -> Clock:
         """A clock from the arguments of ``propagate``.
 
-        Raises ``ValueError`` or ``TypeError`` for what is no step and no number of steps.
+        Raises ``ValueError`` or ``TypeError`` for an invalid step size or number of steps.
         """
         step, ends = checks.real("dt", dt, zero=False), None
         if t_end is not None:
@@ -90,24 +90,24 @@ class Clock:
 
     @property
     def end(self) -> int:
-        """Number of the last step."""
+        """Index of the last step."""
         return self.done + self.n_steps
 
     @property
     def saves(self) -> int:
-        """How many saves there are: all their numbers may be more than memory holds."""
+        """The number of saves; memory may not hold a list of them."""
         return 1 if self.every is None else -(-self.n_steps // self.every) + 1
 
     @cached_property
     def saved(self) -> list[int]:
-        """Numbers of the steps after which states are saved."""
+        """Indices of the steps after which states are saved."""
         if self.every is None:
             return [self.end]
         return [*range(self.done, self.end, self.every), self.end]
 
     @cached_property
     def since(self) -> NDArray[np.float64]:
-        """Times of the saves from step 0 on, s."""
+        """Times of the saves since step 0, s."""
         with np.errstate(over="ignore"):
             found = np.array(self.saved, dtype=np.float64) * self.h
         if self.ends is not None:
@@ -115,9 +115,9 @@ class Clock:
         return found
 
     def times(self, begin: float) -> NDArray[np.float64]:
-        """Times of the saves, s, where step 0 begins at ``begin``.
+        """Times of the saves, s, if step 0 begins at ``begin``.
 
-        Raises ``ValueError`` where they overflow.
+        Raises ``ValueError`` if they overflow.
         """
         if not math.isfinite(begin + self.end * self.h):
             raise ValueError(
@@ -131,11 +131,11 @@ class Clock:
         return self.h
 
     def parts(self, begin: float, breakpoints: tuple[float, ...]) -> Parts:
-        """The steps that are taken in parts, from step 0 at ``begin``, for the engine."""
+        """The steps that are divided, for the engine; step 0 begins at ``begin``."""
         return parts_of(breakpoints, begin, self.h, self.end, self.ends)
 
     def longest(self, begin: float) -> float:
-        """Largest |t| of the run, s."""
+        """The largest ``|t|`` of the run, s."""
         return max(abs(begin), abs(begin + self.end * self.h))
 
     def span(self, projection: int) -> Span:
@@ -149,12 +149,12 @@ class Clock:
 class PerBodyClock(Clock):
     """Per-body step sizes, and saves at any times.
 
-    ``h`` and ``n_steps`` of the base are those of the body with most steps.
+    ``h`` and ``n_steps`` of the base class are those of the body with most steps.
     """
 
-    #: one step size, s, or one of each body
+    #: one step size, s, or one for each body
     sizes: NDArray[np.float64]
-    #: times of the saves, s; times since the start, and the slack of their rounding
+    #: times of the saves, s; times since the begin of the run, and the slack for their rounding
     at: NDArray[np.float64]
     since: NDArray[np.float64]
     slack: NDArray[np.float64]
@@ -167,16 +167,16 @@ class PerBodyClock(Clock):
 
     @cached_property
     def order(self) -> NDArray[np.int64] | None:  # type: ignore[override]
-        """Bodies with most steps first; None if all have one step size."""
+        """Indices of the bodies, those with most steps first; None if all have one step size."""
         if self.sizes.size == 1:
             return None
         return np.argsort(np.abs(self.sizes), kind="stable").astype(np.int64)
 
     @cached_property
     def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """The stops of the loop, saves, breakpoints and what lies between; saves, or −1."""
+        """Times at which the loop stops, and the index of the save there, or −1."""
         breaks, saves = self.breaks, self.at.size
-        # those after the last save are not reached
+        # stops after the last save are not reached
         crossed = np.abs(breaks.since) < np.abs(self.since).max(initial=0.0)
         crossed[0] = False
         since = np.concatenate([self.since, breaks.since[crossed]])
@@ -199,7 +199,7 @@ class PerBodyClock(Clock):
         return np.stack(columns, axis=1), slots
 
     def per_body(self, n: int) -> PerBody:
-        """Orders, step sizes and stops of n bodies, for the engine."""
+        """The order, step sizes and stops of n bodies, for the engine."""
         stops, slots = self._stops
         order = np.arange(n) if self.order is None else self.order
         return PerBody(
@@ -208,12 +208,12 @@ class PerBodyClock(Clock):
 
     @property
     def saves(self) -> int:
-        """How many saves there are."""
+        """The number of saves."""
         return self.at.size
 
     @cached_property
     def saved(self) -> list[int]:
-        """Numbers of the saves."""
+        """Indices of the saves."""
         return list(range(self.at.size))
 
     def times(self, begin: float) -> NDArray[np.float64]:
@@ -227,24 +227,24 @@ class PerBodyClock(Clock):
 
 
 class RunOptions(NamedTuple):
-    """What has no effect on results: threads, a bar, where saves go, where a run goes on."""
+    """Options without an effect on the results: threads, progress, saving, resuming."""
 
     n_threads: int = 1
     progress: bool = False
-    #: is called with a few saves at a time
+    #: a function that is called with a few saves at a time
     on_save: Callable[[Trajectory], object] | None = None
-    #: that saves are written to
+    #: the file that saves are written to
     file: Path | None = None
-    #: where the run's end is written, again and again
+    #: the file that checkpoints are written to
     checkpoint: Path | None = None
-    #: where the run goes on
+    #: the end of the run that is resumed
     start: End | None = None
-    #: whether the trajectory holds its end, if that is small
+    #: whether the trajectory holds its end, for ``resume``, if it is small
     keep_end: bool = False
 
 
 def save_batches(saves: int) -> list[tuple[int, int]]:
-    """(first, end) of each few saves; the initial one is with the first."""
+    """(first, end) of each batch of saves; the initial save is in the first batch."""
     return list(pairwise([0, *range(1 + RING, saves, RING), saves]))
 
 
@@ -258,9 +258,9 @@ def clock_of(
     bodies: int,
     breakpoints: tuple[float, ...],
 ) -> Clock:
-    """The clock of a run of so many bodies from time ``begin``.
+    """The clock of a run of ``bodies`` from time ``begin``.
 
-    Raises ``ValueError`` and ``TypeError`` for what does not fit.
+    Raises ``ValueError`` and ``TypeError`` for arguments that do not fit.
     """
     if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
         return Clock.of(dt, n_steps, save_every, t_end=t_end)
@@ -309,7 +309,7 @@ def clock_of(
 
 
 def _duration(t_end: Any, n_steps: Any, dt: NDArray[np.float64]) -> float:
-    """The duration of a run, s, of the sign of its steps."""
+    """The duration of a run, s, which must have the sign of its steps."""
     if n_steps is not None:
         raise ValueError("n_steps, t_end: found both; accepted: one of them")
     duration = checks.real("t_end", t_end)
@@ -319,14 +319,14 @@ def _duration(t_end: Any, n_steps: Any, dt: NDArray[np.float64]) -> float:
 
 
 def _given(n_steps: Any) -> Any:
-    """A number of steps that is there."""
+    """The number of steps, which must be given."""
     if n_steps is None:
         raise ValueError("n_steps, t_end: found neither; accepted: one of them")
     return n_steps
 
 
 def _steps_within(duration: float, dt: Any) -> Any:
-    """Steps until the end of a run, the last of which may be shorter."""
+    """The number of steps until the end of a run, the last of which may be shorter."""
     return np.ceil(np.abs(duration / dt) * (1.0 - 16.0 * _EPS)).astype(np.int64)
 
 

@@ -1,10 +1,10 @@
-"""A run with everything prepared that does not depend on initial values: checked and compiled."""
+"""Runs that are prepared once: everything that does not depend on initial values."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -18,7 +18,7 @@ from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.crossings import SEARCH_BLOCK
 from fastatt.engine.job import Job
-from fastatt.engine.run import Fixed, Run, Setup, prepare, width_for
+from fastatt.engine.run import Fixed, Results, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
 from fastatt.propagation.closed_forms import Evaluation
@@ -27,20 +27,34 @@ from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Given, initial
 from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions
 from fastatt.propagation.resume import End
-from fastatt.propagation.trajectory import Results, Trajectory
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene
 
-# body-steps: before a longer run the first step of each body is checked
+# body-steps; before a longer run the first step of each body is checked
 _LONG = 1_000_000
-# bodies from which on it pays to look for parameters that all of them share
+# bodies from which on searching for parameters that all of them share saves time
 _MANY = 64
 
 
 class Plan:
-    """Runs of one scene, one step size and one number of bodies, prepared beforehand.
+    """A prepared run of one scene, with a fixed step size and number of bodies.
 
-    Made by :func:`fastatt.plan`. A plan can be pickled and copied, and called by several threads
-    at a time.
+    :func:`fastatt.plan` makes plans, and calling a plan runs it. A plan can be pickled and copied,
+    and several threads may call it at the same time.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene.
+    n_bodies : int
+        Number of bodies of each call.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> run = fa.plan(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), 1, dt=0.01, n_steps=1, method="rk4")
+    >>> run([1, 0, 0, 0], [0.1, 0.2, 0.3]).q.shape
+    (1, 4)
     """
 
     def __init__(
@@ -56,14 +70,14 @@ class Plan:
         invalid: str = "raise",
         remake: Callable[[], Plan] | None = None,
     ) -> None:
-        """``remake`` makes the plan again where it was pickled; with it ``params`` may change."""
+        """Prepare a run; ``remake`` makes the plan again after pickling."""
         self.scene, self.n_bodies, self.kind = scene, n_bodies, kind
         self.choice, self.clock, self.attitude = choice, clock, choice.attitude
         self._n_threads, self._invalid, self._remake = n_threads, invalid, remake
         method = choice.method
         position = position or scene.needs_position
         self.packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
-        #: what is saved next to the attitude, with the numbers of each
+        #: what is saved next to the attitude, with the sizes
         self.carried = scene.carried(position=position)
         if choice.reducer is not None:
             self.packed = choice.reducer.watching(self.packed, kind)
@@ -96,7 +110,7 @@ class Plan:
         self.span = clock.span(choice.projection)
         if watches:
             self.span = replace(self.span, block=SEARCH_BLOCK)
-        #: closed forms prepared for numbers of saves
+        #: prepared closed forms, by the number of saves
         self.evaluations: dict[int, Evaluation] = {}
 
     def __reduce__(self) -> Any:
@@ -119,12 +133,36 @@ class Plan:
         t0: float = 0.0,
         params: Any = None,
     ) -> Trajectory:
-        """Run from initial values as ``propagate`` takes them.
+        """Run from given initial values.
 
-        ``params`` replace the parameters of the scene's user-defined function, in the shape of its
-        ``params``: nothing is compiled.
+        Parameters
+        ----------
+        q0 : array_like, shape (4,) or (N, 4)
+            Initial attitudes, as in :func:`fastatt.propagate`.
+        w0 : array_like, shape (3,) or (N, 3), optional
+            Initial angular velocities along body axes, rad/s.
+        v0 : array_like, shape (3,) or (N, 3), optional
+            Initial velocities along body axes, m/s.
+        r0 : array_like, shape (3,) or (N, 3), optional
+            Initial positions along inertial axes, m; required if the plan was made with
+            ``position=True``.
+        s0 : array_like, shape (n,) or (N, n), optional
+            Initial values of the scene's states.
+        t0 : float, default 0.0
+            Time of the initial state, s.
+        params : array_like, optional
+            Replaces the parameters of the scene's user-defined function, in the shape of the
+            scene's ``params``. Nothing is compiled again.
 
-        Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+        Returns
+        -------
+        Trajectory
+            The results, with the same bits as those of :func:`fastatt.propagate`.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument does not fit, as in :func:`fastatt.propagate`.
         """
         begin = checks.real("t0", t0)
         values = (q0, w0, v0, r0, s0)
@@ -157,14 +195,14 @@ class Plan:
         return other
 
     def _user_parameters(self) -> range:
-        """Numbers of the user-defined function's parameters: the last of those of the rotation."""
+        """Indices of the user-defined function's parameters, which are the last."""
         end = self.packed.structure.turning.n_params
         return range(end - np.atleast_1d(np.asarray(self.scene.params)).shape[-1], end)
 
     def _shared_parameters(self) -> tuple[int, ...]:
-        """Numbers of the parameters that all bodies share, but those that a call may replace.
+        """Indices of the parameters that all bodies share, without those that a call may replace.
 
-        No bit depends on it.
+        Results do not depend on it.
         """
         params = self.packed.params
         if params.ndim == 1 or len(params) < _MANY or self.choice.device:
@@ -178,7 +216,7 @@ class Plan:
 
     @cached_property
     def _setup(self) -> Setup:
-        """What all runs share: parameters, known rotation angles, flags, bounds."""
+        """What all runs share: parameters, known rotation angles, flags and bounds."""
         method = self.choice.method
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params), dtype=np.float64)
         rates = 0.0 if self._rates is None else self._rates
@@ -208,9 +246,9 @@ class Plan:
         bodies: tuple[int, int],
         start: End | None = None,
     ) -> Run:
-        """A run of (first body, how many) that writes into the arrays of the whole ensemble.
+        """A run of the bodies (first, number), which writes into the arrays of the whole ensemble.
 
-        With ``start`` it goes on from the end of another.
+        With ``start`` it continues from the end of another run.
         """
         clock, stages = self.clock, self.choice.method.stages
         share = 0.5 * float(stages[-1][1]) if stages else 0.0
@@ -220,17 +258,15 @@ class Plan:
         elif self.job.own_steps:
             parts = clock.parts(t0, self.scene.breakpoints)
         times, state = (t0, clock.h, share), (given.q, given.y)
-        run = Run(
-            self._setup, bodies, state, times, results[:3], per_body, parts, results.event_times
-        )  # fmt: skip
+        run = Run(self._setup, bodies, state, times, results, per_body, parts)
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
         return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
-        """Times of the saves, s; warns of times too late to distinguish steps.
+        """Times of the saves, s. Warns if rounding of the time is not small compared with a step.
 
-        Raises ``ValueError`` where they overflow.
+        Raises ``ValueError`` if a time overflows.
         """
         found = self.clock.times(t0)
         by_time = not self.choice.method.is_exact and (
@@ -242,7 +278,7 @@ class Plan:
 
     @property
     def width(self) -> int:
-        """How many numbers are saved of a body."""
+        """Number of values that are saved for each body."""
         return self.attitude.stored + sum(self.carried.values())
 
     @property
@@ -252,23 +288,22 @@ class Plan:
 
     @property
     def calls(self) -> bool:
-        """Whether steps call a user's function that is not traced, which may take any time."""
+        """Whether steps call a user-defined function that is not traced."""
         return bool(self._program.formulas.calls)
 
     def results(self, saves: int) -> Results:
-        """Arrays for some saves."""
+        """Arrays for a number of saves."""
         events = len(self.choice.events)
         return Results.empty(saves, self.n_bodies, self.width, self.kind, events)
 
     def trajectory(
         self, t: NDArray[np.float64], results: Results, one_body: bool, end: End | None = None
     ) -> Trajectory:
-        """The trajectory of some saves."""
-        out, stored = results.out, self.attitude.stored
-        ends = pairwise(accumulate(self.carried.values(), initial=stored))
+        """The trajectory of the given saves."""
+        out = results.out
         return Trajectory(
             t=t,
-            state=out[:, :, :stored],
+            state=out[:, :, : self.attitude.stored],
             norm_error=results.norm_error,
             status=results.status,
             dt=self.clock.steps,
@@ -276,40 +311,47 @@ class Plan:
             packed=self.packed,
             attitude=self.attitude,
             record=self.choice.method,
-            carried={x: out[:, :, a:b] for x, (a, b) in zip(self.carried, ends, strict=True)},
+            carried={name: out[:, :, columns] for name, columns in self._columns.items()},
             end=end,
             found=results.event_times,
         )
 
     @cached_property
+    def _columns(self) -> dict[str, slice]:
+        """Where what is carried with the attitude is saved."""
+        ends = pairwise(accumulate(self.carried.values(), initial=self.attitude.stored))
+        return {name: slice(a, b) for name, (a, b) in zip(self.carried, ends, strict=True)}
+
+    @cached_property
     def _silent_range(self) -> tuple[float, float]:
-        """Rotation angles of a step, rad, that need no warning."""
+        """Range of rotation angles per step, rad, without a warning."""
         eps = float(np.finfo(self.kind).eps)
         if (self.damped > self.choice.method.damping_limit).any():
             return math.inf, 0.0
         return 0.0 if self.attitude.compensated else eps, min(self.limit, eps**-0.5)
 
     def warn_of_first(self, given: Given) -> bool:
-        """Warn of each body's first step; of prescribed rates nothing is known beforehand."""
+        """Warn of each body's first step, unless the rate is prescribed."""
         angles = np.zeros(1)
         if self.scene.kind != "rate":
             w, steps = given.y[:, :3], self.clock.steps
             angles = limits.first_step(self.scene, self.choice.method, w, steps)
         return limits.warn(self, angles)
 
-    def warn_after(self, given: Given, largest: float, angles: list[NDArray[Any]]) -> None:
-        """Warn of steps as they were; of the first, where that is the reason.
+    def warn_after(self, given: Given, largest: float, squares: Sequence[NDArray[Any]]) -> None:
+        """Warn of the steps that were taken, or of the first step if that one is the reason.
 
-        ``angles`` of a step, rad, are of bodies in the order in which they were run.
+        ``squares`` of the largest rotation angle of a step, rad², are in the order in which the
+        bodies were run.
         """
         least, most = self._silent_range
         if largest and self.clock.n_steps and not least <= largest <= most:
-            seen, order = np.concatenate(angles), self.clock.order
+            seen, order = np.sqrt(np.concatenate(squares)), self.clock.order
             seen = seen if order is None else seen[np.argsort(order)]
             _ = self.warn_of_first(given) or limits.warn(self, seen)
 
     def end(self, given: Given, run: Run, t0: float, done: int) -> End:
-        """The end of a run after so many steps, with a copy of its initial values."""
+        """The end of a run after ``done`` steps, with a copy of its initial values."""
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
         return End(
             kept, run.states, run.diagnostics, done, t0, self.about, self.packed.params,
@@ -318,7 +360,7 @@ class Plan:
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """What must be the same in a run that is resumed, by the names of arguments."""
+        """The options that a resumed run must share, by the names of arguments."""
         choice = self.choice
         return {
             "dt": float(self.clock.h).hex(),
@@ -335,7 +377,7 @@ class Plan:
 
     @cached_property
     def equations(self) -> str:
-        """A hash of what a step computes and of the tables that it reads."""
+        """A hash of the operations of a step and of the tables that it reads."""
         read = hashlib.sha256(self._program.formulas.digest)
         for table in self.packed.tables.values():
             read.update(table.tobytes())

@@ -1,4 +1,4 @@
-"""The library call: an ensemble through a scene."""
+"""The functions ``propagate`` and ``plan``."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
-from fastatt.attitudes import DIRECTION, Attitude
+from fastatt.attitudes import Attitude
 from fastatt.methods import METHODS, Method
 from fastatt.propagation import closed_form
-from fastatt.propagation.choice_of_method import chosen, method_of
+from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.event import Event, events_of
 from fastatt.propagation.execute import execute
 from fastatt.propagation.histories import ToFile, saving
@@ -27,11 +26,11 @@ from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
 
-#: what takes the saves of a run
+#: what ``on_save`` accepts
 OnSave = Callable[[Trajectory], object] | ToFile
-# body-steps, 2 ms of the slowest, that one thread takes no longer than several do
+# body-steps below which one thread is as fast as several; 2 ms of the slowest method
 _SHORT = 65_536
-# plans that are kept with a scene, and of how many bodies
+# how many plans are kept with a scene, and the most bodies of such a plan
 _KEPT, _FEW = 16, 1024
 
 
@@ -63,74 +62,143 @@ def propagate(
     device: str | None = None,
     events: Event | Sequence[Event] = (),
 ) -> Trajectory:
-    """Propagate one attitude or an ensemble with a fixed step.
+    """Propagate the attitude of one body or of an ensemble with a fixed step size.
 
     Parameters
     ----------
-    scene : the bodies, with their rates, torques and forces.
-    q0 : (4,) or (N, 4), initial attitudes, body to inertial, scalar first, of any length but zero.
-    w0 : (3,) or (N, 3), initial angular velocities along body axes, rad/s; a rate scene takes none.
-    v0, r0 : (3,) or (N, 3), of a scene with mass: initial velocities along body axes, m/s, and
-        positions along inertial axes, m, which are carried if given.
-    s0 : (n,) or (N, n), of a scene with n states: their initial values.
-    dt : step, s; negative runs backwards. Each body may have its own, (N,).
-    n_steps : number of steps, at least 0; with per-body step sizes (N,), so that all end at
-        one time, to rounding.
-    t_end : duration of the run, s, from ``t0`` on and of the sign of ``dt``, in place of
-        ``n_steps``. Where it is no whole number of steps, the last step is shorter.
-    method : a name of ``fastatt.METHODS``, or a custom method (``fastatt.runge_kutta``,
-        ``fastatt.lie_group``); None takes the first of magnus4, exact, rk8 and rk4 that fits the
-        scene and the representation; the trajectory names it.
-    representation : a name of ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or a custom
-        ``Attitude``.
-    save_every : None keeps the final attitudes only; k keeps the initial ones, every k-th step and
-        the final ones.
-    dtype : float64 or float32; None takes float32 when the arrays given are all float32, else
-        float64.
-    n_threads : None takes every processor that this process may use, for a short run one; results
-        do not depend on it.
-    progress : show a bar (needs tqdm).
-    t0 : time of ``q0``, s.
-    compensated : carry what rounding loses of the quaternion and the momentum, so that round-off
-        grows with the square root of the number of steps; at 0.5 to 0.9 of the speed. Of
-        quaternions, and of methods whose record says ``compensates``.
-    normalise : when the state is projected onto its group: "output" (saved values alone), "never",
-        or also every so many steps. The status is set by the norm error before a projection. A
-        compensated state is projected every 64 steps with "output".
-    invalid : "raise" refuses initial values that are not finite, and zero quaternions; "flag" runs
-        the ensemble and flags those bodies; the results of others do not depend on them.
-    on_save : with ``save_every``, what takes the saves, so that the result holds the final states
-        only: a function, which is called with 16 saves at a time (17 with the initial one) as a
-        trajectory whose arrays are used again; a file, ``fa.to_file(path)``; or one of each.
-    reduce : a user-defined function that sees every step of every body (:func:`fastatt.reducer`);
-        the trajectory's ``reduced`` is what it made. With methods whose record says ``reduces``.
-    resume : a trajectory of at most 262144 bodies, or a file of ``Trajectory.save_end``, where this
-        run goes on, to the bits of one run; initial values, ``t0``, method and
-        scene are its own, and saves are counted from there. Or ``fa.checkpoint(path)``: the run
-        writes its end so far there every ten seconds, and the same call goes on from it.
-    save_at : times within the run, s, in its order, at which states are kept instead: from the last
-        step before by one shorter step of the same method.
-    device : "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``): the same
-        steps, without the closed form ``exact``. Initial values may be CuPy's arrays or Numba's
-        device arrays; ``q`` of quaternions, ``w``, ``v``, ``r`` and ``s`` then stay there, but of a
-        run with ``on_save`` or a checkpoint.
-    events : what :func:`fastatt.event` made, a list: the trajectory's ``event_times`` holds the
-        first crossing of each body. With methods that step; without per-body step sizes,
-        breakpoints, a shorter last step, ``save_at``, ``resume`` and ``device``.
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like, shape (4,) or (N, 4), optional
+        Initial attitudes: quaternions from body axes to inertial axes, scalar first. Their norm may
+        be any number above zero. SciPy's ``Rotation`` is accepted too. Required unless ``resume``
+        provides the initial values.
+    w0 : array_like, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s. Required for a scene with inertia, and
+        refused for a scene with a rate.
+    v0 : array_like, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s. Required for a scene with mass.
+    r0 : array_like, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m, for a scene with mass. The position is propagated
+        only if ``r0`` is given.
+    s0 : array_like, shape (n,) or (N, n), optional
+        Initial values of the states of a scene with n states.
+    dt : float or array_like of shape (N,)
+        Step size, s. A negative step size propagates backwards in time. An array gives per-body
+        step sizes.
+    n_steps : int or array_like of shape (N,), optional
+        Number of steps, at least 0. With per-body step sizes it is an array too, and all bodies
+        must end at the same time, to rounding. Give either ``n_steps`` or ``t_end``.
+    t_end : float, optional
+        Duration of the run, s, counted from ``t0`` and with the sign of ``dt``. If it is not a
+        whole number of steps, the last step is shorter.
+    method : str or Method, optional
+        A name in :data:`fastatt.METHODS`, or a method made with :func:`fastatt.runge_kutta` or
+        :func:`fastatt.lie_group`. The default is the first of magnus4, exact, rk8 and rk4 that fits
+        the scene and the representation; ``Trajectory.method`` names it.
+    representation : str or Attitude, default "quat"
+        The numbers that represent the attitude during the run: a name in
+        ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or an :class:`Attitude`.
+    save_every : int, optional
+        Save the initial state, the state after every ``save_every`` steps, and the final state. The
+        default saves the final state only.
+    dtype : {float64, float32}, optional
+        Precision of the state. The default is float32 if all arrays of initial values are float32,
+        and float64 otherwise.
+    n_threads : int, optional
+        Number of threads. The default is every processor that this process may use, or one for a
+        short run. Results do not depend on it.
+    progress : bool, default False
+        Show a progress bar, which needs tqdm.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    compensated : bool, default False
+        Also carry the rounding errors of the quaternion and of the angular momentum, so that
+        round-off grows with the square root of the number of steps. A run then has 0.5 to 0.9 of
+        the speed. Accepted with the representation "quat" and with methods for which
+        ``Method.compensates`` is True.
+    normalise : {"output", "never"} or int, default "output"
+        When the state is projected back (a quaternion to unit norm, a matrix to an orthogonal one).
+        "output" projects the saved values only, "never" does not project, and a number k also
+        projects the propagated state every k steps. The status is set by the norm error before the
+        projection. With "output", a compensated state is projected every 64 steps.
+    invalid : {"raise", "flag"}, default "raise"
+        "raise" refuses zero quaternions and initial values that are not finite. "flag" runs the
+        ensemble and flags these bodies; the results of the other bodies do not depend on them.
+    on_save : callable or ToFile, or a list of one of each, optional
+        Receives the saves of a run with ``save_every``, so that no history is held in memory and
+        the returned trajectory has the final state only. A function is called with a trajectory of
+        16 saves at a time (17 with the initial state), whose arrays are reused afterwards.
+        :func:`fastatt.to_file` writes the saves to a file.
+    reduce : Reducer, optional
+        A user-defined function that is evaluated after every step of every body, made by
+        :func:`fastatt.reducer`. ``Trajectory.reduced`` holds its last state. Accepted with methods
+        for which ``Method.reduces`` is True.
+    resume : Trajectory, str, os.PathLike or Checkpoint, optional
+        Continue an earlier run from its end: a trajectory of at most 262144 bodies, or a file
+        written by :meth:`Trajectory.save_end`. The result has the same bits as one uninterrupted
+        run. The initial values and ``t0`` are those of the earlier run, scene and method must be
+        the same, and ``save_every`` counts from its end. With :func:`fastatt.checkpoint` the run
+        writes its state to a file every ten seconds, and the same call continues from that file.
+    save_at : array_like of shape (S,), optional
+        Times at which states are saved, s, within the run and in its order. Each is reached from
+        the last step before it with one shorter step of the same method.
+    device : {"cuda"}, optional
+        "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``). The steps are
+        the same; the closed form "exact" is not available. Initial values may be CuPy arrays or
+        Numba device arrays. Then ``q`` of quaternions, ``w``, ``v``, ``r`` and ``s`` of the
+        trajectory stay on the device, except with ``on_save`` or a checkpoint.
+    events : Event or sequence of Event, optional
+        Events made by :func:`fastatt.event`. ``Trajectory.event_times`` holds the time at which
+        each body first meets each event. Accepted with methods that take steps, and not together
+        with per-body step sizes, breakpoints, a shorter last step, ``save_at``, ``resume`` or
+        ``device``.
 
     Returns
     -------
-    Trajectory : times, attitudes and a status for each body.
+    Trajectory
+        The saved times, attitudes and angular velocities, and a status for each body.
 
     Raises
     ------
-    ValueError, TypeError : an argument that does not fit, by name, with what is accepted.
+    ValueError
+        If an argument does not fit the scene or the other arguments. The message names the
+        argument, what was found and what is accepted.
+    TypeError
+        If an argument has the wrong type.
+    MemoryError
+        If the saves do not fit into memory.
+    KeyboardInterrupt
+        On Ctrl-C. Its attribute ``trajectory`` holds what was propagated until then.
 
     Warns
     -----
-    StepWarning : steps beyond the method's limits, or too small for the precision.
+    StepWarning
+        If a step is beyond the method's limit, or too small for the precision.
 
-    On Ctrl-C the exception, a ``KeyboardInterrupt``, holds what was done as its ``trajectory``.
+    See Also
+    --------
+    plan : A prepared run, for many calls with the same arguments.
+    recommend : The method and step size for a given tolerance.
+    fastatt.dask.propagate : Ensembles that are larger than the memory of one machine.
+
+    Examples
+    --------
+    A free body for 10 s, of which only the final state is kept:
+
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.1, n_steps=100)
+    >>> run.method, run.q.round(6)
+    ('exact', array([[-0.144152,  0.611716,  0.777667,  0.016067]]))
+
+    Two bodies, saved every second:
+
+    >>> run = fa.propagate(
+    ...     body, [1, 0, 0, 0], [[0.1, 0.3, -0.2], [0.0, 0.2, 0.0]], dt=0.1, n_steps=100,
+    ...     save_every=10,
+    ... )
+    >>> run.t.shape, run.q.shape
+    ((11,), (11, 2, 4))
     """
     as_scene(scene)
     watched = events_of(events)
@@ -163,7 +231,7 @@ def propagate(
         )
         position = r0 is not None
     else:
-        # initial values come from there, and saves are counted from its end
+        # the initial values are those of the earlier run, and saves are counted from its end
         found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "s0": s0, "t0": begin or None}
         _check_alone("resume; accepted: one of them", **found, save_at=save_at)
         _check_alone("resume; accepted: n_steps", t_end=t_end)
@@ -175,7 +243,7 @@ def propagate(
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
         clock = Clock.of(dt, n_steps, save_every, end.done)
     if isinstance(clock, PerBodyClock):
-        # these go with one step size for all bodies, counted from the begin, alone
+        # these need one step size for all bodies, and saves after whole steps
         _check_alone(
             "save_at or per-body step sizes; accepted: without", events=watched or None,
             on_save=on_save,
@@ -201,7 +269,7 @@ def propagate(
 
 
 def _plan_of(scene: Scene, choice: Choice, clock: Clock, given: Given, position: bool) -> Plan:
-    """A plan, kept with the scene where it is small."""
+    """The plan of a run. Plans of small runs are kept with the scene."""
     n, kind = given.bodies, given.q.dtype
     key = (n, choice, clock, kind, position)
     plain = not (clock.done or isinstance(clock, PerBodyClock) or choice.device)
@@ -234,14 +302,54 @@ def plan(
     position: bool = False,
     events: Event | Sequence[Event] = (),
 ) -> Plan:
-    """A run to be made many times: all is checked and compiled now, once.
+    """Check and compile a run once, to call it many times.
 
-    ``plan(q0, w0, t0=...)`` gives what :func:`propagate` does, bit for bit, in some tens of
-    microseconds more than the steps take. ``position`` says that positions r0 will be given, of a
-    scene with mass; the other arguments are those of ``propagate``, ``dtype`` None being float64.
-    A plan can be pickled and copied, and called by several threads at a time.
+    ``plan(q0, w0, t0=...)`` returns what :func:`propagate` returns, bit for bit. A call takes some
+    tens of microseconds more than its steps. A plan can be pickled and copied, and several threads
+    may call it at the same time.
 
-    Raises ``ValueError`` or ``TypeError`` as ``propagate`` does.
+    Parameters
+    ----------
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    n_bodies : int
+        Number of bodies of each call.
+    dt : float
+        Step size, s; negative propagates backwards.
+    n_steps : int, optional
+        Number of steps, at least 0. Give either ``n_steps`` or ``t_end``.
+    t_end : float, optional
+        Duration of each run, s, as in :func:`propagate`.
+    method : str or Method, optional
+        The method, as in :func:`propagate`.
+    representation : str or Attitude, default "quat"
+        The representation of the attitude, as in :func:`propagate`.
+    save_every : int, optional
+        Number of steps between saves, as in :func:`propagate`.
+    dtype : {float64, float32}, optional
+        Precision of the state; the default is float64.
+    n_threads : int, optional
+        Number of threads, as in :func:`propagate`.
+    compensated : bool, default False
+        Also carry rounding errors, as in :func:`propagate`.
+    normalise : {"output", "never"} or int, default "output"
+        When the state is projected, as in :func:`propagate`.
+    invalid : {"raise", "flag"}, default "raise"
+        What is done with initial values that are not finite, as in :func:`propagate`.
+    position : bool, default False
+        Whether calls give initial positions ``r0``, for a scene with mass.
+    events : Event or sequence of Event, optional
+        Events, as in :func:`propagate`.
+
+    Returns
+    -------
+    Plan
+        The prepared run, a callable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit, as in :func:`propagate`.
 
     Examples
     --------
@@ -252,7 +360,7 @@ def plan(
     >>> run.t
     array([0.02])
     """
-    arguments = dict(locals())  # to make it again where it was pickled
+    arguments = dict(locals())  # a pickled plan is made again from these
     as_scene(scene)
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
@@ -276,52 +384,14 @@ def plan(
 
 
 def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
-    """Threads of a run: the given number; else all, but one where starting more takes longer."""
+    """The number of threads of a run; by default one for a short run."""
     if n_threads is None and n_bodies * n_steps < _SHORT:
         return 1
     return number_of(n_threads)
 
 
 def _check_alone(why: str, **arguments: Any) -> None:
-    """Refuse arguments that do not go with something else."""
+    """Raise ``ValueError`` if one of the arguments is given."""
     for name, value in arguments.items():
         if value is not None and value is not False:
             raise ValueError(f"{name}: found with {why}")
-
-
-def propagate_directions(
-    scene: Scene,
-    v0: ArrayLike,
-    *,
-    dt: float,
-    n_steps: int,
-    method: str | None = None,
-    save_every: int | None = None,
-    dtype: DTypeLike | None = None,
-    n_threads: int | None = None,
-    t0: float = 0.0,
-) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Poisson's equation v̇ = v×w: fixed inertial directions seen from the turning body.
-
-    A star, the field of gravity: three numbers a direction instead of a whole attitude. ``v0`` is
-    (3,), (M, 3) for M directions from one body, or (N, M, 3) for M from each of N bodies; any
-    length. With ``frame="inertial"`` the vectors are fixed in the body and seen from inertial axes.
-    The other arguments are those of :func:`propagate`. Gives the times (S,) and the vectors
-    (S, *v0.shape).
-
-    Raises ``ValueError`` or ``TypeError`` as :func:`propagate` does.
-    """
-    if as_scene(scene).kind != "rate" or scene.is_coupled:
-        raise ValueError(
-            "scene: found inertia, mass or states; accepted: a scene with a rate alone"
-        )
-    record = method_of(scene, method, "quat")
-    v = checks.array("v0", v0, "(3,), (M, 3) or (N, M, 3)")
-    if v.ndim == 3 and scene.rows is not None:
-        scene.packed(len(v))  # refuses another number of bodies
-        scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
-    given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
-    clock = Clock.of(dt, checks.whole("n_steps", n_steps, 0), save_every)
-    plan = Plan(scene, given.bodies, Choice(record, DIRECTION), clock, given.q.dtype)
-    flat = execute(plan, given, checks.real("t0", t0), RunOptions(number_of(n_threads)))
-    return flat.t, flat.state.reshape((flat.t.size, *v.shape))

@@ -1,4 +1,4 @@
-"""A user's function that sees every step of every body, within the loop."""
+"""User-defined functions that are evaluated after every step of every body, within the loop."""
 
 from __future__ import annotations
 
@@ -17,24 +17,29 @@ from fastatt.tracing.user import UserFunction, user_function
 
 @dataclass(frozen=True, eq=False)
 class Reducer:
-    """A function with the state that it starts from: made by :func:`reducer`.
+    """A function with its initial state; :func:`reducer` makes it.
 
-    ``function`` says whether it is traced (``straight``); ``start`` is (k,), or (N, k).
+    Attributes
+    ----------
+    function : UserFunction
+        The function; ``function.straight`` says whether it is traced.
+    start : ndarray, shape (k,) or (N, k)
+        The initial state.
     """
 
     function: UserFunction
     start: NDArray[np.float64]
 
     def begin(self, kind: np.dtype[Any]) -> NDArray[Any]:
-        """The state that it starts from, as a run of a precision holds it."""
+        """The initial state, as a run of a precision holds it."""
         return self.start if kind == np.float64 else split_array(self.start)
 
     def columns(self, kind: np.dtype[Any]) -> int:
-        """How many numbers of a run of a precision hold its state."""
+        """The number of values with which a run of a precision holds the state."""
         return int(self.start.shape[-1]) * (1 if kind == np.float64 else PARTS)
 
     def watching(self, packed: Packed, kind: np.dtype[Any]) -> Packed:
-        """What moves, with the reducer, in a run of a precision."""
+        """The structure and parameters of a scene, with the reducer."""
         fields = {"reducer": self.function, "reduced": self.columns(kind)}
         return packed._replace(
             structure=packed.structure._replace(**fields),
@@ -43,25 +48,40 @@ class Reducer:
 
 
 def reducer(function: Callable[..., Any], *, start: ArrayLike) -> Reducer:
-    """Numbers that a user-defined function gathers from every step of each body.
+    """Accumulate numbers with a user-defined function after every step of every body.
 
-    ``fastatt.propagate(..., reduce=...)`` takes it, and the trajectory's ``reduced`` is the last
-    state. Functions are traced as rates and torques are, so that they are part of the loop.
+    ``fastatt.propagate(..., reduce=...)`` accepts the result, and ``Trajectory.reduced`` is the
+    last state. The function is traced, as rates and torques are, so that it becomes part of the
+    compiled loop.
 
     Parameters
     ----------
-    function : ``f(t, q, w, s)``, plain or jitted, called after every step with the time, s, the
-        attitude, unit, body to inertial, the angular velocity along body axes, rad/s, and the state
-        that it gave before, tuples of numbers. It gives the next state: a tuple as long as
-        ``start``, or a number where that is one.
-    start : k numbers, (k,) for all bodies or (N, k): the state before the first step, in which a
-        body's own numbers may be passed on. The function computes in double precision in a float32
-        run too, which holds numbers up to float32's largest, 3.4e38. A state that becomes infinite
-        or no number flags the body ``NON_FINITE``.
+    function : callable
+        ``f(t, q, w, s)``, plain or jitted, which is called after every step and returns the next
+        state. Its arguments are the time, s, the unit quaternion, body to inertial, the angular
+        velocity along body axes, rad/s, and the state that it returned before, as tuples. The next
+        state is a tuple as long as ``start``, or a number if that has one number.
+    start : array_like, shape (k,) or (N, k)
+        The state before the first step, for all bodies or for each. It may also carry constants of
+        each body.
+
+    Returns
+    -------
+    Reducer
+        For the argument ``reduce`` of :func:`fastatt.propagate`.
 
     Raises
     ------
-    TypeError, ValueError : what is no such function; ``start`` that is not finite or has no number.
+    TypeError
+        If ``function`` is not such a function.
+    ValueError
+        If ``start`` is not finite or has no numbers.
+
+    Notes
+    -----
+    The function computes in double precision in a float32 run too, which holds numbers up to
+    3.4e38, the largest of float32. A state that becomes infinite or NaN sets the status
+    ``NON_FINITE``.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Where a run ended: what another needs to go on as if there had been no end, kept or in a file.
+"""The end of a run, from which another run continues as if it had not been interrupted.
 
-A restart from an attitude and a rate that were saved is another run: the state was projected onto
-its group, low parts are lost, invariants begin anew.
+A restart from a saved attitude and rate is another run: the state was projected, the compensation
+of rounding is lost, and the invariants are measured from a new start.
 """
 
 from __future__ import annotations
@@ -24,29 +24,35 @@ if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
 _FORMAT = 4
-#: bodies of which a trajectory holds its end at most
+#: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A file of a run's end so far: what :func:`fastatt.checkpoint` gives."""
+    """A file that holds the end of a run so far; :func:`checkpoint` makes it.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    """
 
     path: Path
 
 
 def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
-    """A file from which the same call goes on after a crash: ``resume=fa.checkpoint(path)``.
+    """A file from which the same call continues after a crash: ``resume=fa.checkpoint(path)``.
 
-    The run writes its end so far to the file every ten seconds, whole or not at all. Where the file
-    exists the run goes on from there, to the bits of an uninterrupted run. With
-    ``save_every`` the saves must go to ``on_save``, which has those so far; the saves since the
-    last checkpoint may reach a function twice.
+    The run writes its state to the file every ten seconds, completely or not at all. If the file
+    exists, the run continues from there, with the same bits as an uninterrupted run. With
+    ``save_every``, the saves must go to ``on_save``; those since the last checkpoint may reach a
+    function twice.
 
     Parameters
     ----------
     path : str or os.PathLike
-        The file; it is made, and may be removed when the run is over.
+        The file. The run creates it; it may be removed when the run is over.
 
     Returns
     -------
@@ -56,10 +62,11 @@ def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     Raises
     ------
     TypeError
-        For what is no path.
+        If ``path`` is not a path.
 
     Examples
     --------
+    >>> import fastatt as fa
     >>> fa.checkpoint("job").path.name
     'job'
     """
@@ -70,7 +77,7 @@ def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """A run's last state as the engine carries it, its begin, and what it was a run of."""
+    """The last state of a run as the engine carries it, its initial values, and its options."""
 
     given: Given
     states: NDArray[Any]
@@ -79,11 +86,11 @@ class End:
     t0: float
     about: dict[str, Any]
     params: NDArray[np.float64]
-    #: a hash of what a step computes
+    #: a hash of the operations of a step
     equations: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to a file, whole or not at all."""
+        """Write the end to a file, completely or not at all."""
         target = Path(path)
         given = self.given
         header = {
@@ -115,9 +122,9 @@ class End:
 
 
 def loaded(path: str | os.PathLike[str]) -> End:
-    """The end of a run from a file.
+    """Read the end of a run from a file.
 
-    Raises ``ValueError`` for a file that is none, ``OSError`` for one that can't be read.
+    Raises ``ValueError`` for another kind of file, ``OSError`` if it can't be read.
     """
     try:
         with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
@@ -142,9 +149,9 @@ def loaded(path: str | os.PathLike[str]) -> End:
 
 
 def end_of(resume: Any) -> End:
-    """The end of a trajectory, or of a file.
+    """The end that a trajectory or a file holds.
 
-    Raises ``TypeError`` and ``ValueError`` for what has none.
+    Raises ``TypeError`` and ``ValueError`` if there is none.
     """
     if isinstance(resume, (str, os.PathLike)):
         return loaded(resume)
@@ -175,7 +182,7 @@ def check(end: End, plan: Plan) -> None:
 
 
 def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:
-    """Refuse to go on with a run that began elsewhere, or got further."""
+    """Refuse a checkpoint of a run with other initial values, or one of a later step."""
     begin = end.given
     pairs = ((begin.q, given.q), (begin.y, given.y))
     if end.t0 != t0 or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):

@@ -1,4 +1,4 @@
-"""What a run gives back."""
+"""The results of a run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,68 +27,64 @@ if TYPE_CHECKING:
     from fastatt.propagation.resume import End
 
 
-class Results(NamedTuple):
-    """What a run writes: saved values (S, N, k), norm errors (S, N), flags (N,), times (N, E)."""
-
-    out: NDArray[Any]
-    norm_error: NDArray[Any]
-    status: NDArray[np.uint8]
-    #: of a run with events
-    event_times: NDArray[np.float64] | None = None
-
-    @classmethod
-    def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
-        """New ones."""
-        return cls(
-            np.empty((saves, bodies, width), kind),
-            np.empty((saves, bodies), kind),
-            np.empty(bodies, np.uint8),
-            np.full((bodies, events), np.nan) if events else None,
-        )
-
-    def saves(self, slots: slice) -> Results:
-        """Some saves."""
-        return self._replace(out=self.out[slots], norm_error=self.norm_error[slots])
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """Saved attitudes of one body or of an ensemble, time first.
+    """The saved states of one body or of an ensemble, time first.
 
-    At a prompt it prints its summary, in a notebook also a table of the last save.
+    S is the number of saves and N the number of bodies. Arrays of one body have no axis N: ``q`` is
+    (S, 4) if ``q0`` was (4,). At a Python prompt a trajectory prints its summary; a notebook also
+    shows a table of the last save. :func:`propagate` and plans make trajectories.
 
-    ``t`` (S,) s; ``q`` (S, N, 4) or (S, 4) for one body; ``C`` (S, N, 3, 3); ``w`` (S, N, 3) rad/s
-    in body axes; of a scene with mass ``v`` (S, N, 3) m/s in body axes and, where it was given one,
-    ``r`` (S, N, 3) m in inertial axes; of one with n states ``s`` (S, N, n); ``status`` (N,), one
-    :class:`Status` a body; ``norm_error`` (S, N), how far the state had left its group before
-    it was brought back for output: |q| − 1, or ‖C Cᵀ − 1‖ of a matrix.
+    Attributes
+    ----------
+    t : ndarray, shape (S,)
+        Times of the saves, s.
+    status : ndarray of uint8, shape (N,)
+        A :class:`Status` for each body; 0 if nothing went wrong.
+    norm_error : ndarray, shape (S, N)
+        The norm error of the propagated state before it was projected for output: |q| − 1 for
+        quaternions, ‖C Cᵀ − 1‖ for matrices.
+    state : ndarray, shape (S, N, k)
+        The k numbers of the attitude in the run's representation.
+    dt : float or ndarray of shape (N,)
+        Step size, or per-body step sizes, s.
+    one_body : bool
+        Whether the initial values were those of one body, without an axis N.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.1, n_steps=100, save_every=50)
+    >>> run.t, run.q.shape, run.status
+    (array([ 0.,  5., 10.]), (3, 4), array([0], dtype=uint8))
     """
 
     t: NDArray[np.float64]
     state: NDArray[Any]
     norm_error: NDArray[Any]
     status: NDArray[np.uint8]
-    #: the step size, s, or per-body step sizes
+    #: the step size, s, or per-body step sizes (N,)
     dt: Any
     one_body: bool
-    #: the model's numbers, or the scene that has them; None where w is carried
+    #: the parameters of the scene, or the scene; None if w is part of the state
     packed: Packed | Scene | None = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
-    #: w, v and r where the scene carries them, each (S, N, 3), states s (S, N, n)
+    #: w, v and r, each (S, N, 3), and states s (S, N, n), as far as the scene has them
     carried: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    #: where another run may go on
+    #: the final state as ``resume`` needs it
     end: End | None = field(default=None, repr=False)
-    #: times of events (N, E), of a run with some
+    #: times of events (N, E); None for a run without events
     found: NDArray[np.float64] | None = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All fields, for a copy elsewhere: a given rate as numbers."""
+        """All fields, for pickling; a prescribed rate is stored as numbers."""
         state = {name: getattr(self, name) for name in self.__dataclass_fields__}
         rates = self.w.reshape(*self.state.shape[:2], 3)
         state["carried"] = {"w": rates, **self.carried}
         record = self.record
-        if METHODS.get(record.name) is not record:  # one's own, of functions within functions
+        if METHODS.get(record.name) is not record:  # its nested functions can't be pickled
             record = replace(record, steps=None)
         return {**state, "packed": None, "record": record}
 
@@ -104,7 +100,7 @@ class Trajectory:
 
     @cached_property
     def q(self) -> NDArray[Any]:
-        """Unit quaternions, body to inertial."""
+        """Unit quaternions from body to inertial axes, scalar first: (S, N, 4)."""
         if self.attitude.to_quat_array is not None:
             return self._shaped(self.attitude.to_quat_array(self.state))
         if self.attitude.to_dcm_array is not None:
@@ -113,21 +109,21 @@ class Trajectory:
 
     @cached_property
     def dcm(self) -> NDArray[Any]:
-        """Direction cosine matrices, body to inertial."""
+        """Direction cosine matrices from body to inertial axes: (S, N, 3, 3)."""
         if self.attitude.to_dcm_array is not None:
             return self._shaped(self.attitude.to_dcm_array(self.state))
         return arrays.quat_to_dcm(self.q)
 
     @cached_property
     def euler313(self) -> NDArray[Any]:
-        """3-1-3 Euler angles (φ, θ, ψ), rad."""
+        """3-1-3 Euler angles (φ, θ, ψ), rad: (S, N, 3)."""
         if self.attitude.to_euler313_array is not None:
             return self._shaped(self.attitude.to_euler313_array(self.state))
         return arrays.quat_to_euler313(self.q)
 
     @cached_property
     def w(self) -> NDArray[Any]:
-        """Angular velocity in body axes at the saved times, rad/s."""
+        """Angular velocities along body axes, rad/s: (S, N, 3)."""
         if "w" in self.carried:
             return self._shaped(self.carried["w"])
         packed = self.packed
@@ -149,22 +145,25 @@ class Trajectory:
 
     @property
     def v(self) -> NDArray[Any]:
-        """Velocity in body axes, m/s, of a scene with mass."""
+        """Velocities along body axes, m/s: (S, N, 3). ``ValueError`` for a scene without mass."""
         return self._shaped(self._carried("v", "mass"))
 
     @property
     def r(self) -> NDArray[Any]:
-        """Position in inertial axes, m, of a scene with mass where r0 was given."""
+        """Positions along inertial axes, m: (S, N, 3). ``ValueError`` for a run without ``r0``."""
         return self._shaped(self._carried("r", "mass, propagated from an r0"))
 
     @property
     def s(self) -> NDArray[Any]:
-        """States of a scene that has some, as their function orders them."""
+        """States in the order of the user-defined function: (S, N, n)."""
         return self._shaped(self._carried("s", "states"))
 
     @property
     def reduced(self) -> NDArray[Any]:
-        """What ``propagate``'s ``reduce`` made of every body, float64: (N, k), or (k,) of one."""
+        """Last state of the function ``reduce``, float64: (N, k), or (k,) for one body.
+
+        ``ValueError`` for a run without ``reduce``.
+        """
         if "reduced" not in self.carried:
             raise ValueError(
                 "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
@@ -174,9 +173,9 @@ class Trajectory:
 
     @property
     def event_times(self) -> NDArray[np.float64]:
-        """When each of ``propagate``'s ``events`` was first found, s: (N, E), or (E,) of one body.
+        """Time at which each body first met each event, s: (N, E), or (E,) for one body.
 
-        NaN where it was not.
+        NaN marks an event that was not met. ``ValueError`` for a run without ``events``.
         """
         if self.found is None:
             raise ValueError("event_times: the run had no events; accepted: propagate(events=)")
@@ -188,65 +187,70 @@ class Trajectory:
         return self.carried[name]
 
     def pointing_error(self, target: Any) -> NDArray[Any]:
-        """Angle between the attitude and a target, rad in [0, π]: (S, N), or (S,) of one body.
+        """Angle between the attitude and a target attitude, in [0, π].
 
         Parameters
         ----------
         target : array_like or Trajectory
-            Quaternions that broadcast against ``q``: (4,) for all times and bodies, (N, 4) of each
-            body, (S, 1, 4) at each save, (S, N, 4), and of one body (S, 4). Of rotation matrices
-            the same with (3, 3) in place of (4,). A run with the same saved times stands for its
-            attitudes.
+            Quaternions that broadcast against ``q``: (4,) for all times and bodies, (N, 4) for each
+            body, (S, 1, 4) for each save, or (S, N, 4); for one body (4,) or (S, 4). Rotation
+            matrices are accepted in the same shapes, with (3, 3) in place of (4,). A trajectory
+            with the same saved times is taken as its attitudes.
+
+        Returns
+        -------
+        ndarray, shape (S, N)
+            The angle, rad; (S,) for one body.
 
         Raises
         ------
         ValueError
-            For shapes that do not broadcast, other saved times and matrices of no rotation.
+            If the shapes do not broadcast, the saved times differ, or a matrix is not a rotation.
         """
         return np.asarray(arrays.angle_between(self.q, self._reference("target", target)))
 
     def rotation_vector_to(self, reference: Any) -> NDArray[Any]:
-        """Rotation vector u, rad, body axes, from the attitude to a reference: q∘exp(u).
+        """Rotation vector u from the attitude to a reference attitude: q∘exp(u) is the reference.
 
-        Its length is ``pointing_error``, at most π; its components are the errors about each body
-        axis, as feedback takes them.
+        The length of u is the ``pointing_error``, at most π. Its components are the attitude errors
+        about the body axes, as feedback laws need them.
 
         Parameters
         ----------
         reference : array_like or Trajectory
-            As ``pointing_error``'s target.
+            The reference attitude, in the forms that :meth:`pointing_error` accepts.
 
         Returns
         -------
-        ndarray
-            (S, N, 3), or (S, 3) of one body.
+        ndarray, shape (S, N, 3)
+            Rotation vectors along body axes, rad; (S, 3) for one body.
 
         Raises
         ------
         ValueError
-            As ``pointing_error``.
+            If the shapes do not broadcast, the saved times differ, or a matrix is not a rotation.
         """
         wanted = self._reference("reference", reference)
         between = arrays.quat_multiply(self.q * np.array([1, -1, -1, -1], self.q.dtype), wanted)
         return arrays.quat_to_rotation_vector(between)
 
     def body_axis(self, axis: Any) -> NDArray[Any]:
-        """Direction of a body axis at the saved times, a unit vector along inertial axes.
+        """Direction of a body axis at the saved times, seen from inertial axes.
 
         Parameters
         ----------
-        axis : array_like
-            A vector along body axes, of any length but zero: (3,), or (N, 3) of each body.
+        axis : array_like, shape (3,) or (N, 3)
+            A vector along body axes, of any length above zero, for all bodies or each.
 
         Returns
         -------
-        ndarray
-            (S, N, 3), or (S, 3) of one body.
+        ndarray, shape (S, N, 3)
+            Unit vectors along inertial axes; (S, 3) for one body.
 
         Raises
         ------
         ValueError
-            For another shape, and for vectors that are 0 or not finite.
+            If the shape is another one, or if a vector is zero or not finite.
         """
         given = arrays.floats("axis", axis, (3,)).astype(self.q.dtype)
         size = np.linalg.norm(given, axis=-1, keepdims=True)
@@ -273,37 +277,72 @@ class Trajectory:
         return q.astype(self.q.dtype, copy=False)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a row for each save and body: ``t``, ``body``, q, w, v, r, s, ``status``.
+        """Write a CSV file with a row for each save and body.
 
-        See :func:`fastatt.interchange.write_csv`.
+        The columns are ``t``, ``body``, q, w, v, r, s and ``status``.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        See Also
+        --------
+        fastatt.interchange.write_csv : The function that this method calls.
         """
         from fastatt.interchange import write_csv
 
         write_csv(self, path)
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame of a row for each save and body, its columns those of ``to_csv``.
+        """Return a pandas DataFrame with a row for each save and body.
 
-        Raises ``ImportError`` without pandas.
+        The columns are those of :meth:`to_csv`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The table.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
         """
         from fastatt.interchange import dataframe
 
         return dataframe(self)
 
     def to_aem(self, path: str | Path, **options: Any) -> None:
-        """Write one body as an attitude ephemeris message of the CCSDS.
+        """Write one body as an attitude ephemeris message (AEM) of the CCSDS.
 
-        ``options`` are those of :func:`fastatt.interchange.aem_of`: ``epoch`` and ``frame`` at
-        least.
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        **options : dict
+            Keyword arguments of :func:`fastatt.interchange.aem_of`; ``epoch`` and ``frame`` are
+            required.
         """
         from fastatt.interchange import aem_of
 
         aem_of(self, **options).write(path)
 
     def plot(self, path: str | Path, scene: Scene | None = None) -> None:
-        """Draw attitude, |w| and drift over time to a file; of many bodies percentiles.
+        """Plot attitude, |w| and drift over time into a file.
 
-        See :func:`fastatt.plots.history`. Needs matplotlib.
+        For many bodies their percentiles are plotted.
+
+        Parameters
+        ----------
+        path : str or Path
+            The picture, in a format that matplotlib writes.
+        scene : Scene, optional
+            The scene of the run; with it, the drift of energy and angular momentum is plotted too.
+
+        See Also
+        --------
+        fastatt.plots.history : The function that this method calls.
         """
         from fastatt import plots
 
@@ -319,16 +358,28 @@ class Trajectory:
 
     @property
     def has_flags(self) -> bool:
-        """Whether any body has a status."""
+        """Whether any body has a status other than 0."""
         return bool(self.status.any())
 
     def status_counts(self) -> dict[str, int]:
-        """How many bodies carry each flag; empty when all are fine."""
+        """Count the bodies that have each flag of :class:`Status`.
+
+        Returns
+        -------
+        dict of str to int
+            The name of each flag with its number of bodies; empty if no body has a flag.
+        """
         found = {f.name or "": int(np.count_nonzero(self.status & f)) for f in Status if f}
         return {name: count for name, count in found.items() if count}
 
     def summary(self) -> str:
-        """What was run and what went wrong, in a few lines."""
+        """Describe the run and its flags in a few lines of text.
+
+        Returns
+        -------
+        str
+            The text that a trajectory prints at a Python prompt.
+        """
         n = self.status.size
         bodies = "1 body" if n == 1 else f"{n} bodies"
         far = np.nan_to_num(np.abs(self.norm_error)).max()
@@ -346,9 +397,19 @@ class Trajectory:
         return "\n".join(lines)
 
     def save_end(self, path: str | os.PathLike[str]) -> None:
-        """Write where the run ended to a file, whole or not at all: for ``propagate(resume=path)``.
+        """Write the final state of the run to a file.
 
-        Raises ``ValueError`` where the trajectory does not hold it.
+        ``propagate(resume=path)`` continues from it. The file is written completely or not at all.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            The file.
+
+        Raises
+        ------
+        ValueError
+            If the trajectory does not hold the final state as the run had it.
         """
         if self.end is None:
             raise ValueError("end: this trajectory does not hold it; accepted: one of propagate")
@@ -365,5 +426,5 @@ class Trajectory:
 
 
 def _rate_of(law: Law) -> Callable[..., Any]:
-    """The angular velocity of a law, (t, states, parameters)."""
+    """The angular velocity of a law as a function of (t, states, parameters)."""
     return lambda t, s, p: (law.formula(t, p, states=s)[:3],)

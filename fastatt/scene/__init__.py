@@ -1,1 +1,1 @@
-"""What a body is and what acts on it: inertia, rates, torques, forces, equations of motion."""
+"""Scenes: inertia, rates, torques, forces, and the equations of motion that follow from them."""

@@ -1,4 +1,4 @@
-"""The quaternion controller: gains of all axes, of each, or a matrix, and a limit of the torque."""
+"""The quaternion controller, with gains as numbers, per axis or as matrices, and a torque limit."""
 
 from __future__ import annotations
 
@@ -16,28 +16,32 @@ from fastatt.scene.torque_record import Pose, Torque
 from fastatt.tracing.formulas import Vector, dot, minus, product, quat, rigid, scale
 
 TabledQuaternion = Annotated[ArrayLike | TimeSeries, Field((4,), table="slopes")]
-#: gains of 1, 3 or 9 numbers
+#: gains as 1, 3 or 9 numbers
 _Gains = Annotated[ArrayLike, Field((-1,))]
 
 
 class QuaternionPD(Torque):
-    """Attitude controller τ = −K sgn(e0) (e1, e2, e3) − D w with e = target*∘q.
+    """Attitude controller τ = −K sgn(e0) (e1, e2, e3) − D w, with the attitude error e = target*∘q.
 
-    The rate of a target that moves, seen from the body, is taken off w. Where e0 passes 0 the
-    torque jumps: across it a step of any method is of order 1. Wie, *Space Vehicle Dynamics and
-    Control* (2008), §7.3.
+    If the target moves, its angular velocity along body axes is subtracted from w. The torque jumps
+    where e0 passes 0; a step across the jump has order 1 with any method.
 
     Parameters
     ----------
     stiffness : array_like
-        K, N·m: a number, (3,) per body axis, or a (3, 3) matrix along body axes, symmetric and
-        without negative eigenvalues. Of each body (N, 1, 1) or (N, 3, 3).
+        K, N·m: a number, (3,) per body axis, or a (3, 3) matrix along body axes, which is symmetric
+        and has no negative eigenvalues. Per body (N, 1, 1) or (N, 3, 3).
     damping : array_like
         D, N·m·s, in the same shapes.
-    target : array_like or TimeSeries
-        (4,) or (N, 4), unit quaternions, or a table, whose signs go on from sample to sample.
+    target : array_like or TimeSeries, default (1, 0, 0, 0)
+        Unit quaternions (4,) or (N, 4), or a table of them, whose signs are continuous from sample
+        to sample.
     limit : array_like, optional
         Largest torque along each body axis, N·m, above 0: a number, (3,), (N, 1) or (N, 3).
+
+    References
+    ----------
+    Wie, *Space Vehicle Dynamics and Control* (2008), §7.3.
 
     Examples
     --------
@@ -52,7 +56,7 @@ class QuaternionPD(Torque):
     limit: Annotated[ArrayLike | None, Field((3,))] = None
 
     def decay(self) -> Any:
-        """The largest damping gain or, of a matrix, a bound of its eigenvalues; (N,) per body."""
+        """The largest damping gain, for a matrix a bound of its eigenvalues; (N,) if per body."""
         found = np.abs(np.asarray(self.damping, dtype=np.float64))
         if found.ndim >= 2:
             return found.sum(axis=-1).max(axis=-1)
@@ -73,7 +77,7 @@ class QuaternionPD(Torque):
 
 
 class _Feedback(Torque):
-    """A controller as formulas take it."""
+    """A controller with its gains as formulas take them."""
 
     stiffness: _Gains
     damping: _Gains
@@ -82,7 +86,7 @@ class _Feedback(Torque):
     def formula(self: Any, t: Any, pose: Pose) -> Any:
         (target, slope), w = self.target, pose.w
         if slope:
-            # the target's own rate, seen from the body: 2 q* (dq/dt q*) q of the target's unit q
+            # angular velocity of the target, q, along body axes: 2 q* (dq/dt q*) q
             rate = quat.mul(slope, quat.conj(target))
             size = dot(target, target)
             target = quat.normalise(target)
@@ -98,7 +102,7 @@ class _Feedback(Torque):
 
 
 class _LimitedFeedback(_Feedback):
-    """A controller with the largest torque along each axis."""
+    """A controller with a largest torque along each axis."""
 
     limit: Annotated[ArrayLike, Field((3,), above_zero=True)]
 
@@ -106,12 +110,12 @@ class _LimitedFeedback(_Feedback):
         return rigid.saturated(_Feedback.formula(self, t, pose), self.limit)
 
 
-# messages name a model by its class
+# error messages name a model by its class
 _Feedback.__name__ = _LimitedFeedback.__name__ = QuaternionPD.__name__
 
 
 def _gained(gain: Vector, v: Vector) -> Vector:
-    """A number, a number per axis or a matrix times a vector."""
+    """The product of a vector with a number, a number per axis, or a matrix."""
     if len(gain) == 9:
         return tuple(dot(gain[3 * i : 3 * i + 3], v) for i in range(3))
     return product(gain * 3 if len(gain) == 1 else gain, v)
@@ -139,12 +143,12 @@ def _limit(name: str, value: Any) -> NDArray[np.float64]:
 
 
 def _gains(name: str, value: Any) -> NDArray[np.float64]:
-    """Gains as rows of 1, 3 or 9 numbers, (n,) of all bodies or (N, n).
+    """Gains as rows of 1, 3 or 9 numbers, (n,) for all bodies or (N, n).
 
     Raises ``ValueError`` for other shapes, negative gains and matrices that are not symmetric.
     """
     gains = models.numbers(name, value)
-    if gains.shape == (1, 1):  # a body's number of (N, 1, 1)
+    if gains.shape == (1, 1):  # one number for each body
         gains = gains[0, 0]
     if gains.shape not in ((), (3,), (3, 3)) and not (
         gains.ndim == 3 and gains.size and gains.shape[1:] in ((1, 1), (3, 3))

@@ -1,4 +1,4 @@
-"""Attitude, momentum, velocity, position and states as one system, stepped together."""
+"""Equations of motion in which velocity, position or states are stepped with the attitude."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from fastatt.tracing.functions import larger
 
 
 class Coupled(EquationsOfMotion):
-    """The motion of a scene with mass or states: that of the rotation, velocity, position, states.
+    """The equations of motion of a scene with mass or states, as one system.
 
-    v̇ = F/μ − w×v along body axes and, where the position is carried, ṙ = C v along inertial axes,
-    together with the equations of the rotation, in which v, r and the states may stand, and which
-    give the time derivatives of the states.
+    v̇ = F/μ − w×v along body axes and, if the position is propagated, ṙ = C v along inertial axes,
+    together with the equations of the rotation. These may depend on v, r and the states, and
+    contain the time derivatives of the states.
     """
 
     def __init__(self, attitude: Attitude, structure: Structure, p: Vector, like: Any) -> None:
         super().__init__(attitude)
         n = structure.turning.n_params
         self.inner = motion_of(structure.turning, attitude, p[:n], like)
-        # stages have no low parts
+        # stages are evaluated without low parts
         self._stage = motion_of(structure.turning, attitude.plain, p[:n], like)
         self._beside, self._force = structure.beside, structure.force
         self._states = structure.turning.law.states
-        #: 1/μ and the force's; none without a force
+        #: 1/μ and the parameters of the force; empty without a force
         self._numbers = p[n:]
-        #: squares of the rates of falling at the stages of the step that is being recorded
+        #: squares of the orbital rates at the stages of the step that is being recorded
         self._squares: list[Any] = []
 
     def evaluate_between(self, low: Any, high: Any) -> None:
@@ -41,17 +41,17 @@ class Coupled(EquationsOfMotion):
         self._stage.evaluate_between(low, high)
 
     def _split(self, x: Vector) -> tuple[Vector, Vector]:
-        """State of the rotation; velocity, position and states, as far as they are carried."""
+        """The state of the rotation, and velocity, position and states as far as there are any."""
         n = len(x) - self._beside
         return x[:n], x[n:]
 
     def _named(self, moved: Vector) -> Beside:
-        """The second part of ``_split`` by its names."""
+        """Velocity, position and states by their names."""
         n = len(moved) - self._states
         return Beside(moved[: min(3, n)], moved[3:n], moved[n:])
 
     def _translation(self, force: Law, t: Any, a: Vector, beside: Beside) -> Vector:
-        """v̇ along body axes and, where it is carried, ṙ along inertial axes."""
+        """v̇ along body axes and, if the position is propagated, ṙ along inertial axes."""
         v, r = beside.velocity, beside.position
         q, w = self._stage.pose(t, a, beside)
         q = quat.renormalise(q)
@@ -85,7 +85,7 @@ class Coupled(EquationsOfMotion):
         a, moved = self._split(x)
         square = self.inner.turning(g[1], self._split(xdot)[0], a, self._named(moved))
         for of_stage in self._squares:
-            # four times: a quaternion, for which limits hold, turns at half the body's rate
+            # times four, since limits hold for a quaternion, which rotates at half the body's rate
             square = larger(square, as_like(4.0 * of_stage, x[0]))
         self._squares.clear()
         return square

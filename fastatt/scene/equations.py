@@ -1,8 +1,8 @@
-"""The equations of motion that a method steps: of an attitude whose rate is given, or of a body.
+"""The equations of motion that a method steps: of an attitude with a prescribed rate, or of a body.
 
-The state is a tuple: the attitude's numbers, then what the scene makes the body carry, its angular
-momentum along principal axes. What acts is a structure of laws (``scene.models``), whose numbers
-are given apart from it, flat.
+A state is a tuple: the numbers of the attitude, then the angular momentum along principal axes and
+what else the scene requires. Rates, torques and forces are laws (``scene.models``), which describe
+the formulas; the parameters are passed separately, as a flat tuple.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from fastatt.tracing.user import UserFunction
 
 
 class PrescribedRate(NamedTuple):
-    """Structure of a scene whose rate is given, along body axes or inertial ones.
+    """Structure of a scene with a prescribed rate, along body axes or inertial axes.
 
-    Its parameters are the law's.
+    Its parameters are those of the law.
     """
 
     law: Law
@@ -46,15 +46,15 @@ class PrescribedRate(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers of auxiliary state."""
+        """Size of the auxiliary state."""
         return 0
 
 
 class RigidBody(NamedTuple):
-    """Structure of a rigid body; ``turned`` where principal axes are not the body's.
+    """Structure of a rigid body; ``turned`` if the principal axes are not the body axes.
 
-    Its parameters: ½/I (3), I (3), c of ``rigid.gyroscopic_coefficients`` (3), the quaternion p of
-    the principal axes (4 or none), the torque's.
+    Its parameters are ½/I (3), I (3), c of ``rigid.gyroscopic_coefficients`` (3), the quaternion p
+    of the principal axes (4 or none), and those of the torque.
     """
 
     law: Law
@@ -62,7 +62,7 @@ class RigidBody(NamedTuple):
 
     @property
     def axes(self) -> int:
-        """Numbers that say where principal axes lie."""
+        """Number of parameters of the principal axes."""
         return 4 if self.turned else 0
 
     @property
@@ -72,22 +72,22 @@ class RigidBody(NamedTuple):
 
     @property
     def tail(self) -> int:
-        """Numbers of auxiliary state."""
+        """Size of the auxiliary state."""
         return 3
 
 
 class Structure(NamedTuple):
-    """What acts in a scene, without its numbers.
+    """The rates, torques and forces of a scene without their numbers.
 
-    Its parameters: those of ``turning``; where the velocity is carried 1/μ and the force's. Beside
-    the rotation it carries velocity, position and the states of ``turning``'s law.
+    Its parameters are those of ``turning``, and with mass 1/μ and those of the force. Next to the
+    rotation it has the velocity, the position and the states of ``turning``'s law.
     """
 
     turning: PrescribedRate | RigidBody
     force: Law | None = None
-    #: whether the position is carried too
+    #: whether the position is propagated
     position: bool = False
-    #: a user's function that reduces states to so many numbers a body
+    #: a user-defined function that accumulates ``reduced`` numbers for each body
     reducer: UserFunction | None = None
     reduced: int = 0
 
@@ -98,25 +98,25 @@ class Structure(NamedTuple):
 
     @property
     def reads_position(self) -> bool:
-        """Whether the torque or the force reads the position."""
+        """Whether the torque or the force depends on the position."""
         if self.force is None:
             return False
         return self.force.reads_position or self.turning.law.reads_position
 
     @property
     def beside(self) -> int:
-        """Numbers of velocity, position and states."""
+        """Size of velocity, position and states."""
         moved = (0 if self.force is None else 3) + (3 if self.position else 0)
         return moved + self.turning.law.states
 
     @property
     def tail(self) -> int:
-        """Numbers of auxiliary state."""
+        """Size of the auxiliary state."""
         return self.turning.tail + self.beside + self.reduced
 
 
 class EquationsOfMotion:
-    """What a method's step needs of a scene in a representation."""
+    """The interface between a method's step and a scene in a representation."""
 
     attitude: Attitude
     _between: tuple[Any, Any] | None = None
@@ -125,9 +125,10 @@ class EquationsOfMotion:
         self.attitude = attitude
 
     def evaluate_between(self, low: Any, high: Any) -> None:
-        """Evaluate rates, torques and forces at these times at the least and at the most.
+        """Limit the times at which rates, torques and forces are evaluated.
 
-        They are those next to two breakpoints: a step that ends at one does not see its far side.
+        They lie next to two breakpoints, so that a step that ends at a breakpoint does not evaluate
+        beyond it.
         """
         self._between = low, high
 
@@ -144,15 +145,15 @@ class EquationsOfMotion:
         return self.attitude.plain
 
     def turned(self, x: Vector, u: Vector) -> Any:
-        """An attitude turned by a rotation vector."""
+        """An attitude rotated by a rotation vector."""
         return self.attitude.turn(x, u)
 
     def at(self, t: Any) -> Any:
-        """What ``field`` needs of the time t, evaluated once where several stages share it."""
+        """What ``field`` needs of the time t, evaluated once for all stages that share it."""
         raise NotImplementedError
 
     def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
-        """Time derivative of a state without low parts, then of the states ``beside`` it."""
+        """Time derivative of a state without low parts, then that of the states in ``beside``."""
         raise NotImplementedError
 
     def base(self, x: Vector) -> Vector:
@@ -160,7 +161,7 @@ class EquationsOfMotion:
         raise NotImplementedError
 
     def advanced(self, x: Vector, d: Vector) -> Vector:
-        """x + d with what rounding loses kept."""
+        """x + d, with the rounding error kept in the low parts."""
         raise NotImplementedError
 
     def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
@@ -168,15 +169,15 @@ class EquationsOfMotion:
         raise NotImplementedError
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
-        """The state at an attitude, as given, and its auxiliary state."""
+        """The state at a given attitude and auxiliary state."""
         raise NotImplementedError
 
     def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
-        """(what the trajectory holds, departure from the group); ``finish`` is the attitude's."""
+        """(the numbers that the trajectory holds, norm error); ``finish`` converts the attitude."""
         raise NotImplementedError
 
     def invariants(self, x: Vector) -> Vector:
-        """What the motion keeps, () if nothing does."""
+        """The invariants of the motion; () if there are none."""
         return ()
 
     def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
@@ -185,7 +186,7 @@ class EquationsOfMotion:
 
 
 class Turning(EquationsOfMotion):
-    """An attitude whose rate is given."""
+    """The equations of an attitude with a prescribed rate."""
 
     def __init__(self, attitude: Attitude, structure: PrescribedRate, p: Vector, like: Any) -> None:
         super().__init__(attitude)
@@ -204,7 +205,7 @@ class Turning(EquationsOfMotion):
         return t if self.structure.law.states else self.rate(t)
 
     def _given(self, g: Any, beside: Beside) -> Vector:
-        """The rate, and what follows it: evaluated by ``at`` where no state has a part in it."""
+        """The rate and the derivatives of states; ``at`` evaluated it if it depends on no state."""
         return self.rate(g, beside.states) if self.structure.law.states else g
 
     def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Any:
@@ -236,7 +237,10 @@ class Turning(EquationsOfMotion):
 
 
 class Body(EquationsOfMotion):
-    """A rigid body: its state is the attitude and the momentum m, principal axes, N·m·s."""
+    """The equations of a rigid body, whose state is the attitude and the momentum m.
+
+    The momentum is along principal axes, N·m·s.
+    """
 
     def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector, like: Any) -> None:
         super().__init__(attitude)
@@ -244,17 +248,17 @@ class Body(EquationsOfMotion):
         own = as_like(tuple(p[: 9 + structure.axes]), like)
         self.half_inverse, self.moments, self.gyroscopic = own[:3], own[3:6], own[6:9]
         self.axes = own[9:] if structure.turned else None
-        #: the same as they were given, for torques
+        #: the moments in the precision of the parameters, for torques
         self.axes_given = p[9:13] if structure.turned else None
         self.torque_numbers = p[9 + structure.axes :]
         self.is_free = is_free(structure.law)
 
     def attitude_of(self, x: Vector) -> Vector:
-        """The attitude's part of a state."""
+        """The attitude in a state."""
         return x[: self.attitude.size]
 
     def momentum_of(self, x: Vector) -> Vector:
-        """The momentum's part of a state, and its low part."""
+        """The momentum in a state, with its low part."""
         return x[self.attitude.size :]
 
     def angular_velocity(self, m: Vector) -> Vector:
@@ -263,7 +267,7 @@ class Body(EquationsOfMotion):
         return tuple(a + a for a in v)
 
     def torque(self, t: Any, a: Vector, w: Vector, beside: Beside = ALONE) -> Vector:
-        """Torque (N·m, principal axes) at attitude a, of the plain form, and rate w.
+        """Torque (N·m, principal axes) at an attitude a, in its plain form, and a rate w.
 
         The time derivatives of the law's states follow.
         """
@@ -273,7 +277,7 @@ class Body(EquationsOfMotion):
         return tuple(as_like(x, a[0]) for x in found)
 
     def momentum_rate(self, t: Any, a: Vector, m: Vector, beside: Beside = ALONE) -> Vector:
-        """ṁ = m×w + τ at attitude a and momentum m, then the time derivatives of states."""
+        """ṁ = m×w + τ at an attitude a and a momentum m, then the derivatives of the states."""
         own: Vector = rigid.gyroscopic(m, self.gyroscopic)
         if self.is_free:
             return own
@@ -304,7 +308,7 @@ class Body(EquationsOfMotion):
         return self.attitude.speed_squared(xdot[:n], w)
 
     def kick(self, t: Any, h: Any, a: Vector, m: Vector) -> Vector:
-        """The momentum after h s of torque at a standstill, of linear damping exactly."""
+        """The momentum after h s of torque at a fixed attitude, with exact linear damping."""
         torque = self.torque(t, a, (0.0, 0.0, 0.0))
         law, turned = self.structure.law, self.structure.turned
         rates = damping_rates(law, self.moments, self.torque_numbers, turned=turned)
@@ -317,8 +321,8 @@ class Body(EquationsOfMotion):
         a = self.attitude.start(q)
         w = auxiliary
         if self.axes is not None:
-            # by the matrix, whose zeros are exact for a permutation of axes: a needle's spin that
-            # leaks into the other axes would be multiplied by their moments
+            # a matrix has exact zeros for permuted axes: without them the rounding of a needle's
+            # spin would enter the other axes and be multiplied by their moments
             w = dcm.rotate_inverse(dcm.from_quat(self.axes), w)
             a = self.attitude.compose(a, self.axes)
         return (*a, *self.attitude.carry(rigid.momentum(w, self.moments)))
@@ -332,7 +336,7 @@ class Body(EquationsOfMotion):
         return (*y, *w), d
 
     def invariants(self, x: Vector) -> Vector:
-        """|m|² and 2T, of a free body."""
+        """``|m|²`` and 2T of a free body."""
         if not self.is_free:
             return ()
         m = self.momentum_of(x)[:3]
@@ -349,13 +353,13 @@ class Body(EquationsOfMotion):
 def motion_of(
     structure: PrescribedRate | RigidBody, attitude: Attitude, p: Vector, like: Any
 ) -> Turning | Body:
-    """The motion of a structure with parameters p; ``like`` has the state's precision."""
+    """The equations of motion of a structure; ``like`` has the state's precision."""
     if isinstance(structure, PrescribedRate):
         return Turning(attitude, structure, p, like)
     return Body(attitude, structure, p, like)
 
 
 def carried(attitude: Attitude, structure: Structure) -> int:
-    """Numbers of state a body."""
+    """Size of the state of one body."""
     low = structure.turning.tail if attitude.compensated else 0
     return attitude.size + low + structure.tail

@@ -1,7 +1,7 @@
-"""Force on a body, for Newton's equation in body axes μ(V̇ + Ω×V) = F.
+"""Forces on a body, for Newton's equation along body axes, m (v̇ + w×v) = F.
 
-Forces are in N along body axes; weights and other forces fixed in space are given along inertial
-axes. Numbers of a model may be arrays with one row per body.
+Forces are in N. Those that are fixed in space, such as weights, are given along inertial axes. The
+parameters of a model may be arrays with one row per body.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from fastatt.tracing.graph import apply
 
 
 class Force(Model):
-    """Base of forces: ``formula(t, q, w, v, r)``, N along body axes.
+    """Base class of forces: ``formula(t, q, w, v, r)``, N along body axes.
 
-    v and r are () where no velocity or position is carried, or where it is not stepped with the
-    attitude. The optional method ``squared_rate(r)`` gives the square of the rate (rad/s) at which
-    a body at r falls round a centre.
+    v and r are () if no velocity or position is propagated, or if it is not stepped together with
+    the attitude. The optional method ``squared_rate(r)`` returns the square of the orbital rate
+    (rad/s) of a body at r.
     """
 
     kind = "force"
@@ -40,7 +40,18 @@ class Force(Model):
 
 
 class Constant(Force):
-    """A force along body axes, such as a thrust: (3,), (N, 3) or a table, N."""
+    """A constant force along body axes, such as a thrust.
+
+    Parameters
+    ----------
+    force : array_like of shape (3,) or (N, 3), or TimeSeries
+        Force, N; a table makes it a function of time.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> thrust = fa.forces.Constant((0.0, 0.0, 5.0))
+    """
 
     force: TabledVector
 
@@ -49,7 +60,18 @@ class Constant(Force):
 
 
 class ConstantInertial(Force):
-    """A force along inertial axes, such as a weight: (3,), (N, 3) or a table, N."""
+    """A constant force along inertial axes, such as a weight.
+
+    Parameters
+    ----------
+    force : array_like of shape (3,) or (N, 3), or TimeSeries
+        Force, N; a table makes it a function of time.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> weight = fa.forces.ConstantInertial((0.0, 0.0, -9.80665))
+    """
 
     force: TabledVector
 
@@ -58,7 +80,18 @@ class ConstantInertial(Force):
 
 
 class Drag(Force):
-    """Linear drag F = −c V. ``coefficient`` c: a number or (N,), kg/s."""
+    """Linear drag F = −c v.
+
+    Parameters
+    ----------
+    coefficient : float or array_like of shape (N,)
+        c, kg/s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> drag = fa.forces.Drag(0.1)
+    """
 
     coefficient: Number
 
@@ -67,11 +100,21 @@ class Drag(Force):
 
 
 class CentralGravity(Force):
-    """Gravity of a point mass at the origin: F = −(μ m/r³) r, r the position that is carried, m.
+    """Gravity of a point mass at the origin, F = −(μ m/r³) r.
 
-    ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
-    2010, table 1.1) unless said; m is the scene's mass. Methods whose record says ``couples`` take
-    it; a step may be no longer than their limit at the rate 2 √(μ/r³).
+    r is the position of the body, m, and m the mass of the scene. Methods for which
+    ``Method.couples`` is True accept this force. The largest step is the method's limit at the rate
+    2 √(μ/r³).
+
+    Parameters
+    ----------
+    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
+        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(inertia=(3.0, 2.0, 1.0), mass=10.0, force=fa.forces.CentralGravity())
     """
 
     gravitational_parameter: PositiveNumber = 3.986004418e14
@@ -79,18 +122,34 @@ class CentralGravity(Force):
 
 
 class Custom(UserModel, Force):
-    """A user's ``@njit`` function ``force(t, q, w, v, p) -> (f1, f2, f3)``, N along body axes.
+    """A force given by a user-defined function.
 
-    t in s; q, w and v (m/s, body axes) as tuples, p the tuple of ``params``, (P,) or (N, P). With
-    ``uses_position`` it is ``force(t, q, w, v, r, p)``, r the position, m, along inertial axes. All
-    is then stepped as one system, by methods whose record says ``couples``.
+    Parameters
+    ----------
+    function : callable
+        ``force(t, q, w, v, p) -> (f1, f2, f3)``, N along body axes, plain or jitted. Its arguments
+        are the time, s, the quaternion, the angular velocity, rad/s, the velocity along body axes,
+        m/s, and the parameters, all but t as tuples. With ``uses_position`` it is ``force(t, q, w,
+        v, r, p)``, with the position r along inertial axes, m.
+    params : array_like, shape (P,) or (N, P), optional
+        Parameters p of the function.
+    uses_position : bool, default False
+        Whether the function depends on the position. Attitude, velocity and position are then
+        stepped as one system, by methods for which ``Method.couples`` is True.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> def drag(t, q, w, v, p):
+    ...     return -p[0] * v[0], -p[0] * v[1], -p[1] * v[2]
+    >>> force = fa.forces.Custom(drag, (0.1, 0.3))
     """
 
     uses_position: bool = False
 
 
 class _Weight(CentralGravity):
-    """``CentralGravity`` with the scene's mass, kg."""
+    """``CentralGravity`` together with the mass of the scene, kg."""
 
     mass: Number = 1.0
 
@@ -102,12 +161,12 @@ class _Weight(CentralGravity):
         return falling(r, self.gravitational_parameter)
 
 
-# messages name a model by its class
+# error messages name a model by its class
 _Weight.__name__ = CentralGravity.__name__
 
 
 def falling(r: Vector, gravitational_parameter: Any) -> Any:
-    """μ/r³, 1/s²: square of the rate of a circular orbit."""
+    """μ/r³, 1/s²: the square of the rate of a circular orbit."""
     inverse = 1.0 / apply("sqrt", dot(r, r))
     return gravitational_parameter * inverse * (inverse * inverse)
 
@@ -131,7 +190,7 @@ def pack(
 
 
 def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:
-    """Squares of the rates (rad/s) at which a body falls round the centres that are known."""
+    """Squares of the orbital rates (rad/s) of a body about each centre of gravity."""
     if law.parts:
         return [x for part, own in law.split(p) for x in squares_of_rates(part, r, own)]
     return [] if law.model.squared_rate is None else [law.numbers(None, p).squared_rate(r)]

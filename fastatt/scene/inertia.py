@@ -1,4 +1,4 @@
-"""Inertia as given, checked against what a body can have, and its principal axes."""
+"""Inertia: its checks, and its principal axes."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from fastatt import checks
 from fastatt.arrays import dcm_to_quat, normalised, quat_multiply, quat_rotate_inverse
 
 _SHAPES = "(3,), (3, 3), (N, 3) or (N, 3, 3)"
-# two moments closer than this share of the largest are equal
+# two moments are equal if they differ by less than this share of the largest
 EQUAL = 1e-12
-# a computed tensor's rounding: an off-diagonal pair may differ by this share of the largest
+# off-diagonal pairs may differ by this share of the largest, by the rounding of computed tensors
 _ASYMMETRY = 1e-9
-# A body's largest moment is at most the sum of the others. Moments in use break that: estimates
+# A body's largest moment is at most the sum of the others. Moments in use violate that: estimates
 # from flight by some per cent, the test body (2, 1, 2/3) of the literature by 20 %.
 TRIANGLE = 1.25
-# kg·m²; beyond, products of moments and momenta leave the range of floats
+# kg·m²; beyond it, products of moments and momenta overflow
 _SMALLEST, _LARGEST = 1e-100, 1e100
 
 
 class Principal(NamedTuple):
-    """Principal moments (3,) or (N, 3), kg·m², and where their axes lie in the body.
+    """Principal moments (3,) or (N, 3), kg·m², and the directions of their axes.
 
-    ``axes`` is None where body axes are principal, else unit quaternions p, (4,) or (N, 4), with
-    v_body = p∘v_principal∘p*.
+    ``axes`` is None if the body axes are principal. Otherwise it is unit quaternions p, (4,) or
+    (N, 4), with v_body = p∘v_principal∘p*.
     """
 
     moments: NDArray[np.float64]
@@ -34,12 +34,12 @@ class Principal(NamedTuple):
 
 
 def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principal:
-    """Principal moments and axes of inertia given as moments or tensors, for all bodies or each.
+    """Principal moments and axes of inertia that is given as moments or tensors.
 
-    Raises ``ValueError`` for shapes other than (3,), (3, 3), (N, 3), (N, 3, 3), as ``is_tensor``,
-    and for bodies that can't exist: moments not above 0, the largest more than 1.25 times the sum
-    of the others, tensors not symmetric. ``allow_unphysical`` lets those pass, but for moments of
-    0; of a tensor it takes the symmetric part.
+    Raises ``ValueError`` for shapes other than (3,), (3, 3), (N, 3) and (N, 3, 3), as ``is_tensor``
+    does, and for inertia that no body has: moments not above 0, a largest moment above 1.25 times
+    the sum of the others, tensors that are not symmetric. ``allow_unphysical`` accepts these,
+    except moments of 0; the symmetric part of a tensor is used.
     """
     given = checks.array("inertia", inertia, _SHAPES)
     found = given.astype(np.float64)
@@ -68,12 +68,13 @@ def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principa
 
 
 def is_tensor(given: NDArray[Any]) -> bool:
-    """Whether (3,), (3, 3), (N, 3) or (N, 3, 3) numbers are tensors: a (3, 3) array is one.
+    """Whether arrays of shape (3,), (3, 3), (N, 3) or (N, 3, 3) are tensors; a (3, 3) array is one.
 
-    Raises ``ValueError`` where it may be the moments of three bodies: all elements above 0, and
-    rows that bodies have or a matrix that is not symmetric. No body is lost by it. Of a tensor
-    moments that bodies have mean λ ≤ 5/9 of the trace, so that the elements off the diagonal add up
-    to at most 2/3 of the trace; rows that bodies have mean at least 4/5 of it.
+    Raises ``ValueError`` for a (3, 3) array that may be the moments of three bodies: all elements
+    are above 0, and its rows are moments that bodies have or the matrix is not symmetric. No body's
+    tensor is refused by it: moments that bodies have mean λ ≤ 5/9 of the trace, so that the
+    elements off the diagonal of their tensor add up to at most 2/3 of the trace, while rows that
+    bodies have mean at least 4/5 of it.
     """
     one = given.shape == (3, 3)
     rows_may_be = one and (_asymmetry(given) > 0.0 or not _past_triangle(*given.T).any())
@@ -99,19 +100,19 @@ def sort_axes(found: Principal) -> Principal:
 
 
 def axis_order(moments: NDArray[Any]) -> NDArray[np.intp]:
-    """Which of the moments (..., 3) ``sort_axes`` puts on axes 1, 2 and 3, (..., 3).
+    """Which of the moments (..., 3) ``sort_axes`` puts on axes 1, 2 and 3: (..., 3).
 
-    The order is cyclic, and that of a sorted body is its own: no body depends on its neighbours.
+    The order is cyclic and computed for each body alone.
     """
     middle = np.where(_sorted(moments), 1, np.argsort(moments, axis=-1)[..., 1])
     return np.asarray((middle[..., None] + np.arange(-1, 2)) % 3)
 
 
 def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[np.float64]]:
-    """The same bodies with their axis of symmetry third, and how far along it an arm reaches.
+    """The same bodies with their axis of symmetry third, and the component of an arm along it.
 
-    ``arm`` is (3,) or (N, 3), m, along body axes. Raises ``ValueError`` for a body whose moments
-    about two axes that are normal to its arm are not equal, by its number.
+    ``arm`` is (3,) or (N, 3), m, along body axes. Raises ``ValueError``, with the index of the
+    body, if the moments about two axes normal to the arm are not equal.
     """
     inside = arm if found.axes is None else quat_rotate_inverse(found.axes, arm)
     m, inside = np.broadcast_arrays(found.moments, inside)
@@ -120,7 +121,7 @@ def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[n
     most = m.max(axis=-1, keepdims=True)
     even = np.abs(m[..., first] - m[..., second]) <= EQUAL * most
     off = np.hypot(inside[..., first], inside[..., second])
-    # by what a moment about the arm differs: nothing matters of a sphere
+    # the difference of the moment about the arm; the directions of a sphere are arbitrary
     gap = np.maximum(np.abs(m[..., first] - m), np.abs(m[..., second] - m))
     fits = even & (off * gap <= EQUAL * size * most)
     bad = np.atleast_1d(~fits.any(axis=-1))
@@ -149,7 +150,7 @@ def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[n
 
 
 def is_sorted(moments: NDArray[Any]) -> bool:
-    """Whether the second of the moments (..., 3) is the intermediate one, of every body."""
+    """Whether the second of the moments (..., 3) is the intermediate one, for every body."""
     return bool(_sorted(moments).all())
 
 
@@ -177,13 +178,13 @@ def _asymmetry(tensor: NDArray[Any]) -> NDArray[Any]:
 
 
 def _past_triangle(a: Any, b: Any, c: Any) -> Any:
-    """Where one moment is above the sum of the others by more than ``TRIANGLE`` lets it."""
+    """Whether one moment exceeds the sum of the others by more than ``TRIANGLE`` allows."""
     largest = np.maximum(np.maximum(a, b), c)
     return largest > TRIANGLE * (a + b + c - largest)
 
 
 def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
-    a, b, c = moments.reshape(-1, 3).T  # by columns: numpy reduces short rows slowly
+    a, b, c = moments.reshape(-1, 3).T  # NumPy reduces short rows slowly
     tiny = [(x != 0.0) & (np.abs(x) < _SMALLEST) for x in (a, b, c)]
     refuse(moments, tiny[0] | tiny[1] | tiny[2], "too small", f"from {_SMALLEST:g} kg·m² on")
     if allow_unphysical:
@@ -203,7 +204,7 @@ def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
 
 
 def refuse(moments: NDArray[Any], bad: Any, reason: str, accepted: str) -> None:
-    """Refuse the first bad body, (...) of moments (..., 3)."""
+    """Raise ``ValueError`` for the first bad body, (...) of moments (..., 3)."""
     bad = np.atleast_1d(bad)
     if bad.any():
         b = int(np.argmax(bad))

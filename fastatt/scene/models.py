@@ -1,8 +1,8 @@
-"""What models of rates, torques and forces share: a class each, its numbers checked and laid flat.
+"""The base of rates, torques and forces: models with parameters that are checked and laid out flat.
 
-A model is a frozen dataclass of numbers, or of arrays with one row per body, with its formula as a
-method. Packed, it is a law (the model without its numbers, and how many each field has, which is
-all that a formula depends on) and an array of parameters, (P,) shared by all bodies or (N, P).
+A model is a frozen dataclass of numbers, or of arrays with one row per body, and has its formula as
+a method. Packing it gives a law (the model without its numbers, with the sizes of its fields, on
+which alone a formula depends) and an array of parameters, (P,) shared by all bodies or (N, P).
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from fastatt.tracing.formulas import Vector
 from fastatt.tracing.user import FORMS, UserFunction, user_function
 
 Resources = dict[tuple[str, Any], Any]
-#: with its parameters, (P,) or (N, P)
+#: a law with its parameters, (P,) or (N, P)
 PackedLaw = tuple["Law", NDArray[np.float64]]
 
 
 class Field(NamedTuple):
-    """One field of a model: the shape for one body (−1: any length) and whether it must be > 0.
+    """One field of a model: its shape for one body (−1: any length) and whether it must be above 0.
 
-    ``table`` says whether it may be a table, and what a formula then finds in its place: "values",
-    or "slopes", the pair of the values and their time derivatives, () of numbers that stay.
+    ``table`` says whether the field may be a table, and what the formula then receives: "values",
+    or "slopes" for the pair of the values and their time derivatives, which are () for constants.
     """
 
     shape: tuple[int, ...] = ()
@@ -49,8 +49,7 @@ class Field(NamedTuple):
     def flat(self, name: str, value: ArrayLike) -> NDArray[np.float64]:
         """The numbers in rows, (n,) or (N, n).
 
-        Raises ``ValueError`` for other shapes, and for numbers that are not above 0 where they
-        must be.
+        Raises ``ValueError`` for other shapes, and for numbers that must be above 0 and are not.
         """
         array, shape = numbers(name, value), self.shape
         bodies = array.shape[: max(array.ndim - len(shape), 0)]
@@ -66,7 +65,7 @@ class Field(NamedTuple):
         return array.reshape((*bodies, -1))
 
     def check_table(self, name: str, table: TimeSeries) -> None:
-        """Refuse a table that does not give this field."""
+        """Refuse a table that does not fit this field."""
         if not self.table or (table.form.size,) != self.shape:
             accepted = f"values of {self.shape[0]} numbers" if self.table else "numbers, no table"
             raise ValueError(f"{name}: found {table!r}; accepted: {accepted}")
@@ -74,7 +73,7 @@ class Field(NamedTuple):
             raise ValueError(f'{name}: found a linear table; accepted: one of kind "cubic"')
 
 
-# how a model's class names its fields
+# annotations of a model's fields
 Number = Annotated[ArrayLike, Field()]
 PositiveNumber = Annotated[ArrayLike, Field(above_zero=True)]
 Vector3 = Annotated[ArrayLike, Field((3,))]
@@ -84,18 +83,18 @@ TabledMomentum = Annotated[ArrayLike | TimeSeries, Field((3,), table="slopes")]
 
 @dataclass_transform(frozen_default=True)
 class Model:
-    """Base of all models: fields that are annotated with a ``Field`` are numbers.
+    """Base of all models; fields that are annotated with a ``Field`` are parameters.
 
-    ``formula`` is a method of an instance whose fields are recorded numbers, or tuples of them.
+    ``formula`` is called on an instance whose fields are traced numbers, or tuples of them.
     """
 
     #: "rate", "torque" or "force"
     kind: ClassVar[str]
     fields: ClassVar[Mapping[str, Field]]
-    #: of a torque or a force: whether it takes the position that the scene carries
+    #: whether a torque or a force depends on the position
     reads_position: ClassVar[bool] = False
-    #: of a rate or a torque: numbers that it carries beside the attitude. Its formula takes them
-    #: last, and gives their time derivatives after what acts, in one tuple
+    #: number of states of a rate or a torque. Its formula takes them last, and returns their time
+    #: derivatives after the rate or torque, in one tuple
     states: ClassVar[int] = 0
 
     def __init_subclass__(cls) -> None:
@@ -116,20 +115,20 @@ class Model:
         return self.formula(*state)
 
     def check(self, name: str) -> None:
-        """Refuse numbers that cannot be: fields are numpy's arrays, the body's index last."""
+        """Refuse impossible numbers; fields are NumPy arrays with the body's index last."""
 
     @property
     def values(self) -> tuple[Any, ...]:
-        """What it was made of."""
+        """The arguments of the constructor."""
         return tuple(getattr(self, field.name) for field in dataclasses.fields(self))  # type: ignore[arg-type]
 
     @classmethod
     def of(cls, values: Iterable[Any]) -> Self:
-        """A model of other ``values``."""
+        """A model with other ``values``."""
         return cls(*values)
 
     def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        """Check the numbers and lay them out flat; tables are added to ``resources``.
+        """Check the parameters and lay them out flat; tables are added to ``resources``.
 
         Raises ``ValueError`` or ``TypeError`` for numbers that are not finite or of the wrong
         shape.
@@ -157,13 +156,24 @@ class Model:
 
 
 class Sum(Model):
-    """Sum of other models of its kind, ``Sum((Constant(...), Damping(...)))``."""
+    """The sum of several models of one kind.
+
+    Parameters
+    ----------
+    terms : sequence of models
+        The rates, torques or forces to be added.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> both = fa.torques.Sum((fa.torques.Constant((0.1, 0.0, 0.0)), fa.torques.Damping(0.02)))
+    """
 
     terms: Sequence[Model]
 
     @property
     def values(self) -> tuple[Any, ...]:
-        """Its terms."""
+        """The terms."""
         return tuple(self.terms)
 
     @classmethod
@@ -173,19 +183,19 @@ class Sum(Model):
 
 
 class UserModel(Model):
-    """A model that a user-defined function gives."""
+    """A model given by a user-defined function."""
 
     function: Callable[..., Any]
     params: Annotated[ArrayLike | None, Field((-1,))] = None
 
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
-        """Whether the function takes the position."""
+        """Whether the function depends on the position."""
         return bool(getattr(self, "uses_position", False))
 
     @property
     def form(self) -> str:
-        """Which of ``FORMS`` the function has."""
+        """The signature of the function, a key of ``FORMS``."""
         return f"{self.kind} at position" if self.reads_position else self.kind
 
     def formula(self: Any, *state: Any) -> Any:
@@ -204,23 +214,23 @@ class UserModel(Model):
 
 
 class LookUp(NamedTuple):
-    """A field that is a table: the number of its array, how it is read, whether slopes too."""
+    """A field that is a table: its array's number, its layout, whether slopes are needed."""
 
     number: int
     form: TableLayout
     slopes: bool
 
     def numbers(self, t: Any, p: Any) -> tuple[Any, ...]:
-        """What a formula finds in place of the field; p is the row, if there are some."""
+        """The values that a formula receives for the field; p is the row, if there are several."""
         values, slopes = recorded(self.number, self.form, t, *p)
         return (values, slopes) if self.slopes else values
 
 
 @dataclass(frozen=True)
 class Law:
-    """A model without its numbers, and how many numbers each field has.
+    """A model without its numbers, with the size of each field.
 
-    ``look_ups`` are those of fields that are tables, None of others; ``parts`` are the laws of a
+    ``look_ups`` has an entry for each field, None if it is not a table; ``parts`` are the laws of a
     sum's terms.
     """
 
@@ -235,7 +245,7 @@ class Law:
         return sum(self.sizes) + sum(part.count for part in self.parts)
 
     def split(self, p: Any) -> list[tuple[Law, Any]]:
-        """Each part with its own parameters."""
+        """Each part with its parameters."""
         at, found = 0, []
         for part in self.parts:
             found.append((part, p[at : at + part.count]))
@@ -243,7 +253,7 @@ class Law:
         return found
 
     def numbers(self, t: Any, p: Any) -> Any:
-        """The model at a time, its fields from flat parameters or looked up in tables."""
+        """The model at a time, with fields from flat parameters or from tables."""
         at, found = 0, {}
         fields = self.model.fields.items()
         for (name, field), size, look_up in zip(fields, self.sizes, self.look_ups, strict=True):
@@ -254,13 +264,13 @@ class Law:
 
     @cached_property
     def states(self) -> int:
-        """How many states it carries."""
+        """The number of its states."""
         return sum(leaf.model.states for leaf in self.leaves())
 
     def formula(self, *given: Any, states: Vector = ()) -> Any:
-        """The model's formula of a time and what else is given, parameters last.
+        """The model's formula at a time and further arguments, parameters last.
 
-        Of a law with ``states`` their time derivatives follow the three numbers of what acts.
+        For a law with ``states``, their time derivatives follow the three components.
         """
         *state, p = given
         if not self.parts:
@@ -276,11 +286,11 @@ class Law:
 
     @cached_property
     def reads_position(self) -> bool:
-        """Whether it takes the position that the scene carries."""
+        """Whether it depends on the position."""
         return any(leaf.model.reads_position for leaf in self.leaves())
 
     def leaves(self) -> Iterable[Law]:
-        """The laws of which a sum is one, or this one."""
+        """The laws of a sum's terms, or this law."""
         if not self.parts:
             yield self
         for part in self.parts:
@@ -288,14 +298,14 @@ class Law:
 
 
 class Packed(NamedTuple):
-    """Models of a scene, ready for the engine."""
+    """Models of a scene in the form that the engine takes."""
 
-    #: a law, or a scene's ``fastatt.scene.equations.Structure`` of them
+    #: a law, or the ``fastatt.scene.equations.Structure`` of a scene
     structure: Any
     #: flat parameters, (P,) shared or (N, P)
     params: NDArray[np.float64]
-    #: tables and opaque functions that formulas look up, by the names that graphs have for them:
-    #: of fields of models by numbers, of a user's function by themselves
+    #: tables and functions that are not traced, by the names that graphs have for them: numbers
+    #: for fields of models, the objects themselves for those in a user-defined function
     resources: Resources
 
     @property
@@ -305,7 +315,7 @@ class Packed(NamedTuple):
 
 
 def resources_of(function: UserFunction) -> Resources:
-    """What a graph of a user's function looks up, by the names that it has there."""
+    """The tables and functions in the graph of a user-defined function, by their names there."""
     if not function.straight:
         return {("function", function): function.address}
     return {("table", x): array for x, array in function.tables.items()}
@@ -314,10 +324,10 @@ def resources_of(function: UserFunction) -> Resources:
 def pack(
     model: Any, base: type[Model], n_bodies: int | None, resources: Resources | None = None
 ) -> Packed:
-    """Check the numbers of a model, a subclass of ``base``, and lay them out flat.
+    """Check the parameters of a model, a subclass of ``base``, and lay them out flat.
 
-    Raises ``TypeError`` for something that is no model, ``ValueError`` for numbers that are not
-    finite or of the wrong shape.
+    Raises ``TypeError`` if it is not a model, ``ValueError`` for numbers that are not finite or of
+    the wrong shape.
     """
     found: Resources = {} if resources is None else resources
     return Packed(*_pack(model, base, n_bodies, base.kind, found), found)
@@ -338,7 +348,7 @@ def _pack(
     names = {c.__name__ for c in (*base.__subclasses__(), Sum) if not c.__name__.startswith("_")}
     raise TypeError(
         f"{argument}: found {type(model).__name__}; accepted is a model of fastatt.{base.kind}s "
-        f"({', '.join(sorted(names))}) or an @njit function {FORMS[base.kind].call}"
+        f"({', '.join(sorted(names))}) or a function {FORMS[base.kind].call}"
     )
 
 
@@ -350,7 +360,7 @@ def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str) -> Any:
-    """Columns of parameters side by side: (P,) when all are shared, else (N, P)."""
+    """Join columns of parameters: (P,) if all are shared, else (N, P)."""
     rows = {c.shape[0] for c in columns if c.ndim == 2}
     if not rows:
         return np.concatenate([np.zeros(0), *columns])

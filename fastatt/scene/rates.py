@@ -1,7 +1,7 @@
-"""Angular velocity as a function of time: built-in models and a user's own function.
+"""Angular velocities as functions of time: built-in models and user-defined functions.
 
-Rates are in rad/s, along body axes unless the scene says ``frame="inertial"``; times in s, angles
-in rad. Numbers of a model may be arrays with one row per body.
+Rates are in rad/s, along body axes unless the scene has ``frame="inertial"``; times are in s and
+angles in rad. The parameters of a model may be arrays with one row per body.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ Numbers = NDArray[np.float64]
 
 
 class Rate(Model):
-    """Base of rates: ``formula(t)``, rad/s.
+    """Base class of rates: ``formula(t)``, rad/s.
 
-    With ``states`` it is ``formula(t, states)``, and their time derivatives follow the rate.
-
-    The optional method ``bound()`` gives what |w| is not above at any time, rad/s, of a model whose
-    fields are arrays (..., N).
+    With ``states`` it is ``formula(t, states)``, which returns their time derivatives after the
+    rate. The optional method ``bound()`` returns an upper bound of ``|w|``, rad/s, from fields that
+    are arrays (..., N).
     """
 
     kind = "rate"
@@ -32,7 +31,18 @@ class Rate(Model):
 
 
 class Constant(Rate):
-    """w(t) = w. ``w``: (3,) or (N, 3)."""
+    """A constant angular velocity.
+
+    Parameters
+    ----------
+    w : array_like, shape (3,) or (N, 3)
+        Angular velocity, rad/s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 0.5)))
+    """
 
     w: Vector3
 
@@ -44,7 +54,18 @@ class Constant(Rate):
 
 
 class Polynomial(Rate):
-    """w(t) = Σ c_k t^k. ``coefficients``: (K, 3) or (N, K, 3), the constant term first."""
+    """A polynomial in time, w(t) = Σ c_k t^k.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (K, 3) or (N, K, 3)
+        c_k, rad/s^(k+1), the constant term first.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> spin_up = fa.rates.Polynomial([[0.0, 0.0, 0.1], [0.0, 0.0, 0.02]])
+    """
 
     coefficients: Annotated[ArrayLike, Field((-1, 3))]
 
@@ -56,7 +77,24 @@ class Polynomial(Rate):
 
 
 class Sinusoidal(Rate):
-    """w(t) = bias + amplitude sin(frequency t + phase), axis by axis; each (3,) or (N, 3)."""
+    """A sine about each axis, w(t) = bias + amplitude sin(frequency t + phase).
+
+    Parameters
+    ----------
+    bias : array_like, shape (3,) or (N, 3)
+        Mean rate, rad/s.
+    amplitude : array_like, shape (3,) or (N, 3)
+        Amplitude, rad/s.
+    frequency : array_like, shape (3,) or (N, 3)
+        Angular frequency, rad/s.
+    phase : array_like, shape (3,) or (N, 3), default (0, 0, 0)
+        Phase, rad.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> swing = fa.rates.Sinusoidal((0.0, 0.0, 0.1), (0.2, 0.0, 0.0), (3.0, 1.0, 1.0))
+    """
 
     bias: Vector3
     amplitude: Vector3
@@ -72,11 +110,26 @@ class Sinusoidal(Rate):
 
 
 class Coning(Rate):
-    """The z axis sweeps a cone of half ``angle`` a at ``frequency`` Ω without turning round it.
+    """Coning motion: the z axis sweeps a cone while the body does not rotate about it.
 
-    w = (−Ω sin a sin Ωt, Ω sin a cos Ωt, −2Ω sin²(a/2)), exact attitude
-    q = (cos a/2, sin(a/2) cos Ωt, sin(a/2) sin Ωt, 0): Goodman and Robinson, ASME J. Appl. Mech.
-    25 (1958) 210. Numbers or (N,).
+    The attitude is known in closed form, q = (cos(a/2), sin(a/2) cos Ωt, sin(a/2) sin Ωt, 0), for
+    w = (−Ω sin a sin Ωt, Ω sin a cos Ωt, −2 Ω sin²(a/2)).
+
+    Parameters
+    ----------
+    angle : float or array_like of shape (N,)
+        Half angle a of the cone, rad.
+    frequency : float or array_like of shape (N,)
+        Angular frequency Ω, rad/s.
+
+    References
+    ----------
+    Goodman and Robinson, *ASME Journal of Applied Mechanics* 25 (1958) 210.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(rate=fa.rates.Coning(0.1, frequency=2.0))
     """
 
     angle: Number
@@ -93,10 +146,25 @@ class Coning(Rate):
 
 
 class Precession(Rate):
-    """Rate of constant size whose transverse part turns in the body, as in a free symmetric top.
+    """A rate of constant size whose transverse part rotates in the body.
 
-    w = (A cos(kt + φ0), A sin(kt + φ0), s). Numbers or (N,): ``transverse`` A, ``axial`` s,
-    ``frequency`` k, ``phase`` φ0.
+    A free symmetric top moves so, w(t) = (A cos(k t + φ0), A sin(k t + φ0), s).
+
+    Parameters
+    ----------
+    transverse : float or array_like of shape (N,)
+        Transverse rate A, rad/s.
+    axial : float or array_like of shape (N,)
+        Axial rate s, rad/s.
+    frequency : float or array_like of shape (N,)
+        Angular frequency k of the transverse part in the body, rad/s.
+    phase : float or array_like of shape (N,), default 0.0
+        Phase φ0, rad.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(rate=fa.rates.Precession(0.1, 2.0, 1.0))
     """
 
     transverse: Number
@@ -113,9 +181,24 @@ class Precession(Rate):
 
 
 class Slew(Rate):
-    """Rest-to-rest turn by ``rotation`` (rad, (3,) or (N, 3)) in ``duration`` s from ``start`` on.
+    """A rotation from rest to rest about a fixed axis.
 
-    w = rotation/T (1 − cos(2πs/T)) within the slew, 0 outside: rate and acceleration continuous.
+    w(t) = rotation/T (1 − cos(2 π s/T)) for 0 ≤ s = t − start ≤ T, and 0 outside. Rate and angular
+    acceleration are continuous.
+
+    Parameters
+    ----------
+    rotation : array_like, shape (3,) or (N, 3)
+        Rotation vector of the whole slew, rad.
+    duration : float or array_like of shape (N,)
+        Duration T, s, above 0.
+    start : float or array_like of shape (N,), default 0.0
+        Time at which the slew begins, s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(rate=fa.rates.Slew((0.0, 0.0, 1.5), duration=20.0))
     """
 
     rotation: Vector3
@@ -134,23 +217,37 @@ class Slew(Rate):
 
 
 class Custom(UserModel, Rate):
-    """A user's ``@njit`` function ``rate(t, p) -> (w1, w2, w3)``, rad/s.
+    """A rate given by a user-defined function.
 
-    t in s, p the tuple of ``params``, (P,) or (N, P). With ``states``, a number, the function
-    carries so many numbers of its own, s: it is ``rate(t, s, p) -> (rate, ds/dt)``, and is stepped
-    with the attitude, by methods whose record says ``couples``.
+    Parameters
+    ----------
+    function : callable
+        ``rate(t, p) -> (w1, w2, w3)``, rad/s, plain or jitted, with the time t, s, and the tuple p
+        of parameters. With ``states`` it is ``rate(t, s, p) -> (rate, ds/dt)``.
+    params : array_like, shape (P,) or (N, P), optional
+        Parameters p of the function.
+    states : int, default 0
+        Number of states s of the function, which are stepped together with the attitude by methods
+        for which ``Method.couples`` is True.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> def swing(t, p):
+    ...     return p[0] * t, 0.0, p[1]
+    >>> scene = fa.Scene(rate=fa.rates.Custom(swing, (0.1, 0.2)))
     """
 
     states: int = 0  # type: ignore[misc]
 
 
 def lengths(v: NDArray[Any]) -> Numbers:
-    """Of rows (N, 3); a matrix product, since numpy reduces short rows slowly."""
+    """Lengths of rows (N, 3), by a matrix product, since NumPy reduces short rows slowly."""
     return np.asarray(np.sqrt((v * v) @ np.ones(3)))
 
 
 def bound(law: Law, params: Numbers) -> Numbers | None:
-    """No less than |w| (rad/s) of each body at any time; None where there is no such bound.
+    """An upper bound of each body's ``|w|`` (rad/s) at any time; None if there is none.
 
     ``params`` are flat, (P,) or (N, P).
     """
@@ -165,7 +262,7 @@ def bound(law: Law, params: Numbers) -> Numbers | None:
 
 
 def is_constant(law: Law) -> bool:
-    """Whether a rate never changes along its axes."""
+    """Whether a rate is constant along its axes."""
     return isinstance(law.model, Constant)
 
 

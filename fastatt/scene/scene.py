@@ -1,4 +1,4 @@
-"""What acts on a body: only what the scene requires."""
+"""``Scene``: the inertia, rates, torques and forces of bodies."""
 
 from __future__ import annotations
 
@@ -31,41 +31,80 @@ from fastatt.tracing.user import UserFunction
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is propagated.
+    """The bodies that are propagated, with their rates, torques and forces.
 
-    A kinematic scene has a ``rate``: a model of ``fastatt.rates``, whose numbers may be one for
-    all bodies or a row each, or an ``@njit`` function ``rate(t, p) -> (w1, w2, w3)`` in rad/s, with
-    t in s and p the tuple of ``params``, (P,) for all bodies or (N, P). ``frame`` says along which
-    axes the rate is given: "body" (q̇ = ½ q∘w) or "inertial" (q̇ = ½ w∘q).
+    A scene has either a prescribed ``rate``, or ``inertia`` and optionally a ``torque``; then
+    Euler's equations are integrated. With ``mass`` and ``force`` the velocity is propagated too.
+    Each number may be one for all bodies, or an array with one row per body.
 
-    A scene with ``inertia`` (kg·m²) carries w too, by Euler's dynamic equations: principal moments
-    (3,), a tensor (3, 3), or one of them for each body. ``torque`` is a model of
-    ``fastatt.torques`` or an ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along
-    body axes, with ``params``. ``allow_unphysical`` admits inertia that no body has.
+    Parameters
+    ----------
+    rate : model or callable, optional
+        Angular velocity as a function of time: a model of :mod:`fastatt.rates`, or a function
+        ``rate(t, p) -> (w1, w2, w3)``, rad/s, with t in s and the tuple p of ``params``.
+    params : array_like, shape (P,) or (N, P), optional
+        Parameters of the user-defined rate or torque.
+    frame : {"body", "inertial"}, default "body"
+        Axes along which the rate is given: q̇ = ½ q∘w for "body", q̇ = ½ w∘q for "inertial".
+    inertia : array_like, shape (3,), (3, 3), (N, 3) or (N, 3, 3), optional
+        Principal moments or tensors, kg·m². A (3, 3) array is one tensor.
+    torque : model or callable, optional
+        A model of :mod:`fastatt.torques`, or a function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m
+        along body axes, with the unit quaternion q, the angular velocity w, rad/s, and ``params``
+        p.
+    allow_unphysical : bool, default False
+        Accept inertia that no body has.
+    mass : float or array_like of shape (N,), optional
+        Mass, kg. The velocity v along body axes is then propagated, by m (v̇ + w×v) = F.
+    force : model, array_like or callable, optional
+        A model of :mod:`fastatt.forces`, (3,) or (N, 3) in N along body axes, or a function
+        ``force(t, q, w, v, p)`` without parameters. Required with ``mass``.
+    states : int, default 0
+        Number n of states s of the user-defined function, such as the integral of a controller, the
+        speed of a wheel or a flexible mode. The function is then ``torque(t, q, w, s, p) ->
+        (torque, ds/dt)`` or ``rate(t, s, p) -> (rate, ds/dt)``, with tuples of 3 and of n numbers.
+    breakpoints : array_like of shape (B,), default ()
+        Times, s, at which a rate, torque or force has a jump or a kink. Steps end at these times,
+        so that the method keeps its order.
 
-    A scene with ``mass`` (kg, a number or (N,)) and ``force`` also carries the velocity V in body
-    axes, by μ(V̇ + Ω×V) = F. ``force`` is a model of ``fastatt.forces``, (3,) or (N, 3) in N along
-    body axes, or an ``@njit`` function ``force(t, q, w, v, p)`` without parameters. Where a torque
-    or a force reads the position, all is stepped as one system, to the method's order.
+    Attributes
+    ----------
+    rows : int or None
+        Number of bodies if any number differs between bodies; None if all bodies share all numbers.
 
-    With ``states``, a whole number n, the function of the torque or the rate carries n numbers s of
-    its own, such as the integral of a controller, the speed of a wheel or a flexible mode:
-    ``torque(t, q, w, s, p) -> (torque, ds/dt)`` or ``rate(t, s, p) -> (rate, ds/dt)``, two tuples,
-    of 3 and of n numbers. They are stepped with the attitude as one system, to the method's order,
-    by methods whose record says ``couples``. ``propagate`` takes their initial values as ``s0``.
+    Raises
+    ------
+    TypeError, ValueError
+        If a model or a frame is unknown, a number has the wrong shape, or inertia is not that of a
+        body.
 
-    ``breakpoints`` are times, s, on the clock of ``t0``, at which a rate, torque or force jumps or
-    has a corner. Steps end there: a step in which one lies is taken in parts, by the same method,
-    which so keeps its order. What ends at a breakpoint is evaluated before it and what begins there
-    after it, whether a function says ``<`` or ``<=``.
+    Notes
+    -----
+    A user-defined function is traced: it is called once with numbers that record its operations,
+    which become part of the compiled loop (:attr:`functions` says whether that was possible).
 
-    A scene keeps read-only copies of its numbers: a change to the arrays that it was given does not
-    reach it, ``dataclasses.replace`` makes another. Scenes of equal numbers are equal.
-    ``scene[bodies]``, an index, a slice or an array, is the scene of these alone; numbers that all
-    bodies share stay shared.
+    If a torque or a force depends on the position, or if there are states, everything is stepped as
+    one system, to the order of the method, by methods for which ``Method.couples`` is True.
 
-    Raises ``TypeError`` or ``ValueError`` for an unknown model, frame, or numbers of wrong shape,
-    and for bodies that can't exist.
+    A step that contains a breakpoint is divided by the same method. Up to the breakpoint the
+    function is evaluated before it, and afterwards after it, whether the function compares with
+    ``<`` or ``<=``.
+
+    A scene keeps read-only copies of its arrays; ``dataclasses.replace`` makes a changed scene.
+    Scenes of equal numbers are equal. ``scene[bodies]``, with an index, a slice or an array, is the
+    scene of these bodies alone; numbers that all bodies share stay shared.
+
+    Examples
+    --------
+    A free body, and one with damping and a user-defined torque:
+
+    >>> import fastatt as fa
+    >>> fa.Scene(inertia=(2.0, 1.0, 2 / 3)).kind
+    'free'
+    >>> def torque(t, q, w, p):
+    ...     return -p[0] * w[0], -p[0] * w[1], -p[1] * w[2]
+    >>> fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=torque, params=(0.02, 0.05)).kind
+    'torqued'
     """
 
     rate: Any = None
@@ -78,9 +117,9 @@ class Scene:
     force: Any = None
     states: int = 0
     breakpoints: Any = ()
-    #: how many bodies have numbers of their own; None where all share theirs
+    #: the number of bodies, if any number differs between bodies
     rows: ClassVar[int | None] = None
-    #: whether a torque or a force reads the position, which is then carried
+    #: whether a torque or a force depends on the position, which is then propagated
     needs_position: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -88,20 +127,20 @@ class Scene:
         if (self.rate is None) == (self.inertia is None):
             found = "neither" if self.rate is None else "both"
             if self.rate is None and self.torque is not None:
-                found = "neither beside a torque, which needs inertia"
+                found = "neither, with a torque, which needs inertia"
             raise ValueError(f"rate, inertia: found {found}; accepted: one of them")
         if self.params is not None and not callable(self._acting):
             raise ValueError(
-                f"params: found {checks.brief(self.params)} beside the model "
-                f"{type(self._acting).__name__}; accepted: params with an @njit function only"
+                f"params: found {checks.brief(self.params)} with the model "
+                f"{type(self._acting).__name__}; accepted: params with a function only"
             )
         if (self.mass is None) != (self.force is None):
             missing = "force" if self.force is None else "mass"
             raise ValueError(f"{missing}: is missing; mass and force go together")
         if self.rate is not None and self.torque is not None:
-            raise ValueError("torque: found beside a rate; accepted: with inertia only")
+            raise ValueError("torque: found with a rate; accepted: with inertia only")
         if self.rate is None and self.frame != "body":
-            raise ValueError('frame: found "inertial" beside inertia; accepted: "body"')
+            raise ValueError('frame: found "inertial" with inertia; accepted: "body"')
         checks.whole("states", self.states, 0)
         object.__setattr__(self, "breakpoints", _breakpoints(self.breakpoints))
         if self.breakpoints and self._acting is None and self.mass is None:
@@ -111,17 +150,17 @@ class Scene:
         structure, params, _ = self.packed(None)
         if self.mass is None and structure.turning.law.reads_position:
             raise ValueError(
-                "torque: found one that reads the position, but the scene carries none; accepted: "
+                "torque: found one that depends on the position, without a mass; accepted: "
                 "with mass and force"
             )
         carried = structure.turning.law.states
         if self.states not in (0, carried):
             raise ValueError(
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
-                f"{carried}, which it carries, or a function that takes them"
+                f"{carried}, the number of its states, or a function that takes them"
             )
         object.__setattr__(self, "states", carried)
-        # those of all bodies take long to find again
+        # computed once, since it takes long for many bodies
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         object.__setattr__(self, "needs_position", structure.reads_position)
         for field in fields(self):
@@ -136,7 +175,7 @@ class Scene:
         return tuple(map(_key, self._given))
 
     def __reduce__(self) -> Any:
-        """What was given, and the source of user-defined functions; the rest is found again."""
+        """The constructor's arguments, with the source of user-defined functions."""
         return _received, (type(self), self._given, sources(_own_functions(self._given)))
 
     def __eq__(self, other: object) -> bool:
@@ -154,11 +193,11 @@ class Scene:
         inertia: Any = self.inertia
         if inertia is not None and self.principal.moments.ndim == 2:
             own["inertia"] = chosen = inertia[rows]
-            if inertia.ndim == 2 and chosen.shape == (3, 3):  # else taken for one tensor
+            if inertia.ndim == 2 and chosen.shape == (3, 3):  # would be one tensor
                 own["inertia"] = chosen[:, :, None] * np.eye(3)
         return replace(self, **own)
 
-    __iter__ = None  # numbers that all bodies share have no end
+    __iter__ = None  # a scene whose bodies share all numbers has no length
 
     @property
     def _acting(self) -> Any:
@@ -166,9 +205,9 @@ class Scene:
 
     @cached_property
     def kind(self) -> str:
-        """What the numbers say: "rate", "spherical", "symmetric", "free" or "torqued".
+        """The kind of the scene: "rate", "spherical", "symmetric", "free" or "torqued".
 
-        Moments are equal within 1e-12 of the largest; of an ensemble, all bodies'.
+        Moments are equal if they differ by less than 1e-12 of the largest, for all bodies.
         """
         if self.rate is not None:
             return "rate"
@@ -181,12 +220,12 @@ class Scene:
 
     @property
     def is_constant(self) -> bool:
-        """Whether the rate never changes along its axes; then one exponential is exact."""
+        """Whether the rate is constant along its axes, so that one exponential is exact."""
         return isinstance(self.rate, rates.Constant)
 
     @cached_property
     def principal(self) -> Principal:
-        """Principal moments and axes of ``inertia``."""
+        """Principal moments, kg·m², and axes of ``inertia``. ``ValueError`` for a rate scene."""
         if self.inertia is None:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
         found = principal(self.inertia, allow_unphysical=self.allow_unphysical)
@@ -205,21 +244,21 @@ class Scene:
 
     @property
     def reads_position(self) -> bool:
-        """Whether the torque reads the position that the scene carries."""
+        """Whether the torque depends on the position."""
         return self.rate is None and self._law.reads_position
 
     @cached_property
     def has_potential(self) -> bool:
-        """Whether kinetic plus potential energy is constant."""
+        """Whether kinetic plus potential energy is conserved."""
         return self.rate is None and torques.has_potential(self._law)
 
     @cached_property
     def functions(self) -> tuple[UserFunction, ...]:
-        """User-defined functions in it: each says whether it is traced (``straight``) or why not.
+        """The user-defined functions, as a tuple; ``straight`` of each says whether it is traced.
 
-        A function that is traced becomes part of the loop: it vectorises, and is kept on disk. One
-        that is not is called for each body (``reason`` says why); a rate whose parameters all
-        bodies share once for a tile of them.
+        A traced function becomes part of the compiled loop: it is vectorised and kept in the disk
+        cache. A function that can't be traced (``reason`` says why) is called for each body; a rate
+        whose parameters all bodies share is called once for a group of bodies.
         """
         structure = self.packed(None).structure
         laws = (structure.turning.law, structure.force)
@@ -229,16 +268,16 @@ class Scene:
 
     @property
     def moves(self) -> bool:
-        """Whether the velocity is carried."""
+        """Whether the velocity is propagated."""
         return self.mass is not None
 
     @property
     def is_coupled(self) -> bool:
-        """Whether a velocity or states are stepped with the attitude, as one system."""
+        """Whether a velocity or states are stepped with the attitude as one system."""
         return self.moves or self.states > 0
 
     def carried(self, *, position: bool) -> dict[str, int]:
-        """What a state holds beside the attitude, in its order, with the numbers of each."""
+        """The parts of a state next to the attitude, in their order, with the size of each."""
         sizes = {
             "w": 3 * (self.kind != "rate"), "v": 3 * self.moves, "r": 3 * position,
             "s": self.states,
@@ -248,9 +287,10 @@ class Scene:
     def packed(
         self, n_bodies: int | None, *, sorted_axes: bool = False, position: bool = False
     ) -> Packed:
-        """The structure and the flat parameters of all that acts, for a number of bodies.
+        """The structure and the flat parameters of the scene, for a number of bodies.
 
-        The intermediate principal axis may be wanted second, and the position carried.
+        ``sorted_axes`` puts the intermediate principal axis second; ``position`` says that the
+        position is propagated.
         """
         key = "packed", sorted_axes, position
         found: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
@@ -261,7 +301,7 @@ class Scene:
 
     @cached_property
     def memo(self) -> dict[Any, Any]:
-        """What was found once: numbers that all bodies share, packed; methods that fit, plans."""
+        """Results that are computed once: packed parameters, methods that fit, and plans."""
         return {}
 
     def _packed(self, n_bodies: int | None, sorted_axes: bool, position: bool) -> Packed:
@@ -302,7 +342,7 @@ class Scene:
             model = torques.Custom(model, self.params, states=self.states)
         acting = torques.pack(model, n_bodies)
         columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
-        # the kernel's own formula, on whole columns
+        # the kernel's formula on whole columns
         gyroscopic = np.stack(plain(rigid.gyroscopic_coefficients)(columns_of_moments), axis=-1)
         columns = [0.5 / found.moments, found.moments, gyroscopic]
         if found.axes is not None:
@@ -313,13 +353,13 @@ class Scene:
 
 
 def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str]) -> Scene:
-    """A scene as it comes from another process."""
+    """A scene that was pickled."""
     keep(texts)
     return scene(*given)
 
 
 def _own_functions(value: Any) -> list[Any]:
-    """The functions in what a scene was given."""
+    """The user-defined functions in a scene's argument."""
     if isinstance(value, models.Model):
         value = value.values
     if isinstance(value, tuple):
@@ -328,7 +368,7 @@ def _own_functions(value: Any) -> list[Any]:
 
 
 def _kept(value: Any) -> Any:
-    """Numbers, a model's too, that can't be changed: tuples of numbers, else copies."""
+    """Read-only numbers, also those of a model: tuples of numbers, else copies of arrays."""
     if isinstance(value, models.Model):
         return value.of(map(_kept, value.values))
     if isinstance(value, (list, tuple)) and all(map(np.isscalar, value)):
@@ -341,7 +381,7 @@ def _kept(value: Any) -> Any:
 
 
 def _key(value: Any) -> Any:
-    """What is equal, and has a hash, for equal numbers."""
+    """A hashable value that is equal for equal numbers."""
     if isinstance(value, models.Model):
         return (type(value), *map(_key, value.values))
     if isinstance(value, (tuple, np.ndarray)):
@@ -350,7 +390,7 @@ def _key(value: Any) -> Any:
 
 
 def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
-    """Numbers, a model's too, of some bodies; those of one body have so many axes."""
+    """Numbers, also those of a model, of some bodies; numbers of one body have ``dims`` axes."""
     if isinstance(value, models.Sum):
         return value.of(_of_rows(term, rows) for term in value.terms)
     if isinstance(value, models.Model):
@@ -367,7 +407,7 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
 
 
 def as_scene(scene: object) -> Scene:
-    """A scene, and nothing else."""
+    """The scene; raises ``TypeError`` for anything else."""
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: found {checks.brief(scene)}; accepted: a fastatt.Scene")
     return scene

@@ -1,8 +1,8 @@
-"""Tables sampled in time, of what no model gives: orbit position, field, Sun, density, commands.
+"""Tables sampled in time, such as orbit positions, fields, densities or commands.
 
-A table lies in memory as a row of numbers: a head that says how it is read, an index where times
-are not equally spaced, then the samples. Formulas find all of it by place, so that other numbers
-need no other program.
+A table lies in memory as a row of numbers: a head with its layout, an index if times are not
+equally spaced, then the samples. Formulas find all of it by position, so that one compiled program
+serves tables with other numbers.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from fastatt.tracing.nodes import Recorded
 
 Numbers = NDArray[np.float64]
 
-# the head: times from and to which the samples go, the width of an interval (or of a bucket of the
-# index) and the last one's number, times from and to which it may be asked, numbers of rows and of
-# numbers in one, the last interval's number, where the times (the index) and the samples begin
+# the head: first and last time of the samples, the width of an interval (or of a bucket of the
+# index) and the number of the last one, first and last time that is accepted, the number of rows
+# and of numbers in a row, the number of the last interval, where the times (the index) and the
+# samples begin
 _FIRST, _END, _WIDTH, _LAST, _LOW, _HIGH, _ROWS, _ROW, _INTERVAL, _TIMES, _SAMPLES = range(11)
 _HEAD = 11
 _BUCKETS = 2**22
-# the time that a run adds up ends a few roundings from what a table says
+# rounding of a run's time, which may end just beyond a table
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
 
 
 class TableLayout(NamedTuple):
-    """What the formula of a look-up depends on: numbers a sample, and how they are read."""
+    """What the formula of a look-up depends on: numbers per sample, and their interpolation."""
 
     size: int
     cubic: bool
@@ -43,43 +44,48 @@ class TableLayout(NamedTuple):
 
 
 class TimeSeries:
-    """Numbers sampled in time, for a user-defined rate, torque or force, and for fields of models.
+    """A table of numbers sampled in time, for user-defined functions and for fields of models.
 
-    Called as ``table(t)``, or ``table(t, row)`` of (N, T, k), a table gives a tuple of k floats, of
-    (T,) a float; ``table.slope`` gives the time derivatives so. Both may be called in a function
-    that is traced, with ``row`` a parameter of the body such as ``p[0]``. Tables of equal numbers
-    are equal; ``table[rows]`` has some of the rows.
+    ``table(t)``, or ``table(t, row)`` for values (N, T, k), returns a tuple of k floats, or a float
+    for values (T,). Both may be called within a traced function, with ``row`` a parameter of the
+    body such as ``p[0]``. Tables of equal numbers are equal; ``table[rows]`` is a table of some of
+    the rows.
 
     Parameters
     ----------
-    t
-        (T,) ascending times, s, at least 2. Equally spaced ones are found the fastest.
-    values
-        (T,) or (T, k) numbers for all bodies; (N, T, k) in rows 0, 1, …
-    kind
-        "cubic", with a continuous derivative, or "linear".
-    slopes
-        Derivatives of the values, of their shape, where they are known, as the velocities of an
-        ephemeris are. Else those of the quartics through five samples.
-    outside
-        What other times give: "nan", which ends as a body's status, or "hold", the nearest sample.
-        A row that is none gives NaN.
+    t : array_like, shape (T,)
+        Ascending times, s, at least 2. Look-ups are fastest if they are equally spaced.
+    values : array_like, shape (T,), (T, k) or (N, T, k)
+        Samples for all bodies, or in N rows.
+    kind : {"cubic", "linear"}, default "cubic"
+        The interpolation. "cubic" has a continuous derivative.
+    slopes : array_like, optional
+        Time derivatives of the values, in their shape, if they are known, such as the velocities of
+        an ephemeris. The default is the derivatives of the quartics through five samples.
+    outside : {"nan", "hold"}, default "nan"
+        The result at times outside the table: NaN, which sets the status of the body, or the
+        nearest sample. An index ``row`` out of range gives NaN.
 
     Raises
     ------
     TypeError, ValueError
-        Times that do not ascend, numbers that are not finite or of other shapes, spacings so unlike
-        that the index would be too large.
+        If times do not ascend, numbers are not finite or have the wrong shape, or spacings differ
+        so much that the index would be too large.
 
     Notes
     -----
-    Samples h apart of a function whose derivatives are at most M2, M4, M5 give it within h² M2/8
-    (linear) and h⁴ M4/384 + h⁵ M5/20 (cubic; the second term is gone where slopes are given). De
-    Boor, *A Practical Guide to Splines* (2001), ch. II and IV.
+    For samples h apart of a function whose derivatives are at most M2, M4 and M5, the error is at
+    most h² M2/8 (linear) or h⁴ M4/384 + h⁵ M5/20 (cubic; without the second term if slopes are
+    given).
+
+    References
+    ----------
+    De Boor, *A Practical Guide to Splines* (2001), chapters II and IV.
 
     Examples
     --------
-    >>> density = TimeSeries([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
+    >>> import fastatt as fa
+    >>> density = fa.TimeSeries([0.0, 1.0, 2.0], [0.0, 1.0, 4.0])
     >>> density(1.5), density.slope(1.5)
     (2.25, 3.0)
     """
@@ -135,13 +141,13 @@ class TimeSeries:
         self._keep(head, index, samples)
 
     def _keep(self, *parts: ArrayLike) -> None:
-        #: all of it, as formulas find it
+        #: the table in memory, as formulas find it
         self.data: Numbers = np.concatenate([np.ravel(x) for x in parts])
         self.data.setflags(write=False)
 
     @cached_property
     def digest(self) -> str:
-        """Equal for equal tables."""
+        """A hash that is equal for equal tables."""
         form = repr((self.form, self.scalar)).encode()
         return hashlib.sha256(form + self.data.tobytes()).hexdigest()
 
@@ -158,17 +164,17 @@ class TimeSeries:
 
     @property
     def span(self) -> tuple[float, float]:
-        """The first and the last time, s."""
+        """First and last time, s."""
         return float(self.data[_FIRST]), float(self.data[_END])
 
     @property
     def rows(self) -> int:
-        """Number of rows, 1 of a table for all bodies."""
+        """Number of rows; 1 for a table that all bodies share."""
         return int(self.data[_ROWS])
 
     @property
     def samples(self) -> Numbers:
-        """The values, (rows, T, k)."""
+        """The values: (rows, T, k)."""
         numbers = self.data[int(self.data[_SAMPLES]) :]
         return numbers.reshape(self.rows, -1, 1 + self.form.cubic, self.form.size)[:, :, 0]
 
@@ -187,11 +193,24 @@ class TimeSeries:
     __iter__ = None
 
     def __call__(self, t: Any, row: Any = None) -> Any:
-        """The numbers at t s, of a row."""
+        """The interpolated numbers at time t, s, in a row."""
         return self._read(t, row)[0]
 
     def slope(self, t: Any, row: Any = None) -> Any:
-        """Their time derivatives."""
+        """Time derivatives of the interpolated numbers.
+
+        Parameters
+        ----------
+        t : float
+            Time, s.
+        row : int, optional
+            Index of the row, for a table of values (N, T, k).
+
+        Returns
+        -------
+        tuple of float, or float
+            The derivatives of the k numbers, or of one.
+        """
         return self._read(t, row)[1]
 
     def _read(self, t: Any, row: Any) -> Any:
@@ -206,7 +225,18 @@ class TimeSeries:
         return tuple(x[0] for x in found) if self.scalar else found
 
     def at(self, times: Numbers) -> Numbers:
-        """Values at times (S,): (S, k), or of rows (S, N, k)."""
+        """Interpolate at many times.
+
+        Parameters
+        ----------
+        times : ndarray, shape (S,)
+            Times, s.
+
+        Returns
+        -------
+        ndarray, shape (S, k) or (S, N, k)
+            The interpolated numbers.
+        """
         found = self._of_arrays(times[:, None], np.arange(float(self.rows)))[0]
         return np.stack(found, axis=-1) if self.form.own else np.concatenate(found, axis=-1)
 
@@ -219,7 +249,7 @@ class TimeSeries:
 
 
 class _Ways(NamedTuple):
-    """How a formula takes the number at a place, rounds down and chooses."""
+    """How a formula takes the number at a position, rounds down and chooses."""
 
     take: Callable[[Any], Any]
     floor: Callable[[Any], Any]
@@ -227,8 +257,8 @@ class _Ways(NamedTuple):
 
 
 def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> Any:
-    """(values, slopes) of recorded numbers, of the table that memory has under a name."""
-    # the floor of a dual number is one of its graph too
+    """(values, slopes) of traced numbers, from the table that memory has under a name."""
+    # the floor of a dual number is a node of its graph
     of = graph.apply("floor", t if isinstance(t, Recorded) else row).graph
 
     def double(x: Any) -> Any:
@@ -242,7 +272,7 @@ def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> Any:
 
 
 def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
-    """(values, slopes) at t of a row. No place lies outside the table, whatever the numbers."""
+    """(values, slopes) at t in a row. No position is outside the table, whatever the numbers."""
     take, floor, choose = ways
     inside = (t >= take(_LOW)) & (t <= take(_HIGH))
     if form.holds:
@@ -276,7 +306,7 @@ def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
 
 
 def _between(form: TableLayout, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
-    """(value, slope) at a fraction f of the interval of a width between two samples."""
+    """(value, slope) at a fraction f of an interval between two samples."""
     size = float(form.size)
     a, b = take(at), take(at + (1.0 + form.cubic) * size)
     rise = b - a
@@ -289,17 +319,17 @@ def _between(form: TableLayout, at: Any, f: Any, width: Any, take: Callable[[Any
 
 
 def _samples(name: str, value: ArrayLike, n: int) -> Numbers:
-    """(rows, T, k)."""
+    """Samples as (rows, T, k)."""
     found = checks.array(name, value, f"({n},), ({n}, k) or (N, {n}, k)")
     found = found[:, None] if found.ndim == 1 else found
     return found.reshape((-1, *found.shape[-2:])).astype(np.float64)
 
 
 def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
-    """Derivatives (T, ...) of the polynomials through n values (T, ...) about each time.
+    """Derivatives (T, ...) of the polynomials through n values (T, ...) around each time.
 
-    They are centred where there are neighbours (Berrut and Trefethen, SIAM Rev. 46 (2004), eq.
-    9.4).
+    The n times are centred except near the ends (Berrut and Trefethen, *SIAM Review* 46 (2004),
+    equation 9.4).
     """
     itself = np.arange(len(t))
     first = np.clip(itself - (n - 1) // 2, 0, len(t) - n)
@@ -315,7 +345,7 @@ def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
 
 
 def _index(t: Numbers) -> Numbers:
-    """Of buckets as wide as the shortest interval the interval of their start; then the times."""
+    """For buckets as wide as the shortest interval, the interval at their start; then the times."""
     gaps = np.diff(t)
     n = np.ceil((t[-1] - t[0]) / gaps.min())
     if n > _BUCKETS:

@@ -1,4 +1,4 @@
-"""Torque models: the numbers that a user gives, and their formulas."""
+"""Torque models: their parameters and formulas."""
 
 from __future__ import annotations
 
@@ -31,7 +31,20 @@ from fastatt.tracing.user import UserFunction, user_function
 
 
 class Constant(Torque):
-    """A torque along body axes, such as a thruster's: (3,), (N, 3) or a table, N·m."""
+    """A constant torque along body axes, such as a thruster's.
+
+    The potential energy is not defined.
+
+    Parameters
+    ----------
+    torque : array_like of shape (3,) or (N, 3), or TimeSeries
+        Torque, N·m; a table makes it a function of time.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.Constant((0.0, 0.0, 0.1))
+    """
 
     torque: TabledVector
     depends = Dependence.POSITION
@@ -41,7 +54,20 @@ class Constant(Torque):
 
 
 class ConstantInertial(Torque):
-    """A torque along inertial axes: (3,), (N, 3) or a table, N·m."""
+    """A constant torque along inertial axes.
+
+    The potential energy is not defined.
+
+    Parameters
+    ----------
+    torque : array_like of shape (3,) or (N, 3), or TimeSeries
+        Torque, N·m; a table makes it a function of time.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.ConstantInertial((0.0, 0.0, 0.1))
+    """
 
     torque: TabledVector
     depends = Dependence.POSITION
@@ -52,7 +78,18 @@ class ConstantInertial(Torque):
 
 
 class Damping(Torque):
-    """Linear damping τ = −c w. ``coefficient`` c: a number or (N,), N·m·s."""
+    """Linear damping τ = −c w.
+
+    Parameters
+    ----------
+    coefficient : float or array_like of shape (N,)
+        c, N·m·s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Damping(0.02))
+    """
 
     coefficient: Number
     depends = Dependence.DAMPED
@@ -69,7 +106,18 @@ class Damping(Torque):
 
 
 class AxisDamping(Torque):
-    """Linear damping, a coefficient an axis: τ_i = −c_i w_i. (3,) or (N, 3), N·m·s."""
+    """Linear damping with a coefficient for each body axis, τ_i = −c_i w_i.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (3,) or (N, 3)
+        c_i, N·m·s.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.AxisDamping((0.02, 0.02, 0.0))
+    """
 
     coefficients: Vector3
     depends = Dependence.DAMPED
@@ -85,7 +133,18 @@ class AxisDamping(Torque):
 
 
 class QuadraticDamping(Torque):
-    """Quadratic damping τ = −c |w| w. ``coefficient`` c: a number or (N,), N·m·s²."""
+    """Quadratic damping τ = −c ``|w|`` w.
+
+    Parameters
+    ----------
+    coefficient : float or array_like of shape (N,)
+        c, N·m·s².
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.QuadraticDamping(0.02)
+    """
 
     coefficient: Number
     axis_free = True
@@ -95,11 +154,28 @@ class QuadraticDamping(Torque):
 
 
 class GravityGradient(Torque):
-    """τ = 3 n² o×(I o) in a circular orbit of mean motion n, o the direction out from the planet.
+    """Gravity-gradient torque τ = 3 n² o×(I o) in a circular orbit.
 
-    At t = 0 o lies along ``radial``, a quarter of an orbit later along ``along``, both inertial
-    unit vectors. Numbers or a row per body; rad/s. Hughes, *Spacecraft Attitude Dynamics* (1986),
-    §8.1.
+    o is the direction from the planet to the body. At t = 0 it lies along ``radial``, and a quarter
+    of an orbit later along ``along``.
+
+    Parameters
+    ----------
+    mean_motion : float or array_like of shape (N,)
+        Mean motion n, rad/s.
+    radial : array_like, shape (3,) or (N, 3), default (1, 0, 0)
+        Unit vector along inertial axes.
+    along : array_like, shape (3,) or (N, 3), default (0, 1, 0)
+        Unit vector along inertial axes, normal to ``radial``.
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), §8.1.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.GravityGradient(mean_motion=1.1e-3)
     """
 
     mean_motion: Number
@@ -117,11 +193,32 @@ class GravityGradient(Torque):
 
 
 class KeplerGravityGradient(Torque):
-    """τ = 3 n² (a/r)³ o×(I o) in an elliptic orbit of mean motion n.
+    """Gravity-gradient torque τ = 3 n² (a/r)³ o×(I o) in an elliptic orbit.
 
-    o, the direction out from the planet, lies at periapsis along ``periapsis``, and turns towards
-    ``along``: inertial unit vectors; ``mean_anomaly`` (rad) is that at t = 0. Numbers or a row per
-    body; rad/s; ``eccentricity`` from 0 to 0.9. Hughes (1986), eq. 8.1.13.
+    o is the direction from the planet to the body. At periapsis it lies along ``periapsis``, and it
+    rotates towards ``along``.
+
+    Parameters
+    ----------
+    mean_motion : float or array_like of shape (N,)
+        Mean motion n, rad/s.
+    eccentricity : float or array_like of shape (N,)
+        Eccentricity, 0 to 0.9.
+    periapsis : array_like, shape (3,) or (N, 3), default (1, 0, 0)
+        Unit vector along inertial axes.
+    along : array_like, shape (3,) or (N, 3), default (0, 1, 0)
+        Unit vector along inertial axes, normal to ``periapsis``.
+    mean_anomaly : float or array_like of shape (N,), default 0.0
+        Mean anomaly at t = 0, rad.
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.KeplerGravityGradient(mean_motion=1.1e-3, eccentricity=0.1)
     """
 
     mean_motion: Number
@@ -146,10 +243,23 @@ class KeplerGravityGradient(Torque):
 
 
 class GravityGradientAt(Torque):
-    """τ = 3 (μ/r³) o×(I o) at ``position`` r o, m, from the planet's centre along inertial axes.
+    """Gravity-gradient torque τ = 3 (μ/r³) o×(I o) at a given position r o.
 
-    ``position``: (3,), (N, 3) or a table; μ, m³/s², a number or (N,), that of the Earth (IERS
-    Conventions 2010, table 1.1) unless said. Hughes (1986), eq. 8.1.13.
+    Parameters
+    ----------
+    position : array_like of shape (3,) or (N, 3), or TimeSeries
+        Position relative to the planet's centre along inertial axes, m.
+    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
+        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.GravityGradientAt((7.0e6, 0.0, 0.0))
     """
 
     position: TabledVector
@@ -162,11 +272,27 @@ class GravityGradientAt(Torque):
 
 
 class CentralGravityGradient(Torque):
-    """τ = 3 (μ/r³) o×(I o) at the position r o that the scene carries, m, from the planet's centre.
+    """Gravity-gradient torque τ = 3 (μ/r³) o×(I o) at the propagated position r o.
 
-    ``gravitational_parameter`` μ, m³/s²: a number or (N,), that of the Earth (IERS Conventions
-    2010, table 1.1) unless said. Hughes (1986), eq. 8.1.13. The scene has mass and a force, such as
-    ``fastatt.forces.CentralGravity``; methods whose record says ``couples`` take it.
+    The position is relative to the planet's centre. The scene needs mass and a force, such as
+    :class:`fastatt.forces.CentralGravity`. Methods for which ``Method.couples`` is True accept it.
+
+    Parameters
+    ----------
+    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
+        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(
+    ...     inertia=(3.0, 2.0, 1.0), torque=fa.torques.CentralGravityGradient(), mass=10.0,
+    ...     force=fa.forces.CentralGravity(),
+    ... )
     """
 
     gravitational_parameter: PositiveNumber = 3.986004418e14
@@ -179,10 +305,22 @@ class CentralGravityGradient(Torque):
 
 
 class HeavyTop(Torque):
-    """A weight off the fixed point: τ = r × Cᵀ(0, 0, −W).
+    """The torque of a weight about a fixed point, τ = r × Cᵀ(0, 0, −W).
 
-    ``arm`` r: (3,) or (N, 3), from the fixed point to the centre of mass, m, body axes; ``weight``
-    W: N, along −z of inertial axes. Inertia is that about the fixed point.
+    The inertia of the scene is that about the fixed point. The torque has a potential energy. A
+    symmetric body whose arm lies on its axis has a closed form (the method "exact").
+
+    Parameters
+    ----------
+    arm : array_like, shape (3,) or (N, 3)
+        Vector r from the fixed point to the centre of mass along body axes, m.
+    weight : float or array_like of shape (N,)
+        Weight W, along −z of the inertial axes, N.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0, 0, 0.1), 10.0))
     """
 
     arm: Vector3
@@ -201,9 +339,21 @@ class HeavyTop(Torque):
 
 
 class MagneticDipole(Torque):
-    """τ = μ × CᵀB. ``dipole`` μ: A·m², body axes; ``field`` B: T, inertial axes.
+    """The torque of a magnetic dipole in a field, τ = μ × CᵀB.
 
-    Each (3,), (N, 3) or a table.
+    The torque has a potential energy if dipole and field are constant.
+
+    Parameters
+    ----------
+    dipole : array_like of shape (3,) or (N, 3), or TimeSeries
+        Dipole moment μ along body axes, A·m².
+    field : array_like of shape (3,) or (N, 3), or TimeSeries
+        Magnetic field B along inertial axes, T.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.MagneticDipole((0.0, 0.0, 0.1), (3e-5, 0.0, 0.0))
     """
 
     dipole: TabledVector
@@ -221,10 +371,24 @@ class MagneticDipole(Torque):
 
 
 class Rotor(Torque):
-    """Wheels of momentum h in the body (gyrostat): τ = h×w − dh/dt.
+    """Wheels with angular momentum h in the body (a gyrostat), τ = h×w − dh/dt.
 
-    ``momentum``: (3,) or (N, 3), constant, or a cubic table, N·m·s, body axes. ``inertia`` is the
-    whole body's, wheels held. Hughes (1986), §6.1.
+    The inertia of the scene is that of the whole body with its wheels locked. Energy and angular
+    momentum of body and wheels are conserved if h is constant.
+
+    Parameters
+    ----------
+    momentum : array_like of shape (3,) or (N, 3), or TimeSeries
+        Angular momentum h of the wheels along body axes, N·m·s, constant or a cubic table.
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), §6.1.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Rotor((0.0, 0.0, 0.5)))
     """
 
     momentum: TabledMomentum
@@ -242,12 +406,27 @@ class Rotor(Torque):
 
 
 class Sampled(Torque):
-    """A history of torques along body axes, linear between samples.
+    """A history of torques along body axes, linear between the samples.
 
-    ``torques``: (n, 3), N·m, at times start, start + dt, …; one history for all bodies. A step of
-    a whole fraction of ``dt`` keeps the order of a method: the history has a kink at each sample.
-    ``outside`` says what other times give, as of ``fastatt.TimeSeries``: "nan", which ends as a
-    body's status, or "hold", the nearest sample.
+    The torque has a kink at each sample. A method keeps its order if steps end at the samples, as
+    they do if ``dt`` of the history is a whole number of steps.
+
+    Parameters
+    ----------
+    torques : array_like, shape (n, 3)
+        Torques, N·m, at the times start, start + dt, ...; one history for all bodies.
+    dt : float
+        Interval between the samples, s.
+    start : float, default 0.0
+        Time of the first sample, s.
+    outside : {"nan", "hold"}, default "nan"
+        The torque at other times, as in :class:`fastatt.TimeSeries`: NaN, which sets the status of
+        the body, or the nearest sample.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> pulse = fa.torques.Sampled([[0, 0, 0], [0, 0, 1.0], [0, 0, 0]], dt=0.5, outside="hold")
     """
 
     torques: ArrayLike
@@ -269,19 +448,37 @@ class Sampled(Torque):
 
 
 class Custom(UserModel, Torque):
-    """A user's ``@njit`` function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes.
+    """A torque given by a user-defined function.
 
-    t in s, q and w as tuples, p the tuple of ``params``, (P,) or (N, P). ``uses_rate=False``
-    promises that w is not used, which is checked at a few points and opens the splitting methods;
-    ``potential(t, q, p)``, J, an ``@njit`` function too, is what ``drift`` takes the energy from.
+    Parameters
+    ----------
+    function : callable
+        ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes, plain or jitted. Its arguments
+        are the time, s, the unit quaternion, the angular velocity, rad/s, and the parameters, all
+        but t as tuples. With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, with the
+        velocity v along body axes, m/s, and the position r along inertial axes, m. With ``states``
+        it takes the states s before p and returns ``(torque, ds/dt)``.
+    params : array_like, shape (P,) or (N, P), optional
+        Parameters p of the function.
+    uses_rate : bool, default True
+        False promises that the function does not depend on w, so that splitting methods accept it.
+        The promise is checked at a few points.
+    potential : callable, optional
+        ``potential(t, q, p)``, the potential energy, J, plain or jitted, for :func:`fastatt.drift`.
+        With ``uses_position`` it is ``potential(t, q, r, p)``, the energy of torque and force
+        together.
+    uses_position : bool, default False
+        Whether the function depends on velocity or position. The scene then needs mass, and
+        everything is stepped as one system, by methods for which ``Method.couples`` is True.
+    states : int, default 0
+        Number of states s of the function, which are stepped with the attitude as one system.
 
-    With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, of a scene with mass: v the velocity,
-    m/s, body axes, r the position, m, inertial axes. All is then stepped as one system, by methods
-    whose record says ``couples``; ``potential(t, q, r, p)`` is that of torque and force together.
-
-    With ``states``, a number, the function carries so many numbers of its own, s: it is
-    ``torque(t, q, w, s, p) -> (torque, ds/dt)``, s after r where it takes the position, and is
-    stepped as one system too.
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> def spring(t, q, w, p):
+    ...     return 0.0, 0.0, -p[0] * q[0] * q[3]
+    >>> torque = fa.torques.Custom(spring, (0.5,), uses_rate=False)
     """
 
     uses_rate: bool = True
@@ -308,7 +505,7 @@ class Custom(UserModel, Torque):
     def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
         law, params = super().pack(n_bodies, argument, resources)
         function = law.model.function
-        # where the scene is made, not at each run of it
+        # checked when the scene is made, not at each run
         if not self.uses_rate and n_bodies is None and _uses_rate(function, params):
             raise ValueError(
                 f"{argument}: found Custom.uses_rate False with {function.name}, which gives other "
@@ -323,7 +520,7 @@ class Custom(UserModel, Torque):
 
 
 class _NoTorque(Torque):
-    """A free body."""
+    """The torque of a free body."""
 
     depends = Dependence.POSITION
     axis_free = True
@@ -336,12 +533,12 @@ class _NoTorque(Torque):
 
 
 FREE = _NoTorque()
-# by how much given unit vectors may be off
+# tolerance of the norm of unit vectors
 _ROUNDED = 1e-3
 
 
 def check_unit(name: str, value: Any, strength: Any) -> None:
-    """Refuse another length than 1, give or take the rounding of few digits, where it matters."""
+    """Refuse vectors that have an effect and are not of unit length to a few digits."""
     with np.errstate(over="ignore"):
         size = np.linalg.norm(value, axis=0)
     off = (strength != 0.0) & (np.abs(size - 1.0) > _ROUNDED)
@@ -349,7 +546,7 @@ def check_unit(name: str, value: Any, strength: Any) -> None:
 
 
 def _check_orbit(name: str, n: Any, first: str, out: Any, along: Any) -> None:
-    """Refuse an orbit of mean motion n that is not given by two unit vectors at right angles."""
+    """Refuse an orbit of mean motion n that is not given by two orthogonal unit vectors."""
     check_unit(f"{name}.{first}", out, n)
     check_unit(f"{name}.along", along, n)
     across = (np.clip(out, -1.0, 1.0) * np.clip(along, -1.0, 1.0)).sum(axis=0)
@@ -358,21 +555,21 @@ def _check_orbit(name: str, n: Any, first: str, out: Any, along: Any) -> None:
 
 
 def _gravity_gradient(r: Any, gravitational_parameter: Any, pose: Pose) -> Any:
-    """The torque of a point mass at a position r, m, from it along inertial axes."""
+    """The gravity-gradient torque at a position r, m, from a point mass, along inertial axes."""
     inverse = 1.0 / apply("sqrt", dot(r, r))
     rate = apply("sqrt", gravitational_parameter * inverse) * inverse
     return rigid.gravity_gradient(pose.to_body(scale(inverse, r)), pose.moments, rate)
 
 
 def _uses_rate(function: UserFunction, params: NDArray[np.float64]) -> bool:
-    """Whether a user's torque at a few points differs from that at a standstill."""
+    """Whether a user-defined torque at a few points differs from the torque at w = 0."""
     for point in points(function.sizes, params, function.span):
         t, q, w, *rest = nested(point, function.sizes)
         values = []
         for v in (w, (0.0, 0.0, 0.0)):
             try:
                 values.append(function.call(t, q, v, *rest))
-            except TraceError:  # an error in Python at these numbers
+            except TraceError:  # the function raises an error at these numbers
                 values.append((np.nan,) * function.form.results)
         turning, still = np.array(values)
         size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)

@@ -1,4 +1,4 @@
-"""The base of torque models, and the pose of the body at which a torque is evaluated."""
+"""The base class of torque models, and the pose of the body at which a torque is evaluated."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fastatt.tracing.formulas import Vector, quat
 
 
 class Dependence(IntEnum):
-    """How a torque depends on w: not, by linear damping along principal axes, or somehow."""
+    """How a torque depends on w: not, by linear damping along principal axes, or otherwise."""
 
     POSITION = 0
     DAMPED = 1
@@ -20,9 +20,10 @@ class Dependence(IntEnum):
 
 
 class Beside(NamedTuple):
-    """What is stepped with an attitude, () where it is not there.
+    """The quantities that are stepped with an attitude; () for those that a scene does not have.
 
-    The velocity is along body axes, the position along inertial ones; states are a user's own.
+    The velocity is along body axes and the position along inertial axes; the states are those of a
+    user-defined function.
     """
 
     velocity: Vector = ()
@@ -34,11 +35,11 @@ ALONE = Beside()
 
 
 class Pose:
-    """Where a torque is evaluated: an attitude, the angular velocity and the principal moments.
+    """Attitude, angular velocity and principal moments at which a torque is evaluated.
 
-    ``beside`` is what is stepped with the attitude, its velocity along body axes whatever those of
-    the pose; ``axes`` the quaternion of the principal axes, along which the pose is, where these
-    are not the body's.
+    ``beside`` has the quantities that are stepped with the attitude, with the velocity along body
+    axes; ``axes`` is the quaternion of the principal axes, along which the pose is given, if these
+    are not the body axes.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class Pose:
 
     @cached_property
     def quaternion(self) -> Any:
-        """The attitude as a quaternion, unit as far as the state is."""
+        """The attitude as a quaternion, of unit norm to the accuracy of the state."""
         return self._attitude.quaternion(self._x)
 
     def to_body(self, v: Vector) -> Any:
@@ -64,7 +65,7 @@ class Pose:
 
     @cached_property
     def along_body(self) -> Pose:
-        """The pose along the body's axes."""
+        """The pose along the body axes."""
         if self.axes is None:
             return self
         q = quat.mul(self.quaternion, quat.conj(self.axes))
@@ -72,22 +73,23 @@ class Pose:
 
 
 class Torque(Model):
-    """Base of torques: ``formula(t, pose)``, N·m along the axes of the pose.
+    """Base class of torques: ``formula(t, pose)``, N·m along the axes of the pose.
 
-    With ``states`` it is ``formula(t, pose, states)``, and their derivatives follow the torque.
+    With ``states`` it is ``formula(t, pose, states)``, which returns their time derivatives after
+    the torque.
 
-    Optional methods say what else a torque may be used for: ``energy(t, pose)`` is the potential
-    energy, J; ``linear_damping()`` the three coefficients, N·m·s, of linear damping, ``decay()`` a
-    bound of them in numpy; ``lever()`` (arm, pull), in body and in inertial axes, of a potential
-    energy arm·Cᵀpull: a symmetric body with the arm on its axis has a closed form;
-    ``wheel_momentum()`` that of wheels, N·m·s, body axes, of torques that keep the momentum of body
-    and wheels.
+    Optional methods open further uses of a torque. ``energy(t, pose)`` is the potential energy, J;
+    ``linear_damping()`` the three coefficients, N·m·s, of linear damping, and ``decay()`` a bound
+    of them in NumPy. ``lever()`` is (arm, pull), in body and in inertial axes, of a potential
+    energy arm·Cᵀpull; a symmetric body with the arm on its axis has a closed form.
+    ``wheel_momentum()`` is the angular momentum of wheels, N·m·s along body axes, of torques that
+    conserve the momentum of body and wheels together.
     """
 
     kind = "torque"
-    #: how it depends on w; splittings evaluate a torque of POSITION at a standstill
+    #: how it depends on w; splitting methods evaluate a torque of POSITION at w = 0
     depends: ClassVar[Dependence] = Dependence.RATE
-    #: whether the formula holds along any axes, and not along the body's alone
+    #: whether the formula holds along any axes, or along body axes only
     axis_free: ClassVar[bool] = False
     energy: ClassVar[Any] = None
     linear_damping: ClassVar[Any] = None
@@ -96,7 +98,7 @@ class Torque(Model):
     wheel_momentum: ClassVar[Any] = None
 
     def evaluate(self, *state: Any) -> Any:
-        """The torque along the axes of a pose, (t, pose) and, of one with some, states."""
+        """The torque along the axes of a pose, from (t, pose) and the states, if there are any."""
         t, pose, *states = state
         if pose.axes is None or self.axis_free:
             return self.formula(t, pose, *states)

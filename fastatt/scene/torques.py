@@ -1,7 +1,7 @@
-"""External torque: built-in models and a user's function.
+"""External torques: built-in models and user-defined functions.
 
-Torques are in N·m along body axes; fields and weights that are fixed in space are given along
-inertial axes. Numbers of a model may be arrays with one row per body.
+Torques are in N·m along body axes. Fields and weights that are fixed in space are given along
+inertial axes. The parameters of a model may be arrays with one row per body.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
 def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False) -> Vector | None:
     """c_i/I_i, 1/s, of the linear damping among the terms of a law; None if there is none.
 
-    ``turned`` where principal axes are not the body's.
+    ``turned`` says that the principal axes are not the body axes.
     """
     if law.parts:
         found = [damping_rates(part, moments, own, turned=turned) for part, own in law.split(p)]
         known = [x for x in found if x is not None]
         return plus(*known) if known else None
-    # of damping along other axes than principal ones no flow is known
+    # the flow of damping along axes other than principal ones is not known
     if law.model.linear_damping is None or (turned and not law.model.axis_free):
         return None
     coefficients = law.numbers(None, p).linear_damping()
@@ -60,12 +60,12 @@ def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False)
 
 
 def is_free(law: Law) -> bool:
-    """Whether it is no torque at all."""
+    """Whether a law is that of a free body."""
     return bool(law.model == FREE)
 
 
 def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Largest c/I of the linear damping in a model, 1/s, of each body or of all: an upper bound."""
+    """An upper bound of c/I of the linear damping in a model, 1/s, for each body or for all."""
     if isinstance(model, Sum):
         return sum((fastest_decay(term, moments) for term in model.terms), np.zeros(()))
     if not isinstance(model, Torque) or model.decay is None:
@@ -74,24 +74,24 @@ def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def lever_of(model: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """(arm, pull) of a model that has a lever, each (3,) or (N, 3); None of any other."""
+    """(arm, pull) of a model that has a lever, each (3,) or (N, 3); None for any other model."""
     if not isinstance(model, Torque) or model.lever is None:
         return None
     law, params = model.pack(None, "torque", {})
-    if any(law.look_ups):  # the numbers of a table depend on time
+    if any(law.look_ups):  # tables depend on time
         return None
     arm, pull = law.numbers(None, np.moveaxis(params, -1, 0)).lever()
     return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
 
 
 def has_potential(law: Law) -> bool:
-    """Whether kinetic plus potential energy stays constant under a law."""
-    # the numbers of a table depend on time
+    """Whether kinetic plus potential energy is conserved under a law."""
+    # tables depend on time
     return all(not any(leaf.look_ups) and leaf.model.energy is not None for leaf in law.leaves())
 
 
 def dependence(law: Law, *, turned: bool = False) -> Dependence:
-    """How a law depends on w; linear damping axis by axis only where axes are not ``turned``."""
+    """How a law depends on w; damping per axis counts as such only if axes are not ``turned``."""
     if law.parts:
         return max(dependence(part, turned=turned) for part in law.parts)
     found: Dependence = law.model.depends

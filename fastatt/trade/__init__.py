@@ -1,1 +1,1 @@
-"""Speed and error of every method, on recordings and on known answers; advice on both."""
+"""Speed and error of every method, on recordings and on known solutions; advice from both."""

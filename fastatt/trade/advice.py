@@ -1,4 +1,4 @@
-"""Advice on method, step and precision, measured on a sample of the user's own ensemble."""
+"""Advice on method, step size and precision, measured on a sample of the user's ensemble."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fastatt.trade.recommendation import Recommendation
 from fastatt.trade.search import SINGLE, Search, work
 from fastatt.trade.work_precision import DTYPES, cases_of, duration
 
-# what was on the frontier of some measured scene; those that were not are left out unless named
+# methods that were on the frontier for some measured scene; others are tried only if named
 _USUAL = {
     "rate": ("lie_midpoint", "rk4", "magnus4", "magnus6", "magnus8", "gauss12"),
     "free": ("exact", "strang2", "rk4", "dmv4", "dmv6", "dmv8", "dmv10", "kahan_li8"),
@@ -27,8 +27,8 @@ _USUAL = {
         "exact", "strang2", "rk4", "rk8", "rk9", "gbs16", "suzuki4", "kahan_li6", "kahan_li8",
     ),
 }  # fmt: skip
-_FINER = 30.0  # how much better than the tolerance the reference must be
-_HOPELESS = 6.0  # times the guessed work of the best: not even tried
+_FINER = 30.0  # ratio of the tolerance and the reference's error
+_HOPELESS = 6.0  # a case with this many times the estimated work of the best is not tried
 
 
 def recommend(
@@ -52,57 +52,81 @@ def recommend(
     seed: int = 0,
     progress: bool = False,
 ) -> Recommendation:
-    """The cheapest method, step and precision that meet a tolerance, or the best within a time.
+    """Recommend the method, step size and precision that meet a tolerance in the shortest time.
 
-    Runs a sample of the ensemble: the bodies that a coarse run of all, or of as many as take
-    0.3 s, shows to be the hardest, the fastest ones, and others by chance; of long runs fewer. For
-    each case the number of steps is searched whose largest error meets ``tol``. What is recommended
-    was run so, on the sample and on as many of the other bodies as take 0.5 s, the hardest first.
-    Takes a few seconds.
-
-    Errors are measured against a closed form, or a run of high order whose step is halved until
-    its error falls as its order says. Rates, torques and forces are sampled along its path at 1024
-    times or more: a pulse shorter than the time between two of these can stay unseen.
+    With ``budget`` in place of ``tol``, recommend the most accurate ones within a time. The
+    recommendation is measured on a sample of the ensemble, which takes a few seconds.
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, s0, t0, n_threads : as of :func:`fastatt.propagate`.
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`.
+    w0 : array_like, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
     t_end : float
-        Duration, s, above 0; the steps fill it exactly.
-    tol : float
-        Largest error of any body, rad. Where not all bodies could be run, those that were are
-        below it by a factor of 1.5.
-    budget : float
-        Instead of ``tol``, the longest time that the run may take, s.
-    at : {"run", "end"}
-        Where errors are measured: over the run, after each of its steps or, of more than 1024, of
-        the first ones and at so many even times; or at its end alone.
-    methods : sequence of str or Method
-        None takes those that are the cheapest somewhere; ``fastatt.methods_for`` lists all.
-    representations, dtypes : sequence
-        What to choose from.
-    sample : int
-        Number of bodies to measure errors on.
-    seed : int
-        Of the choice of bodies.
-    progress : bool
-        Show a bar (needs tqdm).
+        Duration, s, above 0. It is a whole number of the recommended steps.
+    tol : float, optional
+        Largest error of any body, rad. Give either ``tol`` or ``budget``. If not all bodies could
+        be run, those that were are below it by a factor of 1.5.
+    budget : float, optional
+        The longest time that the run may take, s.
+    v0 : array_like, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    at : {"run", "end"}, default "run"
+        Where errors are measured: over the run, after each step or, for more than 1024 steps, after
+        the first ones and at as many equally spaced times; or at the end only.
+    methods : sequence of str or Method, optional
+        Methods to choose from. The default is those that are the fastest for some scene;
+        :func:`fastatt.methods_for` lists all.
+    representations : sequence of str or Attitude, default ("quat",)
+        Representations to choose from.
+    dtypes : sequence of str, default ("float64", "float32")
+        Precisions to choose from.
+    sample : int, default 128
+        Number of bodies on which errors are measured.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
+    seed : int, default 0
+        Seed of the random choice of bodies.
+    progress : bool, default False
+        Show a progress bar, which needs tqdm.
 
     Returns
     -------
     Recommendation
-        ``fastatt.propagate(scene, q0, w0, **advice.arguments)`` runs it, with any ``save_every``
-        or ``save_at`` in addition.
+        ``fastatt.propagate(scene, q0, w0, **advice.arguments)`` runs it; ``save_every`` or
+        ``save_at`` can be added.
 
     Raises
     ------
     ValueError
-        A rate, torque or force that jumps, or with which the error of the reference does not fall
-        as its order says: no step has a known error then, unless steps end at the jumps. A
-        tolerance or a budget that nothing meets, with what can be reached. Any other argument that
-        does not fit, by name, with what is accepted.
+        If a rate, torque or force jumps, or if the error of the reference does not fall as its
+        order predicts: no step size then has a known error, unless steps end at the jumps
+        (``Scene.breakpoints``). Also if nothing meets the tolerance or the budget, with what can be
+        reached, or if another argument does not fit.
     TypeError
-        As ``propagate`` does.
+        If an argument has the wrong type.
+
+    Notes
+    -----
+    The sample consists of the bodies with the largest errors in a coarse run of all bodies, or of
+    as many as take 0.3 s, of the fastest bodies, and of others that are chosen at random; it is
+    smaller for long runs. For each case the number of steps is searched whose largest error meets
+    ``tol``. The recommendation itself was run on the sample, and on as many of the other bodies as
+    take 0.5 s, those with the largest errors first.
+
+    Errors are measured against a closed form, or against a run of high order whose step is halved
+    until its error falls as its order predicts. Rates, torques and forces are sampled along its
+    path at 1024 times or more; a pulse that is shorter than the time between two samples can be
+    missed.
 
     Examples
     --------

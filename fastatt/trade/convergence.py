@@ -1,4 +1,4 @@
-"""A run's own order and error, by halving its step on a sample of its bodies."""
+"""The convergence of a run, measured by halving its step on a sample of its bodies."""
 
 from __future__ import annotations
 
@@ -20,25 +20,43 @@ from fastatt.trade.measure import Case, Problem
 from fastatt.trade.work_precision import spread
 
 _HALVINGS = 7
-_SURE = 3  # halvings at least: what the error is measured against
-# of a declared order: what is found may lie so far below
+_SURE = 3  # the least number of halvings, to have a reference for the error
+# the largest difference by which an observed order may be below the declared one
 _SLACK = 0.5
-_STEPS = 2_000_000  # body-steps of a run that the check may take
+_STEPS = 2_000_000  # the most body-steps of a run of the check
 
 
 class ConvergenceWarning(UserWarning):
-    """A method's error falls more slowly with the step than its order says."""
+    """Warns that a method's error falls more slowly with the step size than its order predicts."""
 
 
 @dataclass(frozen=True)
 class ConvergenceCheck:
-    """What halving the step of a run showed on a sample of its bodies.
+    """The result of :func:`check_convergence`.
 
-    ``error`` is the largest angle, rad, over the run or at its end, between the run and the finest
-    that was made, of ``divided`` times as many steps; ``order`` the one observed, None where
-    rounding hides it (``limited_by`` "round-off") or the steps were too large for any ("step");
-    ``declared`` that of the method. ``passed`` is false where an order was observed and is below
-    the declared one. ``norm`` is the largest norm error, | |q| − 1 | or ‖C Cᵀ − 1‖.
+    Attributes
+    ----------
+    method : str
+        Name of the method.
+    declared : int
+        Declared order.
+    order : float or None
+        Observed order; None if rounding hides it (``limited_by`` "round-off") or all steps were too
+        large (``limited_by`` "step").
+    error : float
+        Largest angle between the run and the finest one, rad, over the run or at its end.
+    divided : int
+        Ratio of the numbers of steps of the finest run and of this run.
+    limited_by : str
+        What limits the error: "truncation", "round-off" or "step".
+    norm : float
+        Largest norm error ``||q| − 1|`` or ‖C Cᵀ − 1‖.
+    measured : int
+        Number of bodies in the sample.
+    n_bodies : int
+        Number of bodies in the ensemble.
+    passed : bool
+        False if an order was observed that is below the declared one.
     """
 
     method: str
@@ -79,40 +97,65 @@ def check_convergence(
     sample: int = 64,
     at: str = "run",
 ) -> ConvergenceCheck:
-    """Order and error that a run shows of itself, by halving its step on a sample of its bodies.
-
-    The step is halved three times, and again while the order is below the declared one: takes 15 to
-    some 250 times as long as the run takes on ``sample`` bodies, the fastest, the slowest and
-    others by chance. The check sees any error of the method that lowers its order, such as a wrong
-    weight or sign or a stale rate; it sees none that a method of the same order for other equations
-    would make.
+    """Measure the order and the error of a run by halving its step size on a sample of its bodies.
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, s0, dt, n_steps, method, representation, dtype, n_threads, t0 :
-        As of :func:`fastatt.propagate`, with one ``dt`` for all bodies.
-    sample : int
-        Number of bodies.
-    at : {"run", "end"}
-        Where attitudes are compared: over the run, after each of its steps or, of more than 1024,
-        of the first ones and at so many even times; or at its end alone.
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`.
+    w0 : array_like, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
+    v0 : array_like, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    dt : float
+        Step size of all bodies, s.
+    n_steps : int
+        Number of steps.
+    method : str or Method, optional
+        The method, as in :func:`fastatt.propagate`.
+    representation : str or Attitude, default "quat"
+        The representation, as in :func:`fastatt.propagate`.
+    dtype : {float64, float32}, optional
+        Precision, as in :func:`fastatt.propagate`.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    sample : int, default 64
+        Number of bodies: the fastest, the slowest and others that are chosen at random.
+    at : {"run", "end"}, default "run"
+        Where attitudes are compared: over the run, after each step or, for more than 1024 steps,
+        after the first ones and at as many equally spaced times; or at the end only.
 
     Returns
     -------
     ConvergenceCheck
-        ``order``, ``declared``, ``error``, ``limited_by``, ``norm``, ``passed``.
-
-    Warns
-    -----
-    ConvergenceWarning
-        The order observed is below the declared one by more than 0.5: the method is broken, or the
-        rate, torque or force is not smooth, such as a sampled torque between whose samples a step
-        is no whole fraction.
+        The observed and the declared order, and the error.
 
     Raises
     ------
     ValueError, TypeError
-        An argument that does not fit, by name, with what is accepted.
+        If an argument does not fit.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the observed order is below the declared one by more than 0.5: the method is wrong, or
+        the rate, torque or force is not smooth, such as a sampled torque whose interval is not a
+        whole number of steps.
+
+    Notes
+    -----
+    The step is halved three times, and further while the order is below the declared one, which
+    takes 15 to some 250 times as long as the run on ``sample`` bodies. The check detects any error
+    of the method that lowers its order, such as a wrong weight or sign or a stale rate. It does not
+    detect that a method of the same order solves other equations.
 
     Examples
     --------
@@ -160,7 +203,7 @@ def check_convergence(
 
 
 def _order_of(ladder: Ladder, declared: int) -> float | None:
-    """Halve until the declared order shows: the largest observed, None where rounding hides it."""
+    """Halve until the declared order is observed: the largest one, None if rounding hides it."""
     orders: list[float] = []
     hidden = False
     for k in range(1, _HALVINGS + 1):
@@ -178,7 +221,7 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
 
 
 def _order(coarse: NDArray[np.float64], fine: NDArray[np.float64], floor: float) -> float | None:
-    """The order that the bodies show, median; NaN if none yet, None if rounding hides it."""
+    """The median order of the bodies; NaN if there is none yet, None if rounding hides it."""
     clear = (fine > floor) & (coarse > floor)
     if not clear.any():
         return None

@@ -1,4 +1,4 @@
-"""Ensembles with a known answer: coning bodies, free ones, heavy tops, bodies under torques."""
+"""Ensembles with known solutions: coning bodies, free bodies, heavy tops, bodies under torques."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fastatt.trade.work_precision import DTYPES, case_rows, cases_of
 
 CONING = "coning"
 RATE, SAMPLES = "rate function", "samples"
-# an inertial frame askew of the cone: about its own axis 3-1-3 angles are exact by accident
+# an inertial frame that is tilted, since 3-1-3 angles about the cone's axis are exact by accident
 TILT = (0.48, -0.6, 0.64, 0.0)
 TRIAXIAL = (2.0, 1.0, 2.0 / 3.0)
 # inertia about the fixed point, 0.1 m from the centre of mass
@@ -70,7 +70,7 @@ class Study:
         return found
 
     def _of_samples(self, case: Case, n: int, repeats: int) -> Row:
-        """What a method makes of samples of the coning rates at both ends of n intervals."""
+        """The row of a method for samples, from coning rates at the ends of n intervals."""
         e, t_end = self.problem.ensemble, self.problem.t_end
         rate = e.scene.rate
         data = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, t_end, n + 1))
@@ -118,7 +118,7 @@ def _tilted_tops(n_bodies: int) -> Ensemble:
 
 
 def _aligned(scene: Scene, n_bodies: int) -> Ensemble:
-    """Momenta of size 1 in all directions."""
+    """Bodies with angular momenta of size 1 in all directions."""
     m = np.random.default_rng(1).normal(size=(n_bodies, 3))
     m /= np.linalg.norm(m, axis=1, keepdims=True)
     return Ensemble(scene, np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1)), m / TRIAXIAL)
@@ -135,7 +135,7 @@ _ENSEMBLES: dict[str, tuple[str, float, Callable[[int], Ensemble]]] = {
         partial(_aligned, BODY_SCENES["torqued"]),
     ),
 }
-#: of the inputs that rows name
+#: descriptions of the inputs in the rows
 TITLES = {
     RATE: "rate as a function of time",
     SAMPLES: "rate as samples",
@@ -144,7 +144,7 @@ TITLES = {
 
 
 def study(name: str, n_bodies: int) -> Study:
-    """Coning bodies, or those of a name of ``BODY_SCENES``, with a reference that is confirmed."""
+    """Coning bodies, or those of a name in ``BODY_SCENES``, with a confirmed reference."""
     title, t_end, ensemble = _ENSEMBLES[name]
     problem = Problem(ensemble(n_bodies), t_end)
     known = reference(problem)
@@ -154,9 +154,9 @@ def study(name: str, n_bodies: int) -> Study:
 
 
 def cases(name: str) -> list[Case]:
-    """Every method of a study on several representations, in single precision on quaternions alone.
+    """Every method of a study on several representations; single precision on quaternions only.
 
-    Of coning bodies those for samples come last.
+    For coning bodies the methods for samples come last.
     """
     if name == CONING:
         scene, stored = Scene(rate=rates.Coning(1.0, 1.0)), tuple(ATTITUDES)

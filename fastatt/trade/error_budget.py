@@ -1,4 +1,4 @@
-"""Where the error of an integrated gyro log comes from, estimated from the log alone."""
+"""The sources of the error of an integrated gyro log, estimated from the log alone."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
 
-_PIECE = 30_000  # intervals at a time
-LEAST = 27  # samples: a piece of differences
-# Orders of the differences that tell white noise from a smooth motion, and which part of the noise
-# the quietest tenth of pieces of 16 holds: mean over 200 logs of 600 samples of Gaussian noise
+_PIECE = 30_000  # intervals that are processed at a time
+LEAST = 27  # samples that the differences need
+# Orders of the differences that distinguish white noise from a smooth motion, and the share of the
+# noise in the quietest tenth of pieces of 16: mean over 200 logs of 600 samples of Gaussian noise
 _DIFFERENCES = {6: 0.78, 10: 0.76}
 _QUIET = 16
 _WHITE = 0.8
-# part of a declared order below which an error is no more than guessed
+# share of a declared order below which an error is a mere guess
 _RESOLVED = 0.7
 DEGREES = 180.0 / math.pi
 _LIMITS = ("interpolation", "truncation", "round-off", "noise")
@@ -31,17 +31,40 @@ _LIMITS = ("interpolation", "truncation", "round-off", "noise")
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Shares of the error of one method on one log, each the largest angle over the log, rad.
+    """The contributions to the error of one method on one log.
 
-    ``interpolation``: what happens between samples that the polynomial through them does not know,
-    estimated from the log with every second and every third sample.
-    ``truncation``: what the method makes of that polynomial, against its exact integration.
-    ``round_off``: of the precision. ``noise``: white noise of ``noise_density`` (rad/s/√Hz), the
-    root mean square at the end. ``order`` is that by which interpolation and truncation fall with
-    the interval, None where noise hides it. ``half_rate`` is what was measured when every second
-    sample was left out, the largest change of the attitude, rad, by method: of this one and of
-    rivals whose order the log resolves. Motion with jerks more often than every 16 samples cannot
-    be distinguished from noise.
+    :func:`error_budget` estimates them. Contributions are the largest angle over the log, rad.
+
+    Attributes
+    ----------
+    method : str
+        Name of the method.
+    samples : int
+        Number of samples.
+    rate : float
+        Sample rate, Hz.
+    interpolation : float
+        Motion between samples that the polynomial through them misses, rad.
+    truncation : float
+        Difference of the method from the exact integration of that polynomial, rad.
+    round_off : float
+        Rounding, rad.
+    noise : float
+        White noise of the samples: root mean square at the end, rad.
+    noise_density : float
+        Density of the white noise, rad/s/√Hz.
+    order : float or None
+        Order with which interpolation and truncation fall with the interval; None if noise hides
+        it.
+    limited_by : str
+        The largest contribution.
+    half_rate : dict of str to float
+        Largest change of the attitude, rad, without every second sample, by method: this one, and
+        rivals whose order the log resolves.
+
+    Notes
+    -----
+    Motion with jerks more often than every 16 samples cannot be distinguished from noise.
     """
 
     method: str
@@ -58,12 +81,12 @@ class ErrorBudget:
 
     @property
     def total(self) -> float:
-        """All shares together, as independent ones add up, rad."""
+        """The root sum of squares of all contributions, rad."""
         return math.hypot(self.interpolation, self.truncation, self.round_off, self.noise)
 
     @property
     def verdict(self) -> str:
-        """What limits, and what was run that does better."""
+        """A sentence that says what limits the accuracy, and which measured method is better."""
         if not self.total:
             return "no error is seen: the log does not rotate"
         if self.limited_by == "noise":
@@ -102,32 +125,52 @@ def error_budget(
     max_gap: float | None = None,
     rivals: Sequence[str] | None = None,
 ) -> ErrorBudget:
-    """Tell interpolation, truncation, round-off and noise of a gyro log apart.
-
-    Interpolation and truncation together are extrapolated from the log with every second and every
-    third sample; truncation is the difference of the method from the exact integration of the
-    polynomial that it fits; noise is what is left of the samples after differences of order 10, if
-    it is white.
+    """Separate interpolation, truncation, round-off and noise in the error of a gyro log.
 
     Parameters
     ----------
-    rates, dt, q0, dtype, max_gap : as of :func:`fastatt.integrate_rates`
-        Of one log of at least 27 samples, (n, 3) rad/s.
-    method : str
-        The method whose error it is.
-    rivals : sequence of str
-        Methods to compare with; None takes all.
+    rates : array_like, shape (n, 3)
+        One log of at least 27 samples along body axes, rad/s.
+    dt : float or array_like of shape (n - 1,)
+        The interval, or the intervals, s.
+    q0 : array_like, shape (4,), default (1, 0, 0, 0)
+        Attitude at the first sample.
+    method : str, default "previous"
+        The method whose error is estimated.
+    dtype : {float64, float32}, optional
+        Precision, as in :func:`fastatt.integrate_rates`.
+    max_gap : float, optional
+        The longest interval that is accepted, s, as in :func:`fastatt.integrate_rates`.
+    rivals : sequence of str, optional
+        Methods to compare with; the default is all.
 
     Returns
     -------
     ErrorBudget
-        The shares, rad, ``limited_by`` and ``verdict``; ``str`` gives a table in degrees, of one
-        digit, as shares are estimates.
+        The contributions, rad. Its text is a table in degrees with one digit, since the
+        contributions are estimates.
 
     Raises
     ------
     ValueError, TypeError
-        As ``integrate_rates``.
+        If an argument does not fit, as in :func:`fastatt.integrate_rates`.
+
+    Notes
+    -----
+    Interpolation and truncation together are extrapolated from the log without every second and
+    with every third sample. Truncation is the difference of the method from the exact integration
+    of the polynomial that it fits. Noise is estimated from differences of order 10, assuming that
+    it is white.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fastatt as fa
+    >>> t = 0.01 * np.arange(400)
+    >>> rates = np.stack([0.2 * np.sin(3 * t), 0.2 * np.cos(3 * t), 0 * t], axis=1)
+    >>> budget = fa.error_budget(rates, 0.01, rivals=["coning2"])
+    >>> budget.method, budget.total < 1e-4
+    ('previous', True)
     """
     fitting = methods_for_samples()
     checks.choice("method", method, fitting)
@@ -139,7 +182,7 @@ def error_budget(
         raise ValueError(f"rates: found {len(data)} samples; accepted: at least {LEAST}")
     log = _Log(data.astype(np.float64), dt, checks.attitudes("q0", q0), max_gap)
     others = [m for m in (fitting if rivals is None else rivals) if m != method]
-    with noted():  # samples are left out on purpose
+    with noted():  # leaving out samples makes intervals long
         truncation = log.truncation(method)
         density = log.noise_density()
         sampling = log.extrapolated(log.exact, method, density)
@@ -154,7 +197,7 @@ def error_budget(
         noise_density=density,
         order=sampling.order,
         limited_by=_LIMITS[int(np.argmax(shares))],
-        # of a rival whose order does not show the error is no more than guessed
+        # the error of a rival without an observed order is a mere guess
         half_rate={
             name: found.changed
             for name, found in measured.items()
@@ -164,7 +207,7 @@ def error_budget(
 
 
 class _Extrapolated(NamedTuple):
-    """An error and its order, from what every second sample left out changed, rad."""
+    """An error and its order, from the change without every second sample, rad."""
 
     error: float
     order: float | None
@@ -172,7 +215,7 @@ class _Extrapolated(NamedTuple):
 
 
 class _Log:
-    """One log: its samples, its intervals, and what may be left out of it."""
+    """One log: its samples and intervals, also with samples left out."""
 
     def __init__(
         self, rates: NDArray[np.float64], dt: ArrayLike, q0: NDArray[Any], max_gap: float | None
@@ -181,7 +224,7 @@ class _Log:
         self.spans = np.broadcast_to(np.asarray(dt, dtype=np.float64), len(rates) - 1)
 
     def part(self, every: int) -> tuple[NDArray[np.float64], Any, float | None]:
-        """Every so many samples, the intervals between them and the longest one allowed."""
+        """Every n-th sample, the intervals between them and the longest accepted one."""
         rows = np.arange(0, len(self.rates), every)
         dt: Any = every * float(self.spans[0])
         if np.ndim(self.dt):
@@ -189,16 +232,16 @@ class _Log:
         return self.rates[rows], dt, None if self.max_gap is None else every * self.max_gap
 
     def attitudes(self, method: str, every: int = 1, dtype: Any = np.float64) -> NDArray[Any]:
-        """By the method from every so many samples, at those instants."""
+        """Attitudes of a method from every n-th sample, at their times."""
         rates, dt, gap = self.part(every)
         return integrate_rates(
             rates.astype(dtype), dt, self.q0, method=method, max_gap=gap, dtype=dtype
         )
 
     def exact(self, method: str, every: int = 1) -> NDArray[Any]:
-        """By the exact integration of the polynomials that the method fits.
+        """Attitudes by exact integration of the polynomials that the method fits.
 
-        Of a rate that is held the method itself is the exact exponential.
+        For a constant rate the method itself is the exact exponential.
         """
         if METHODS[method].order < 2:
             return self.attitudes(method, every)
@@ -208,11 +251,11 @@ class _Log:
     def extrapolated(
         self, attitudes: Callable[[str, int], NDArray[Any]], method: str, density: float
     ) -> _Extrapolated:
-        """Error for want of samples, from what leaving out some of them changes.
+        """The error of sampling, from the changes without some of the samples.
 
-        Of order r, every second sample changes C hʳ (2ʳ − 1), every third C hʳ (3ʳ − 1). White
-        noise changes both too, by as much as it adds itself and by √2 of that: where that may be
-        all, there is no order, and the declared one is taken.
+        With order r, every second sample changes C hʳ (2ʳ − 1), every third C hʳ (3ʳ − 1). White
+        noise changes both too, by its own contribution and √2 of that. If noise may explain the
+        changes, the order is unknown, and the declared one is used.
         """
         full = attitudes(method, 1)[::6]
         changed = []
@@ -224,29 +267,29 @@ class _Log:
         declared = METHODS[method].order
         if two <= 2.0 * self.noise(density) or three <= two:
             return _Extrapolated(two / (2.0**declared - 1.0), None, two)
-        # less than 1 is no order, but two samplings that miss different things
+        # less than 1 is not an order: the two samplings miss different parts of the motion
         orders = np.linspace(1.0, 2.0 * max(1, declared), 1000)
         ratios = (3.0**orders - 1.0) / (2.0**orders - 1.0)
         order = float(np.interp(three / two, ratios, orders))
         return _Extrapolated(two / (2.0**order - 1.0), order, two)
 
     def truncation(self, method: str) -> float:
-        """The method against the exact integration of the polynomials that it fits."""
+        """The difference of the method from the exact integration of its polynomials."""
         found, exact = self.attitudes(method), self.exact(method)
         return float(angle_between(exact, found[: len(exact)]).max())
 
     def round_off(self, method: str, kind: np.dtype[Any]) -> float:
-        """What single precision changes, scaled to the precision that is used."""
+        """The change by single precision, scaled to the precision in use."""
         single = self.attitudes(method, dtype=np.float32).astype(np.float64)
         apart = float(angle_between(single, self.attitudes(method)).max())
         return apart * float(np.finfo(kind).eps / np.finfo(np.float32).eps)
 
     def noise_density(self) -> float:
-        """Of white noise, rad/s/√Hz and axis, root mean square over the axes; 0 if none is seen.
+        """Density of white noise, rad/s/√Hz, root mean square over the axes; 0 if none is found.
 
-        The difference of order k of white noise has its variance times the binomial of 2k over k;
-        of a smooth motion it falls with k. Noise is there all the time, jerks are not: the level is
-        that of the quietest tenth of the log.
+        The difference of order k of white noise has its variance times the binomial of 2k over k,
+        while that of a smooth motion falls with k. Noise is present all the time, jerks are not:
+        the level is that of the quietest tenth of the log.
         """
         low, high = (self._level(k) / part for k, part in _DIFFERENCES.items())
         if high < _WHITE * low:

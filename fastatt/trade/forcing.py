@@ -1,4 +1,4 @@
-"""Rates, torques and forces along the bodies' path: whether they jump, how fast they change."""
+"""Rates, torques and forces along the bodies' path: their jumps and their time scales."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
-_BODIES = 64  # at most, evenly from the first to the last
-_SAMPLES = 2**19  # in all, 1024 to 16384 a body
-_SUSPECTS = 4  # intervals of a body that are bisected, those of the largest change
+_BODIES = 64  # the largest number of bodies, evenly from the first to the last
+_SAMPLES = 2**19  # in all, 1024 to 16384 for each body
+_SUSPECTS = 4  # intervals of a body with the largest changes, which are bisected
 _HALVINGS = 24
-# of what it ranges over: what is left of a change after all halvings is a jump, or none
+# share of the range: a change that stays above it after all bisections is a jump
 _JUMP = 1e-3
-_STEPS = 4.0  # of a reference, in the time that a change takes
-# of the largest number: a range below is rounding
+_STEPS = 4.0  # steps of a reference in the time of a change
+# share of the largest value: a range below it is rounding
 _CONSTANT = 1e-8
 
 
@@ -35,10 +35,10 @@ class Forcing(NamedTuple):
 
 
 def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
-    """Sample rates, torques and forces along a path that a run in ``n_steps`` steps shows.
+    """Sample rates, torques and forces along a path from a run in ``n_steps`` steps.
 
-    At many more times than there are steps, one by chance in each even interval; intervals of the
-    largest changes are halved again and again: of what is continuous the change falls.
+    There are many more samples than steps, one at random in each interval. The intervals with the
+    largest changes are bisected repeatedly; for a continuous function the change then falls.
     """
     few = np.unique(np.linspace(0, problem.ensemble.size - 1, _BODIES).astype(np.intp))
     problem = problem.take(few)
@@ -46,7 +46,7 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     count = int(np.clip(_SAMPLES // size, 1024, 16384))
     chance = np.random.default_rng(0).uniform(size=count)
     times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
-    # both sides of each breakpoint, where a jump is known
+    # both sides of each breakpoint, where jumps are declared
     breaks = breaks_of(problem.ensemble.scene.breakpoints, problem.t0, problem.t_end)
     times = np.sort(np.concatenate([times, breaks.high[:-1], breaks.low[1:]]))
     run = problem.run(case, n_steps, save_at=times)

@@ -1,4 +1,4 @@
-"""One case with its step halved again and again: by how much attitudes change, and how fast."""
+"""Runs of one case with its step halved repeatedly, and the changes of their attitudes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from fastatt.arrays import angle_between
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.trade.measure import Case, Problem
 
-#: rad between two runs; above, the error of no method has an order yet
+#: rad; runs that differ by more show no order yet
 LARGE = 0.3
-# states of a run that are compared: at 16 to 1024 times
+# states of a run that are compared, at 16 to 1024 times
 _STATES = 2**20
 
 
 def times_compared(at: str, size: int) -> int:
-    """At how many times runs of so many bodies are compared: at the "end", or over the "run"."""
+    """The number of times at which runs are compared: at the "end", or over the "run"."""
     return 1 if at == "end" else int(np.clip(_STATES // size, 16, 1024))
 
 
@@ -36,8 +36,8 @@ class Sight(NamedTuple):
 def see(problem: Problem, case: Case, n: int, most: int, by: int = 1) -> Sight:
     """A run in ``n by`` steps, at the times of ``n`` steps: after each, or after ``most`` of them.
 
-    Where there are more steps they are even ones, and the first ones: what decays does so from the
-    beginning.
+    If there are more steps, the times are equally spaced ones and the first ones, since decaying
+    motions change at the begin.
     """
     parts = [(n, -(-n // most))]
     if n > most > 1:
@@ -56,7 +56,7 @@ def see(problem: Problem, case: Case, n: int, most: int, by: int = 1) -> Sight:
 
 
 def largest_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The largest angle over the first axis, rad; π for what is not finite."""
+    """The largest angle over the first axis, rad; π if it is not finite."""
     apart = np.nan_to_num(angle_between(a, b), nan=np.pi, posinf=np.pi)
     return np.asarray(apart.max(axis=0), dtype=np.float64)
 
@@ -64,7 +64,7 @@ def largest_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.
 class Ladder:
     """Runs of a case in ``n_steps`` steps, twice as many, and so on, compared at the same times.
 
-    ``changes`` holds what each halving changed, (N,) rad; ``sight`` is the finest run's.
+    ``changes`` has the change by each halving, (N,) rad; ``sight`` is that of the finest run.
     """
 
     def __init__(self, problem: Problem, case: Case, n_steps: int, most: int) -> None:
@@ -74,11 +74,11 @@ class Ladder:
 
     @property
     def n_steps(self) -> int:
-        """Steps of the finest run."""
+        """Number of steps of the finest run."""
         return int(self.first * 2 ** len(self.changes))
 
     def halve(self) -> NDArray[np.float64]:
-        """Run with half the step: how far that is from the run before, (N,) rad."""
+        """Run with half the step size; returns the difference from the run before, (N,) rad."""
         by = 2 ** (len(self.changes) + 1)
         finer = see(self.problem, self.case, self.first, self.most, by)
         self.changes.append(largest_angle(self.sight.q, finer.q))
@@ -87,17 +87,17 @@ class Ladder:
 
     @property
     def floor(self) -> float:
-        """Rad by which two runs may differ by rounding."""
+        """The difference of two runs, rad, that rounding explains."""
         run = self.sight.run
         turned = float(np.linalg.norm(run.w, axis=-1).max()) * self.problem.t_end
         eps = float(np.finfo(run.state.dtype).eps)
         return 20.0 * eps * (1.0 + turned + math.sqrt(self.n_steps))
 
     def worst(self, back: int = 1) -> float:
-        """The largest of the last change, or of the one so many back."""
+        """The largest of the last change, or of the one ``back`` before."""
         return float(self.changes[-back].max())
 
     def slope(self, back: int = 1) -> float:
-        """The order that the largest of two successive changes show."""
+        """The order from the largest of two successive changes."""
         coarse, fine = self.worst(back + 1), self.worst(back)
         return math.log2(coarse / fine) if fine > 0.0 < coarse else math.inf

@@ -1,4 +1,4 @@
-"""One method on an ensemble with a known answer: error, drift and time over a ladder of steps."""
+"""One method on an ensemble with a known solution: error, drift and time over a ladder of steps."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from fastatt.trade.peak import peak
 if TYPE_CHECKING:
     from fastatt import plots
 
-_SAVES = 8  # at which the drift is measured
+_SAVES = 8  # saves at which the drift is measured
 DRAWN = ("quat", "dcm", "quat in float32")
 PLATEAU = "round-off"
-# units of rounding that any attitude may be off by
+# error of any attitude, in units of rounding
 _ROUNDED = 20.0
-# s of runs, among which one is not disturbed
+# s; of repeated runs over this time, one is undisturbed
 _ENOUGH = 0.03
 
 
 class Case(NamedTuple):
     """What is measured: a method on a representation in a precision.
 
-    Names of the library's, or a user-defined ``Method`` and ``Attitude``.
+    Method and representation are names, or user-defined ``Method`` and ``Attitude`` objects.
     """
 
     method: str | Method
@@ -77,7 +77,7 @@ class Case(NamedTuple):
 
 
 class State(NamedTuple):
-    """Attitudes (..., 4) and, where the scene carries it, angular velocities (..., 3), rad/s."""
+    """Attitudes (..., 4) and, if they are part of the state, angular velocities (..., 3), rad/s."""
 
     q: NDArray[Any]
     w: NDArray[Any] | None = None
@@ -95,7 +95,7 @@ class Problem:
     def run(
         self, case: Case, n_steps: Any, save_every: int | None = None, save_at: Any = None
     ) -> Trajectory:
-        """Propagate it in ``n_steps`` equal steps, of each body or of all, be they too large."""
+        """Propagate in ``n_steps`` equal steps, without warnings of large steps."""
         e = self.ensemble
         with noted():
             return propagate(
@@ -113,14 +113,14 @@ class Problem:
         return last_state(self.run(case, n_steps))
 
     def operations(self, case: Case) -> int | None:
-        """Floating-point operations a step of a body; None where there are no steps."""
+        """Floating-point operations of a step of one body; None without steps."""
         if not case.record.is_stepped:
             return None
         scene = self.ensemble.scene
         return _operations(job_of(scene, case.method, case.representation, case.dtype))
 
     def threads(self, n_steps: int) -> int:
-        """How many run at once: no more than there are tiles of bodies."""
+        """The number of threads in use, at most one for each tile of bodies."""
         size = self.ensemble.size
         return min(threads_of(self.n_threads, size, n_steps), -(-size // WIDTH))
 
@@ -137,15 +137,40 @@ def last_state(run: Trajectory) -> State:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One method at one step on an ensemble.
+    """One method with one step size on an ensemble.
 
-    Errors are those at the end: angles in rad, angular velocities in rad/s; ``p95`` is what 95 % of
-    the bodies stay below. ``defect_max`` is the largest | |q| − 1 | or ‖C Cᵀ − 1‖ over the run; the
-    drifts of energy and momentum, relative, are empty where the scene keeps neither. ``operations``
-    are those of a body's step, an fma counted as two; ``peak`` is the part that they make of the
-    machine's peak, that of a core (``fastatt.trade.peak``) times the threads. ``order`` is that
-    from the row before; ``plateau`` says "round-off" where a smaller step gains nothing more, and
-    there is none. ``status`` counts the bodies that carry a flag.
+    Attributes
+    ----------
+    input : str
+        The ensemble.
+    method, representation, dtype : str
+        The case.
+    dt : float
+        Step size, s.
+    n_steps : int
+        Number of steps.
+    error_median, error_p95, error_max : float
+        Angles at the end, rad: median, 95th percentile and largest of the bodies.
+    rate_error_median, rate_error_max : float or None
+        Errors of the angular velocity at the end, rad/s.
+    defect_max : float
+        Largest ``||q| − 1|`` or ‖C Cᵀ − 1‖ over the run.
+    energy_drift_max, momentum_drift_max : float or None
+        Largest relative drift; None if the scene does not conserve it.
+    seconds_per_body : float
+        Time for each body, s.
+    steps_per_second : float
+        Steps of all bodies in a second.
+    operations : int or None
+        Floating-point operations of a body's step; a fused multiply-add counts as two.
+    peak : float or None
+        Share of the machine's peak, that of a core times the threads.
+    order : float or None
+        Order from the row before.
+    plateau : str
+        "round-off" if a smaller step does not reduce the error.
+    status : str
+        Number of bodies with each flag.
     """
 
     input: str
@@ -184,7 +209,7 @@ def row_of(
     threads: int = 1,
     **measured: Any,
 ) -> Row:
-    """The row of one run, its order not known yet, from errors (N,) and the time of all bodies."""
+    """The row of one run without its order, from errors (N,) and the time for all bodies."""
     speed = error.size * n_steps / seconds
     most = 0.0 if operations is None else threads * peak(kind_of(case.dtype))
     return Row(
@@ -208,7 +233,7 @@ def row_of(
 
 
 def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Shortest of a few runs, two of long ones, and the result; the first may compile."""
+    """The shortest time of several runs, two of long ones, and the result."""
     times: list[float] = []
     while len(times) < 2 or (sum(times[1:]) < _ENOUGH and len(times) <= 10 * repeats):
         begin = perf_counter()
@@ -247,22 +272,22 @@ def counted(flags: Mapping[str, int]) -> str:
 
 
 def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int, float]) -> bool:
-    """Whether rounding is what keeps the error from falling; each is (steps, error in rad)."""
+    """Whether rounding keeps the error from falling; both arguments are (steps, error in rad)."""
     (n, before), (m, after) = coarse, fine
     eps = float(np.finfo(case.dtype).eps)
     steep = after < before * (n / m) ** (0.75 * order)
-    # rad that rounding may well sum up to: errors below need not be the method's
+    # rad that rounding may sum up to; smaller errors may not be the method's
     summed = 100.0 * eps * (50.0 + m)
     return (not steep and after < summed) or after < _ROUNDED * eps
 
 
 def with_orders(rows: Sequence[Row], case: Case, order: int) -> list[Row]:
-    """Rows of falling steps with their observed orders; ``order`` is the one declared."""
+    """Rows of falling steps with their observed orders; ``order`` is the declared one."""
     points = [(r.n_steps, r.error_median) for r in rows]
     flat = [False] * len(points)
     for i in range(1, len(points)):
         flat[i] = flat[i - 1] or is_flat(case, order, points[i - 1], points[i])
-    # one that is hardly above those that follow is among them
+    # a row with hardly a larger error than the next ones belongs to the plateau
     for i in range(len(points) - 1):
         level = max((e for _, e in points[i + 1 :]), default=0.0)
         flat[i] |= flat[i + 1] and points[i][1] <= 4.0 * level
@@ -303,7 +328,7 @@ _COLUMNS: tuple[Column, ...] = (
 
 
 def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> str:
-    """The rows as text, without the columns that none of them fills."""
+    """The rows as text, without empty columns."""
     texts = []
     for head, name, text in columns:
         values = [getattr(row, name) for row in rows]
@@ -316,7 +341,7 @@ def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> st
 
 
 def frontier(rows: Iterable[Row]) -> list[Row]:
-    """The rows of which none is beaten in both error and time, fastest first."""
+    """The rows that no other row beats in both error and time, fastest first."""
     best: list[Row] = []
     finite = [r for r in rows if math.isfinite(r.error_median)]
     for row in sorted(finite, key=lambda r: (r.seconds_per_body, r.error_median)):
@@ -328,22 +353,31 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
 def panel(
     title: str, t_end: float, rows: Sequence[Row], kinds: Sequence[str] = DRAWN
 ) -> plots.Panel:
-    """A curve for each method and kind of ``DRAWN``, and the frontier of all that is drawn."""
+    """A curve for each method and kind of ``DRAWN``, and the frontier of all curves.
+
+    Curves end where rounding limits the error. A method leads where it has a part of the frontier,
+    of all methods or of those that take steps.
+    """
     from fastatt import plots
 
     drawn: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         kind = row.representation + " in float32" * (row.dtype == "float32")
         if kind in kinds:
-            drawn.setdefault((row.method, kind), []).append(row)
-    drawn["", ""] = frontier(row for curve in drawn.values() for row in curve)
-    *curves, best = (
-        plots.MethodCurve(
-            method, kind, [r.seconds_per_body for r in curve], [r.error_median for r in curve]
-        )
-        for (method, kind), curve in drawn.items()
-    )
-    return plots.Panel(title, t_end, curves, best)
+            curve = drawn.setdefault((row.method, kind), [])
+            if not (curve and curve[-1].plateau):
+                curve.append(row)
+    every = [row for curve in drawn.values() for row in curve]
+    best = frontier(every)
+    stepped = frontier(row for row in every if row.operations is not None)
+    leading = {row.method for row in (*best, *stepped)}
+
+    def curve_of(method: str, kind: str, curve: Sequence[Row]) -> plots.MethodCurve:
+        seconds, errors = zip(*((r.seconds_per_body, r.error_median) for r in curve), strict=True)
+        return plots.MethodCurve(method, kind, seconds, errors, method in leading)
+
+    curves = [curve_of(*name, curve) for name, curve in drawn.items()]
+    return plots.Panel(title, t_end, curves, curve_of("", "", best))
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
@@ -355,7 +389,7 @@ def write_csv(path: Path, rows: Sequence[Any]) -> None:
 
 
 def machine() -> dict[str, str | int]:
-    """What the figures are measured on."""
+    """The machine and the versions on which figures were measured."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -374,8 +408,15 @@ def machine() -> dict[str, str | int]:
 
 
 def machine_line() -> str:
-    """What the figures are measured on, in a line, with the peak of a core."""
+    """The machine and the peak of a core, in one line."""
     m = machine()
     threads = f"{m['threads']} of {m['threads of the machine']} threads"
     most = f"a core's peak {peak('double') / 1e9:.3g} GFLOP/s"
-    return f"{m['processor']} ({m['model']}), {threads}, {most}, Python {m['python']}"
+    return f"{processor_line()}, {threads}, {most}, Python {m['python']}"
+
+
+def processor_line(n_threads: int | None = None) -> str:
+    """The processor's name, after the number of threads where it is given."""
+    m = machine()
+    threads = "" if n_threads is None else f"{n_threads} thread{'s' * (n_threads > 1)} of "
+    return f"{threads}{m['processor']} ({m['model']})"

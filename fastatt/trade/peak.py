@@ -1,4 +1,4 @@
-"""The machine's peak: how many floating-point operations a second it does with all at hand."""
+"""The machine's peak: floating-point operations in a second with all operands in registers."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from fastatt.codegen.processor import processor
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph
 
-# enough that no chain waits: two units of a latency of four or five cycles; they fit the registers
+# enough chains for two units with a latency of four or five cycles; they fit into the registers
 CHAINS = 12
 UNROLLED = 16
-# some 0.5 ms a run: among as many, one is not disturbed
+# runs of some 0.5 ms, one of which is undisturbed
 _LOOPS = 10_000
 _RUNS = 200
 _TEXT = """def run(part, rows, whole, count):

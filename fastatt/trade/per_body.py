@@ -1,4 +1,4 @@
-"""Per-body step sizes for a tolerance, by the bodies' rates and what runs of some showed."""
+"""Per-body step sizes for a tolerance, from the bodies' rates and from runs of a sample."""
 
 from __future__ import annotations
 
@@ -21,25 +21,43 @@ from fastatt.trade.measure import Case, Problem
 from fastatt.trade.reference import Reference, reference
 from fastatt.trade.work_precision import duration, name_of
 
-_CLASSES = 12  # of like rates
-_TIMES, _EARLY = 64, 8  # at which errors are measured: even ones, and halves of the first of them
-_FIRST = 0.3  # rad a step of the first trial
-_TRIALS, _LESS = 14, 6  # runs at most, and how many where one has met the tolerance
-_GAIN = 0.95  # of the steps: less is worth another trial
+_CLASSES = 12  # classes of similar rates
+_TIMES, _EARLY = 64, 8  # times at which errors are measured: equally spaced, and early ones
+_FIRST = 0.3  # rotation angle of a step in the first trial, rad
+_TRIALS, _LESS = 14, 6  # the most trials, and the most after one has met the tolerance
+_GAIN = 0.95  # another trial is made if it may need fewer than this share of the steps
 _FINEST = 1e-15  # rad
-_ROUNDED = 1e-6  # rad: an error above, which more steps do not bring down, is no rounding
-_FINER = 30.0  # how much better than the tolerance the reference must be
-_UNSEEN = 1.5  # what errors are below the tolerance, where some bodies are not run
-_AIM = 0.8  # of the tolerance, from which a trial's steps are set
+_ROUNDED = 1e-6  # rad; a larger error that does not fall with the step is not rounding
+_FINER = 30.0  # ratio of the tolerance and the reference's error
+_UNSEEN = 1.5  # margin of errors below the tolerance if some bodies are not run
+_AIM = 0.8  # share of the tolerance at which a trial aims
 
 
 @dataclass(frozen=True)
 class PerBodySteps:
-    """A step and a number of steps for each body, (N,), and what a run with them showed.
+    """Per-body step sizes and numbers of steps, as :func:`per_body_steps` finds them.
 
-    ``expected_error`` is the largest error over the run, rad, of the ``measured`` bodies of all
-    ``n_bodies`` that were run with these steps, against ``reference``, whose own error is in it.
-    ``share`` is the number of steps divided by that of one step, the smallest, for all.
+    Attributes
+    ----------
+    method : str or Method
+        The method.
+    dt : ndarray, shape (N,)
+        Step sizes, s.
+    n_steps : ndarray, shape (N,)
+        Numbers of steps.
+    t0 : float
+        Time of the initial state, s.
+    expected_error : float
+        Largest error over the run, rad, of the bodies that were run with these steps. It includes
+        the error of the reference.
+    measured : int
+        Number of bodies that were run.
+    n_bodies : int
+        Number of bodies.
+    reference : str
+        What errors were measured against.
+    share : float
+        The number of all steps divided by that with the smallest step size for all bodies.
     """
 
     method: str | Method
@@ -54,7 +72,7 @@ class PerBodySteps:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments for ``fastatt.propagate``."""
+        """Keyword arguments for :func:`fastatt.propagate`."""
         return {"method": self.method, "dt": self.dt, "n_steps": self.n_steps, "t0": self.t0}
 
     def __str__(self) -> str:
@@ -81,29 +99,38 @@ def per_body_steps(
     sample: int = 1536,
     seed: int = 0,
 ) -> PerBodySteps:
-    """Per-body step sizes with which the largest error over a run meets a tolerance.
+    """Find per-body step sizes for which the largest error over a run meets a tolerance.
 
-    Bodies are put into classes of like rates. Some of each are run with the steps that would be
-    recommended, and their errors measured against a reference, until none is over the tolerance. A
-    body takes the lesser of two numbers that are enough for all of its class that were run: one for
-    the class, and one that falls with the rate to the power 1 + 1/order; those that are stepped
-    together take the most of their numbers. Takes as long as some tens of runs of the sample.
+    It takes as long as some tens of runs of the sample.
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, s0, t0 : as of :func:`fastatt.propagate`, of a scene with inertia.
+    scene : Scene
+        A scene with inertia.
+    q0 : array_like, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`.
+    w0 : array_like, shape (3,) or (N, 3)
+        Initial angular velocities along body axes, rad/s.
     t_end : float
         Duration, s, above 0.
     tol : float
-        Largest error of a body over the run, rad, at least 1e-15. Where not all bodies are run,
-        those that are stay below it by a factor of 1.5, and others can exceed it.
-    method : str or Method
-        One that steps; None takes rk8 where it fits, else the first that does.
-    sample : int
-        How many bodies are run, the fastest among them, and in addition those with the least
-        and the largest of each number of the scene.
-    seed : int
-        Of the choice of bodies.
+        Largest error of a body over the run, rad, at least 1e-15. If not all bodies are run, those
+        that are stay below it by a factor of 1.5, and others can exceed it.
+    method : str or Method, optional
+        A method that takes steps. The default is rk8, or else the first that fits.
+    v0 : array_like, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    sample : int, default 1536
+        Number of bodies that are run, the fastest among them, in addition to those with the
+        smallest and the largest of each number of the scene.
+    seed : int, default 0
+        Seed of the random choice of bodies.
 
     Returns
     -------
@@ -113,8 +140,16 @@ def per_body_steps(
     Raises
     ------
     ValueError, TypeError
-        A torque that jumps, as of :func:`fastatt.recommend`; a tolerance that the method cannot
-        meet; any other argument that does not fit, by name, with what is accepted.
+        If a torque jumps, as in :func:`fastatt.recommend`, if the method cannot meet the tolerance,
+        or if an argument does not fit.
+
+    Notes
+    -----
+    Bodies are grouped into classes of similar rates. Some of each class are run with the steps that
+    would be recommended, and their errors are measured against a reference, until none is above the
+    tolerance. The number of steps of a body is the smaller of two numbers that suffice for the
+    bodies of its class that were run: one for the class, and one that falls with the rate to the
+    power 1 + 1/order. Bodies that are stepped together take the largest of their numbers.
 
     Examples
     --------
@@ -163,7 +198,7 @@ def _unmet(tol: float, method: Method, errors: NDArray[np.float64]) -> ValueErro
 
 
 class _Classes:
-    """Bodies of like rates: equal ratios, so that the few fastest are not among the many slow."""
+    """Bodies in classes of similar rates, so that the few fastest have classes of their own."""
 
     def __init__(self, whole: Problem, method: Method) -> None:
         n = whole.ensemble.size
@@ -176,14 +211,14 @@ class _Classes:
         np.maximum.at(tops, self.of, self.rates)
         kind = whole.ensemble.scene.kind
         power = 1.0 + 1.0 / method.order_of(kind)
-        #: of the steps of the fastest body of the class, what a body's rate calls for
+        #: the steps that a body's rate requires, as a share of those of its class's fastest body
         self.share = (self.rates / tops[self.of]) ** power
         limit = method.limit("quat", body=True, torqued=kind == "torqued")
         self.least = np.maximum(1.0, self.rates * whole.t_end / limit)
         self.first = np.maximum(4.0, tops[self.of] * whole.t_end / _FIRST)
 
     def sample(self, n: int, chance: np.random.Generator) -> NDArray[np.intp]:
-        """As many of each, n in all, the fastest of all among them; all if there are no more."""
+        """Equally many bodies of each class, n in all, with the fastest of all; or all bodies."""
         if n >= self.of.size:
             return np.arange(self.of.size)
         classes = [np.flatnonzero(self.of == k) for k in np.unique(self.of)]
@@ -192,7 +227,7 @@ class _Classes:
         return np.unique(np.append(np.concatenate(chosen), self.rates.argmax()))
 
     def steps(self, rows: NDArray[np.intp], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Steps that are enough for all bodies, from what those of some rows want."""
+        """Steps that suffice for all bodies, from those that some rows need."""
         flat, rising = np.zeros((2, _CLASSES))
         np.maximum.at(flat, self.of[rows], wanted)
         np.maximum.at(rising, self.of[rows], wanted / self.share[rows])
@@ -201,7 +236,7 @@ class _Classes:
 
 
 def _by_tiles(enough: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Whole steps, equal for the bodies of a tile, which wait for the slowest of them anyway."""
+    """Whole numbers of steps, equal for the bodies of a tile, which run together."""
     steps: NDArray[np.int64] = np.ceil(enough - 1e-9).astype(np.int64)
     order = np.argsort(-steps, kind="stable")
     steps[order] = np.repeat(steps[order[::WIDTH]], WIDTH)[: steps.size]
@@ -216,7 +251,7 @@ def _trials(
     rows: NDArray[np.intp],
     tol: float,
 ) -> tuple[NDArray[np.int64], float]:
-    """The fewest steps that were run and met the tolerance, with their largest error."""
+    """The smallest numbers of steps that met the tolerance in a run, with their largest error."""
     even = problem.t_end * np.arange(1, _TIMES + 1) / _TIMES
     times = np.concatenate([even[0] * 0.5 ** np.arange(_EARLY, 0, -1), even])
     exact, order = known.at(times), case.record.order_of(problem.ensemble.scene.kind)
@@ -235,11 +270,11 @@ def _trials(
             best = steps, worst
         if best is not None and (trial >= _LESS or (met and not gained)):
             break
-        # rounding: with more steps no method of any order leaves nearly as much
+        # rounding: with more steps a truncation error would fall
         if best is None and trial > 2 and 0.7 * before < worst < _ROUNDED:
             break
         before = worst
-        # of large errors there is no order yet, and of those that rounding makes none either
+        # neither large errors nor rounding errors have an order
         change = np.where(errors > LARGE, 2.0, (errors / (_AIM * tol)) ** (1.0 / order))
         enough = classes.steps(
             rows, np.maximum(steps[rows] * np.minimum(change, 8.0), 0.5 * enough[rows])

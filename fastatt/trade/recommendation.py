@@ -1,4 +1,4 @@
-"""What advice says: a method, a step and a precision, what was measured of them, and why."""
+"""Recommendations: a method, step size and precision, with their measurements and reasons."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fastatt.trade.measure import Case
 
 @dataclass(frozen=True)
 class Point:
-    """One case at one step: the largest error over the bodies (rad), and the time (s) of all."""
+    """One case with one step size: the largest error of the bodies (rad), and the time (s)."""
 
     case: Case
     n_steps: int
@@ -20,15 +20,45 @@ class Point:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """What to run, what was measured of it, and why.
+    """A method, step size and precision with what was measured, as :func:`recommend` returns them.
 
-    ``expected_error`` is the largest angle over the run (``at`` "run") or at its end ("end"), rad,
-    that was measured when what is recommended was run on ``measured`` of the ``n_bodies``, against
-    the ``reference``, whose own error is in it. ``expected_seconds`` is the time of a whole call to
-    ``propagate`` on ``n_threads``.
-    ``case`` holds the method and the representation, user-defined ones among them.
-    ``margin`` is how many times as long the ``runner_up`` takes. ``limited_by`` is "truncation"
-    where a smaller step would gain accuracy, "round-off" where it would not.
+    Attributes
+    ----------
+    method, representation, dtype : str
+        What to run.
+    dt : float
+        Step size, s.
+    n_steps : int
+        Number of steps.
+    t0 : float
+        Time of the initial state, s.
+    n_threads : int
+        Number of threads for which the time was measured.
+    at : {"run", "end"}
+        Where errors were measured.
+    expected_error : float
+        Largest angle, rad, when the recommendation was run on ``measured`` bodies. It includes the
+        error of the reference.
+    expected_seconds : float
+        Time of the whole call to ``propagate``, s.
+    runner_up : Point or None
+        The second-best case.
+    margin : float or None
+        Ratio of the times of the runner-up and of the recommendation.
+    limited_by : {"truncation", "round-off"}
+        "truncation" if a smaller step size would be more accurate.
+    tol, budget : float or None
+        The arguments.
+    n_bodies : int
+        Number of bodies.
+    measured : int
+        Number of bodies that were run.
+    reference : str
+        What errors were measured against.
+    reference_error : float
+        Error of the reference, rad.
+    case : Case
+        The method and the representation, also user-defined ones.
     """
 
     method: str
@@ -54,7 +84,7 @@ class Recommendation:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments for ``fastatt.propagate``; threads and saves are left to the caller."""
+        """Keyword arguments for :func:`fastatt.propagate`, without threads and saves."""
         return {**self.case._asdict(), "dt": self.dt, "n_steps": self.n_steps, "t0": self.t0}
 
     def __str__(self) -> str:
@@ -78,5 +108,5 @@ class Recommendation:
 
 
 def in_words(seconds: float) -> str:
-    """A time in s, or ms."""
+    """A time in s or ms, as text."""
     return f"{seconds:.3g} s" if seconds >= 0.1 else f"{seconds * 1e3:.3g} ms"

@@ -1,4 +1,4 @@
-"""Recorded gyro logs: how far the methods differ on them, and what the sample rate costs."""
+"""Recorded gyro logs: the differences between methods, and the effect of the sample rate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fastatt.trade.measure import Column, best_time, trade_table
 if TYPE_CHECKING:
     from fastatt import plots
 
-# carried by the PyPI package scikit-kinematics: Xsens at 50 and 120 Hz, x-io NGIMU at 50 Hz
+# recordings in the package scikit-kinematics: Xsens at 50 and 120 Hz, x-io NGIMU at 50 Hz
 RECORDINGS = (
     "data_xsens.txt",
     "walking_xsens_lowerLeg.txt",
@@ -31,13 +31,13 @@ RECORDINGS = (
     "data_ngimu/sensors.csv",
 )
 REFERENCE = "coning3"
-# the causal method and the others that correct for coning: what a user chooses among
+# the causal method and the others that correct for coning
 _RIVALS = ("previous", "coning2")
 
 
 @dataclass(frozen=True)
 class LogRow:
-    """One method on one recording; angles in degrees, and its warning."""
+    """One method on one recording, with angles in degrees, and its warning."""
 
     recording: str
     method: str
@@ -54,7 +54,7 @@ class LogRow:
 def find_recordings() -> list[Path]:
     """The gyro recordings that scikit-kinematics installs.
 
-    Raises ``ImportError`` when the package, or its recordings, are not installed.
+    Raises ``ImportError`` if the package, or its recordings, are not installed.
     """
     try:
         files = metadata.files("scikit-kinematics") or []
@@ -81,7 +81,7 @@ def _start(log: GyroLog) -> NDArray[np.float64]:
 
 
 def _attitudes(log: GyroLog, method: str, every: int = 1) -> NDArray[Any]:
-    """By a method from every so many samples; gaps were treated when the log was read."""
+    """Attitudes of a method from every n-th sample; gaps were treated when the log was read."""
     dt = log.dt if every == 1 else np.diff(log.t[::every])
     return integrate_rates(log.rates[::every], dt, _start(log), method=method, max_gap=math.inf)
 
@@ -91,10 +91,10 @@ def _degrees(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def log_rows(log: GyroLog, repeats: int, methods: Sequence[str] | None = None) -> list[LogRow]:
-    """The methods, or every one, on one log.
+    """The given methods, or every method, on one log.
 
-    The difference of each from the reference, from itself at half the rate, and from the maker's
-    orientation where the log has it.
+    The rows have the difference of each from the reference, from itself at half the rate, and from
+    the manufacturer's orientation if the log has it.
     """
     n, rows = len(log.rates), []
     with noted():
@@ -124,7 +124,7 @@ def log_rows(log: GyroLog, repeats: int, methods: Sequence[str] | None = None) -
 
 
 def compare_on_log(log: GyroLog, method: str, methods: Sequence[str] | None = None) -> str:
-    """Table: how far the methods differ on a log, and where the error of one comes from.
+    """Tables of the differences between methods on a log, and of the error sources of one method.
 
     ``methods`` are the others to compare with, None for all.
     """
@@ -151,14 +151,14 @@ _COLUMNS: tuple[Column, ...] = (
 
 
 def log_table(rows: Sequence[LogRow]) -> str:
-    """The rows of one or more recordings as text, and below their warnings."""
+    """The rows of one or more recordings as text, followed by their warnings."""
     head, *lines = trade_table(rows, _COLUMNS).splitlines()
     lines += [f"{r.recording}: {r.warning}" for r in rows if r.warning]
     return "\n".join([f"{head}   (deg; diff from {REFERENCE})", *lines])
 
 
 def departures(log: GyroLog, methods: Sequence[str]) -> plots.Departures:
-    """Each method's angle from the reference on a recording, and the maker's orientation's."""
+    """Angles from the reference on a recording, of each method and of the manufacturer."""
     from fastatt import plots
 
     with noted():

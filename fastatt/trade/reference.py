@@ -1,7 +1,7 @@
-"""What errors are measured against, and how good that is itself.
+"""The reference of errors, and the error of the reference itself.
 
-A closed form where the scene has one; else a method of high order whose step is halved until
-errors fall as its order says they do, down to a goal or to rounding.
+It is a closed form if the scene has one, else a method of high order whose step is halved until
+errors fall as its order predicts, down to a goal or to rounding.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from fastatt.trade.forcing import forcing
 from fastatt.trade.ladder import Ladder
 from fastatt.trade.measure import Case, Problem, State
 
-# of high order, and other formulas than those that are run tight
+# methods of high order with other formulas than those of the reference
 _CONFIRMING = ("dmv10", "rk9", "kahan_li8", "magnus8", "gauss12", "rk4")
-_EVALUATIONS = 12  # a step of a tight run: what more of them round is seen
+_EVALUATIONS = 12  # evaluations in a step of a reference; more of them round more
 _EPS = float(np.finfo(np.float64).eps)
 _LEAST = 4  # steps
-# body-steps that a tight run may take, about 2 s of the slowest of them on one core
+# the most body-steps of a reference, about 2 s of the slowest method on one core
 _WORK = 2e7
-_SETTLED = 1e-6  # rad: a change above, which no halving brings down, is no rounding
-_FITS = 0.75  # of its order: by so much the error of a method falls at least
-_DOUBTED = 4.0  # times the last changes: what an error without an order may be
+_SETTLED = 1e-6  # rad; a larger change that does not fall with the step is not rounding
+_FITS = 0.75  # the least observed share of a method's order
+_DOUBTED = 4.0  # ratio of an error without an order and the last changes
 _BREAKPOINTS = "fa.Scene(..., breakpoints=times) of all jumps and corners, where steps then end"
-_INSTANTS = 16  # at which a given rate is evaluated
+_INSTANTS = 16  # times at which a prescribed rate is evaluated
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What errors are measured against: a run of a case, or a ``motion`` that is known exactly.
+    """What errors are measured against: a run of a case, or a ``motion`` in closed form.
 
-    ``own_error`` (N,) is what it may be off by itself, rad; ``source`` names it. ``jump`` says what
-    jumps where, ``doubt`` how else the error does not fall as it should; "" where all is well.
+    ``own_error`` (N,) is its own error, rad, and ``source`` its name. ``jump`` says what jumps and
+    where, and ``doubt`` why its error does not fall as it should; both are "" if all is well.
     """
 
     problem: Problem
@@ -54,12 +54,12 @@ class Reference:
     jump: str = ""
     doubt: str = ""
     motion: Callable[[Problem, NDArray[np.float64]], NDArray[Any]] | None = None
-    #: the attitudes of the last call of ``at``, whose times one case after the other takes
+    #: the attitudes of the last call of ``at``, since successive cases use the same times
     _saved: dict[bytes, NDArray[Any]] = field(default_factory=dict, init=False)
 
     @cached_property
     def end(self) -> State:
-        """The attitudes and, of bodies, the angular velocities at the end."""
+        """Attitudes and, for bodies, angular velocities at the end."""
         if self.motion is not None:
             return State(self.motion(self.problem, np.array([self.problem.t_end]))[-1])
         return self.problem.end(self.case, self.n_steps)
@@ -77,14 +77,14 @@ class Reference:
         return self._saved[key]
 
     def of(self, other: Problem) -> Reference:
-        """The reference of other bodies, at the same steps."""
+        """The reference of other bodies, with the same steps."""
         if self.case.record.is_exact or self.motion is not None:
             return reference(other)
         own = np.full(other.ensemble.size, self.own_error.max())
         return replace(self, problem=other, own_error=own)
 
     def refuse_jumps(self) -> None:
-        """Raise ``ValueError`` where a rate, torque or force jumps: no error is known then."""
+        """Raise ``ValueError`` if a rate, torque or force jumps, since errors are unknown then."""
         if self.jump:
             raise ValueError(
                 f"scene: {self.jump}, where no method keeps its order; accepted: what is smooth; "
@@ -92,7 +92,7 @@ class Reference:
             )
 
     def refuse_beyond(self, tol: float) -> None:
-        """Raise ``ValueError`` for a tolerance, rad, that the reference is not far below."""
+        """Raise ``ValueError`` for a tolerance, rad, that the reference is not well below."""
         own = float(self.own_error.max())
         if own > 0.25 * tol:
             why = f"{self.doubt}; {_BREAKPOINTS}" if self.doubt else "that is rounding"
@@ -104,7 +104,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Where another method ends, and how far that is from a reference: (N,), rad."""
+    """The end of a run by another method, and its difference from a reference: (N,), rad."""
 
     end: State
     source: str
@@ -118,7 +118,7 @@ class Confirmation:
 
 
 def speeds(problem: Problem) -> NDArray[np.float64]:
-    """The largest |w| of each body, rad/s: at the start or, of given rates, at even times."""
+    """The largest ``|w|`` of each body, rad/s: initial, or of prescribed rates at some times."""
     e = problem.ensemble
     given = e.scene.rate.w if isinstance(e.scene.rate, rates.Constant) else e.w0
     if given is not None:
@@ -130,17 +130,17 @@ def speeds(problem: Problem) -> NDArray[np.float64]:
 
 
 def largest_rotation(problem: Problem) -> float:
-    """The angle, rad, that the fastest body goes through, as far as ``speeds`` knows."""
+    """The rotation angle, rad, of the fastest body over the run, as far as ``speeds`` knows."""
     return float(speeds(problem).max()) * abs(problem.t_end)
 
 
 def reference(
     problem: Problem, *, most: int = 1, goal: float = 0.0, method: str | None = None
 ) -> Reference:
-    """The closed form, or the tight run of a method, good to ``goal`` rad or to round-off.
+    """The closed form, or a run of high order that is accurate to ``goal`` rad or round-off.
 
-    A tight run is compared with that of half as many steps at up to ``most`` even times, the last
-    of them the end.
+    A run is compared with that of half as many steps at up to ``most`` equally spaced times, the
+    last of which is the end.
     """
     if method is None:
         found = _closed_form(problem)
@@ -185,7 +185,7 @@ def coning_attitudes(
 
 
 def intervals(problem: Problem) -> int:
-    """How many intervals of a sampled torque the run spans: its kinks are to lie between steps."""
+    """The number of intervals of a sampled torque in the run; steps end at its kinks."""
     torque = problem.ensemble.scene.torque
     for term in torque.terms if isinstance(torque, torques.Sum) else (torque,):
         if isinstance(term, torques.Sampled):
@@ -205,7 +205,7 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
     first = whole(largest_rotation(problem))
     acting = forcing(problem, case, first)
     longest = _WORK / max(problem.ensemble.size, 64)
-    # the first step resolves rates, torques and forces
+    # the first step size resolves rates, torques and forces
     first = whole(min(max(first, acting.steps), max(first, longest / 16)))
     ladder = Ladder(problem, case, first, most)
     longest = max(8.0 * first, longest)
@@ -213,7 +213,7 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
     while True:
         ladder.halve()
         own, settled, doubt = _own_error(ladder, METHODS[method].order, goal)
-        # advice, which has a goal, refuses what jumps
+        # advice, which has a goal, refuses jumps
         if settled or 2.0 * ladder.n_steps > longest or (acting.jump and goal > 0.0):
             break
     name = f"{method} at {problem.t_end / ladder.n_steps:.4g} s"
@@ -221,10 +221,11 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
 
 
 def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.float64], bool, str]:
-    """What the finest run may be off by, (N,) rad, whether that is small enough, and a doubt of it.
+    """The error of the finest run, (N,) rad, whether that is small enough, and a doubt of it.
 
-    It is the last change where two fell as the order says, or one did down to rounding, or two are
-    rounding; else what the last three changed is taken several times: by chance one is small.
+    It is the last change if two changes fell as the order predicts, or one did down to rounding, or
+    two are rounding. Otherwise it is a multiple of the last three changes, since one may be small
+    by chance.
     """
     changes, worst = ladder.changes, ladder.worst()
     slopes = [ladder.slope(back) for back in (1, 2)[: len(changes) - 1]]
@@ -234,7 +235,7 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
     if len(slopes) == 2 and min(slopes) >= _FITS * order:
         return changes[-1], worst <= goal, ""
     own = _DOUBTED * np.max(changes[-3:], axis=0)
-    # rounding that the motion magnifies
+    # rounding that the motion amplifies
     rounded = len(changes) > 3 and 0.5 * ladder.worst(4) <= worst < _SETTLED
     enough = len(changes) > 2 and (rounded or float(own.max()) <= goal)
     doubt = (
@@ -245,7 +246,7 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
 
 
 def confirm(problem: Problem, known: Reference) -> Confirmation:
-    """Run another method, as tight as a reference, and compare the ends."""
+    """Run another method, as accurately as a reference, and compare the ends."""
     fitting = methods_for(problem.ensemble.scene, "quat")
     others = [m for m in _CONFIRMING if m in fitting and m != known.case.name]
     other = reference(problem, method=next(iter(others), fitting[0]))

@@ -1,4 +1,4 @@
-"""The whole study: tables to the screen, rows and pictures to a folder."""
+"""The whole study: tables on the screen, rows and pictures in a folder."""
 
 from __future__ import annotations
 
@@ -10,15 +10,25 @@ from tempfile import TemporaryFile
 from fastatt import checks
 from fastatt.gyro.integrate import methods_for_samples
 from fastatt.logs import GyroLog, read_gyro_log
+from fastatt.threads import default_threads
 from fastatt.trade import ensembles, recordings
 from fastatt.trade.ensembles import BODY_SCENES, CONING
-from fastatt.trade.measure import Case, Row, frontier, machine_line, panel, trade_table, write_csv
+from fastatt.trade.measure import (
+    Case,
+    Row,
+    frontier,
+    machine_line,
+    panel,
+    processor_line,
+    trade_table,
+    write_csv,
+)
 
 RECORDED = "recordings"
 SCENES = (RECORDED, CONING, *BODY_SCENES)
 DEFAULT_SCENES = (RECORDED, CONING)
 _QUICK_STEPS = (50, 100)
-_COARSEST, _RUNGS = 2.5, 6  # steps a second, and how many ladders of halved steps have
+_COARSEST, _RUNGS = 2.5, 6  # steps per second of the coarsest run, and runs of a ladder
 _DRAWN = ("quat", "dcm")
 
 
@@ -32,13 +42,13 @@ def run_trade(
     quick: bool = False,
     progress: bool = False,
 ) -> None:
-    """Print the tables; leave the rows as CSV and the pictures in ``out``.
+    """Print the tables, and write the rows as CSV and the pictures to ``out``.
 
-    ``scenes`` are names of ``SCENES``; ``methods`` those to run, None for all. ``quick`` takes two
-    steps, quaternions and float64 only.
+    ``scenes`` are names of ``SCENES``; ``methods`` are those to run, None for all. ``quick`` takes
+    two step sizes, quaternions and float64 only.
 
-    Raises ``ImportError`` when matplotlib or the recordings are missing, ``ValueError`` for a log
-    that can't be read or a method that no scene takes.
+    Raises ``ImportError`` if matplotlib or the recordings are missing, ``ValueError`` for a log
+    that can't be read or a method that fits no scene.
     """
     checks.whole("--bodies", n_bodies, 1)
     plan = _plan(scenes, methods, quick)
@@ -52,7 +62,7 @@ def run_trade(
     read = []
     if RECORDED in plan:
         paths = recordings.find_recordings() if logs is None else logs
-        # the recordings' maker writes rad/s, and does not say so
+        # the recordings are in rad/s, which their files do not say
         unit = "rad/s" if logs is None else None
         read = [read_gyro_log(path, unit=unit) for path in paths]
     repeats = 1 if quick else 3
@@ -71,9 +81,9 @@ def run_trade(
 
 
 def open_folder(out: Path) -> None:
-    """Make a folder for results, before anything is measured.
+    """Make a folder for results before anything is measured.
 
-    Raises ``OSError`` where it is a file, or cannot be written to.
+    Raises ``OSError`` if it is a file, or cannot be written to.
     """
     out.mkdir(parents=True, exist_ok=True)
     with TemporaryFile(dir=out):
@@ -83,7 +93,7 @@ def open_folder(out: Path) -> None:
 def _plan(
     scenes: Sequence[str], methods: Sequence[str] | None, quick: bool
 ) -> dict[str, list[Case]]:
-    """The cases of each scene that has any, in the order of ``SCENES``."""
+    """The cases of each scene, in the order of ``SCENES``."""
     for name in scenes:
         checks.choice("--scene", name, SCENES)
     every = {name: ensembles.cases(name) for name in SCENES if name in scenes and name != RECORDED}
@@ -124,7 +134,7 @@ def _run_ensembles(
     quick: bool,
     progress: bool,
 ) -> list[str]:
-    """Print tables and frontiers; leave rows as CSV and a picture with a panel for each input."""
+    """Print tables and frontiers; write rows as CSV and a picture with a panel for each input."""
     from fastatt import plots
 
     by_input: dict[str, list[Row]] = {}
@@ -145,5 +155,6 @@ def _run_ensembles(
         panels.append(panel(ensembles.TITLES[source], t_end, rows, _DRAWN))
     table, picture = path.with_suffix(".csv"), path.with_suffix(".png")
     write_csv(table, [row for rows in by_input.values() for row in rows])
-    plots.work_precision(panels, f"{title}: what accuracy costs", picture)
+    where = f"{n_bodies} bodies, {processor_line(default_threads())}"
+    plots.work_precision(panels, f"{title}: error against time\n{where}", picture)
     return [table.name, picture.name]

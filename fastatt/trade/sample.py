@@ -1,4 +1,4 @@
-"""Some bodies of an ensemble: which, and the errors and times of each case on them."""
+"""A sample of an ensemble, and the errors and times of each case on it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from fastatt.trade.ladder import Ladder, largest_angle, see, times_compared
 from fastatt.trade.measure import Case, Problem, best_time, is_flat
 from fastatt.trade.reference import Reference, intervals, reference, speeds
 
-_BASELINE = Case("rk4")  # which fits every scene
-_SCREENING = 0.3  # s to find the bodies with the largest errors
-_RANKED = 65536  # bodies, for the fastest at a given rate
-_VERIFYING = 0.5  # s to run what is recommended on the bodies outside of the sample
-_LONG = 4e6  # body-radians of a sample: of longer runs it is smaller, of 8 bodies at least
-_TIMED = 8192  # bodies
-_STEPS = 640  # so many that the call does not count
-_LEAST_WORK = 0.3  # of a step of the baseline: no step of any method is much cheaper
+_BASELINE = Case("rk4")  # fits every scene
+_SCREENING = 0.3  # s for finding the bodies with the largest errors
+_RANKED = 65536  # bodies that are ranked by a prescribed rate
+_VERIFYING = 0.5  # s for running the recommendation on bodies outside of the sample
+_LONG = 4e6  # body-radians; samples of longer runs are smaller, with 8 bodies at least
+_TIMED = 8192  # bodies of a timed run
+_STEPS = 640  # steps of a timed run, in which the time of the call is negligible
+_LEAST_WORK = 0.3  # least time of a step of any method, as a share of the baseline's
 
 
 @dataclass
 class Candidate:
-    """One case: errors by number of steps, seconds a step and a call.
+    """One case: errors by the number of steps, seconds of a step and of a call.
 
-    It takes ``first`` steps at least, and is tried with ``start``.
+    ``first`` is the smallest number of steps, and ``start`` the first that is tried.
     """
 
     case: Case
@@ -38,16 +38,16 @@ class Candidate:
     fixed: float = 0.0
 
     def seconds(self, n: float) -> float:
-        """Of a call with n steps."""
+        """Time of a call with n steps, s."""
         return self.fixed + self.slope * n
 
     def is_flat(self, n: int, further: int) -> bool:
-        """Whether rounding is what keeps the error from falling, from n steps to more."""
+        """Whether rounding keeps the error from falling between n steps and ``further``."""
         errors = self.errors
         return is_flat(self.case, self.order, (n, errors[n]), (further, errors[further]))
 
     def steps_for(self, tol: float) -> float:
-        """A guess at the steps that meet a tolerance, by the declared order."""
+        """An estimate of the steps that meet a tolerance, by the declared order."""
         error = self.errors[self.start]
         if not self.order:
             return self.start
@@ -56,10 +56,10 @@ class Candidate:
 
 
 class Sample:
-    """Some bodies of an ensemble, their reference, and a clock.
+    """Some bodies of an ensemble, their reference, and timings.
 
     ``at`` says where errors are measured: over the "run" or at its "end". ``others`` are bodies
-    outside of the sample, the hardest first.
+    outside of the sample, those with the largest errors first.
     """
 
     def __init__(
@@ -75,18 +75,18 @@ class Sample:
         few = generator.choice(n, min(n, sample), replace=False)
         short = replace(whole.take(few), t_end=whole.t_end / 1e3)
         seconds, _ = best_time(lambda: short.run(_BASELINE, _STEPS), 2)
-        #: s of a step of one body
+        #: time of a step of one body, s
         self.pace = seconds / (_STEPS * few.size)
         rows, self.others = self._choose(sample, generator)
         self.problem = whole.take(rows)
         self.most = times_compared(at, rows.size)
         self.known: Reference = reference(self.problem, most=self.most, goal=goal)
         fastest = float(speeds(self.problem).max())
-        if self.known.end.w is not None:  # a torque may have made them faster
+        if self.known.end.w is not None:  # a torque may have accelerated the bodies
             fastest = max(fastest, float(np.linalg.norm(self.known.end.w, axis=-1).max()))
-        #: rad that the fastest body rotates by
+        #: rotation angle of the fastest body, rad
         self.angle = fastest * whole.t_end
-        # no step is right that rotates by more than π
+        # no step may rotate by more than π
         self.least_seconds = _LEAST_WORK * self.pace * n * self.angle / math.pi
         timed = np.linspace(0, n - 1, min(n, _TIMED)).astype(np.intp)
         self.timed = whole.take(timed)
@@ -100,10 +100,10 @@ class Sample:
     def _choose(
         self, size: int, generator: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The fastest and hardest bodies and some by chance; others, the hardest first.
+        """The fastest and hardest bodies and some at random; and others, the hardest first.
 
         As many bodies are screened as a coarse run can take in a given time, half of them the
-        fastest: at a given rate, of as many as are ranked.
+        fastest; for a prescribed rate the fastest of those that are ranked.
         """
         n, rates_known = self.whole.ensemble.size, self.whole.ensemble.w0 is not None
         ranked = np.arange(n) if rates_known else generator.permutation(n)[:_RANKED]
@@ -131,14 +131,14 @@ class Sample:
         return pool[np.append(hard, rest[chosen])], pool[np.delete(rest, chosen)]
 
     def _largest_error(self, problem: Problem, known: Reference, case: Case, n: int) -> float:
-        """The largest error, rad, and what the reference may add; inf with a flag."""
+        """The largest error, rad, including that of the reference; inf if a body has a flag."""
         seen = see(problem, case, n, self.most)
         if seen.flagged.any():
             return math.inf
         return float((largest_angle(seen.q, known.at(seen.times)) + known.own_error).max())
 
     def error(self, candidate: Candidate, n: int) -> float:
-        """The largest error of the sample, rad, and what the reference may add; inf with a flag."""
+        """The largest error of the sample, rad, with that of the reference; inf with a flag."""
         if n not in candidate.errors:
             candidate.errors[n] = self._largest_error(self.problem, self.known, candidate.case, n)
         return candidate.errors[n]
@@ -158,17 +158,17 @@ class Sample:
         return worst, some.size
 
     def unit(self, n: float) -> int:
-        """Of what numbers of steps near n are multiples: steps end at a torque's samples."""
+        """The divisor of numbers of steps near n, so that steps end at a torque's samples."""
         sampled = intervals(self.problem)
         return sampled if sampled <= n else 1
 
     def rounded(self, n: float) -> int:
-        """A multiple of the unit, no less than n."""
+        """The smallest multiple of the unit that is not below n."""
         unit = self.unit(n)
         return max(1, math.ceil(n / unit - 1e-9)) * unit
 
     def candidate(self, case: Case) -> Candidate:
-        """A case, compiled and run once for its error and its speed."""
+        """A case, compiled and run once to measure its error and its speed."""
         record = case.record
         scene = self.whole.ensemble.scene
         limit = math.inf
@@ -187,7 +187,7 @@ class Sample:
         return best_time(lambda: problem.run(case, n), 2)[0]
 
     def time(self, candidate: Candidate, n: int) -> None:
-        """Measure the seconds of a step and of a call, at the step of n steps."""
+        """Measure the seconds of a step and of a call, with the step size of n steps."""
         case = candidate.case
         if not candidate.order:
             candidate.fixed = self.scale * best_time(lambda: self.timed.run(case, 1), 2)[0]

@@ -1,4 +1,4 @@
-"""A scene and its bodies from words: options of a command line, a JSON or a TOML file."""
+"""Scenes and initial states from text: options of the command line, JSON or TOML files."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from fastatt.scene.scene import Scene
 
 _KEYS = ("inertia", "rate", "torque", "frame", "allow_unphysical")
 _MODULES = {"rate": rates, "torque": torques}
-# take functions or other models, which have no words
+# models of functions or of other models can't be given as text
 _WORDLESS = ("Custom", "Sum")
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene of a ``.json`` or ``.toml`` file.
+    """Read the scene in a ``.json`` or ``.toml`` file.
 
     Keys are ``inertia``, ``frame``, ``allow_unphysical``, and ``rate`` or ``torque``: a table, or a
-    list of tables that are summed, with the ``model``'s name and its numbers.
+    list of tables that are summed, with the name of the ``model`` and its numbers.
 
-    Raises ``ValueError`` for anything else, naming the key; ``OSError`` of the file itself.
+    Raises ``ValueError`` for anything else, naming the key; ``OSError`` if the file can't be read.
     """
     text = path.read_text(encoding="utf-8")
     if path.suffix not in (".json", ".toml"):
         raise ValueError(f"{path}: found the ending {path.suffix!r}; accepted: .json and .toml")
     try:
         found = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except ValueError as error:  # that of either parser
+    except ValueError as error:  # of either parser
         raise ValueError(f"{path}: {error}") from None
     for key in found if isinstance(found, dict) else [found]:
         checks.choice(str(path), key, _KEYS)
@@ -57,7 +57,7 @@ def _summed(kind: str, models: Sequence[Any]) -> Any:
 
 
 def from_words(kind: str, words: Sequence[Sequence[str]]) -> Any:
-    """Models from words, summed: ``["Damping", "coefficient=0.02"]``; ``arm=0,0,0.1``."""
+    """The sum of models that are given as words, such as ``["Damping", "coefficient=0.02"]``."""
     found = []
     for name, *settings in words:
         numbers = {}
@@ -79,9 +79,9 @@ def _numbers(name: str, text: str) -> Any:
 
 
 def model(kind: str, name: str, numbers: Mapping[str, Any]) -> Any:
-    """A model of ``fastatt.rates`` or ``fastatt.torques`` by name.
+    """A model of ``fastatt.rates`` or ``fastatt.torques`` by its name.
 
-    Raises ``ValueError`` for an unknown name or number, and for one that is missing.
+    Raises ``ValueError`` for an unknown name or number, and if one is missing.
     """
     module = _MODULES[kind]
     names = [n for n in module.__all__ if n not in _WORDLESS]
@@ -97,7 +97,7 @@ def model(kind: str, name: str, numbers: Mapping[str, Any]) -> Any:
 def read_rows(option: str, path: Path, columns: int) -> NDArray[np.float64]:
     """Rows of numbers from a ``.npy`` file or a text table with commas.
 
-    Raises ``ValueError`` for another shape; ``OSError`` of the file itself.
+    Raises ``ValueError`` for another shape; ``OSError`` if the file can't be read.
     """
     if path.suffix not in (".csv", ".npy"):
         raise ValueError(f"{option}: found the ending {path.suffix!r}; accepted: .csv and .npy")

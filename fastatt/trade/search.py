@@ -1,4 +1,4 @@
-"""The steps of each case that meet a tolerance, or are the best within a time."""
+"""Search for the steps of each case that meet a tolerance, or that are the best within a time."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from fastatt.trade.measure import Case, best_time
 from fastatt.trade.recommendation import Point, Recommendation, in_words
 from fastatt.trade.sample import Candidate, Sample
 
-SINGLE = 1e-6  # rad: nothing is that exact in float32
-_WORTH = 4.0  # a guessed time this much over the best known is not followed
-_FASTER = 2.5  # times, at most: a method in single precision
-_NEAR = 1.5  # times as long as the best: timed again side by side
-_CLOSE = 0.06  # of a number of steps: near enough to the least
-_TRIALS = 10  # numbers of steps that are run on the bodies outside of the sample
-_MOST = 6e7  # body-steps of a trial, 2 or 3 s
-_SHORT = 0.05  # s: a run that is timed as a whole
-_WHOLE = 1.0  # s: a run in which the time of a call does not count
-_UNSEEN = 1.5  # what the error of all that were run is below the tolerance, where some were not
+SINGLE = 1e-6  # rad; float32 is never that accurate
+_WORTH = 4.0  # a case with this many times the estimated time of the best is given up
+_FASTER = 2.5  # the largest speed-up by single precision
+_NEAR = 1.5  # cases with up to this many times the best time are timed again, alternately
+_CLOSE = 0.06  # relative accuracy of the smallest number of steps
+_TRIALS = 10  # numbers of steps that are tried on bodies outside of the sample
+_MOST = 6e7  # the most body-steps of a trial, 2 or 3 s
+_SHORT = 0.05  # s; shorter runs are timed as a whole
+_WHOLE = 1.0  # s; in longer runs the time of a call is negligible
+_UNSEEN = 1.5  # margin of errors below the tolerance if some bodies are not run
 
 
 def work(case: Case, tol: float) -> float:
-    """A guess at what a tolerance costs: tol^(−1/order) evaluations and exponentials."""
+    """An estimate of the work for a tolerance: tol^(−1/order) evaluations and exponentials."""
     m = case.record
     return max(1, m.rate_calls + m.exponentials) * tol ** (-1.0 / m.order) if m.order else 0.0
 
 
 class _Run(NamedTuple):
-    """Steps of a case that meet the goal, their error (rad), and on how many bodies."""
+    """Steps of a case that meet the goal, their error (rad), and the number of bodies."""
 
     candidate: Candidate
     n: int
@@ -39,7 +39,7 @@ class _Run(NamedTuple):
 
     @property
     def seconds(self) -> float:
-        """Of a call."""
+        """Time of a call, s."""
         return self.candidate.seconds(self.n)
 
 
@@ -47,20 +47,20 @@ _SECONDS = attrgetter("seconds")
 
 
 class Search(Sample):
-    """The least steps of each case that meet a tolerance, or the best within a time."""
+    """The fewest steps of each case that meet a tolerance, or the best within a time."""
 
     def cheapest(
         self, cases: Sequence[Case], tol: float, done: Callable[[int], object]
     ) -> Recommendation:
         """The case that meets the tolerance in the shortest time."""
         self.known.refuse_beyond(tol)
-        # others are a little harder
+        # bodies outside of the sample may have slightly larger errors
         within = tol / 1.1 if self.others.size else tol
         met: list[_Run] = []
         guesses: dict[Case, float] = {}
         tried: list[Candidate] = []
         best = math.inf
-        # closed forms, then steps in double precision, then in single
+        # closed forms first, then double precision, then single precision
         for case in sorted(cases, key=lambda c: (c.dtype == "float32", work(c, tol))):
             done(1)
             twin = guesses.get(case._replace(dtype="float64"), 0.0)
@@ -92,7 +92,7 @@ class Search(Sample):
     def most_accurate(
         self, cases: Sequence[Case], budget: float, done: Callable[[int], object]
     ) -> Recommendation:
-        """The case of least error within the time; of those within twice that, the cheapest."""
+        """The case with the smallest error in the time; of those within twice that, the fastest."""
         met: list[_Run] = []
         tried: list[Candidate] = []
         least = math.inf
@@ -117,7 +117,7 @@ class Search(Sample):
         return self._advise(near, budget=budget)
 
     def _least(self, one: Candidate, tol: float, best: float) -> int | None:
-        """The least number of steps that meets the tolerance, near enough; None where none can."""
+        """About the smallest number of steps that meets the tolerance; None if none does."""
         bad, n = 0, one.start
         good: int | None = None
         while True:
@@ -131,30 +131,30 @@ class Search(Sample):
                 if not one.order or flat or self._too_long(n) or one.seconds(n) > _WORTH * best:
                     return None
                 continue
-            # narrow down what lies between, by the declared order
+            # narrow the interval by the declared order
             error = max(one.errors[good], 1e-300)
             near = good - bad <= max(self.unit(good), _CLOSE * good)
             if good == one.first or near or error >= tol * (1.0 - _CLOSE) ** one.order:
                 return good
             aim = 1.02 * good * (error / tol) ** (1.0 / one.order)
             low, high = float(max(one.first, good // 8)), float(good - self.unit(good))
-            if bad:  # away from either
+            if bad:  # away from both ends
                 low, high = bad + 0.25 * (good - bad), good - 0.25 * (good - bad)
             n = min(self.rounded(min(max(aim, low), high)), good - self.unit(good))
             if n <= bad:
                 return good
 
     def _too_long(self, n: int) -> bool:
-        """Whether n steps of the sample are more than any trial may take."""
+        """Whether n steps of the sample exceed the limit of a trial."""
         return bool(n * self.sampled > _MOST)
 
     def _on_others(self, one: Candidate, n: int) -> _Run:
-        """The error of what is recommended over the sample and the bodies outside of it."""
+        """The error of the recommendation over the sample and the bodies outside of it."""
         others, count = self.error_of_others(one, n)
         return _Run(one, n, max(self.error(one, n), others), self.sampled + count)
 
     def _sure(self, one: Candidate, n: int, tol: float) -> _Run | None:
-        """Steps that are enough for the bodies outside the sample too."""
+        """Steps that suffice for the bodies outside the sample too."""
         for _ in range(_TRIALS):
             found = self._on_others(one, n)
             wanted = tol if found.measured == self.whole.ensemble.size else tol / _UNSEEN
@@ -173,7 +173,7 @@ class Search(Sample):
         return None
 
     def _within(self, one: Candidate, budget: float, least: float) -> int | None:
-        """The number of steps with the least error that the time allows, if that may be least."""
+        """The number of steps with the smallest error in the time, if it may be the least."""
         most = one.first
         if one.order:
             most = int((0.95 * budget - one.fixed) / one.slope)
@@ -196,7 +196,7 @@ class Search(Sample):
     def _advise(
         self, met: list[_Run], tol: float | None = None, budget: float | None = None
     ) -> Recommendation:
-        """Time the best again, side by side, and say what limits the first of them."""
+        """Time the best cases again, alternately, and determine what limits the first of them."""
         met.sort(key=_SECONDS)
         close = [one for one in met if one.seconds < _NEAR * met[0].seconds]
         timed = [math.inf] * len(close)
@@ -211,7 +211,7 @@ class Search(Sample):
                 break
             best = self._on_others(best.candidate, less)
             seconds = self._clock(best.candidate, less)
-        # those that were not timed again
+        # the cases that were not timed again
         rest += [(one.seconds, one) for one in met[len(close) :]]
         up = next((Point(o.candidate.case, o.n, o.error, s) for s, o in rest if s >= seconds), None)
         found, n = best.candidate, best.n
@@ -229,7 +229,7 @@ class Search(Sample):
         )  # fmt: skip
 
     def _gains(self, one: Candidate, n: int) -> bool:
-        """Whether half the step is more accurate; of a whole run in one step it is taken to be."""
+        """Whether half the step size is more accurate; True if the whole run is one step."""
         if not one.order:
             return False
         scene, record = self.whole.ensemble.scene, one.case.record
@@ -238,7 +238,7 @@ class Search(Sample):
         return bool(self.error(one, 2 * n) <= one.errors[n] * 0.5 ** (0.5 * one.order))
 
     def _clock(self, one: Candidate, n: int) -> float:
-        """Seconds of the whole call: measured where it is short, else from fewer steps."""
+        """Seconds of the whole call: measured if short, else extrapolated from fewer steps."""
         if one.seconds(n) < _SHORT:
             return best_time(lambda: self.whole.run(one.case, n), 2)[0]
         self.time(one, n)

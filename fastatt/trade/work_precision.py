@@ -1,4 +1,4 @@
-"""Work and precision of every method on a user's own scene."""
+"""Work and precision of every method on a user's scene."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import attitude_of, fits, methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
-from fastatt.threads import progress_bar
+from fastatt.threads import default_threads, progress_bar
 from fastatt.trade.measure import (
     Case,
     Problem,
@@ -29,6 +29,7 @@ from fastatt.trade.measure import (
     machine_line,
     measure,
     panel,
+    processor_line,
     trade_table,
     with_orders,
     write_csv,
@@ -43,14 +44,33 @@ from fastatt.trade.reference import (
 )
 
 DTYPES = ("float64", "float32")
-# |w|h of the coarsest step, rad, where the method itself allows it, and how many halvings follow
+# |w| h of the coarsest step, rad, if the method allows it, and the number of halvings
 _COARSEST = 2.0
 _RUNGS = 14
 
 
 @dataclass(frozen=True)
 class WorkPrecision:
-    """Measured rows, and what they were measured on and against."""
+    """Measured rows, as :func:`work_precision` returns them.
+
+    Attributes
+    ----------
+    rows : list of Row
+        One row for each case and step size: method, representation, dtype, dt, errors (rad),
+        seconds for each body, drift, observed order, status.
+    t_end : float
+        Duration, s.
+    n_bodies : int
+        Number of bodies.
+    sampled : int
+        Number of bodies that were measured.
+    reference : str
+        What errors were measured against.
+    reference_error : float
+        Largest error of the reference over the sample, rad.
+    confirmation : str
+        The difference of another method from the reference.
+    """
 
     rows: list[Row]
     t_end: float
@@ -59,14 +79,21 @@ class WorkPrecision:
     reference: str
     reference_error: float
     confirmation: str
+    n_threads: int = field(default_factory=default_threads)
 
     @property
     def frontier(self) -> list[Row]:
-        """The rows of which none is beaten in both time and median error, fastest first."""
+        """The rows that no other row beats in both time and median error, fastest first."""
         return frontier(self.rows)
 
     def table(self) -> str:
-        """All rows as text."""
+        """Return all rows as a text table.
+
+        Returns
+        -------
+        str
+            The table.
+        """
         return trade_table(self.rows)
 
     def __str__(self) -> str:
@@ -78,19 +105,39 @@ class WorkPrecision:
         )
 
     def plot(self, path: str | Path) -> None:
-        """Draw error against time per body, the frontier behind it (needs matplotlib)."""
+        """Plot error against time per body with the frontier; needs matplotlib.
+
+        Parameters
+        ----------
+        path : str or Path
+            The picture.
+        """
         from fastatt import plots
 
-        title = f"{self.sampled} of {self.n_bodies} bodies"
+        kind = self.rows[0].input
+        title = f"{kind} scene, {self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s"
         drawn = panel(title, self.t_end, self.rows)
-        plots.work_precision([drawn], "What accuracy costs", Path(path))
+        heading = f"Error against time, {processor_line(self.n_threads)}"
+        plots.work_precision([drawn], heading, Path(path))
 
     def to_csv(self, path: str | Path) -> None:
-        """Write the rows, a line of names first."""
+        """Write the rows as CSV with a line of names.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        """
         write_csv(Path(path), self.rows)
 
     def to_json(self, path: str | Path) -> None:
-        """Write the rows, the machine and the reference."""
+        """Write the rows, the machine and the reference as JSON.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        """
         found = {"machine": machine(), **asdict(self)}
         with Path(path).open("w", encoding="utf-8") as file:
             json.dump(found, file, indent=1)
@@ -117,39 +164,72 @@ def work_precision(
     seed: int = 0,
     progress: bool = False,
 ) -> WorkPrecision:
-    """Measure methods on a sample of an ensemble over a ladder of steps.
-
-    Each ladder starts where the fastest body rotates by 2 rad a step, or by as much as the method
-    allows, and is halved until rounding limits or the time is used up. Times are those of the
-    sample, compiled and warmed up. Errors are angles at the end, rad, against ``reference``, whose
-    largest own error over the sample is ``reference_error``, rad.
+    """Measure methods over a ladder of step sizes on a sample of an ensemble.
 
     Parameters
     ----------
-    scene, q0, w0, v0, r0, s0, t0, n_threads : as of :func:`fastatt.propagate`.
+    scene : Scene
+        The bodies with their rates, torques and forces.
+    q0 : array_like, shape (4,) or (N, 4)
+        Initial attitudes, as in :func:`fastatt.propagate`.
+    w0 : array_like, shape (3,) or (N, 3), optional
+        Initial angular velocities along body axes, rad/s.
     t_end : float
         Duration, s, above 0.
-    methods, representations, dtypes : sequence
-        What to measure: names, user-defined ``Method`` and ``Attitude`` objects. None takes every
-        method that fits.
-    sample : int
-        Bodies to measure on: the fastest, the slowest, the others by chance from ``seed``.
-    repeats : int
-        Runs of which the shortest counts.
-    max_seconds : float
-        Time for all rows together, s, compilation not counted; each case has its share.
-    progress : bool
-        Show a bar (needs tqdm).
+    v0 : array_like, shape (3,) or (N, 3), optional
+        Initial velocities along body axes, m/s.
+    r0 : array_like, shape (3,) or (N, 3), optional
+        Initial positions along inertial axes, m.
+    s0 : array_like, shape (n,) or (N, n), optional
+        Initial values of the scene's states.
+    t0 : float, default 0.0
+        Time of the initial state, s.
+    methods : sequence of str or Method, optional
+        Methods to measure; the default is every method that fits.
+    representations : sequence of str or Attitude, default ("quat",)
+        Representations to measure.
+    dtypes : sequence of str, default ("float64", "float32")
+        Precisions to measure.
+    sample : int, default 1024
+        Number of bodies: the fastest, the slowest, and others that are chosen at random.
+    repeats : int, default 3
+        Number of runs, of which the shortest time counts.
+    max_seconds : float, default 60.0
+        Time for all rows together, s, without compilation; each case has its share.
+    n_threads : int, optional
+        Number of threads, as in :func:`fastatt.propagate`.
+    seed : int, default 0
+        Seed of the random choice of bodies.
+    progress : bool, default False
+        Show a progress bar, which needs tqdm.
 
     Returns
     -------
     WorkPrecision
-        ``rows``, ``frontier``, ``table()``, ``plot(path)``, ``to_csv(path)``, ``to_json(path)``.
+        The measured rows.
 
     Raises
     ------
     ValueError, TypeError
-        An argument that does not fit, by name, with what is accepted.
+        If an argument does not fit.
+
+    Notes
+    -----
+    Each ladder begins where the fastest body rotates by 2 rad in a step, or by as much as the
+    method allows, and the step is halved until rounding dominates or the time is used up. Times are
+    those of the sample, without compilation. Errors are angles at the end, rad, against the
+    ``reference``.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> found = fa.work_precision(
+    ...     scene, (1, 0, 0, 0), (0.1, 0.2, 0.3), t_end=5.0, methods=["rk4"], dtypes=("float64",),
+    ...     repeats=1,
+    ... )
+    >>> {row.method for row in found.rows}
+    {'rk4'}
     """
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     cases = cases_of(scene, methods, representations, dtypes)
@@ -170,7 +250,7 @@ def work_precision(
     return WorkPrecision(
         rows=found, t_end=problem.t_end, n_bodies=ensemble.size, sampled=rows.size,
         reference=known.source, reference_error=float(np.max(known.own_error)),
-        confirmation=str(check),
+        confirmation=str(check), n_threads=n_threads or default_threads(),
     )  # fmt: skip
 
 
@@ -180,10 +260,10 @@ def cases_of(
     representations: Sequence[str | Attitude],
     dtypes: Sequence[str],
 ) -> list[Case]:
-    """Every combination that exists of these methods, representations and precisions.
+    """Every valid combination of these methods, representations and precisions.
 
-    Raises ``ValueError`` for a name that is unknown or does not fit, for one that two methods or
-    representations have, and where nothing is left.
+    Raises ``ValueError`` for an unknown name, one that does not fit, a name of two methods or
+    representations, and if no combination is valid.
     """
     fitting = methods_for(scene)
     for method in methods or ():
@@ -222,17 +302,17 @@ def cases_of(
 
 
 def name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
-    """The name of one of the library's, or a user-defined record itself."""
+    """The name of a method or representation of the library, or a user-defined record itself."""
     return record.name if known.get(record.name) is record else record
 
 
 def duration(t_end: float) -> float:
-    """A finite number of seconds above 0."""
+    """A finite duration above 0, s."""
     return checks.above_zero("t_end", t_end, "a duration above 0, s")
 
 
 def spread(problem: Problem, size: int, generator: np.random.Generator) -> NDArray[np.intp]:
-    """Rows of the fastest bodies (an eighth) and the slowest (a sixteenth), others by chance."""
+    """Rows of the fastest bodies (an eighth), the slowest (a sixteenth), and others at random."""
     n = problem.ensemble.size
     if n <= size:
         return np.arange(n)
@@ -253,10 +333,10 @@ def case_rows(
     steps: Sequence[int] | None = None,
     seconds: float = math.inf,
 ) -> list[Row]:
-    """The ladder of one case: of these steps, or until rounding limits or the time is used up.
+    """The ladder of one case: with these steps, or until rounding dominates or the time is used up.
 
-    The closed form has one row; where it is the reference itself, its error is measured against
-    what confirms it.
+    The closed form has one row. If it is the reference itself, its error is measured against what
+    confirms it.
     """
     end = known.end
     if case.record.is_exact:
@@ -269,7 +349,7 @@ def case_rows(
     for n in steps or [first * 2**k for k in range(_RUNGS)]:
         rows = with_orders([*rows, measure(problem, end, case, n, repeats, name)], case, order)
         used += (repeats + 2) * rows[-1].seconds_per_body * problem.ensemble.size
-        # the next takes as long as all before it
+        # the next run takes as long as all before it
         if steps is None and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):
             break
     return rows

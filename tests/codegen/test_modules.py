@@ -69,7 +69,7 @@ def cache(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "made", 0)
     yield path
     store._found.cache_clear()
-    store._surroundings.cache_clear()
+    store.surroundings.cache_clear()
 
 
 # files
@@ -82,7 +82,7 @@ def test_what_another_version_left_is_not_taken(cache, monkeypatch, of, name):
     """Of Numba, llvmlite or Python: its file has another name."""
     assert answer(42) == 42
     monkeypatch.setattr(of, name, getattr(of, name) + ".1")
-    store._surroundings.cache_clear()
+    store.surroundings.cache_clear()
     assert answer(42) == 42
     assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 0, 2)
 
@@ -94,12 +94,12 @@ def test_what_other_sources_emitted_is_not_taken(cache, monkeypatch, tmp_path, e
         shutil.copytree(ROOT / "fastatt" / folder, tmp_path / folder)
     monkeypatch.setattr(store, "__file__", str(tmp_path / "codegen" / "modules.py"))
     for _ in range(2):
-        store._surroundings.cache_clear()
+        store.surroundings.cache_clear()
         answer(42)
     assert (store.made, store.hits) == (1, 1)
     with (tmp_path / edited).open("a", encoding="utf-8") as file:
         file.write("\n")
-    store._surroundings.cache_clear()
+    store.surroundings.cache_clear()
     answer(42)
     assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 1, 2)
 
@@ -117,7 +117,7 @@ def test_what_another_processor_compiled_is_not_taken(cache, monkeypatch, other)
     """Of a folder that machines share: another one may lack what this one has."""
     for target in (("x86_64-linux-gnu", "skylake", "+sse2,+avx"), other):
         monkeypatch.setattr(store, "processor", lambda target=target: described(*target))
-        store._surroundings.cache_clear()
+        store.surroundings.cache_clear()
         answer(42)
     assert (store.made, store.hits, len(list(cache.glob("*.py")))) == (2, 0, 2)
 

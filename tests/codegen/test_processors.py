@@ -132,6 +132,7 @@ def arm(monkeypatch):
     return assembly
 
 
+@pytest.mark.newest
 @pytest.mark.parametrize(("dtype", "lanes"), [("float64", "2d"), ("float32", "4s")])
 def test_an_arm_computes_on_whole_vectors(arm, dtype, lanes):
     job = job_of(free(), "rk4", "quat", dtype)

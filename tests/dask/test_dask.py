@@ -214,7 +214,7 @@ def test_warnings_of_workers_arrive(client):
 
 
 def test_drifts_of_all_bodies():
-    steps = {"every": 10, **RK4}
+    steps = {"save_every": 10, **RK4}
     whole = fa.drift_statistics(OWN, Q0, W0, **steps)
     for chunks in (33, 70):
         found = fd.drift_statistics(OWN, Q0, W0, chunks=chunks, **steps).compute()
@@ -241,7 +241,7 @@ def test_drifts_of_what_moves_begins_later_or_is_lost():
         (spin, None, {"t0": 4.0}),
         (SHARED, lost, {"invalid": "flag"}),
     ):
-        given = {"every": 10, **RK4, "dt": 0.1, **options}
+        given = {"save_every": 10, **RK4, "dt": 0.1, **options}
         whole = fa.drift_statistics(scene, Q0, w0, **given)
         found = fd.drift_statistics(scene, Q0, w0, chunks=33, **given).compute()
         assert found.flags == whole.trajectory.status_counts()
@@ -344,7 +344,7 @@ def of_unknown_size():
         (lambda: fd.propagate(SHARED, Q0, W0, method="magnus4", **STEPS), "method: found"),
         (lambda: fd.propagate("free", Q0, W0, **STEPS), "scene: found"),
         (
-            lambda: fd.drift_statistics(SHARED, Q0, W0, every=2, n_threads=2, **STEPS),
+            lambda: fd.drift_statistics(SHARED, Q0, W0, save_every=2, n_threads=2, **STEPS),
             "n_threads: found",
         ),
         (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=[]), "runs: found none"),

@@ -255,7 +255,7 @@ def test_watched_drift_is_that_of_the_history():
     for n_steps in (7, 160, 1003):
         run = fa.propagate(scene, q0, w0, n_steps=n_steps, save_every=10, **call)
         kept = fa.drift(run, scene)
-        watched = fa.drift_statistics(scene, q0, w0, n_steps=n_steps, every=10, **call)
+        watched = fa.drift_statistics(scene, q0, w0, n_steps=n_steps, save_every=10, **call)
         assert watched.saves == run.t.size - 1
         assert_array_equal(watched.trajectory.q, run.q[-1:])
         assert_array_equal(watched.norm.maximum, kept.norm[1:].max(axis=0))
@@ -305,15 +305,19 @@ def test_a_measure_beyond_all_bins_is_its_bodys_own():
 def test_watch_refusals():
     scene = fa.Scene(inertia=(2.0, 1.0, 0.9))
     call = {"dt": 0.1, "n_steps": 1}
-    with pytest.raises(TypeError, match="save_every: found; accepted: every"):
-        fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, save_every=1, **call)
-    with pytest.raises(TypeError, match="every: found None; accepted: a whole number"):
-        fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=None, **call)
-    none = fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, **call | {"n_steps": 0})
+    with pytest.raises(TypeError, match="on_save: found; accepted: save_every alone"):
+        fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], save_every=1, on_save=print, **call)
+    with pytest.raises(TypeError, match="save_every: found None; accepted: a whole number"):
+        fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], save_every=None, **call)
+    none = fa.drift_statistics(
+        scene, [1, 0, 0, 0], [0, 0, 1], save_every=1, **call | {"n_steps": 0}
+    )
     assert (none.saves, none.norm.maximum[0], none.norm.percentile(50.0)[0]) == (0, 0.0, 0.0)
     with pytest.raises(ValueError, match="on_save: found without save_every"):
         fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], on_save=print, **call)
-    watched = fa.drift_statistics(scene, [1, 0, 0, 0], [0, 0, 1], every=1, method="rk4", **call)
+    watched = fa.drift_statistics(
+        scene, [1, 0, 0, 0], [0, 0, 1], save_every=1, method="rk4", **call
+    )
     with pytest.raises(ValueError, match="percent: found 101"):
         watched.norm.percentile(101)
     bodies = watched.norm.maximum.size

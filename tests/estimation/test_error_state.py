@@ -198,11 +198,11 @@ W = [0.1, 0.2, 0.3]
             lambda: estimation.predict_covariance(
                 np.triu(np.ones((6, 6))), W, 0.1, angle_noise=0.0, bias_noise=0.0
             ),
-            "P: is not symmetric",
+            "covariance: is not symmetric",
         ),
         (
             lambda: estimation.covariance_to_body(np.zeros((2, 6, 6)), np.ones((3, 4))),
-            "P: found rows P 2, q 3",
+            "covariance: found rows covariance 2, q 3",
         ),
     ],
 )

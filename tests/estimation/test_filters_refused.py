@@ -34,12 +34,12 @@ def test_what_is_no_covariance_is_refused(change, what):
             lambda: es.MEKF(START, bad, **NOISE),
             lambda: es.UKF(START, beside, bad),
             lambda: particles.scatter(bad),
+            lambda: es.covariance_to_body(bad, START),
             lambda: es.ParticleFilter.around(START, beside, bad, 8),
         ),
         "noise": (
             lambda: es.UKF(START, beside, P0).predict(es.gyro_motion((0.1, 0.2, 0.3), H), bad),
         ),
-        "P": (lambda: es.covariance_to_body(bad, START),),
         "sigma": (lambda: fixes.update_attitude(START, bad[[[0], [4], [5]], [0, 4, 5]]),),
     }
     if what != "has a negative variance" or change[4, 4] != 0.0:

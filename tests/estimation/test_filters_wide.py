@@ -101,8 +101,8 @@ def test_a_heading_that_nothing_measures_stays_unknown():
     """After a start without a magnetometer, through rest, turns and an accelerometer's updates."""
     rng, gyro, accel = rested(4, START)
     start = es.static_start(gyro, accel, sigma=2e-3)
-    mekf = es.MEKF(start.q, start.P, bias=start.bias, **NO_NOISE)
-    ukf = es.UKF(start.q, start.bias, start.P)
+    mekf = es.MEKF(start.q, start.covariance, bias=start.bias, **NO_NOISE)
+    ukf = es.UKF(start.q, start.bias, start.covariance)
     truth = START
     for k in range(200):
         rate = np.array([0.3, -0.2, 0.1]) * (k > 50)

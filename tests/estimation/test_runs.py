@@ -108,7 +108,7 @@ def test_the_run_is_that_of_propagate_and_its_first_step_that_of_body_tangent(fo
     run, tangent = found
     plain = fa.propagate(SCENE, Q, W, **RUN)
     assert fa.angle_between(plain.q[-1], run.q[-1, 0]) <= 8 * EPS
-    first = es.body_tangent(SCENE, Q, W, 0.2, t=0.3, method="strang2")
+    first = es.body_tangent(SCENE, Q, W, 0.2, t0=0.3, method="strang2")
     assert np.abs(tangent.steps[0, 0, :6, :6] - first.matrix).max() <= 8 * EPS
 
 

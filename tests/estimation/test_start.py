@@ -31,7 +31,7 @@ def test_errors_are_those_of_the_covariance():
     for q in rng.normal(size=(50, 4)):
         found = es.static_start(*rest(q, rng), field=FIELD, sigma=SIGMA)
         d = np.concatenate([es.attitude_error(found.q, q / np.linalg.norm(q)), BIAS - found.bias])
-        squares.append(d @ np.linalg.solve(found.P, d))
+        squares.append(d @ np.linalg.solve(found.covariance, d))
         assert abs(found.gravity - 9.81) < 5 * 0.05 / np.sqrt(N) + 9.81 * 1e-4
     assert abs(np.mean(squares) - 6.0) < 5.0 * np.sqrt(12.0 / 50.0)
 
@@ -47,7 +47,7 @@ def test_without_a_magnetometer_the_heading_is_free(q):
     mean = accel.mean(axis=0) / np.linalg.norm(accel.mean(axis=0))
     assert np.abs(fa.quat_rotate(found.q, mean) - UP).max() < 1e-15 * 4
     assert abs(found.q[3]) < 1e-15
-    values = np.sqrt(np.linalg.eigvalsh(found.P[:3, :3]))
+    values = np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3]))
     assert values == pytest.approx([np.hypot(1e-3, 0.05 / 9.81 / 20.0)] * 2 + [np.pi], rel=0.1)
     # north, east and down: up is −z
     down = es.static_start(gyro, accel, sigma=1e-3, up=(0.0, 0.0, -1.0))

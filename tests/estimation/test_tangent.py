@@ -284,7 +284,7 @@ BODY = fa.Scene(inertia=MOMENTS)
         (
             lambda: estimation.sample_transitions(np.zeros((1, 3)), H),
             ValueError,
-            "samples: found one rate",
+            "rates: found one rate",
         ),
         (
             lambda: estimation.body_tangent(BODY, Q, np.zeros((3, 3)), H, method="exact"),

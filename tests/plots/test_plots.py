@@ -11,10 +11,11 @@ from PIL import Image
 import fastatt as fa
 from fastatt import plots
 from fastatt.plots import animated, runs, study
-from fastatt.plots.drawing import COLOURS
+from fastatt.plots.drawing import COLOURS, GREY, styles_of
 
 BODY = fa.Scene(inertia=(3.0, 2.0, 1.0))
 RATE = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 1.0)))
+TUMBLE = fa.Scene(rate=fa.rates.Constant((1.0, 0.0, 0.0)))
 
 
 def run_of(bodies=1, n_steps=40, **options):
@@ -47,19 +48,22 @@ def labels(figure):
 def test_one_body():
     run = run_of()
     figure = drawn(fa.plots.history, run, scene=BODY)
-    turned, rates, drifts = figure.axes
-    assert labels(figure) == ["3-1-3 angles, deg", "w along body axes, rad/s", "relative drift"]
+    axis, angles, rates, drifts = figure.axes
+    assert labels(figure) == [
+        "third body axis\nalong inertial X, Y, Z", "3-1-3 Euler angles, deg",
+        "angular velocity\nalong body axes, rad/s", "relative drift",
+    ]  # fmt: skip
     assert drifts.get_xlabel() == "time, s"
-    theta = curves(turned)["θ"]
+    assert np.array_equal(curves(axis)["Z"].get_ydata(), run.dcm[:, 2, 2])
+    theta = curves(angles)["θ"]
     assert np.array_equal(theta.get_xdata(), run.t)
     assert np.allclose(theta.get_ydata(), np.degrees(run.euler313[:, 1]))
     assert np.array_equal(curves(rates)["$w_y$"].get_ydata(), run.w[:, 1])
     assert np.array_equal(curves(rates)["|w|"].get_ydata(), np.linalg.norm(run.w, axis=1))
     energy = curves(drifts)["energy"].get_ydata()
     assert np.array_equal(energy[1:], fa.drift(run, BODY).energy[1:])
-    axis = drawn(fa.plots.history, run, scene=None, attitude="axis").axes
-    assert np.array_equal(curves(axis[0])["Z"].get_ydata(), run.dcm[:, 2, 2])
-    assert set(curves(axis[2])) == {"from the group"}
+    alone = drawn(fa.plots.history, run, scene=None).axes
+    assert set(curves(alone[3])) == {"norm error"}
 
 
 @pytest.mark.parametrize(
@@ -81,15 +85,20 @@ def test_runs_with_saves_at_given_times(bodies, options, title, tmp_path):
     fa.plots.animation(run, tmp_path / "run.gif", seconds=0.1, fps=20)
 
 
-def test_angles_break_where_they_wrap():
-    """A spin about the third axis: φ + ψ passes 180° and goes on from −180°."""
-    run = fa.propagate(RATE, [1, 0, 0, 0], dt=0.1, n_steps=100, save_every=1)
-    lines = drawn(fa.plots.history, run, scene=None).axes[0].lines
+def test_angles_go_on_past_180_degrees():
+    """A body that rotates about its third axis by 10 rad."""
+    run = fa.propagate(RATE, [0.8, 0.6, 0, 0], dt=0.1, n_steps=100, save_every=1)
+    psi = curves(drawn(fa.plots.history, run, scene=None).axes[1])["ψ"].get_ydata()
+    assert np.allclose(psi - psi[0], np.degrees(run.t), rtol=0.0, atol=1e-9)
+
+
+def test_angles_break_where_the_third_axis_passes_the_pole():
+    run = fa.propagate(TUMBLE, [0.8, 0.6, 0, 0], dt=0.1, n_steps=100, save_every=1)
+    lines = drawn(fa.plots.history, run, scene=None).axes[1].lines
     values = np.stack([line.get_ydata() for line in lines])
+    assert np.isnan(values).any()
     with np.errstate(invalid="ignore"):
         assert np.nanmax(np.abs(np.diff(values))) <= 120.0
-    assert np.isnan(values).any()
-    assert np.nanmax(np.abs(values)) <= 180.0
 
 
 def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
@@ -106,7 +115,7 @@ def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     )
     figure = drawn(fa.plots.history, run, scene=BODY)
     assert "1 flagged" in figure.get_suptitle()
-    assert np.isfinite(curves(figure.axes[2])["momentum"].get_ydata()[1:]).all()
+    assert np.isfinite(curves(figure.axes[2])["angular momentum"].get_ydata()[1:]).all()
     assert len(drawn(fa.plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 4
     assert np.isfinite(curves(figure.axes[1])["median of the bodies"].get_ydata()).all()
 
@@ -171,7 +180,7 @@ def test_files(tmp_path):
     run.plot(tmp_path / "run.png", BODY)
     fa.plots.animation(run, tmp_path / "run.gif", seconds=0.15, fps=20)
     with Image.open(tmp_path / "run.png") as picture:
-        assert picture.size == (990, 902)
+        assert picture.size == (990, 1144)
     with Image.open(tmp_path / "run.gif") as film:
         assert film.n_frames == 3
         assert film.info["duration"] == 50
@@ -199,7 +208,6 @@ def test_the_film_turns_the_box(monkeypatch):
     ("draw", "given", "message"),
     [
         ("history", {"saves": None}, "run: has 1 save; accepted: two or more"),
-        ("history", {"attitude": "pole"}, "attitude: found 'pole'; accepted: angles, axis"),
         ("polhode", {"scene": RATE}, "scene: found a rate; accepted: a scene with inertia"),
         ("polhode", {"scene": BODY, "bodies": [1]}, r"bodies: found \[1\]; accepted: 1 to 8 of 0"),
         ("animation", {"body": 1}, "body: found 1; accepted: 0 to 0"),
@@ -221,21 +229,68 @@ def test_what_is_no_run_is_refused(tmp_path):
             draw("run.csv", tmp_path / "x.gif")
 
 
-def test_work_precision_says_what_it_shows(monkeypatch):
+def study_figure(monkeypatch, draw, *arguments):
     figures = []
     monkeypatch.setattr(study, "save", lambda figure, path: figures.append(figure))
-    curve = plots.MethodCurve("rk4", "quat", [1e-6, 2e-6], [1e-3, 1e-5])
-    panels = [plots.Panel(title, 20.0, [curve], curve) for title in ("cones", "tops")]
-    plots.work_precision(panels, "all", "")
-    (figure,) = figures
+    draw(*arguments, "")
+    return figures[0]
+
+
+def texts(axes):
+    return {text.get_text(): text for text in axes.texts}
+
+
+def test_work_precision_says_what_it_shows(monkeypatch):
+    rk4 = plots.MethodCurve("rk4", "quat", [1e-6, 2e-6], [1e-3, 1e-5])
+    exact = plots.MethodCurve("exact", "quat", [3e-6], [0.0])
+    slow = plots.MethodCurve("slow", "quat", [5e-6, 6e-6], [1e-2, 1e-4], leads=False)
+    slow_matrix = plots.MethodCurve("slow", "dcm", [5e-6, 6e-6], [1e-2, 1e-4], leads=False)
+    ladders = [rk4, exact, slow, slow_matrix]
+    panels = [plots.Panel(title, 20.0, ladders, rk4) for title in ("cones", "tops")]
+    figure = study_figure(monkeypatch, plots.work_precision, panels, "all")
     assert figure.get_suptitle() == "all"
     assert [axes.get_title() for axes in figure.axes] == ["cones", "tops"]
     x_labels = {axes.get_xlabel() for axes in figure.axes}
     assert x_labels == {"time per body for 20 s of motion, µs"}
-    assert labels(figure) == ["attitude error, median over bodies, rad", ""]
-    best, method = figure.axes[0].lines
+    assert labels(figure) == ["attitude error at the end, median over bodies, rad", ""]
+    best, method, closed, dominated = figure.axes[0].lines
     assert np.allclose(method.get_xdata(), [1.0, 2.0])
     assert np.array_equal(method.get_ydata(), [1e-3, 1e-5])
     assert np.array_equal(best.get_ydata(), [1e-3, 1e-5])
-    names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert names == ["rk4", "frontier"]
+    assert figure.axes[0].get_ylim()[0] < closed.get_ydata()[0] > 0.0
+    assert dominated.get_color() == GREY not in {method.get_color(), closed.get_color()}
+    assert set(texts(figure.axes[0])) == {"rk4", "exact", "slow"}
+    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert shown == ["frontier", "dominated by other methods"]
+
+
+def test_recordings_have_no_truth(monkeypatch):
+    t = np.linspace(0.0, 10.0, 200)
+    log = plots.Departures("log", t, {"hold": 0.1 + t, "previous": 0.01 + 0.1 * t}, 2.0 + t)
+    figure = study_figure(monkeypatch, plots.recordings, [log], "coning3")
+    assert labels(figure) == ["difference from coning3, deg"]
+    assert set(texts(figure.axes[0])) == {"hold", "previous", "maker's orientation"}
+
+
+def test_no_style_twice():
+    styles = styles_of([str(k) for k in range(60)], grey=[str(k) for k in range(0, 48, 2)])
+    looks = {tuple(sorted((k, v) for k, v in s.items() if k != "lw")) for s in styles.values()}
+    assert len(looks) == 60
+
+
+def test_names_cover_neither_each_other_nor_the_curves(monkeypatch):
+    """Of seven curves that end within a few pixels of each other."""
+    x = np.array([1e-6, 1e-5])
+    ladders = [plots.MethodCurve(f"method{k}", "quat", x, [1e-2, 1e-8 * 1.05**k]) for k in range(7)]
+    ladders.append(plots.MethodCurve("far", "quat", x, [1.0, 1e-1]))
+    panel = plots.Panel("cones", 20.0, ladders, ladders[0])
+    (axes,) = study_figure(monkeypatch, plots.work_precision, [panel], "all").axes
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == 8
+    frame = axes.get_window_extent()
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+        assert frame.containsx(box.x0)
+        assert frame.containsx(box.x1)
+    end = axes.transData.transform((10.0, 1e-1))
+    assert np.hypot(*(np.array([boxes[-1].x0, 0.5 * (boxes[-1].y0 + boxes[-1].y1)]) - end)) < 60.0

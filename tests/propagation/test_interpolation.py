@@ -148,3 +148,61 @@ def test_refusals(change, message):
     given = {"t": t, "q": q[:, 0], "w": w[:, 0], "times": 0.5} | change
     with pytest.raises(ValueError, match=message):
         fa.interpolate(**given)
+
+
+# other numbers of a run
+
+
+def waves(t):
+    """Numbers (S, 2, 3)."""
+    t = np.asarray(t, float)
+    return np.stack([np.sin((1.0 + k) * t + k) for k in range(6)], axis=-1).reshape(*t.shape, 2, 3)
+
+
+@pytest.mark.parametrize("saves", [4, 8, 12])
+def test_orders_of_states(saves):
+    """The number of saves, up to eight, in the middle and at the ends."""
+    found = []
+    for h in (0.05, 0.025):
+        t = np.linspace(0.0, -h * (saves - 1), saves)
+        times = np.linspace(t[0], t[-1], 97)
+        found.append(np.abs(fa.interpolate_states(t, waves(t), times) - waves(times)).max())
+    assert np.log2(found[0] / found[1]) == pytest.approx(min(saves, 8), abs=0.4)
+
+
+def test_states_at_saves_and_of_one_body():
+    t = np.cumsum(np.random.default_rng(3).uniform(0.05, 0.2, 30))
+    assert (fa.interpolate_states(t, waves(t), t) == waves(t)).all()
+    single = fa.interpolate_states(t, waves(t)[:, 1].astype(np.float32), float(t[4]))
+    assert single.shape == (3,)
+    assert single.dtype == np.float32
+
+
+def test_bad_states_stay_in_their_column():
+    t = np.linspace(0.0, 3.0, 31)
+    spoilt = waves(t)
+    spoilt[20, 1, 0] = np.nan
+    times = np.array([0.75, 2.03])
+    got, whole = (fa.interpolate_states(t, x, times) for x in (spoilt, waves(t)))
+    assert np.isnan(got[1, 1, 0])
+    assert np.isnan(got).sum() == 1
+    assert (got[~np.isnan(got)] == whole[~np.isnan(got)]).all()
+
+
+def test_states_that_change_too_fast_warn():
+    t = np.linspace(0.0, 30.0, 31)
+    with pytest.warns(fa.StepWarning, match="1 of 2 columns"):
+        fa.interpolate_states(t, np.stack([np.sin(2.9 * t), 3.0 + 0.0 * t], axis=1), t[:-1] + 0.5)
+
+
+@pytest.mark.parametrize(
+    ("t", "s", "times", "message"),
+    [
+        ([0.0, 0.0], np.zeros((2, 1)), 0.0, "rising or falling"),
+        ([0.0, 1.0], np.zeros((3, 1)), 0.0, "s: has shape"),
+        ([0.0, 1.0], np.zeros((2, 1)), [0.5, 1.5], r"times\[1\] is 1.5; accepted: 0.0 to 1.0"),
+    ],
+)
+def test_refused_states(t, s, times, message):
+    with pytest.raises(ValueError, match=message):
+        fa.interpolate_states(t, s, times)

@@ -500,17 +500,17 @@ SCENE = [
     (
         {"rate": fa.rates.Constant([0.0, 0.0, 1.0]), "torque": LINEAR},
         ValueError,
-        "torque: found beside a rate; accepted: with inertia only",
+        "torque: found with a rate; accepted: with inertia only",
     ),
     (
         {"torque": LINEAR},
         ValueError,
-        "rate, inertia: found neither beside a torque, which needs inertia; acc",
+        "rate, inertia: found neither, with a torque, which needs inertia; acc",
     ),
     (
         {"inertia": MOMENTS, "frame": "inertial"},
         ValueError,
-        'frame: found "inertial" beside inertia; accepted: "body"',
+        'frame: found "inertial" with inertia; accepted: "body"',
     ),
     (
         {"inertia": [MOMENTS] * 4, "torque": fa.torques.Damping([0.1, 0.2])},

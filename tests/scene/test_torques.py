@@ -891,9 +891,9 @@ def test_numbers_for_another_count_of_bodies():
 
 
 def test_params_stand_beside_a_function_only():
-    with pytest.raises(ValueError, match=r"params: found .* beside the model Damping; accepted: "):
+    with pytest.raises(ValueError, match=r"params: found .* with the model Damping; accepted: "):
         fa.Scene(inertia=INERTIA, torque=T.Damping(0.1), params=(1.0,))
-    with pytest.raises(ValueError, match=r"params: found .* beside the model NoneType; accepted: "):
+    with pytest.raises(ValueError, match=r"params: found .* with the model NoneType; accepted: "):
         fa.Scene(inertia=INERTIA, params=(1.0,))
 
 

@@ -106,6 +106,7 @@ TERMS = {
 }
 
 
+@pytest.mark.newest
 @each("lanes", [0, 8])
 @each("name", TERMS)
 def test_operations(name, lanes):
@@ -169,6 +170,7 @@ CHAINS = {
 POINTS = [(name, k) for name, (_, points) in CHAINS.items() for k in range(len(points))]
 
 
+@pytest.mark.newest
 @pytest.mark.parametrize("lanes", [0, 8])
 @pytest.mark.parametrize(("name", "k"), POINTS)
 def test_kernels(name, k, lanes):

@@ -78,6 +78,7 @@ def given(flat, name, scale=1.0):
     return found
 
 
+@pytest.mark.newest
 @each(*every_precision.args)
 @each("name", sorted(KERNELS))
 def test_text_is_the_kernel_to_the_bit(name, kind):
@@ -183,6 +184,7 @@ class Programs:
         return y
 
 
+@pytest.mark.newest
 def test_machine_code_is_the_text_to_the_bit():
     flats = {name: recorded(name, "double") for name in ARGUMENTS}
     programs = Programs(flats, "double", False)
