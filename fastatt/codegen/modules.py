@@ -98,7 +98,7 @@ def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], No
 
 @contextlib.contextmanager
 def _optimised_once() -> Iterator[None]:
-    """Numba optimises each function alone, and then the module; one function needs it once."""
+    """Without Numba's passes over each function alone, which those over the module repeat."""
     codegen = cpu_target.target_context.codegen()
     codegen._function_pass_manager = functools.partial(codegen._function_pass_manager, opt=0)  # noqa: SLF001
     try:
