@@ -31,6 +31,7 @@ INTERNAL = {
 #: examples that compile programs which no other test needs; pages show the same calls, and run them
 SLOW = {
     "Attitude", "error_budget", "estimation.run_tangent", "event", "per_body_steps", "recommend",
+    "work_precision",
 }  # fmt: skip
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
