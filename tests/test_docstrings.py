@@ -28,6 +28,10 @@ INTERNAL = {
     "Reducer": {"begin", "columns", "watching"},
     "Scene": {"carried", "dependence", "memo", "packed"},
 }  # fmt: skip
+#: examples that compile programs which no other test needs; pages show the same calls, and run them
+SLOW = {
+    "Attitude", "error_budget", "estimation.run_tangent", "event", "per_body_steps", "recommend",
+}  # fmt: skip
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -157,7 +161,10 @@ def test_classes(name):
         assert entries(found["attributes"])
 
 
-@pytest.mark.parametrize("name", sorted(PUBLIC))
+EXAMPLES = [name for name, value in PUBLIC.items() if ">>>" in (inspect.getdoc(value) or "")]
+
+
+@pytest.mark.parametrize("name", sorted(set(EXAMPLES) - SLOW))
 def test_examples(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(PUBLIC[name]) or ""

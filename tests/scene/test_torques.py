@@ -692,8 +692,9 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
 
 
 def test_every_torque_of_the_package_is_among_the_models():
-    moving = {"CentralGravityGradient"}  # of scenes with mass: tests/test_position.py
-    every = {*MODELS, *moving}
+    # of scenes with mass, with states, with samples in time: tests in files of their names
+    elsewhere = {"CentralGravityGradient", "ReactionWheels", "SampledControl"}
+    every = {*MODELS, *elsewhere}
     assert every == set(ft.__all__) - {"Custom", "Sum"}
 
 
