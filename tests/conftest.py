@@ -36,6 +36,20 @@ def _collect_garbage():
         gc.freeze()
 
 
+def pytest_sessionstart():
+    """Workers compile the loops that all of them load, each its share, before any test."""
+    count = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if count == 1:
+        return
+    from fastatt.engine.loop import tile_loop
+
+    own = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
+    ways = [(False, False), (True, False), (False, True)]
+    loops = [(kind, *way) for kind in ("double", "single") for way in ways]
+    for kind, per_body, events in loops[own::count]:
+        tile_loop(kind, per_body=per_body, events=events)
+
+
 def pytest_unconfigure():
     """The interpreter collects once more before it ends, all that was ever compiled."""
     gc.freeze()

@@ -110,8 +110,8 @@ def _kept(
         _write(source, text.encode())
     if not (may_write or numba.config.CACHE_DIR):
         source = _copied(source)
-    where = _numba_folder(source)
-    for file in where.glob(f"{name}.*.nb?"):
+    where, *files = _numba_files(source)
+    for file in filter(Path.exists, files):
         if not _is_whole(file):
             file.unlink(missing_ok=True)
     for _ in range(2):
@@ -123,7 +123,7 @@ def _kept(
         else:
             if not found.cache_hits:
                 with contextlib.suppress(OSError):
-                    for file in where.glob(f"{name}.*.nb?"):
+                    for file in filter(Path.exists, files):
                         _mark(file).touch()
                     _trim(path)
             return found
@@ -146,11 +146,17 @@ def _imported(
         del sys.modules[name]
 
 
-def _numba_folder(source: Path) -> Path:
-    """The folder in which Numba keeps the machine code of a module."""
+def _numba_files(source: Path) -> tuple[Path, Path, Path]:
+    """Where Numba keeps the machine code of a module: the folder, an index, and the code.
+
+    They are found by name: a list of all files of a full folder takes longer than to load them.
+    """
     scope: dict[str, Any] = {}
     exec(compile("def run(): pass", str(source), "exec"), scope)
-    return Path(FunctionCache(scope["run"]).cache_path)
+    cache = FunctionCache(scope["run"])
+    folder = Path(cache.cache_path)
+    name = cache._impl.filename_base  # noqa: SLF001
+    return folder, folder / f"{name}.nbi", folder / f"{name}.1.nbc"
 
 
 def _mark(file: Path) -> Path:
@@ -285,7 +291,7 @@ def _all_files() -> list[Path]:
     roots = {path, path / _INSIDE}
     for source in itertools.islice(path.glob(f"{_PREFIX}*.py"), 1):
         with contextlib.suppress(RuntimeError):  # Numba has no folder
-            roots.add(_numba_folder(source))
+            roots.add(_numba_files(source)[0])
     files = [file for root in roots for file in root.glob(f"{_PREFIX}*.*")]
     return [*files, *path.glob("*.part")]
 

@@ -10,7 +10,7 @@ METHOD = Method(
     rate_calls=0,
     exponentials=0,
     limits={},
-    summary="closed form of free bodies and heavy symmetric tops; sparse output, reference",
+    summary="closed form of free bodies and heavy symmetric tops; for few saves and as a reference",
     source="van Zon and Schofield, J. Comput. Phys. 225 (2007) 145; Celledoni et al. (2008); "
     "Klein and Sommerfeld, The Theory of the Top (1897-1910)",
 )

@@ -33,6 +33,6 @@ METHOD = sampled_method(
     order=4,
     of_rates=0.9,
     of_increments=1.0,
-    summary="two intervals at a time, (2/3) θ1×θ2 of increments",
+    summary="two intervals per rotation, coning correction (2/3) θ1×θ2",
     source="Bortz, IEEE Trans. AES 7 (1971); Savage, J. Guidance 21 (1998) 19",
 )

@@ -47,7 +47,7 @@ POLYNOMIAL = sampled_method(
     order=4,
     of_rates=0.7,
     of_increments=0.8,
-    summary="three intervals at a time, 33/80 and 57/80 of increments; on smooth motion "
+    summary="three intervals per rotation, coning coefficients 33/80 and 57/80; on smooth motion "
     "coning2 has less error",
     source="Savage, J. Guidance 21 (1998) 19; coefficients by a parabola through three increments",
 )
@@ -56,6 +56,6 @@ OPTIMAL = sampled_method(
     name="coning3_optimal",
     order=4,
     of_increments=0.7,
-    summary="three equal intervals, 9/20 and 27/40: 200 times less drift in pure small coning",
+    summary="coefficients 9/20 and 27/40 for equal intervals; 200 times less drift in small coning",
     source="Miller, J. Guidance 6 (1983) 287",
 )

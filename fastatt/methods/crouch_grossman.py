@@ -36,7 +36,7 @@ LIE_EULER = _method(
     1,
     ((1.0, 0.0),),
     limit=0.1,
-    summary="exponential of the rate at the start; exact for a constant rate",
+    summary="exponential of the rate at the start of the step; exact for a constant rate",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), eq. 2.4",
 )
 LIE_MIDPOINT = _method(
@@ -45,7 +45,7 @@ LIE_MIDPOINT = _method(
     ((1.0, 0.5),),
     limit=0.7,
     reversible=("rate",),
-    summary="exponential of the rate at the middle; exact for a constant rate, reversible",
+    summary="exponential of the rate at the midpoint; exact for a constant rate, reversible",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), §5",
 )
 CG3 = _method(
@@ -53,6 +53,6 @@ CG3 = _method(
     3,
     ((13.0 / 51.0, 0.0), (-2.0 / 3.0, 0.75), (24.0 / 17.0, 17.0 / 24.0)),
     limit=1.8,  # of the last rotation, 24/17 |w|h
-    summary="exponentials of frozen rates, the historical alternative; magnus4 beats it in both",
+    summary="product of exponentials of rates; historical: magnus4 is faster and more accurate",
     source="Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1",
 )

@@ -118,7 +118,7 @@ def stage(motion: Any, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
 
 def _method(level: int) -> Method:
     order = 2 * level + 2
-    summary = "no trigonometry; keeps energy and momentum"
+    summary = "no trigonometry; conserves energy and angular momentum"
     return Method(
         name=f"dmv{order}",
         order=order,

@@ -55,6 +55,6 @@ METHOD = Method(
     limits=dict.fromkeys(FAMILIES, 3.0),
     steps=Steps(rate=rate),
     reversible=("rate",),
-    summary="power series of six Gauss nodes' polynomial; errors below 1e-9, reversible",
+    summary="collocation at six Gauss nodes by a power series; errors below 1e-9, reversible",
     source="Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), §II.1.2",
 )

@@ -23,6 +23,6 @@ METHOD = sampled_method(
     orders={"increments": 2},
     of_rates=0.1,
     of_increments=0.8,
-    summary="the rate held, or one increment a turn (then order 2); no coning correction",
+    summary="constant rate or increment (order 2) in each interval, without coning correction",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), eq. 2.4",
 )

@@ -181,8 +181,8 @@ def lie_group(
         exponentials=found,
         limit=found_limit,
         exact_for_constant=False,
-        source="a user's own",
-        summary="a user's own",
+        source="user-defined",
+        summary="user-defined",
     )
 
 

@@ -25,6 +25,6 @@ METHOD = lie_method(
     exponentials=1,
     limit=1.8,
     reversible=("rate",),
-    summary="Gauss nodes and one commutator; the cheapest order 4 here, reversible",
+    summary="two Gauss nodes and one commutator; the least operations of order 4, reversible",
     source="Iserles and Nørsett, Phil. Trans. R. Soc. A 357 (1999) 983",
 )

@@ -155,6 +155,6 @@ METHOD = sampled_method(
     order=8,
     of_rates=1.0,
     of_increments=0.5,
-    summary="six intervals at a time, iterated to round-off: least error of clean data",
+    summary="six intervals at a time, iterated to rounding; least error for data without noise",
     source="Wu, IEEE Trans. AES 54 (2018) 735 (RodFIter); Hairer, Lubich, Wanner, §II.1.2",
 )

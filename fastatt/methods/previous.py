@@ -30,6 +30,6 @@ METHOD = sampled_method(
     order=3,
     of_rates=1.0,
     of_increments=1.1,
-    summary="one interval and the one before: causal, an attitude with every sample",
+    summary="coning correction from the previous interval; causal, an attitude at every sample",
     source="Ignagni, J. Guidance 13 (1990) 363; Savage, J. Guidance 21 (1998) 19",
 )

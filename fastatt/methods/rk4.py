@@ -16,6 +16,6 @@ METHOD = explicit_method(
     of_matrices=1.5,
     first_turn=True,
     damping_limit=1.7,
-    summary="the baseline; the norm drifts, the attitude's direction does not",
+    summary="the classical method; its error in the norm is removed by renormalisation",
     source="Kutta, Z. Math. Phys. 46 (1901) 435; norm: Boyle, Adv. Appl. Clifford Alg. 27 (2017)",
 )

@@ -49,6 +49,6 @@ METHOD = explicit_method(
     of_matrices=3.9,
     scenes=BODIES,
     damping_limit=5.1,
-    summary="explicit, 12 stages: any torque, tight tolerances",
+    summary="explicit, 12 stages; for any torque and tight tolerances",
     source="Dormand and Prince; Hairer, Nørsett, Wanner, Solving ODEs I (1993), §II.5, DOP853",
 )

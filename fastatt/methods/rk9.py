@@ -54,6 +54,6 @@ METHOD = explicit_method(
     of_matrices=3.9,
     scenes=BODIES,
     damping_limit=3.8,
-    summary="explicit, 15 stages: torques that take time to evaluate, errors below 1e-6",
+    summary="explicit, 15 stages; for slow torque functions and errors below 1e-6",
     source="Verner, Numer. Algorithms 53 (2010) 383: order 9 of the more robust pair 9(8)",
 )

@@ -262,8 +262,8 @@ def runge_kutta(
         min(_of_cones(tableau, _QUATERNIONS), _trusted(tableau, 0.5)),
         min(_of_cones(tableau, _MATRICES), _trusted(tableau, 1.0)),
         damping_limit=_damping(tableau),
-        summary="a user's own",
-        source="a user's own",
+        summary="user-defined",
+        source="user-defined",
     )
 
 

@@ -161,7 +161,7 @@ STRANG2 = _method(
     2,
     (1.0,),
     (1.2, 1.0, 3.3),
-    "two rotations a step: huge ensembles; any step of free symmetric bodies, exact",
+    "two rotations per step; for large ensembles; exact for free symmetric bodies",
     "McLachlan, SIAM J. Sci. Comput. 16 (1995) 151; Touma and Wisdom, Astron. J. 107 (1994) 1189",
 )
 SUZUKI4 = _method(
@@ -169,7 +169,7 @@ SUZUKI4 = _method(
     4,
     _centre((_SUZUKI, _SUZUKI)),
     (1.8, 2.8, 10.0),
-    "five strang2 steps: order 4 at large steps",
+    "five strang2 steps; order 4 at large steps",
     "Suzuki, Phys. Lett. A 146 (1990) 319",
 )
 KAHAN_LI6 = _method(
@@ -180,7 +180,7 @@ KAHAN_LI6 = _method(
          0.08221359629355080023)
     ),
     (1.5, 5.3, 7.0),
-    "nine strang2 steps: order 6, long runs without drift",
+    "nine strang2 steps; order 6, long runs without drift",
     "Kahan and Li, Math. Comp. 66 (1997) 1089",
 )  # fmt: skip
 KAHAN_LI8 = _method(

@@ -17,6 +17,6 @@ METHOD = sampled_method(
     name="trapezoid",
     order=2,
     of_rates=0.6,
-    summary="the mean of two samples; what most loggers' software does",
+    summary="mean of two samples, the usual choice of logging software",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), §5",
 )

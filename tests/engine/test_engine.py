@@ -243,20 +243,17 @@ def test_memory_of_a_log_is_that_of_its_attitudes(peak):
     assert each < 8 * (4 + 3)
 
 
-@pytest.mark.parametrize(
-    "loop",
-    [
+def test_a_loop_releases_the_gil():
+    """A function that ctypes calls keeps it only where its flags name Python's own interface."""
+    own_interface = ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_
+    assert own_interface
+    loops = [
         tile_loop("double", per_body=False),
         tile_loop("single", per_body=True),
         status_loop("double"),
         *(gyro_loop(name, "double") for name in ("sweep", "along", "chain")),
-    ],
-)
-def test_a_loop_releases_the_gil(loop):
-    """A function that ctypes calls keeps it only where its flags name Python's own interface."""
-    own_interface = ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_
-    assert own_interface
-    assert not loop._flags_ & own_interface
+    ]
+    assert [loop._flags_ & own_interface for loop in loops] == [0] * len(loops)
 
 
 def test_bodies_run_on_several_threads(monkeypatch):

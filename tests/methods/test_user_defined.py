@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from each import each
-from exact import EPS, START, angle, coning, exp, generic, mul, observed_order
+from exact import EPS, LENGTHY, START, angle, coning, exp, generic, mul, observed_order
 from numba import njit
 
 import fastatt as fa
@@ -427,7 +427,8 @@ def test_every_method_that_fits_steps_bodies(attitude):
     assert "dmv6" in set(of_free) - set(of_tops)
     for scene, methods in ((tops, of_tops), (free, sorted(set(of_free) - set(of_tops)))):
         reference = run(scene, "rk8", 400, START4, SPIN4)
-        for method in methods:
+        # of the lengthy ones one representation stands for the other
+        for method in (m for m in methods if attitude is MRP or m not in LENGTHY):
             traj = run(scene, method, 400, START4, SPIN4, attitude)
             off = angle(traj.q[-1], reference.q[-1]).max()
             assert off < (1e-9 if fa.METHODS[method].order >= 4 else 1e-3), method

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -30,7 +31,15 @@ def height(t, q, w, p):
 
 
 EVENTS = [fa.event(first_rate), fa.event(height, -1), fa.event(height, 1)]
-FREE = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, save_every=50)
+
+
+@pytest.fixture(scope="module")
+def free():
+    return fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, save_every=50)
+
+
+def still(t, q, w, p):
+    return 0.0, 0.0, 0.0 * p[0]
 
 
 def times(g, direction=0, scene=CONE, **options):
@@ -50,7 +59,7 @@ def euler(t, y):
     return np.array([*(0.5 * k for k in (*turned, last)), *(np.cross(MOMENTS * w, w) / MOMENTS)])
 
 
-def test_times_are_those_of_dop853():
+def test_times_are_those_of_dop853(free):
     def of(event):
         def g(t, y):
             return event.function(t, y[:4], y[4:], ())
@@ -64,9 +73,9 @@ def test_times_are_those_of_dop853():
             max_step=0.02, events=[of(x) for x in EVENTS],
         )  # fmt: skip
         wanted = [x[0] if x.size else np.nan for x in made.t_events]
-        np.testing.assert_allclose(FREE.event_times[body], wanted, rtol=0.0, atol=1e-11)
-    assert np.isnan(FREE.event_times).any()
-    assert np.isfinite(FREE.event_times).sum() > N
+        np.testing.assert_allclose(free.event_times[body], wanted, rtol=0.0, atol=1e-11)
+    assert np.isnan(free.event_times).any()
+    assert np.isfinite(free.event_times).sum() > N
 
 
 def test_time_of_a_coning_body_is_that_of_its_closed_form():
@@ -78,35 +87,35 @@ def test_time_of_a_coning_body_is_that_of_its_closed_form():
     assert abs(found - 1.0 / m) < 1e-9
 
 
-def test_the_run_is_the_same_to_the_bit():
+def test_the_run_is_the_same_to_the_bit(free):
     plain = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", save_every=50)
-    assert np.array_equal(FREE.q, plain.q)
-    assert np.array_equal(FREE.w, plain.w)
-    assert np.array_equal(FREE.status, plain.status)
+    assert np.array_equal(free.q, plain.q)
+    assert np.array_equal(free.w, plain.w)
+    assert np.array_equal(free.status, plain.status)
 
 
-def test_a_body_has_the_times_that_it_has_in_an_ensemble():
+def test_a_body_has_the_times_that_it_has_in_an_ensemble(free):
     for body in (0, 33, 69):
         alone = fa.propagate(BODY, Q0[body], W0[body], **RUN, method="rk8", events=EVENTS)
         assert alone.event_times.shape == (3,)
-        np.testing.assert_array_equal(alone.event_times, FREE.event_times[body])
+        np.testing.assert_array_equal(alone.event_times, free.event_times[body])
     threads = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, n_threads=2)
-    np.testing.assert_array_equal(threads.event_times, FREE.event_times)
+    np.testing.assert_array_equal(threads.event_times, free.event_times)
 
 
 @pytest.mark.parametrize("method", fa.methods_for(BODY, need="is_stepped"))
-def test_every_method_locates_to_its_order(method):
+def test_every_method_locates_to_its_order(method, free):
     found = fa.propagate(BODY, Q0, W0, **RUN, method=method, events=EVENTS).event_times
     order = fa.METHODS[method].order
     bound = {2: 2e-2, 4: 2e-5}.get(order, 1e-6 if order == 6 else 1e-9)
-    assert np.array_equal(np.isnan(found), np.isnan(FREE.event_times))
-    assert np.nanmax(abs(found - FREE.event_times)) < bound
+    assert np.array_equal(np.isnan(found), np.isnan(free.event_times))
+    assert np.nanmax(abs(found - free.event_times)) < bound
     if order == 4:
         fine = fa.propagate(
             BODY, Q0, W0, dt=0.01, n_steps=1000, method=method, events=EVENTS
         ).event_times
-        coarse = np.nanmax(abs(found - FREE.event_times))
-        assert np.nanmax(abs(fine - FREE.event_times)) < coarse / 10.0
+        coarse = np.nanmax(abs(found - free.event_times))
+        assert np.nanmax(abs(fine - free.event_times)) < coarse / 10.0
 
 
 @pytest.mark.parametrize(
@@ -120,41 +129,54 @@ def test_methods_for_given_rates(method):
     assert 0.0 < found < 10.0
 
 
-@pytest.mark.parametrize(
-    ("g", "direction", "wanted"),
-    [
-        (lambda t, q, w, p: t - 1.2345678, 0, 1.2345678),
-        (lambda t, q, w, p: t - 1.2345678, -1, np.nan),
-        (lambda t, q, w, p: (t - 3.3) ** 3, 1, 3.3),
-        (lambda t, q, w, p: t - 2.5, 1, 2.5),  # at the end of a step
-        (lambda t, q, w, p: t - 10.0, 0, 10.0),  # of the last one
-        (lambda t, q, w, p: t, 0, 0.0),  # where the run begins
-        (lambda t, q, w, p: t, -1, np.nan),
-        (lambda t, q, w, p: 0.0 * t, 0, 0.0),
-        (lambda t, q, w, p: t - 10.1, 0, np.nan),
-        (lambda t, q, w, p: math.sqrt(1.1 - t), 0, np.nan),
-        (lambda t, q, w, p: abs(t - 1.7) + 1e-3, 0, np.nan),
-    ],
-)  # fmt: skip
-def test_times_of_functions_of_time(g, direction, wanted):
-    found = times(g, direction)
-    tolerance = 1e-5 if wanted == 3.3 else 4e-15  # a triple root
-    assert (math.isnan(found) and math.isnan(wanted)) or abs(found - wanted) <= tolerance
+OF_TIME = [
+    (lambda t, q, w, p: t - 1.2345678, 0, 1.2345678),
+    (lambda t, q, w, p: t - 1.2345678, -1, np.nan),
+    (lambda t, q, w, p: (t - 3.3) ** 3, 1, 3.3),
+    (lambda t, q, w, p: t - 2.5, 1, 2.5),  # at the end of a step
+    (lambda t, q, w, p: t - 10.0, 0, 10.0),  # of the last one
+    (lambda t, q, w, p: t, 0, 0.0),  # where the run begins
+    (lambda t, q, w, p: t, -1, np.nan),
+    (lambda t, q, w, p: 0.0 * t, 0, 0.0),
+    (lambda t, q, w, p: t - 10.1, 0, np.nan),
+    (lambda t, q, w, p: math.sqrt(1.1 - t), 0, np.nan),
+    (lambda t, q, w, p: abs(t - 1.7) + 1e-3, 0, np.nan),
+]
 
 
-@pytest.mark.parametrize("half", [1e-3, 0.03, 0.24])
-@pytest.mark.parametrize("middle", [0.25, 2.0, 2.1, 2.31, 2.45, 9.75])
-def test_two_crossings_within_one_step(middle, half):
+def test_times_of_functions_of_time():
+    events = [fa.event(g, direction) for g, direction, _ in OF_TIME]
+    run = fa.propagate(
+        CONE, [1, 0, 0, 0], [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
+    )
+    assert not run.has_flags
+    wanted = np.array([x[2] for x in OF_TIME])
+    triple = wanted == 3.3  # a root of order three
+    np.testing.assert_allclose(run.event_times[triple], 3.3, rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(run.event_times[~triple], wanted[~triple], rtol=0.0, atol=4e-15)
+
+
+def test_two_crossings_within_one_step():
     def parabola(t, q, w, p):
-        return (t - middle) ** 2 - half**2
+        return (t - p[0]) ** 2 - p[1] ** 2
 
     def cosine(t, q, w, p):
-        return math.cos(0.3 * half) - math.cos(0.3 * (t - middle))
+        return math.cos(0.3 * p[1]) - math.cos(0.3 * (t - p[0]))
 
-    for g in (parabola, cosine):
-        assert abs(times(g) - (middle - half)) < 1e-9
-        assert abs(times(g, -1) - (middle - half)) < 1e-9
-        assert abs(times(g, 1) - (middle + half)) < 1e-9
+    # middles and halves of intervals, a body each
+    middle, half = np.array(
+        [*itertools.product([0.25, 2.0, 2.1, 2.31, 2.45, 9.75], [1e-3, 0.03, 0.24])]
+    ).T
+    params = np.stack([middle, half], axis=1)
+    scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=params)
+    events = [fa.event(g, direction) for g in (parabola, cosine) for direction in (0, -1, 1)]
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1))
+    found = fa.propagate(
+        scene, q0, [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
+    ).event_times
+    first, second = middle - half, middle + half
+    wanted = np.stack([first, first, second] * 2, axis=1)
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
 
 
 def test_a_run_backwards():
@@ -188,7 +210,8 @@ def test_a_terminal_event_keeps_the_state(method):
         assert (run.q[late, body] == run.q[-1, body]).all()
         assert not run.event_times[body, 0] > end[body]
     early = np.isnan(end) | (run.event_times[:, 0] <= end)
-    free = fa.propagate(BODY, Q0, W0, **given, events=events[:1]).event_times[:, 0]
+    watched = [events[0], fa.event(first_rate)]
+    free = fa.propagate(BODY, Q0, W0, **given, events=watched).event_times[:, 0]
     assert np.array_equal(run.event_times[early, 0], free[early], equal_nan=True)
     assert np.isnan(run.event_times[~early, 0]).all()
 
@@ -216,9 +239,7 @@ def test_what_comes_after_a_terminal_event_sets_no_status():
 
 def test_functions_take_the_parameters_of_the_scene():
     levels = np.linspace(0.5, 2.5, N)[:, None]
-    scene = fa.Scene(
-        inertia=MOMENTS, torque=lambda t, q, w, p: (0.0, 0.0, 0.0 * p[0]), params=levels
-    )
+    scene = fa.Scene(inertia=MOMENTS, torque=still, params=levels)
     found = fa.propagate(
         scene, Q0, W0, **RUN, method="rk4", events=[fa.event(lambda t, q, w, p: t - p[0])]
     )
@@ -262,13 +283,13 @@ def test_a_scene_with_states(moves):
     assert run.event_times[0] == pytest.approx(crossing.t_events[0][0], abs=1e-9)
 
 
-def test_single_precision_and_compensated_runs():
+def test_single_precision_and_compensated_runs(free):
     single = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, dtype="float32")
-    same = np.isnan(single.event_times) == np.isnan(FREE.event_times)
+    same = np.isnan(single.event_times) == np.isnan(free.event_times)
     assert same.mean() > 0.98  # a touch is found or not
-    assert np.nanmedian(abs(single.event_times - FREE.event_times)) < 1e-5
+    assert np.nanmedian(abs(single.event_times - free.event_times)) < 1e-5
     carried = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, compensated=True)
-    np.testing.assert_allclose(carried.event_times, FREE.event_times, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(carried.event_times, free.event_times, rtol=0.0, atol=1e-11)
 
 
 def test_a_function_that_is_not_traced():
@@ -282,12 +303,12 @@ def test_a_function_that_is_not_traced():
     assert abs(times(counted) - 1.3) < 1e-8
 
 
-def test_a_plan_and_a_reducer_beside_events():
+def test_a_plan_and_a_reducer_beside_events(free):
     plan = fa.plan(BODY, N, **RUN, method="rk8", events=EVENTS)
-    np.testing.assert_array_equal(plan(Q0, W0).event_times, FREE.event_times)
+    np.testing.assert_array_equal(plan(Q0, W0).event_times, free.event_times)
     count = fa.reducer(lambda t, q, w, s: s[0] + 1.0, start=0.0)
     run = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, reduce=count)
-    np.testing.assert_array_equal(run.event_times, FREE.event_times)
+    np.testing.assert_array_equal(run.event_times, free.event_times)
     assert (run.reduced == RUN["n_steps"]).all()
 
 
