@@ -134,7 +134,7 @@ NO_POTENTIAL = fa.Scene(inertia=(1.0, 1.0, 0.6), torque=fa.torques.Damping(0.1))
 
 def drifted(d: Draw) -> Call:
     odd = d.one((*ODD, TOP))
-    return Call(fa.drift, (odd, d.one((TOP, *ODD))), {}, anything, ("trajectory", "scene"))
+    return Call(fa.drift, (odd, d.one((TOP, *ODD))), {}, anything, ("run", "scene"))
 
 
 def listed(d: Draw) -> Call:
