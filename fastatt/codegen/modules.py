@@ -147,9 +147,9 @@ def _imported(
 
 
 def _numba_files(source: Path) -> tuple[Path, Path, Path]:
-    """Where Numba keeps the machine code of a module: the folder, an index, and the code.
+    """The folder in which Numba keeps the machine code of a module, its index and its code there.
 
-    They are found by name: a list of all files of a full folder takes longer than to load them.
+    The names are computed, since a search of a full folder takes longer than loading the files.
     """
     scope: dict[str, Any] = {}
     exec(compile("def run(): pass", str(source), "exec"), scope)
