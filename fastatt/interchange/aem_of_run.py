@@ -48,11 +48,12 @@ def aem_of(
         The standard's name of the body frame.
     body : int, optional
         Index of the body; required for an ensemble, since a message is of one object.
-    version : {"1.0", "2.0"}, default "2.0"
+    version : {"2.0", "1.0"}, default "2.0"
         "1.0" (CCSDS 504.0-B-1) or "2.0" (504.0-B-2).
     attitude_type : str, optional
         "QUATERNION", "QUATERNION/DERIVATIVE", "QUATERNION/RATE" in version 1.0 or
-        "QUATERNION/ANGVEL" in 2.0. The default is one of the last two, with the angular velocity.
+        "QUATERNION/ANGVEL" in 2.0. The default is
+        "QUATERNION/RATE" in version 1.0 and "QUATERNION/ANGVEL" in 2.0, with the angular velocity.
     metadata : mapping of str to str, optional
         Further keywords, such as ``{"OBJECT_NAME": "SAT-1"}``.
     header : mapping of str to str, optional

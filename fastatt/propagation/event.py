@@ -84,7 +84,7 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
         the scene's ``params``, which is empty if there are none. If the position is propagated,
         ``g(t, q, w, v, r, p)`` is accepted too, with the velocity along body axes, m/s, and the
         position along inertial axes, m.
-    direction : {-1, 0, 1}, default 0
+    direction : {0, 1, -1}, default 0
         1 if g must rise through zero along the run, -1 if it must fall, 0 for either. A g that is
         zero at the begin or the end of a step has crossed there.
     terminal : bool, default False

@@ -68,8 +68,8 @@ def recommend(
     t_end : float
         Duration, s, above 0. It is a whole number of the recommended steps.
     tol : float, optional
-        Largest error of any body, rad. Give either ``tol`` or ``budget``. If not all bodies could
-        be run, those that were are below it by a factor of 1.5.
+        Largest error of any body, rad. Give either ``tol`` or ``budget``. If only
+        some bodies were run, their error is at most tol/1.5, as a margin for the others.
     budget : float, optional
         The longest time that the run may take, s.
     v0 : array_like of shape (3,) or (N, 3), optional

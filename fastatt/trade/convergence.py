@@ -155,7 +155,9 @@ def check_convergence(
     The step is halved three times, and further while the order is below the declared one, which
     takes 15 to some 250 times as long as the run on ``sample`` bodies. The check detects any error
     of the method that lowers its order, such as a wrong weight or sign or a stale rate. It does not
-    detect that a method of the same order solves other equations.
+    detect that a method of the same order solves other equations. With breakpoints or a sampled
+    controller, the parts of a divided step do not shrink in proportion to the step size: a lower
+    order is then accepted if halving the steps reaches rounding.
 
     Examples
     --------
@@ -217,7 +219,13 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
                 orders.append(found)
         if k >= _SURE and (hidden or (orders and max(orders) >= declared - _SLACK)):
             break
-    return max(orders, default=None)
+    best = max(orders, default=None)
+    scene = ladder.problem.ensemble.scene
+    is_divided = bool(scene.breakpoints) or scene.sampling is not None
+    # the parts of a step between breakpoints do not shrink in proportion to the step size
+    if best is not None and best < declared - _SLACK and hidden and is_divided:
+        return None
+    return best
 
 
 def _order(coarse: NDArray[np.float64], fine: NDArray[np.float64], floor: float) -> float | None:

@@ -198,3 +198,25 @@ def test_text_and_bad_input():
         fa.check_convergence(CONING, Q40, dt=0.05, n_steps=10, sample=0)
     one = fa.check_convergence(FREE, Q40[0], W40[0], dt=0.05, n_steps=10, method="rk4")
     assert one.measured == one.n_bodies == 1
+
+
+def pulse(t, q, w, p):
+    return (p[0] if 20.0 <= t < 20.0 + p[1] else 0.0), 0.0, 0.0
+
+
+def test_parts_of_a_step_between_breakpoints_do_not_fail():
+    """A pulse of 3.5 s is one part of a step of 8 s and of 4 s; a wrong breakpoint still fails."""
+    found = []
+    for length in (3.5, 4.9):
+        scene = fa.Scene(
+            inertia=(3.0, 2.0, 1.5),
+            torque=fa.torques.Custom(pulse, (0.02, length)),
+            breakpoints=(20.0, 23.5),
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", fa.ConvergenceWarning)
+            check = fa.check_convergence(
+                scene, [1, 0, 0, 0], [5e-3, 9e-3, -4e-3], dt=8.0, n_steps=15, method="rk8"
+            )
+        found.append((check.passed, check.error < 1e-6))
+    assert found == [(True, True), (False, False)]
