@@ -2,8 +2,8 @@
 
 Links between these and the pages of ``fastatt/docs`` are paths in the repository, so that they work
 wherever the files are read; here they become paths in the site. Roles of docstrings, such as
-``:func:``, and names in "See Also" become links, numbers in tables are kept in one line, and the one
-script that the theme loads from another host becomes a file.
+``:func:``, and names in "See Also" become links, and numbers in tables are kept in one line. The
+one script that the theme loads from another host becomes a file.
 """
 
 from __future__ import annotations
