@@ -196,10 +196,10 @@ def test_sample_transitions(benchmark, method, increments):
     found = benchmark.pedantic(
         ours, args=(np.zeros((1, 3)),), rounds=1 if SMOKE else 7, warmup_rounds=1
     )
-    nearby = ours(displaced(3, STEP)).turn
+    nearby = ours(displaced(3, STEP)).rotation
     error, cheap = 0.0, 0.0
-    for i in range(found.turn.shape[1]):
-        q = found.turn[0, i]
+    for i in range(found.rotation.shape[1]):
+        q = found.rotation[0, i]
         true = derivative(attitude_errors(q, nearby[:, i]), STEP)
         held = -0.1 * estimation.right_jacobian(fa.quat_to_rotation_vector(q))
         error = max(error, np.abs(found.bias[0, i] - true).max() / 0.1)
@@ -207,7 +207,7 @@ def test_sample_transitions(benchmark, method, increments):
     benchmark.extra_info["error of Φ12 / h"] = float(error)
     benchmark.extra_info["of −h Jr / h"] = float(cheap)
     if benchmark.stats is not None:
-        each = benchmark.stats.stats.min / found.turn.shape[1]
+        each = benchmark.stats.stats.min / found.rotation.shape[1]
         benchmark.extra_info["ns an interval"] = round(each * 1e9)
 
 

@@ -3,11 +3,11 @@
 Conventions
 -----------
 Quaternions are scalar first, Hamilton, unit: q = (q0, q1, q2, q3) maps body components to inertial
-ones, v_i = q∘v_b∘q*. C is its matrix, v_i = C v_b; its rows are the inertial axes seen from the
-body. The angular velocity w is the body's relative to the inertial frame, in body axes, rad/s:
-q̇ = ½ q∘w, Ċ = C [w×]. A rate in inertial axes is marked ``frame="inertial"``: q̇ = ½ w∘q,
-Ċ = [w×] C. Units are SI. One body is q (4,); an ensemble (N, 4); histories put time first,
-(S, N, 4). 3-1-3 Euler angles (φ, θ, ψ) have
+ones, v_i = q∘v_b∘q*. C is its matrix, v_i = C v_b; its rows are the inertial axes in body
+components. The angular velocity w of the body relative to the inertial frame is along body axes,
+rad/s: q̇ = ½ q∘w, Ċ = C [w×]. A rate along inertial axes is marked ``frame="inertial"``:
+q̇ = ½ w∘q, Ċ = [w×] C. Units are SI. One body is q (4,); an ensemble (N, 4); histories put time
+first, (S, N, 4). 3-1-3 Euler angles (φ, θ, ψ) have
 w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇).
 """
 
@@ -37,7 +37,7 @@ __all__ = [
     "single_step", "to_file", "to_scipy", "torques", "work_precision",
 ]  # fmt: skip
 
-# imported when it is first asked for, so that a process pays for what it uses
+# modules are imported when they are first used, so that a process loads only those it needs
 if TYPE_CHECKING:
     from fastatt import estimation, interchange, kernels, plots
     from fastatt.arrays import (

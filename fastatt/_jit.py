@@ -121,7 +121,7 @@ def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> A
     """Compile a function that calls generated formulas, without changing their roundings.
 
     Numba would apply a kernel's ``fastmath`` to their operations too. ``spliced`` inlines the
-    function into its callers, without machine code of its own.
+    function into its callers and compiles no machine code for it alone.
     """
     options = {**_INLINED, "fastmath": False, "inline": "always" if spliced else "never"}
     return _of_floats(njit(**options)(function), function.__name__)

@@ -126,6 +126,6 @@ def test_what_is_noted_is_listed_and_warned_of_afterwards_again():
     with rounding.noted() as said:
         integrate()
     (text,) = said
-    assert "turns by 8.66 rad" in text
-    with pytest.warns(fa.StepWarning, match=r"turns by 8\.66 rad"):
+    assert "rotates by 8.66 rad" in text
+    with pytest.warns(fa.StepWarning, match=r"rotates by 8\.66 rad"):
         integrate()

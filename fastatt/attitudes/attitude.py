@@ -18,8 +18,8 @@ from fastatt.tracing.trace import traceable
 Formula = Any
 _PACKAGE = str(Path(__file__).parents[1])
 _FORMULAS = (
-    "start", "finish", "derivative", "turn", "turn_short", "compose", "quaternion", "to_body",
-    "flip", "restore", "raw", "half_derivative", "turn_first", "turn_third", "speed_squared",
+    "start", "finish", "derivative", "rotate", "rotate_short", "compose", "quaternion", "to_body",
+    "flip", "restore", "raw", "half_derivative", "rotate_first", "rotate_third", "speed_squared",
 )  # fmt: skip
 
 
@@ -60,8 +60,8 @@ def composed(compose: Formula) -> dict[str, Formula]:
     """``compose`` x∘q, with the rotations that follow from it."""
     return {
         "compose": compose,
-        "turn": lambda x, u: compose(x, quat.exp(u)),
-        "turn_short": lambda x, u: compose(x, quat.exp_short(u)),
+        "rotate": lambda x, u: compose(x, quat.exp(u)),
+        "rotate_short": lambda x, u: compose(x, quat.exp_short(u)),
     }
 
 
@@ -70,9 +70,9 @@ class Attitude:
     """A representation of the attitude: how it is stored while it is propagated.
 
     A custom representation is accepted wherever a name is. It needs ``start``, ``quaternion`` and
-    either ``derivative``, for Runge-Kutta methods, or ``turn``, for methods with exponentials. The
-    other formulas have defaults that follow from these. All formulas take and return tuples; x is
-    the state of ``size`` numbers, q a unit quaternion from body to inertial axes, u a rotation
+    either ``derivative``, for Runge-Kutta methods, or ``rotate``, for methods with exponentials.
+    The other formulas have defaults that follow from these. All formulas take and return tuples; x
+    is the state of ``size`` numbers, q a unit quaternion from body to inertial axes, u a rotation
     vector (rad, body axes), w an angular velocity (rad/s, body axes).
 
     Formulas may be ordinary functions with ``math``, conditions and the kernels of
@@ -92,10 +92,10 @@ class Attitude:
         ``finish(x)`` returns (the values that a trajectory holds, the norm error).
     derivative : callable, optional
         ``derivative(x, w)`` is ẋ.
-    turn : callable, optional
-        ``turn(x, u)`` is x∘exp(u).
-    turn_short : callable, optional
-        ``turn`` for rotation angles of at most π.
+    rotate : callable, optional
+        ``rotate(x, u)`` is x∘exp(u).
+    rotate_short : callable, optional
+        ``rotate`` for rotation angles of at most π.
     compose : callable, optional
         ``compose(x, q)`` is x∘q.
     quaternion : callable, optional
@@ -110,9 +110,9 @@ class Attitude:
         ``raw(x)`` is what a trajectory holds if the state is not projected.
     half_derivative : callable, optional
         ẋ at the rate 2w, if it takes fewer operations than ``derivative``.
-    turn_first : callable, optional
+    rotate_first : callable, optional
         Rotation about the first axis, from the cosine and sine of half the angle.
-    turn_third : callable, optional
+    rotate_third : callable, optional
         Rotation about the third axis, from the cosine and sine of half the angle.
     speed_squared : callable, optional
         Square of the rate that limits an explicit step.
@@ -173,8 +173,8 @@ class Attitude:
     start: Formula
     finish: Formula = lambda x: (x, 0.0)
     derivative: Formula = None
-    turn: Formula = None
-    turn_short: Formula = None
+    rotate: Formula = None
+    rotate_short: Formula = None
     compose: Formula = None
     quaternion: Formula = None
     to_body: Formula = None
@@ -184,8 +184,8 @@ class Attitude:
     #: ẋ at the rate 2w, if it takes fewer operations than ``derivative``
     half_derivative: Formula = None
     #: rotated about the first and the third axis, from cosine and sine of half the angle
-    turn_first: Formula = None
-    turn_third: Formula = None
+    rotate_first: Formula = None
+    rotate_third: Formula = None
     #: square of the rate that limits an explicit step
     speed_squared: Formula = body_speed
     #: which limits of steps hold, of ``FAMILIES``: those of quaternions, which change at half the
@@ -265,15 +265,15 @@ class Attitude:
 
     def _check(self, own: Sequence[str]) -> None:
         """Check that custom formulas return the right number of values."""
-        if self.quaternion is None or (self.derivative is None and self.turn is None):
+        if self.quaternion is None or (self.derivative is None and self.rotate is None):
             raise ValueError(
-                "quaternion, derivative, turn: missing; accepted: quaternion, and derivative or "
-                "turn"
+                "quaternion, derivative, rotate: missing; accepted: quaternion, and derivative or "
+                "rotate"
             )
         graph = Graph()
         q, x, w = (graph.inputs("double", *y) for y in (("q", 4), ("x", self.size), ("w", 3)))
         calls: dict[str, tuple[Any, ...]] = {
-            "start": (q,), "derivative": (x, w), "turn": (x, w), "turn_short": (x, w),
+            "start": (q,), "derivative": (x, w), "rotate": (x, w), "rotate_short": (x, w),
             "compose": (x, q), "flip": (x,), "quaternion": (x,), "to_body": (x, w),
             "finish": (x,), "restore": (x,), "raw": (x,),
         }  # fmt: skip
@@ -304,8 +304,8 @@ class Attitude:
         cases: dict[str, tuple[Any, str, Any, bool]] = {
             "start": (lambda: x, "q", q, True),
             "derivative": (moved, "q∘exp(h w), to h²", after, True),
-            "turn": (lambda: self.turn(x, w), "q∘exp(u)", turned, True),
-            "turn_short": (lambda: self.turn_short(x, w), "q∘exp(u)", turned, True),
+            "rotate": (lambda: self.rotate(x, w), "q∘exp(u)", turned, True),
+            "rotate_short": (lambda: self.rotate_short(x, w), "q∘exp(u)", turned, True),
             "compose": (lambda: self.compose(x, after), "x∘q", quat.mul(q, after), True),
             "flip": (lambda: self.flip(x), "the inverse of q", quat.conj(q), True),
             "restore": (lambda: self.restore(x)[0], "q", q, True),
@@ -344,11 +344,13 @@ class Attitude:
 
     @cached_property
     def short(self) -> Attitude:
-        """The representation whose ``turn`` is for angles of at most π."""
-        if self.turn_short is None or self.turn is self.turn_short:
+        """The representation whose ``rotate`` is for angles of at most π."""
+        if self.rotate_short is None or self.rotate is self.rotate_short:
             return self
         low = self.uncompensated
-        return replace(self, turn=self.turn_short, uncompensated=None if low is None else low.short)
+        return replace(
+            self, rotate=self.rotate_short, uncompensated=None if low is None else low.short
+        )
 
     def value(self, x: Vector) -> Vector:
         """The state without its low parts.

@@ -23,7 +23,7 @@ from fastatt.tracing.traced import Traced
 
 
 class Formula:
-    """A formula in a user's code: ``constants`` are what its callers hold besides it."""
+    """A formula in a user's code; its callers depend on ``constants`` too."""
 
     __name__: str
     constants: str
@@ -38,7 +38,7 @@ class EditedError(OSError):
 
 
 class Mark:
-    """What is kept with the machine code of a formula: which one it was, for which arguments."""
+    """The mark stored with a formula's machine code: its hash, and the forms of its arguments."""
 
     def __init__(self, name: str, forms: tuple[Any, ...], digest: str) -> None:
         self._found = name, forms, digest

@@ -1,8 +1,8 @@
 """The loop over rows of arrays, and over samples of each row, compiled by Numba.
 
 A block of rows is gathered into lanes, a formula works on them (``fastatt.codegen.lanes``), and its
-results are scattered. A last block is filled with copies of the last row, so that every row meets
-the same instructions whatever the number of rows.
+results are scattered. The last block is filled with copies of the last row, so that every row is
+computed by the same instructions, whatever the number of rows.
 """
 
 from __future__ import annotations

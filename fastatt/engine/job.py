@@ -427,7 +427,7 @@ class Scope:
     def monitored(self, h: Any, x: Vector) -> Vector:
         """The initial invariants; NaN if products underflow on which a rotation angle depends."""
         kept = self.invariants(x)
-        if not kept or self.job.method.measure != "turn":
+        if not kept or self.job.method.measure != "angle":
             return kept
         motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
         assert isinstance(motion, Body)

@@ -1,7 +1,7 @@
 """The formulas of a job over the lanes of a tile, in one generated function.
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: the
-begin of a tile, a block of steps, the values of a save, the projection, the conversions to another
+start of a tile, a block of steps, the values of a save, the projection, the conversions to another
 step size, to the state and from it, the functions of events, and the jump of states at a sample
 time. ``Layout`` defines where in ``rows`` and ``wide`` each number of a lane lies.
 """

@@ -81,7 +81,7 @@ class PerBody(NamedTuple):
 class Parts(NamedTuple):
     """The parts of divided steps, with one step size for all bodies.
 
-    ``clocks`` are rows of ``stops.PART_SIZE`` numbers, the first of which is the clock at the begin
+    ``clocks`` are rows of ``stops.PART_SIZE`` numbers, the first of which is the clock at the start
     of the run; ``steps`` is the number of whole steps before each, −1 for the first.
     """
 

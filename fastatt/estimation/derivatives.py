@@ -37,7 +37,7 @@ class Transition:
 
     Attributes
     ----------
-    turn : ndarray of shape (..., 4)
+    rotation : ndarray of shape (..., 4)
         Quaternion δq of the step, q_end = q∘δq.
     attitude : ndarray of shape (..., 3, 3)
         Φ11.
@@ -45,7 +45,7 @@ class Transition:
         Φ12, s.
     """
 
-    turn: NDArray[Any]
+    rotation: NDArray[Any]
     attitude: NDArray[Any]
     bias: NDArray[Any]
 
@@ -373,7 +373,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
 
     Notes
     -----
-    For a rate, ``step(t, h, b, p)`` returns (turn, Φ11, Φ12) at the rate less the gyro's bias b
+    For a rate, ``step(t, h, b, p)`` returns (δq, Φ11, Φ12) at the rate less the gyro's bias b
     (3,), as in :class:`Transition`. For a body, ``step(t, h, q, m, p)`` returns (q, m, Φ) after the
     step from the unit quaternion q and the angular momentum m, N·m·s along body axes, with the 36
     numbers of Φ row by row, as in :class:`BodyTangent`. p is ``params``, or a row of it.

@@ -56,8 +56,8 @@ class Stepper:
         of w, v, r and s, as far as the scene has them.
     step : callable
         ``step(t, h, x, p)`` returns x at t + h.
-    step_and_turn : callable
-        ``step_and_turn(t, h, x, p)`` returns (x, angle): the largest rotation angle of a stage,
+    step_and_angle : callable
+        ``step_and_angle(t, h, x, p)`` returns (x, angle): the largest rotation angle of a stage,
         rad, which must not exceed ``Method.limits``; it is infinite if an iteration did not
         converge.
     read : callable
@@ -86,7 +86,7 @@ class Stepper:
     params: Any
     start: Any
     step: Any
-    step_and_turn: Any
+    step_and_angle: Any
     read: Any
     step_into: Any
     enter: Any
@@ -340,14 +340,14 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
     to_stepped, to_state = scalar(parts.to_stepped, x=size), scalar(parts.to_state)
     through = _through(scalar(parts.small_angle), scalar(parts.any_angle), stages, job)
 
-    def step_and_turn(t, h, x, p):
+    def step_and_angle(t, h, x, p):
         check_x(x)
         check_p(p)
         y, e = to_stepped(t, h, half_stage * h, x, p)
         y, z = through(t, h, y, p, e)
         return to_state(t + h, h, half_stage * h, y, p, e), math.sqrt(z)
 
-    whole_step = around_formulas(step_and_turn, spliced=True)
+    whole_step = around_formulas(step_and_angle, spliced=True)
 
     def step(t, h, x, p):
         return whole_step(t, h, x, p)[0]
@@ -371,7 +371,7 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
         check_p(p)
         return to_state(t, s, half_stage * h, y, p, e)
 
-    made = (step, step_and_turn, step_into, enter, advance, leave)
+    made = (step, step_and_angle, step_into, enter, advance, leave)
     return {function.__name__: around_formulas(function) for function in made}
 
 

@@ -63,7 +63,7 @@ class _Unbiased(Turning):
 
 
 def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:
-    """``f(t, h, b, p)`` -> (turn of a step of h s, Φ11, Φ12): quaternion, matrices row by row.
+    """``f(t, h, b, p)`` -> (δq of a step of h s, Φ11, Φ12): quaternion, matrices row by row.
 
     The rate is that of the structure with parameters p, less the bias b.
     """
@@ -79,7 +79,7 @@ def rate_tangent(method: Method, structure: PrescribedRate) -> Formula:
 
 
 def coupled(x: Vector) -> tuple[Any, Any, Any]:
-    """Turn, Φ11 and Φ12 of a dual quaternion that depends on the bias."""
+    """δq, Φ11 and Φ12 of a dual quaternion that depends on the bias."""
     q = quat.normalise(value(x))
     return q, dcm.transpose(dcm.from_quat(q)), rows(error(x)[:3], 3)
 
@@ -88,7 +88,7 @@ def coupled(x: Vector) -> tuple[Any, Any, Any]:
 
 
 def window_tangent(window: Window, *, increments: bool) -> Formula:
-    """``f(v, h)`` -> (turn, Φ11, Φ12) of each interval of a window.
+    """``f(v, h)`` -> (δq, Φ11, Φ12) of each interval of a window.
 
     v are its flat samples, less the bias, and h its intervals.
     """

@@ -34,10 +34,10 @@ _Done = Callable[[int], object] | None
 
 
 class GyroRun:
-    """A stretch of logs and a method's window: ``n`` intervals to be integrated.
+    """A segment of logs and a method's window: ``n`` intervals to be integrated.
 
     ``data`` (N, lead + m, 3) are the samples, ``lead`` of them before the first interval of the
-    stretch. ``spans`` is the interval, s, or the intervals, (lead + n,). ``out`` (N, n + 1, 4)
+    segment. ``spans`` is the interval, s, or the intervals, (lead + n,). ``out`` (N, n + 1, 4)
     receives the attitudes. All arrays are C-contiguous and of one precision. Without ``lead`` the
     logs begin here. They end here if the last window is incomplete.
     """

@@ -79,7 +79,7 @@ def hold(q, w, h):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the interval, body to inertial.
+        Attitude at the start of the interval, body to inertial.
     w : tuple of 3 float
         Rate along body axes, rad/s.
     h : float
@@ -100,7 +100,7 @@ def hold_increments(q, u):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the interval, body to inertial.
+        Attitude at the start of the interval, body to inertial.
     u : tuple of 3 float
         Angle increment along body axes, rad.
 
@@ -119,9 +119,9 @@ def trapezoid(q, w0, w1, h):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the interval, body to inertial.
+        Attitude at the start of the interval, body to inertial.
     w0 : tuple of 3 float
-        Rate at the begin, rad/s.
+        Rate at the start, rad/s.
     w1 : tuple of 3 float
         Rate at the end, rad/s.
     h : float
@@ -146,7 +146,7 @@ def previous(q, w0, w1, w2, h0, h1):
     w0 : tuple of 3 float
         Rate one interval before ``w1``, rad/s.
     w1 : tuple of 3 float
-        Rate at the begin of the newest interval, rad/s.
+        Rate at the start of the newest interval, rad/s.
     w2 : tuple of 3 float
         Rate at its end, rad/s.
     h0 : float
@@ -169,7 +169,7 @@ def previous_increments(q, u0, u1, h0, h1):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the newest interval, body to inertial.
+        Attitude at the start of the newest interval, body to inertial.
     u0 : tuple of 3 float
         Angle increment over the interval before, rad.
     u1 : tuple of 3 float
@@ -222,7 +222,7 @@ def coning2_increments(q, u0, u1, h0, h1):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the first interval, body to inertial.
+        Attitude at the start of the first interval, body to inertial.
     u0 : tuple of 3 float
         First angle increment, rad.
     u1 : tuple of 3 float
@@ -280,7 +280,7 @@ def coning3_increments(q, u0, u1, u2, h0, h1, h2):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the first interval, body to inertial.
+        Attitude at the start of the first interval, body to inertial.
     u0 : tuple of 3 float
         First angle increment, rad.
     u1 : tuple of 3 float
@@ -310,7 +310,7 @@ def coning3_optimal_increments(q, u0, u1, u2):
     Parameters
     ----------
     q : tuple of 4 float
-        Attitude at the begin of the first interval, body to inertial.
+        Attitude at the start of the first interval, body to inertial.
     u0 : tuple of 3 float
         First angle increment, rad.
     u1 : tuple of 3 float
@@ -351,7 +351,7 @@ class SampleStepper:
     step_into : callable
         ``step_into(samples, intervals, out, work)`` fills ``out[1:]`` from arrays: samples
         (``samples``, 3), intervals (``history`` + ``span``,), out (``span`` + 1, 4), whose first
-        row is the attitude at the begin of the window, and work (``work``,), which is not used. All
+        row is the attitude at the start of the window, and work (``work``,), which is not used. All
         arrays are contiguous and of one float type.
     """
 

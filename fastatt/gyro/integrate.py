@@ -183,9 +183,9 @@ def warn_of_turns(
     most = float(angle[log, k])
     if most > limit:
         rounding.warn(
-            f"dt: interval {first + k} of log {log} turns by {most:.3g} rad, {record.name}'s limit "
-            f"is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): sample "
-            f"more than {most / limit:.2g} times as often"
+            f"dt: interval {first + k} of log {log} rotates by {most:.3g} rad, {record.name}'s "
+            f"limit is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): "
+            f"sample more than {most / limit:.2g} times as often"
         )
 
 

@@ -1,6 +1,6 @@
 """The loops over logs that all methods share: plain Python on flat arrays, compiled by Numba.
 
-Attitudes of a log are q = p∘r, with p at the begin of a chunk of 48 intervals and the rotation r
+Attitudes of a log are q = p∘r, with p at the start of a chunk of 48 intervals and the rotation r
 from there. The samples of each lane's chunk are gathered into rows, the windows of a method run
 across the lanes, and the attitudes are written. Rotations of chunks are computed in parallel lanes,
 for many logs or for one, and then chained through p. The bits of a log therefore do not depend on
@@ -28,7 +28,7 @@ TILE = LANES * CHUNK
 
 #: parts of a program's function (``fastatt.gyro.program``)
 WINDOWS, PLACE, JOIN = range(3)
-#: rows of its ``state``: p at the begin of a chunk, the rotation of the chunk, p at its end; the
+#: rows of its ``state``: p at the start of a chunk, the rotation of the chunk, p at its end; the
 #: largest sample and interval of each lane; then the rows of an iteration
 START, TURNED, NEXT, PEAK, LONGEST, ITERATION = 0, 4, 8, 12, 13, 14
 

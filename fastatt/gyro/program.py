@@ -5,7 +5,7 @@ for each lane. ``part`` selects what is done:
 
 - ``WINDOWS``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
 - ``PLACE``: attitudes [first, last) become p∘r, with p in the rows ``START`` of ``state``.
-- ``JOIN``: for the lanes [first, last), p at the begin of the next chunk, ``NEXT``, from ``START``
+- ``JOIN``: for the lanes [first, last), p at the start of the next chunk, ``NEXT``, from ``START``
   and the rotation of this chunk, ``TURNED``.
 """
 

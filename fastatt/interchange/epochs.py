@@ -82,12 +82,12 @@ def tag_of(epoch: Any, system: str) -> str:
 
 
 def _leaps_before(day: int) -> int:
-    """The number of leap seconds before the begin of a day."""
+    """The number of leap seconds before the start of a day."""
     return bisect_left(_LEAPS, day)
 
 
 def _count(tag: str, *, leaps: bool) -> Decimal:
-    """Seconds since the begin of the calendar."""
+    """Seconds since the start of the calendar."""
     found = _TAG.fullmatch(tag)
     try:
         if found is None:

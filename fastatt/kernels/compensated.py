@@ -56,7 +56,7 @@ def compose(x, r):
 
 
 @kernel
-def turn(x, u):
+def rotate(x, u):
     """x∘exp(u/2) for a rotation vector u of any angle."""
     F = type(u[0])
     z = dot(u, u)
@@ -64,20 +64,20 @@ def turn(x, u):
     s, c = half_sinc_cos_wide(z)
     f = F(-0.125) * z * sin_remainder(F(0.25) * (F(0.0) if past else z))
     f = s - F(0.5) if past else f
-    return turn_parts(x, u, s, c, f)
+    return rotate_parts(x, u, s, c, f)
 
 
 @kernel
-def turn_short(x, u):
-    """``turn`` for a rotation vector of at most π."""
+def rotate_short(x, u):
+    """``rotate`` for a rotation vector of at most π."""
     F = type(u[0])
     z = dot(u, u)
     s, c = half_sinc_cos(z)
-    return turn_parts(x, u, s, c, F(-0.125) * z * sin_remainder(F(0.25) * z))
+    return rotate_parts(x, u, s, c, F(-0.125) * z * sin_remainder(F(0.25) * z))
 
 
 @kernel
-def turn_parts(x, u, s, c, f):
+def rotate_parts(x, u, s, c, f):
     """x∘(c, s u). f is s − ½: s u of a small rotation is the exact u/2 plus a small term."""
     F = type(c)
     q = x[:4]

@@ -1,6 +1,6 @@
 """Direction cosine matrices as tuples of nine numbers, row by row: v_i = C v_b.
 
-The rows of C are the inertial axes seen from the body; each satisfies Poisson's equation ṙ = r×w.
+The rows of C are the inertial axes in body components; each satisfies Poisson's equation ṙ = r×w.
 Shuster, "A survey of attitude representations", *Journal of the Astronautical Sciences* 41 (1993).
 """
 
@@ -212,7 +212,7 @@ def to_quat(c):
 
 
 @kernel
-def turn_first(a, c, s):
+def rotate_first(a, c, s):
     """Rotate an attitude about body axis 1.
 
     Parameters
@@ -233,11 +233,15 @@ def turn_first(a, c, s):
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
     x, y, z = a[:3], a[3:6], a[6:]
-    return vec3.turn_first(x, C, S) + vec3.turn_first(y, C, S) + vec3.turn_first(z, C, S)
+    return (
+        vec3.rotate_axes_first(x, C, S)
+        + vec3.rotate_axes_first(y, C, S)
+        + vec3.rotate_axes_first(z, C, S)
+    )
 
 
 @kernel
-def turn_third(a, c, s):
+def rotate_third(a, c, s):
     """Rotate an attitude about body axis 3.
 
     Parameters
@@ -258,7 +262,11 @@ def turn_third(a, c, s):
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
     x, y, z = a[:3], a[3:6], a[6:]
-    return vec3.turn_third(x, C, S) + vec3.turn_third(y, C, S) + vec3.turn_third(z, C, S)
+    return (
+        vec3.rotate_axes_third(x, C, S)
+        + vec3.rotate_axes_third(y, C, S)
+        + vec3.rotate_axes_third(z, C, S)
+    )
 
 
 @kernel

@@ -117,7 +117,7 @@ def rotate_inverse(q, v):
 
 
 @kernel
-def turn_first(q, c, s):
+def rotate_first(q, c, s):
     """Rotate an attitude about body axis 1, q∘(c, s, 0, 0).
 
     Parameters
@@ -136,7 +136,7 @@ def turn_first(q, c, s):
 
 
 @kernel
-def turn_third(q, c, s):
+def rotate_third(q, c, s):
     """Rotate an attitude about body axis 3, q∘(c, 0, 0, s).
 
     Parameters

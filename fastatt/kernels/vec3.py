@@ -141,7 +141,7 @@ def neg(a):
 
 
 @kernel
-def turn_first(v, c, s):
+def rotate_axes_first(v, c, s):
     """Components of a vector along axes that are rotated about axis 1.
 
     Parameters
@@ -162,7 +162,7 @@ def turn_first(v, c, s):
 
 
 @kernel
-def turn_third(v, c, s):
+def rotate_axes_third(v, c, s):
     """Components of a vector along axes that are rotated about axis 3.
 
     Parameters

@@ -28,8 +28,8 @@ class Samples(NamedTuple):
 
     ``t`` has the times from the first sample, s, and ``rows`` the indices in the table. ``held``
     are samples that repeat the rates of the sample before; ``added`` are samples without a row,
-    which hold the rates up to the end of a gap. ``cuts`` are the begins of pieces, ``said`` the
-    parts of the summary, and ``spread`` says whether rows with shared stamps were spread.
+    which hold the rates up to the end of a gap. ``cuts`` are the first samples of pieces, ``said``
+    the parts of the summary, and ``spread`` says whether rows with shared stamps were spread.
     """
 
     t: Floats

@@ -45,8 +45,8 @@ class GyroLog:
     dt : ndarray of shape (n - 1,)
         Intervals, s.
     accel : ndarray of shape (n, 3), or None
-        Accelerometer, m/s² if names or the size of gravity at rest tell its unit. NaN where the log
-        has no number.
+        Accelerometer, m/s² if its unit is known from names or from gravity at rest. NaN where the
+        log has no number.
     mag : ndarray of shape (n, 3), or None
         Magnetometer, in the log's unit. NaN where the log has no number.
     attitudes : ndarray of shape (n, 4), or None
@@ -64,7 +64,7 @@ class GyroLog:
     pieces : tuple of slice
         Ranges of samples without a break: one, unless ``on_bad_rows="split"``.
     summary : str
-        What was recognised, in one line.
+        A line that describes what was recognised.
     """
 
     path: Path
@@ -132,9 +132,10 @@ def read_gyro_log(
         (``log.pieces``); or holding the last rates. Rows that share stamps are spread evenly,
         unless refused.
     max_gap : float, optional
-        The longest interval that is not a gap, s; the default is 10 times the usual one.
+        The longest interval that is not a gap, s; the default is 10 times the median interval, or
+        10/``rate``.
     bias_seconds : float, optional
-        Subtract the mean rate of so many seconds from the start, during which the body is at rest.
+        Duration of a start at rest, s, whose mean rate is subtracted as the bias.
     progress : bool, default False
         Show a progress bar of the bytes read, which needs tqdm.
 

@@ -26,21 +26,21 @@ def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
 
 def body(motion: Any, t: Any, h: Any, x: Vector) -> Any:
     half = 0.5 * h
-    turn = motion.plain.turn
+    rotate = motion.plain.rotate
     a = motion.attitude.value(motion.attitude_of(x))
     m = motion.momentum_of(x)[:3]
     k1 = motion.angular_velocity(m)
     n1 = motion.momentum_rate(t, a, m)
-    a2 = turn(a, scale(half, k1))
+    a2 = rotate(a, scale(half, k1))
     m2 = axpy(half, n1, m)
     k2 = motion.angular_velocity(m2)
     n2 = motion.momentum_rate(t + half, a2, m2)
     m3 = axpy(half, n2, m)
     k3 = motion.angular_velocity(m3)
-    n3 = motion.momentum_rate(t + half, turn(a, scale(half, k2)), m3)
+    n3 = motion.momentum_rate(t + half, rotate(a, scale(half, k2)), m3)
     m4 = axpy(h, n3, m)
     k4 = motion.angular_velocity(m4)
-    a4 = turn(a2, scale(h, axpy(-0.5, k1, k3)))
+    a4 = rotate(a2, scale(h, axpy(-0.5, k1, k3)))
     n4 = motion.momentum_rate(t + h, a4, m4)
     # exp(h/12 (3, 2, 2, −1)) exp(h/12 (−1, 2, 2, 3))
     twelfth = 1.0 / 12.0 * h

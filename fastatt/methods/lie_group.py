@@ -112,7 +112,7 @@ def lie_method(
         name=name,
         order=order,
         scenes=("rate",) if body is None else ("rate", *BODIES),
-        uses=("turn",),
+        uses=("rotate",),
         conserves=("norm",),
         limits={**dict.fromkeys(FAMILIES, limit), BODY: body_limit},
         steps=steps,
@@ -138,7 +138,7 @@ def lie_group(
         Declared order, which :func:`check_convergence` compares with the measured one.
     exponents : callable
         ``f(w, t, h) -> (u1, u2, …)``, rotation vectors along body axes, rad, as tuples of three.
-        w(t) is the rate, rad/s, t the time at the begin of the step, s, and h the step size, s. The
+        w(t) is the rate, rad/s, t the time at the start of the step, s, and h the step size, s. The
         function is traced: it may use arithmetic, ``math`` and the kernels of
         :mod:`fastatt.kernels`.
     limit : float, default 1.0

@@ -95,8 +95,8 @@ class Method:
         Whether the principal moments must be in order.
     takes : Dependence
         How a torque may depend on w.
-    measure : {"turn", "momentum", "asymmetry"}
-        What ``limits`` hold for: "turn" ``|w| h``; "momentum" ``|m| h``/I_min; "asymmetry" ``|m|
+    measure : {"angle", "momentum", "asymmetry"}
+        What ``limits`` hold for: "angle" ``|w| h``; "momentum" ``|m| h``/I_min; "asymmetry" ``|m|
         h`` √(``|1/I1 − 1/I2|`` ``|1/I3 − 1/I2|``) with the intermediate moment I2, and under a
         torque also ``|w| h``.
     damping_limit : float
@@ -144,8 +144,8 @@ class Method:
     sorted_axes: bool = False
     #: how a torque may depend on w
     takes: Dependence = Dependence.RATE
-    #: the quantity that ``limits`` bound: "turn", "momentum" or "asymmetry"
-    measure: str = "turn"
+    #: the quantity that ``limits`` bound: "angle", "momentum" or "asymmetry"
+    measure: str = "angle"
     #: largest c h/I of linear damping
     damping_limit: float = math.inf
     #: whether it can compensate rounding

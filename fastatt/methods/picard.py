@@ -60,7 +60,7 @@ def _combined(table: tuple[Vector, ...], vectors: list[Vector]) -> list[Vector]:
 
 
 def _instants(h: Vector) -> tuple[Any, Vector]:
-    """T, and the times of the samples since the begin of the window as shares of it."""
+    """T, and the times of the samples since the start of the window as shares of it."""
     times = [0.0]
     for interval in h:
         times.append(times[-1] + interval)

@@ -26,7 +26,7 @@ def body(motion: Any, t: Any, h: Any, x: Vector) -> Any:
 
     def stage(at: Any, u: Vector, m: Vector) -> Any:
         """(u̇, ṁ) of the rotation vector u from the attitude a, and of the momentum m."""
-        rate_of_m = motion.momentum_rate(at, motion.plain.turn(a, u), m)
+        rate_of_m = motion.momentum_rate(at, motion.plain.rotate(a, u), m)
         return so3.dexpinv_short(u, motion.angular_velocity(m)), rate_of_m
 
     k1, n1 = motion.angular_velocity(m), motion.momentum_rate(t, a, m)

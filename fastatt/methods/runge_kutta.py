@@ -121,7 +121,7 @@ def density(tree: Any) -> int:
 def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
     """The step of a tableau for any equations of motion.
 
-    z is that of the fastest stage. ``first_turn`` uses the rotation of the body at the begin of the
+    z is that of the fastest stage. ``first_turn`` uses the rotation of the body at the start of the
     step in place of that of the last stage.
     """
     s = len(tableau.b)
@@ -152,7 +152,7 @@ def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
         for j in done[len(tableau.b)]:
             d = _added(tableau.b[j] / k, slopes[j], d)
         assert d is not None
-        # coordinates may be nearer to their pole at a stage than at the begin of the step
+        # coordinates may be nearer to their pole at a stage than at the start of the step
         most = largest(slopes) if motion.attitude.has_poles else slopes[0]
         z = h * h * motion.turning(given[tableau.c[0]], most, start if first_turn else y)
         return motion.advanced(x, scale(h * k, d)), z

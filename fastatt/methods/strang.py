@@ -38,14 +38,14 @@ def _rotor(turn: Any, half: Any, a: Vector) -> Any:
 
 def first(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """The rotor about axis 1, for h s."""
-    a, C, S = _rotor(motion.attitude.turn_first, -0.5 * h * motion.gyroscopic[2] * m[0], a)
-    return a, vec3.turn_first(m, C, S)
+    a, C, S = _rotor(motion.attitude.rotate_first, -0.5 * h * motion.gyroscopic[2] * m[0], a)
+    return a, vec3.rotate_axes_first(m, C, S)
 
 
 def third(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """The rotor about axis 3, for h s."""
-    a, C, S = _rotor(motion.attitude.turn_third, 0.5 * h * motion.gyroscopic[0] * m[2], a)
-    return a, vec3.turn_third(m, C, S)
+    a, C, S = _rotor(motion.attitude.rotate_third, 0.5 * h * motion.gyroscopic[0] * m[2], a)
+    return a, vec3.rotate_axes_third(m, C, S)
 
 
 def spherical(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
@@ -135,7 +135,7 @@ def _method(
         name=name,
         order=order,
         scenes=BODIES,
-        uses=("turn", "turn_first", "turn_third"),
+        uses=("rotate", "rotate_first", "rotate_third"),
         conserves=("norm", "momentum"),
         rate_calls=2 * len(half) - 1,
         exponentials=0,

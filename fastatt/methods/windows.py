@@ -38,7 +38,7 @@ class Iteration:
 
     ``rates(v, h)`` and ``increments(v, h)`` return the first state, a flat tuple of numbers of size
     1, from the samples and intervals of the window. ``improve(state)`` returns the next state, at
-    most ``passes`` times, and ``read(state)`` the flat unit quaternions from the begin of the
+    most ``passes`` times, and ``read(state)`` the flat unit quaternions from the start of the
     window to the end of each interval. They are called with traced numbers.
     """
 

@@ -18,9 +18,9 @@ _EPS = float(np.finfo(np.float64).eps)
 class Breaks(NamedTuple):
     """The breakpoints that a run crosses, in its order, and the time windows between them.
 
-    ``times`` are the times at which stretches of the run begin, s, the first being that of the run;
-    ``since`` are these times counted from the begin of the run, with ``slack`` for their rounding.
-    The rates, torques and forces of a stretch are evaluated from ``low`` to ``high`` only, which
+    ``times`` are the times at which segments of the run begin, s, the first being that of the run;
+    ``since`` are these times counted from the start of the run, with ``slack`` for their rounding.
+    The rates, torques and forces of a segment are evaluated from ``low`` to ``high`` only, which
     lie next to its two breakpoints.
     ``sampled`` says which of them begin at a sample time, at which states jump.
     """
@@ -42,9 +42,9 @@ def breaks_of(
 ) -> Breaks:
     """Select the sorted ``breakpoints`` inside a run of a ``duration``, s, of either sign.
 
-    A breakpoint that coincides with the begin or the end, to rounding, does not divide the run, but
+    A breakpoint that coincides with the start or the end, to rounding, does not divide the run, but
     limits the time window.
-    Times of ``sampling`` are breakpoints too, and the begin may be one.
+    Times of ``sampling`` are breakpoints too, and the start may be one.
     """
     every = np.array(breakpoints, dtype=np.float64)
     is_sample = np.zeros(every.size, dtype=bool)
@@ -56,7 +56,7 @@ def breaks_of(
     since = every - begin
     slack = 16.0 * _EPS * (np.abs(every) + abs(begin))
     inside = (sign * since > slack) & (sign * since < abs(duration) - slack)
-    # the run begins in the stretch between these two breakpoints
+    # the run begins in the segment between these two breakpoints
     first = int((since <= slack).sum() if sign > 0.0 else (since < -slack).sum())
     stretches = first + int(sign) * np.arange(inside.sum() + 1)
     order = np.flatnonzero(inside)[:: int(sign)]
@@ -97,7 +97,7 @@ def parts_of(
 ) -> Parts:
     """The parts of those steps that breakpoints or the end of the run divide.
 
-    ``end`` is the time of the end since the begin of the run, s, if it is not a whole step.
+    ``end`` is the time of the end since the start of the run, s, if it is not a whole step.
     """
     found = breaks_of(breakpoints, begin, n_steps * h if end is None else end, sampling)
     clocks: list[tuple[float, ...]] = [(h, 0, begin, found.low[0], found.high[0], 0, 0, 0)]
@@ -105,7 +105,7 @@ def parts_of(
     # the step that is divided, if any, and the time that its parts reached; the next whole step
     divided, reached, resumes = -1, 0.0, -1
 
-    # of the stretches that begin at a sample time: whether no part begins there yet
+    # of the segments that begin at a sample time: whether no part begins there yet
     jumps = found.sampled.copy()
 
     def add(step: int, stretch: int, *clock: float) -> None:

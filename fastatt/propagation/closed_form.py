@@ -280,7 +280,7 @@ def _at_times(
     pull = np.zeros(3) if form.pull is None else form.pull
     n = _same_rows({"q0": start, "w0": rates, "inertia": form.body.moments, "arm, weight": pull})
     if text := rounding.of_angles(turned(rates, times, form.gain), precision):
-        rounding.warn(f"t: found turns of {text}")
+        rounding.warn(f"t: found rotations by {text}")
     flat = np.require(times.reshape(-1), precision, ["C", "A"])
     size = flat.size, n or 1
     q, w = np.empty((*size, 4), precision), np.empty((*size, 3), precision)

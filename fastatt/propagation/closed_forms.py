@@ -412,7 +412,7 @@ def results_at(plan: Plan, given: Given, saves: slice, threads: int) -> Results:
     if not most <= rounding.most_turned(kind) ** 0.5:
         angles = turned(given.y, since, form.gain)
         if text := rounding.of_angles(angles, kind):
-            rounding.warn(f"t: found turns of {text}")
+            rounding.warn(f"t: found rotations by {text}")
         far = angles > rounding.most_turned(kind)
         results.status[...] = far * np.uint8(Status.STEP_TOO_LARGE)
     if has_bad:

@@ -35,15 +35,15 @@ def propagate_directions(
 
     The vectors satisfy Poisson's equation v̇ = v×w. Where only a star's direction or the field of
     gravity is needed, this propagates three numbers for each direction in place of an attitude. For
-    a scene with ``frame="inertial"`` the vectors are fixed in the body and seen from inertial axes.
+    a scene with ``frame="inertial"`` the vectors are fixed in the body, and their components are
+    along inertial axes.
 
     Parameters
     ----------
     scene : Scene
         A scene with a rate, without inertia, mass or states.
     v0 : array_like of shape (3,), (M, 3) or (N, M, 3)
-        Initial vectors, of any length: one, M directions seen from one body, or M from each of N
-        bodies.
+        Initial vectors, of any length: one, M for one body, or M for each of N bodies.
     dt : float
         Step size, s; negative propagates backwards.
     n_steps : int

@@ -1,4 +1,4 @@
-"""The drift of a trajectory: how far it departs from what the exact motion conserves."""
+"""The drift of a trajectory: the change of quantities that the exact motion conserves."""
 
 from __future__ import annotations
 

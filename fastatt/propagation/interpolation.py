@@ -32,7 +32,7 @@ def interpolate(
     w : array_like of shape (S, 3) or (S, N, 3)
         Angular velocities at the saves along body axes, rad/s.
     times : float or array_like of shape (T,)
-        Times at which attitudes are wanted, s, in any order and within ``t``.
+        Times of the results, s, in any order and within ``t``.
     invalid : {"raise", "flag"}, default "raise"
         "raise" refuses values that are not finite, zero quaternions, and bodies that rotate by more
         than π between two saves. "flag" returns NaN where they enter, and does not affect other
@@ -109,7 +109,7 @@ def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[
         Numbers at the saves: ``run.s``, ``run.v`` or ``run.r``. Numbers that are not finite give
         NaN at the times that they are used for, in their own column alone.
     times : float or array_like of shape (T,)
-        Times at which the numbers are wanted, s, in any order and within ``t``.
+        Times of the results, s, in any order and within ``t``.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[
     The result is the polynomial through the eight nearest saves, four on either side where they
     exist, or through all saves if there are fewer. Its error falls as the interval to the 8th
     power. Across a breakpoint, where a derivative jumps, interpolate each part on its own, or save
-    at the times that are wanted (``save_at``).
+    at the required times (``save_at``).
 
     References
     ----------
@@ -280,8 +280,9 @@ def _far(
     if far.any() and not flag:
         k, body = np.argwhere(turn > np.pi)[0]
         raise ValueError(
-            f"t: between saves {used[k]} and {used[k] + 1} body {body} turns by {turn[k, body]:.3g}"
-            f" rad ({np.count_nonzero(far)} of {far.size} bodies); accepted: at most π, with saves "
+            f"t: between saves {used[k]} and {used[k] + 1} body {body} rotates by "
+            f"{turn[k, body]:.3g} rad ({np.count_nonzero(far)} of {far.size} bodies); accepted: at "
+            "most π, with saves "
             f'{np.pi / turn[k, body] * span[k, 0]:.3g} s apart; invalid="flag" leaves them out'
         )
     return np.asarray(far)

@@ -38,7 +38,7 @@ def turn_limit(
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
     """The angle that the method limits, rad, in each body's first step; w is (3,) or (N, 3)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        if method.measure == "turn":
+        if method.measure == "angle":
             return np.asarray(lengths(_finite(w)) * abs(h))
         m = np.asarray(_fastest(scene, w) * abs(h))
         if method.measure == "momentum":

@@ -156,7 +156,7 @@ class PerBodyClock(Clock):
 
     #: one step size, s, or one for each body
     sizes: NDArray[np.float64]
-    #: times of the saves, s; times since the begin of the run, and the slack for their rounding
+    #: times of the saves, s; times since the start of the run, and the slack for their rounding
     at: NDArray[np.float64]
     since: NDArray[np.float64]
     slack: NDArray[np.float64]

@@ -322,7 +322,7 @@ class Plan:
 
     @cached_property
     def _columns(self) -> dict[str, slice]:
-        """Where what is carried with the attitude is saved."""
+        """The columns in which velocity, position and states are saved."""
         ends = pairwise(accumulate(self.carried.values(), initial=self.attitude.stored))
         return {name: slice(a, b) for name, (a, b) in zip(self.carried, ends, strict=True)}
 

@@ -112,15 +112,15 @@ def propagate(
     t0 : float, default 0.0
         Time of the initial state, s.
     compensated : bool, default False
-        Also carry the rounding errors of the quaternion and of the angular momentum, so that
-        round-off grows with the square root of the number of steps. A run then has 0.5 to 0.9 of
-        the speed. Accepted with the representation "quat" and with methods for which
+        Also carry the rounding errors of the quaternion and of the angular momentum, so that the
+        error due to rounding grows with the square root of the number of steps. A run then has 0.5
+        to 0.9 of the speed. Accepted with the representation "quat" and with methods for which
         ``Method.compensates`` is True.
     normalise : {"output", "never"} or int, default "output"
-        When the state is projected back (a quaternion to unit norm, a matrix to an orthogonal one).
-        "output" projects the saved values only, "never" does not project, and a number k also
-        projects the propagated state every k steps. The status is set by the norm error before the
-        projection. With "output", a compensated state is projected every 64 steps.
+        When the state is renormalised (a quaternion to unit norm, a matrix to an orthogonal one).
+        "output" renormalises the saved values only, "never" none, and a number k also the
+        propagated state every k steps. The status is set by the norm error before that. With
+        "output", a compensated state is renormalised every 64 steps.
     invalid : {"raise", "flag"}, default "raise"
         "raise" refuses zero quaternions and initial values that are not finite. "flag" runs the
         ensemble and flags these bodies; the results of the other bodies do not depend on them.
@@ -149,7 +149,7 @@ def propagate(
         trajectory stay on the device, except with ``on_save`` or a checkpoint.
     events : Event or sequence of Event, optional
         Events made by :func:`fastatt.event`. ``Trajectory.event_times`` holds the time at which
-        each body first meets each event. Accepted with methods that take steps, and not together
+        each body first crosses each event. Accepted with methods that take steps, and not together
         with per-body step sizes, ``save_at``, ``resume`` or ``device``.
 
     Returns

@@ -44,10 +44,10 @@ class Checkpoint:
 def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     """A file from which the same call continues after a crash: ``resume=fa.checkpoint(path)``.
 
-    The run writes its state to the file every ten seconds, completely or not at all. If the file
-    exists, the run continues from there, with the same bits as an uninterrupted run. With
-    ``save_every``, the saves must go to ``on_save``; those since the last checkpoint may reach a
-    function twice.
+    The run writes its state to the file every ten seconds; a file is replaced only by a complete
+    one. If the file exists, the run continues from there, with the same bits as an uninterrupted
+    run. With ``save_every``, the saves must go to ``on_save``; those since the last checkpoint may
+    reach a function twice.
 
     Parameters
     ----------

@@ -173,9 +173,9 @@ class Trajectory:
 
     @property
     def event_times(self) -> NDArray[np.float64]:
-        """Time at which each body first met each event, s: (N, E), or (E,) for one body.
+        """Time of the first crossing of each event by each body, s: (N, E), or (E,) for one body.
 
-        NaN marks an event that was not met. ``ValueError`` for a run without ``events``.
+        NaN if there was none. ``ValueError`` for a run without ``events``.
         """
         if self.found is None:
             raise ValueError("event_times: the run had no events; accepted: propagate(events=)")
@@ -235,7 +235,7 @@ class Trajectory:
         return arrays.quat_to_rotation_vector(between)
 
     def body_axis(self, axis: Any) -> NDArray[Any]:
-        """Direction of a body axis at the saved times, seen from inertial axes.
+        """Direction of a body axis at the saved times, along inertial axes.
 
         Parameters
         ----------

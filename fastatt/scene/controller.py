@@ -126,8 +126,8 @@ def _check_signs(name: str, target: TimeSeries) -> None:
     if len(rotated):
         row, k = rotated[0]
         raise ValueError(
-            f"{name}.target of row {row} turns its sign, or by half a turn, behind sample {k}; "
-            "accepted: quaternions whose signs go on"
+            f"{name}.target of row {row} changes its sign, or rotates by π or more, after sample "
+            f"{k}; accepted: quaternions whose signs are continuous"
         )
 
 

@@ -146,7 +146,7 @@ class EquationsOfMotion:
 
     def turned(self, x: Vector, u: Vector) -> Any:
         """An attitude rotated by a rotation vector."""
-        return self.attitude.turn(x, u)
+        return self.attitude.rotate(x, u)
 
     def at(self, t: Any) -> Any:
         """What ``field`` needs of the time t, evaluated once for all stages that share it."""

@@ -19,15 +19,15 @@ from fastatt.tracing.formulas import Vector, quat
 class SampledControl(Torque):
     """A controller that is evaluated at sample times start + k period, with a zero-order hold.
 
-    At each sample time within the run, its begin included, the controller is evaluated at the state
-    of that moment, and its torque, fixed in the body, is held until the next. Steps end at sample
+    At each sample time within the run, its start included, the controller is evaluated at the state
+    at that time, and its torque, fixed in the body, is held until the next. Steps end at sample
     times as at ``breakpoints``, so that a method keeps its order whatever ``dt`` is: one that
     divides the period costs nothing, any other one step more for each sample.
 
     Its states come in this order: the torque that is held, three numbers, N·m along body axes; then
-    the controller's memory. A run takes them as ``s0``: where it begins between two sample times,
-    the torque that ``s0`` gives is held up to the first. What is saved at a sample time are the
-    states before they jump.
+    the controller's memory. A run takes them as ``s0``: if it begins between two sample times,
+    the torque that ``s0`` gives is held up to the first. A save at a sample time holds the states
+    before they jump.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ class SampledControl(Torque):
     params : array_like, optional
         (P,) or (N, P), of a function: its argument p.
     states : int
-        How many numbers of memory the function has.
+        Number of memory values of the function.
     start : float
-        A sample time, s, on the clock of ``t0``.
+        A sample time, s, as ``t0``.
 
     Raises
     ------

@@ -72,7 +72,7 @@ def points(
     params: NDArray[np.float64] | None,
     span: tuple[float, float] = (0.0, 10.0),
 ) -> list[list[float]]:
-    """Arguments to try a function with; the first are at the begin of a time interval."""
+    """Arguments to try a function with; the first are at the start of a time interval."""
     rng = np.random.default_rng(8)
     found = []
     for k in range(POINTS):

@@ -23,8 +23,8 @@ _RESOURCES = {"gather": "table", "opaque": "function"}
 class Flat:
     """The operations that some results of a graph need, in order, with fused multiplications.
 
-    ``a*b + c`` becomes one ``fma`` if the product has no other use. This is decided here and not by
-    a compiler, so that every form of a formula rounds alike.
+    ``a*b + c`` becomes one ``fma`` if the product is used only there. This is decided here and not
+    by a compiler, so that every form of a formula rounds alike.
     """
 
     def __init__(self, graph: Graph, results: Iterable[Any], kinds: str | Sequence[str]) -> None:

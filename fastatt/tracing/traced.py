@@ -58,7 +58,7 @@ class Recurrence:
 
 
 class Loop(NamedTuple):
-    """The graphs before the end of a recurrence: its begin, and its step for each row of the table.
+    """The graphs before the end of a recurrence: its start, and its step for each row of the table.
 
     ``begin`` returns the numbers ("s", 0), ("s", 1), ...; ``step`` takes them and ("row", k) and
     returns new values of the first of them. Those in ``wide`` have a lane for each direction.

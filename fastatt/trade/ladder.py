@@ -37,7 +37,7 @@ def see(problem: Problem, case: Case, n: int, most: int, by: int = 1) -> Sight:
     """A run in ``n by`` steps, at the times of ``n`` steps: after each, or after ``most`` of them.
 
     If there are more steps, the times are equally spaced ones and the first ones, since decaying
-    motions change at the begin.
+    motions change most at the start.
     """
     parts = [(n, -(-n // most))]
     if n > most > 1:

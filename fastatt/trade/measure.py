@@ -341,7 +341,7 @@ def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> st
 
 
 def frontier(rows: Iterable[Row]) -> list[Row]:
-    """The rows that no other row beats in both error and time, fastest first."""
+    """The rows for which no row is better in both error and time, fastest first."""
     best: list[Row] = []
     finite = [r for r in rows if math.isfinite(r.error_median)]
     for row in sorted(finite, key=lambda r: (r.seconds_per_body, r.error_median)):

@@ -55,7 +55,7 @@ class PerBodySteps:
     n_bodies : int
         Number of bodies.
     reference : str
-        What errors were measured against.
+        The reference of the errors.
     share : float
         The number of all steps divided by that with the smallest step size for all bodies.
     """
@@ -198,7 +198,7 @@ def _unmet(tol: float, method: Method, errors: NDArray[np.float64]) -> ValueErro
 
 
 class _Classes:
-    """Bodies in classes of similar rates, so that the few fastest have classes of their own."""
+    """Bodies in classes of similar rates, so that the few fastest are in separate classes."""
 
     def __init__(self, whole: Problem, method: Method) -> None:
         n = whole.ensemble.size

@@ -25,7 +25,7 @@ class Recommendation:
     Attributes
     ----------
     method, representation, dtype : str
-        What to run.
+        The recommended case.
     dt : float
         Step size, s.
     n_steps : int
@@ -54,7 +54,7 @@ class Recommendation:
     measured : int
         Number of bodies that were run.
     reference : str
-        What errors were measured against.
+        The reference of the errors.
     reference_error : float
         Error of the reference, rad.
     case : Case

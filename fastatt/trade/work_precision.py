@@ -65,7 +65,7 @@ class WorkPrecision:
     sampled : int
         Number of bodies that were measured.
     reference : str
-        What errors were measured against.
+        The reference of the errors.
     reference_error : float
         Largest error of the reference over the sample, rad.
     confirmation : str
@@ -83,7 +83,7 @@ class WorkPrecision:
 
     @property
     def frontier(self) -> list[Row]:
-        """The rows that no other row beats in both time and median error, fastest first."""
+        """The rows for which no row is better in both time and median error, fastest first."""
         return frontier(self.rows)
 
     def table(self) -> str:

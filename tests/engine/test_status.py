@@ -47,7 +47,7 @@ def spoilt():
     [(m, {}) for m in ("rk4", "dmv10", "strang2", "exact")]
     + [(m, {"compensated": True}) for m in ("rk4", "dmv10")],
 )
-@pytest.mark.filterwarnings("ignore:t. found turns")  # of the runaway, in closed form
+@pytest.mark.filterwarnings("ignore:t. found rotations")  # of the runaway, in closed form
 def test_bad_bodies_harm_no_neighbour(method, options):
     options = {"dt": 0.01, "n_steps": 100, "method": method, "save_every": 50, **options}
     alone = fa.propagate(FREE, Q0, W0, **options)
@@ -468,7 +468,7 @@ def test_rates_of_any_size_are_right_or_flagged(method):
     w = np.array([[0.5, -0.3, 0.8], [0.3, 0.9, 0.2]])
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     usual = fa.propagate(scene, q0, w, dt=0.1, n_steps=40, method=method)
-    scales_without_products = fa.METHODS[method].measure != "turn"
+    scales_without_products = fa.METHODS[method].measure != "angle"
     for size in (1e-250, 1e-163, 1e-160, 1e-150, 1e150, 1e200, 1e250):
         run = fa.propagate(
             scene, q0, w * size, dt=0.1 / size, n_steps=40, method=method, invalid="flag"

@@ -191,7 +191,7 @@ def test_a_turn_past_half_a_turn_takes_the_wide_exponential():
     scene = fa.Scene(rate=fa.rates.Constant(w))
     stepper = fa.single_step(scene, method="lie_euler")
     for h in (0.1, 1.0, 10.0):
-        x, angle = stepper.step_and_turn(0.0, h, stepper.state(START), stepper.params)
+        x, angle = stepper.step_and_angle(0.0, h, stepper.state(START), stepper.params)
         traj = fa.propagate(scene, START, dt=h, n_steps=1, method="lie_euler", n_threads=1)
         assert gap([stepper.attitude(x)], traj.q[-1]) == 0.0
         assert angle == pytest.approx(h * np.linalg.norm(w), rel=4 * EPS)
@@ -202,16 +202,16 @@ def test_an_iteration_that_does_not_converge_says_so():
     stepper = fa.single_step(FREE, method="dmv10")
     for w, expected in ((0.1, False), (1.0, True)):
         x = stepper.state(START, w * W0[0])
-        _, angle = stepper.step_and_turn(0.0, 1.0, x, row(stepper, 0))
+        _, angle = stepper.step_and_angle(0.0, 1.0, x, row(stepper, 0))
         assert (angle == math.inf) == expected
 
 
 def test_the_angle_of_a_splitting_is_what_its_limit_holds_for():
     stepper = fa.single_step(torqued(INERTIA, motion=0.0, arm=np.zeros(3)), method="suzuki4")
-    _, angle = stepper.step_and_turn(0.0, H, stepper.state(START, W0[0]), row(stepper, 0))
+    _, angle = stepper.step_and_angle(0.0, H, stepper.state(START, W0[0]), row(stepper, 0))
     assert angle == pytest.approx(H * np.linalg.norm(W0[0]), rel=0.05)  # which changes on the way
     free = fa.single_step(fa.Scene(inertia=INERTIA[0]), method="suzuki4")
-    _, angle = free.step_and_turn(0.0, H, free.state(START, W0[0]), row(free, 0))
+    _, angle = free.step_and_angle(0.0, H, free.state(START, W0[0]), row(free, 0))
     m = np.linalg.norm(INERTIA[0] * W0[0])
     a, b, c = 1.0 / np.sort(INERTIA[0])
     assert angle == pytest.approx(H * m * np.sqrt((a - b) * (b - c)), rel=16 * EPS)
@@ -291,8 +291,8 @@ def test_parameters_as_a_row_of_an_array():
     p = stepper.params[1]
     x = stepper.start(tuple(START), tuple(W0[1]), p)
     assert x == stepper.start(tuple(START), tuple(W0[1]), tuple(p))
-    expected, turn = stepper.step_and_turn(0.1, H, x, tuple(p))
-    assert stepper.step_and_turn(0.1, H, x, p) == (expected, turn)
+    expected, turn = stepper.step_and_angle(0.1, H, x, tuple(p))
+    assert stepper.step_and_angle(0.1, H, x, p) == (expected, turn)
     assert stepper.step(0.1, H, x, p) == expected
     assert stepper.step(0.1, H, np.array(x), np.stack([p, p], axis=1)[:, 1]) == expected
     assert stepper.read(np.array(x), p) == stepper.read(x, tuple(p))
@@ -372,7 +372,7 @@ for scene, method, w in ((top, "rk4", [0.3, 0.9, -0.5]), (top, "suzuki4", [0.3, 
     x = stepper.state(*start)
     y, e = stepper.enter(0.0, 0.1, x, stepper.params)
     for i in range(2):
-        x, _ = stepper.step_and_turn(0.1 * i, 0.1, x, stepper.params)
+        x, _ = stepper.step_and_angle(0.1 * i, 0.1, x, stepper.params)
         y = stepper.advance(0.1 * i, 0.1, y, stepper.params, e)
     y = stepper.leave(0.2, 0.2, 0.1, y, stepper.params, e)
     traj = fa.propagate(scene, *start, dt=0.1, n_steps=2, method=method)
@@ -409,7 +409,7 @@ def test_arrays_that_are_too_short():
     def user(t, h, x, p):
         into(t, h, x, p)
 
-    stepping = stepper.step, stepper.step_and_turn, into, user, stepper.enter
+    stepping = stepper.step, stepper.step_and_angle, into, user, stepper.enter
     calls = [(f, (0.0, H, x, p)) for f in stepping]
     calls += [
         (stepper.read, (x, p)),

@@ -107,8 +107,8 @@ def test_sampled_methods(method, increments):
     bias = np.vstack([np.zeros(3), displaced(3, STEP)])
     many = np.broadcast_to(samples, (13, *samples.shape))
     found = estimation.sample_transitions(many, dt, method=method, increments=increments, bias=bias)
-    for i in range(found.turn.shape[1]):
-        true = derivative(attitude_errors(found.turn[0, i], found.turn[1:, i]), STEP)
+    for i in range(found.rotation.shape[1]):
+        true = derivative(attitude_errors(found.rotation[0, i], found.rotation[1:, i]), STEP)
         assert np.abs(found.bias[0, i] - true).max() <= BOUND * H
     # the bias moves every interval as far as a held rate's, to the commutators
     assert np.abs(found.bias[0, :, 0, 0] + dt).max() <= 0.1 * H
@@ -119,7 +119,7 @@ def test_turns_of_a_log_are_those_of_integrate_rates():
     found = estimation.sample_transitions(samples, H, method="previous", bias=(0.1, 0.2, -0.1))
     q = fa.integrate_rates(samples - (0.1, 0.2, -0.1), H, method="previous")
     turns = fa.quat_multiply(q[:, :-1] * (1, -1, -1, -1), q[:, 1:])
-    assert np.abs(found.turn - turns).max() <= 8 * EPS
+    assert np.abs(found.rotation - turns).max() <= 8 * EPS
 
 
 # rigid bodies

@@ -342,7 +342,7 @@ def test_constant_rate_is_exact_at_any_angle_with_any_intervals(method, incremen
     t = np.concatenate([[0.0], np.cumsum(spans)])
     data = np.tile(spans[:, None] * w if increments else np.tile(w, (61, 1)), (n_logs, 1, 1))
     options = {"method": method, "increments": increments, "max_gap": 2.0}
-    with pytest.warns(fa.StepWarning, match=r"of log 0 turns by 5\.39 rad"):
+    with pytest.warns(fa.StepWarning, match=r"of log 0 rotates by 5\.39 rad"):
         q = fa.integrate_rates(data, spans, START, **options)
     assert angle(q, mul(START, exp(t[:, None] * w))).max() < 61 * 12 * EPS
 

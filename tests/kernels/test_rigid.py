@@ -124,7 +124,7 @@ def test_exp_decay(sign):
 # turns about one axis
 
 
-@pytest.mark.parametrize(("name", "axis"), [("turn_first", 0), ("turn_third", 2)])
+@pytest.mark.parametrize(("name", "axis"), [("rotate_first", 0), ("rotate_third", 2)])
 def test_turn_about_an_axis(name, axis):
     """q∘exp(θ e/2) and C exp(θ [e×]) from cosine and sine of half the angle."""
     for q, theta in zip(quaternions(N, 3), uniform(-10.0, 10.0, N), strict=True):

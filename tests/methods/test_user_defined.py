@@ -397,7 +397,7 @@ DOUBLED = fa.Attitude(
     stored=4,
     start=lambda q: twice(fa.kernels.quat.normalise(q)),
     derivative=fa.kernels.quat.derivative,
-    turn=lambda x, u: fa.kernels.quat.mul(x, fa.kernels.quat.exp(u)),
+    rotate=lambda x, u: fa.kernels.quat.mul(x, fa.kernels.quat.exp(u)),
     quaternion=fa.kernels.quat.normalise,
     summary="quaternions of length 2",
 )
@@ -514,8 +514,8 @@ PARTS = {
     "quaternion": mrp_quaternion,
 }
 WRONG_ATTITUDES = [
-    ({"quaternion": None}, ValueError, "quaternion, derivative, turn: missing; accepted: quat"),
-    ({"derivative": None}, ValueError, "quaternion, derivative, turn: missing; accepted: quat"),
+    ({"quaternion": None}, ValueError, "quaternion, derivative, rotate: missing; accepted: quat"),
+    ({"derivative": None}, ValueError, "quaternion, derivative, rotate: missing; accepted: quat"),
     ({"size": 4, "stored": 4}, ValueError, "start: gives 3 numbers; accepted: 4"),
     ({"quaternion": lambda x: x}, ValueError, "quaternion: gives 3 numbers; accepted: 4"),
     ({"finish": lambda x: x}, ValueError, "finish: gives 3 numbers; accepted: 4"),
@@ -526,7 +526,7 @@ WRONG_ATTITUDES = [
     ({"start": lambda q: q[1:]}, ValueError, "start, quaternion: of q = (0.969531,"),
     ({"quaternion": lambda x: (1.0, 0.0, 0.0, 0.0)}, ValueError, "start, quaternion: of q"),
     ({"derivative": lambda x, w: mrp_derivative(w, x)}, ValueError, "accepted: q∘exp(h w), to h²"),
-    ({"turn": lambda x, u: x}, ValueError, "turn: of q"),
+    ({"rotate": lambda x, u: x}, ValueError, "rotate: of q"),
     ({"compose": lambda x, q: x}, ValueError, "compose: of q"),
     ({"flip": lambda x: x}, ValueError, "flip: of q"),
     ({"to_body": lambda x, v: v}, ValueError, "to_body: of q"),
@@ -627,7 +627,7 @@ def test_a_representation_without_a_derivative_is_for_exponentials_alone():
         "turned",
         size=4,
         stored=4,
-        turn=lambda x, u: fa.kernels.quat.mul(x, fa.kernels.quat.exp(u)),
+        rotate=lambda x, u: fa.kernels.quat.mul(x, fa.kernels.quat.exp(u)),
         start=fa.kernels.quat.normalise,
         quaternion=fa.kernels.quat.normalise,
     )

@@ -312,7 +312,7 @@ def test_scenes_without_a_closed_form(given, torque, message):
 
 def test_turns_beyond_rounding_are_told():
     """Gravity may turn what starts from rest."""
-    with pytest.warns(fa.StepWarning, match="found turns of 2e"):
+    with pytest.warns(fa.StepWarning, match="found rotations by 2e"):
         run = fa.propagate(TOP, tilted(1.0), (0.0, 0.0, 0.0), dt=1e16, n_steps=1)
     assert run.status_counts() == {"STEP_TOO_LARGE": 1}
 

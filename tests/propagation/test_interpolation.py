@@ -82,7 +82,7 @@ def test_turns_past_half_a_turn_are_refused_or_left_out():
     t = np.linspace(0.0, 8.0, 5)
     bodies = [*BODIES[2:], (0.0, 1.6, 0.0, 0.0)]  # 3.2 rad from save to save
     q, w = motion(t, bodies)
-    with pytest.raises(ValueError, match=r"between saves 0 and 1 body 1 turns by 3.2 rad"):
+    with pytest.raises(ValueError, match=r"between saves 0 and 1 body 1 rotates by 3.2 rad"):
         fa.interpolate(t, q, w, 1.0)
     found = fa.interpolate(t, q, w, [1.0, 5.0], invalid="flag")
     alone = fa.interpolate(t, q[:, :1], w[:, :1], [1.0, 5.0])

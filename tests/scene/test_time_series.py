@@ -484,7 +484,7 @@ def test_tables_are_values():
             lambda: torques.pack(
                 torques.QuaternionPD(1.0, 1.0, fa.TimeSeries([0, 1], [Q0, np.negative(Q0)])), None
             ),
-            "QuaternionPD.target of row 0 turns its sign, or by half a turn, behind sample 0",
+            "QuaternionPD.target of row 0 changes its sign, or rotates by π or more, after",
         ),
         (
             lambda: torques.pack(torques.KeplerGravityGradient(1.0, 0.95), None),
