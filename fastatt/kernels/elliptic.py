@@ -71,19 +71,19 @@ def waves(x, wide):
 
 
 @kernel
-def landen_step(u, v, a, b, turns):
+def landen_step(u, v, a, b, half_turns):
     """One descending Landen transformation of the integral in ``first_kind_pair``, all doubled.
 
     Bulirsch, "Numerical calculation of elliptic integrals", *Numerische Mathematik* 7 (1965), el1,
-    without his division: u/v is a times the cotangent of the amplitude; ``turns`` counts its
+    without his division: u/v is a times the cotangent of the amplitude; ``half_turns`` counts its
     multiples of π.
     """
     F = type(u)
     product = u * v
     product = product if product != F(0.0) else F(1e-20)
-    turns = turns + turns
-    turns = turns + F(1.0) if product < F(0.0) else turns
-    return u * u - (a * b) * (v * v), product, turns
+    half_turns = half_turns + half_turns
+    half_turns = half_turns + F(1.0) if product < F(0.0) else half_turns
+    return u * u - (a * b) * (v * v), product, half_turns
 
 
 @kernel
@@ -147,12 +147,12 @@ def first_kind_pair(y, kc, yc, k):
     steep = near > F(1.0)
     u = F(1.0) if steep else near
     v = F(1.0) / near if steep else F(1.0)
-    u, v, turns = landen_step(u, v, F(1.0), c0, F(0.0))
-    u, v, turns = landen_step(u, v, a1, c1, turns)
-    u, v, turns = landen_step(u, v, a2, c2, turns)
-    u, v, turns = landen_step(u, v, a3, c3, turns)
+    u, v, half_turns = landen_step(u, v, F(1.0), c0, F(0.0))
+    u, v, half_turns = landen_step(u, v, a1, c1, half_turns)
+    u, v, half_turns = landen_step(u, v, a2, c2, half_turns)
+    u, v, half_turns = landen_step(u, v, a3, c3, half_turns)
     angle = atan2(a4 * abs(v), -u if v < F(0.0) else u)
-    short = (angle + F(math.pi) * turns) * inverse
+    short = (angle + F(math.pi) * half_turns) * inverse
     short_whole = F(8.0 * math.pi) * inverse
     return (
         short if swap else long,

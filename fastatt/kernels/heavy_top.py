@@ -227,9 +227,9 @@ def parts(g, pace, t):
 
 @kernel
 def series(r, beta, plus, minus):
-    """(cubics of P, of Q, argument, (its rate, |its start|), turns) of the motion between roots.
+    """(cubics of P, of Q, argument, (its rate, |its start|), phase_rates) of the motion between roots.
 
-    ``r`` are ``roots``; the argument is that of ``parts``; turns are phases per unit of it, for P
+    ``r`` are ``roots``; the argument is that of ``parts``; phase_rates are phases per unit of it, for P
     at z = z2 and for Q at z = z1.
     """
     F = type(beta)
@@ -351,7 +351,7 @@ def setup(q, w, moments, pull):
     plus = S[0] + a * x0
     minus = S[0] - a * y0
     r = roots(x0, y0, v, a, beta, S, plus, minus)
-    cubics_p, cubics_q, argument, begin, turns = series(r, beta, plus, minus)
+    cubics_p, cubics_q, argument, begin, phase_rates = series(r, beta, plus, minus)
     start = -begin[1] if S[1] < zero else begin[1]
     # an upright top at rest remains at rest
     still = (begin[0] if x0 > zero else zero) if y0 > zero else zero
@@ -359,8 +359,8 @@ def setup(q, w, moments, pull):
     spin = f * w[2] - a
     x2 = r[3] if r[3] > zero else one
     y1 = r[4] if r[4] > zero else one
-    phase_p = half * plus / x2 - rate * turns[0]
-    phase_q = half * minus / y1 - rate * turns[1]
+    phase_p = half * plus / x2 - rate * phase_rates[0]
+    phase_q = half * minus / y1 - rate * phase_rates[1]
     # without the spin, which cancels in the sum and may be large
     sum_of = phase_p + phase_q + rate * (argument[3] + argument[5])
     phase_p = phase_p + half * spin

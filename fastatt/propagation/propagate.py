@@ -357,7 +357,7 @@ def plan(
     >>> run.t
     array([0.02])
     """
-    arguments = dict(locals())  # a pickled plan is made again from these
+    arguments = dict(locals())  # a pickled plan is recreated with these
     as_scene(scene)
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:

@@ -89,7 +89,7 @@ def is_tensor(given: NDArray[Any]) -> bool:
 
 
 def sort_axes(found: Principal) -> Principal:
-    """The same body with its intermediate moment on axis 2."""
+    """The body with its intermediate moment on axis 2."""
     m = found.moments
     if is_sorted(m):
         return found
@@ -109,7 +109,7 @@ def axis_order(moments: NDArray[Any]) -> NDArray[np.intp]:
 
 
 def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[np.float64]]:
-    """The same bodies with their axis of symmetry third, and the component of an arm along it.
+    """The bodies with their axis of symmetry third, and the component of an arm along it.
 
     ``arm`` is (3,) or (N, 3), m, along body axes. Raises ``ValueError``, with the index of the
     body, if the moments about two axes normal to the arm are not equal.
