@@ -19,7 +19,7 @@ def main() -> int:
     text = page(CASES)
     OUT.write_text(text, encoding="utf-8")
     print(text)
-    return int("**apart**" in text)
+    return int("**differs**" in text)
 
 
 if __name__ == "__main__":

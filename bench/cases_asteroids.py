@@ -144,8 +144,9 @@ CASES = (
 Angles between observed and computed body axes x, y, z, and between the rates.
 They are those of Principia's `euler_solver_test.cpp`, test `Toutatis`, a unit of the last digit.
 The observations and the model are those of Takahashi, Busch and Scheeres, Astron. J. 146 (2013) 95.
-Both propagate a free body from one attitude and rate: what is apart from the radar is not ours.
-In 2008 that is physical: the tides of Earth and Sun are left out.
+Both propagate a free body from one initial condition. The difference from the radar is that of
+the model.
+In 2008 it is large, because the model has no tides of Earth and Sun.
 Periods are those that Zhao, Hu and Ji found at Chang'e-2's flyby, arXiv:1511.04357.""",
         "5.41 d and 7.35 d are the periods of Hudson and Ostro, Science 270 (1995) 84.",
         toutatis,

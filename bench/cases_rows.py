@@ -60,9 +60,9 @@ def page(cases: Sequence[Case]) -> str:
     out = [HEADER.format(agree=sum(row.agrees for row in rows), total=len(rows))]
     for case, some in found:
         out += [f"## {case.title}", "", case.text, "", f"Their own tools: {case.spread}", ""]
-        out += ["| figure | they say | we get | apart | allowed | |", "| --- " * 6 + "|"]
+        out += ["| figure | published | fastatt | difference | allowed | |", "| --- " * 6 + "|"]
         for x in some:
-            mark = "" if x.agrees else "**apart**"
+            mark = "" if x.agrees else "**differs**"
             out.append(
                 f"| {x.quantity} | {x.theirs} | {x.ours} | {x.apart:.2g} | "
                 f"{x.allowed:.2g} {x.unit} | {mark} |"
@@ -76,7 +76,7 @@ HEADER = """\
 
 Made by `make cases`. {agree} of {total} figures agree.
 
-A figure is given as its source prints it, and ours with a digit more.
-"Apart" is the largest difference of a row's numbers, in the unit of what is allowed.
-What is allowed follows from their digits, or from what is said beside the case.
+"Published" is a figure as its source prints it; that of fastatt has one digit more.
+"Difference" is the largest difference of the numbers in a row, in the unit of "allowed".
+"Allowed" follows from the digits of the published figure, or from the statement of its source.
 """

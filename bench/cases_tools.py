@@ -233,7 +233,7 @@ CASES = (
         """\
 A brick tumbles freely for 30 s from (10, 20, 30)°/s; the body starts along north, east and down.
 Attitude and rate are the last lines of `Atmos_02_sim_*.csv` in `nasa/simupy-flight`.
-Inertial attitude is a turn by longitude and the Earth's, then yaw, pitch, roll.
+The inertial attitude is the rotation by longitude and of the Earth, then yaw, pitch and roll.
 The attitude is known to 1e-8°: of SIM 01 the first line has 29.99999999994°/s for 30°/s,
 and the Earth's rate is given to 7 digits.""",
         "off ours by 3.5e-9° (SIM 01), 5.2e-9° (04), 7.9e-5° (05), 2.8e-3° (06) and 3.71° (02); "

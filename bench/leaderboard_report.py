@@ -260,14 +260,15 @@ def _libraries() -> list[str]:
 
 
 _RULES = f"""\
-Every library runs a ladder of tolerances or steps; times are the shortest of interleaved rounds.
-A cell names the fastest at that error, and how many times as long the next library takes.
-The error is the root mean square over bodies whose end is known; times between settings are
-interpolated in logarithms.
-Times within {100 * (_TIE - 1):.0f} % of each other are ties; above {_MOST:.0f} no ratio is told.
+Every library runs with a series of tolerances or step sizes; times are the shortest of several
+rounds, in which the libraries alternate. A cell names the fastest method at that error, and how
+many times as long the next library takes. The error is the root mean square over bodies with a
+known solution; times at an error are interpolated in logarithms between settings.
+Times within {100 * (_TIE - 1):.0f} % of each other are ties; ratios above {_MOST:.0f} are
+not stated.
 Bold cells are those that fastatt loses.
-One body is a call for each body, an ensemble has 1024 in one call.
-Compilation, layouts, plans and whatever a library can prepare beforehand are left out.
+"One" is a call for each body, "ensemble" one call for 1024 bodies.
+Times do not contain compilation, layouts, plans and other preparations that a library allows.
 `float32` in a method's name is single precision.
 Operations of heyoka follow from its order p and steps: p² a product of series, 2p a variable.
 Ours count as each body's what all share, a sine of time: the rate can then pass the core's peak.

@@ -33,7 +33,7 @@ def test_units_are_those_of_the_digits_printed():
 def test_a_figure_apart_is_marked():
     rows = [printed("one", "1.0", [1.2]), at_most("two", "1e-3", 2e-3, 1e-3, "rad")]
     text = page([Case("Title", "Text.", "None.", lambda: iter(rows))])
-    assert text.count("| **apart** |") == 2
+    assert text.count("| **differs** |") == 2
     assert "0 of 2 figures agree" in text
     assert not printed("one", "1.0", [float("nan")]).agrees
 

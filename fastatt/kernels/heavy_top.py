@@ -227,10 +227,10 @@ def parts(g, pace, t):
 
 @kernel
 def series(r, beta, plus, minus):
-    """(cubics of P, of Q, argument, (its rate, |its start|), phase_rates) of the motion between roots.
+    """(cubics of P, of Q, argument, (its rate, |its start|), phase rates) of the motion.
 
-    ``r`` are ``roots``; the argument is that of ``parts``; phase_rates are phases per unit of it, for P
-    at z = z2 and for Q at z = z1.
+    The motion is between ``roots`` r. The argument is that of ``parts``; phase rates are phases per
+    unit of it, for P at z = z2 and for Q at z = z1.
     """
     F = type(beta)
     zero = F(0.0)

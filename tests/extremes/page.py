@@ -26,14 +26,14 @@ OUT = Path(__file__).resolve().parents[2] / "bench" / "EXTREMES.md"
 HEADER = """\
 # Every method at the extremes
 
-Made by `make extremes`. A cell holds the worst error among bodies of status 0, and the flags of all
-bodies. **wrong** would mark a body of status 0 whose error is more than the method's order, the
-rounding of its precision (16 ulps for each time that a step touches the state) and the
-conditioning of its motion (measured on the closed form) explain, or more than 0.1 rad a rad turned.
-There are {wrong} in {total} cells.
+Made by `make extremes`. A cell holds the largest error of bodies with status 0, and the flags of
+all bodies. **wrong** would mark a body with status 0 whose error is larger than 0.1 rad for each
+rad of rotation, or larger than the following explain together: the order of the method, rounding
+(16 ulps for each change of the state in a step), and the conditioning of the motion (measured on
+the closed form). There are {wrong} in {total} cells.
 
-No status sees a rate that changes faster than a step resolves: cones here turn at up to twice the
-rate of the body.
+No method can detect a rate that changes faster than a step resolves. The axes of cones rotate here
+at up to twice the rate of the body.
 """
 
 

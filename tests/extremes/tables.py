@@ -102,7 +102,7 @@ TABLES = (
         [Column(f"{t0:g}", clock(t0)) for t0 in (0.0, -1e4, 1e6, 1.7e9, 1e12)],
     ),
     Table(
-        "Turns beyond precision",
+        "Rotations beyond precision",
         "Columns: |w|h, one step at a constant rate. Error, rad.",
         "rate",
         [Column(f"{theta:g}", at_once(theta)) for theta in (1e3, 1e5, 1e9, 1e14, 1e16, 1e18)],
@@ -148,7 +148,7 @@ TABLES = (
     Table(
         "Damping",
         "Columns: c h/I_min; 32 steps of |w|h = 0.0625, w exp(−ct/I) exactly. Error over the "
-        "initial |w|, or over the turn of the first step.",
+        "initial |w|, or over the angle of the first step.",
         "torqued",
         [damping(x) for x in (0.1, 1.0, 2.5, 3.0, 10.0, 100.0, 1000.0)],
     ),
@@ -159,7 +159,7 @@ TABLES = (
         [pendulum(x) for x in (1e-6, 1e-3, 0.1, 0.3, 1.0, 3.0, 10.0)],
     ),
     Table(
-        "A weight on bodies that turn",
+        "A weight on rotating bodies",
         "Columns: |w|h; bodies from a sphere to a needle, in 11 directions, with a weight of "
         "h²/I_min = 1/128; 32 steps. Error: angle, rad, or |Δm|/|m|.",
         "torqued",
@@ -167,7 +167,7 @@ TABLES = (
     ),
     *(
         Table(
-            f"Poles, {'free bodies' if body else 'given rates'}",
+            f"Poles, {'free bodies' if body else 'prescribed rates'}",
             "3-1-3 angles that start at a nutation of 0 and π or pass 0 so far away, rad; rotation "
             "vectors that pass 2π. 64 steps. Error, rad.",
             "free" if body else "rate",
