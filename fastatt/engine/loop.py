@@ -27,8 +27,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import types
-
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
 from fastatt.engine import crossings
@@ -234,6 +232,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
 
     def run_tiles(arrays, settings, limits, first_tile, last_tile):
         """Take the steps of a span on tiles; returns the tile that lacked the any-angle form."""
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
         angle_row, io_row, clock = settings[ANGLE_ROW], settings[IO_ROW], settings[CLOCK_ROW]
         shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
@@ -418,6 +417,7 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
     """The loop that sets the flags of bodies whose states were computed elsewhere."""
 
     def set_all_status(arrays, settings, limits, first, count):
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         states, diagnostics = reals(arrays[STATES], kind), reals(arrays[DIAGNOSTIC_ROWS], kind)
         _set_status(states, diagnostics, arrays, settings, limits, first, count)
         return count
@@ -428,17 +428,15 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
 #: the loop is compiled again if its parts in other files change
 _PARTS = ("brackets.py", "crossings.py", "stops.py")
 _OTHERS = [Path(__file__).with_name(x).read_bytes() for x in _PARTS]
-_POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
-_SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 
 
 @functools.cache
 def tile_loop(kind: str, *, per_body: bool, events: bool = False) -> Callable[..., int]:
     """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
-    return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _OTHERS)
+    return address_loop(_run_tiles(kind, per_body, events), _OTHERS)
 
 
 @functools.cache
 def status_loop(kind: str) -> Callable[..., int]:
     """``set_all_status(arrays, settings, limits, first, count)`` for a precision."""
-    return address_loop(_SIGNATURE, _set_all_status(kind))
+    return address_loop(_set_all_status(kind))
