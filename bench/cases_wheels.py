@@ -64,7 +64,7 @@ A hub of 900, 800 and 600 kg·m² with three Honeywell HR16 of 50 N·m·s at 600
 which turn at 100, 200 and 300 rpm; K = 3.5 N·m and P = 30 N·m·s on σ and w, every 0.1 s.
 Figures to 488 s are the truth of `test_scenarioAttitudeFeedbackRW.py` of 2017, to 14 places;
 those at 600 s are of Basilisk 2.12.1, run by `bench/peers_wheels.py`.
-Its wheels read a torque before the next step: torques are held without delay.
+The wheels read a torque before the spacecraft's next step: torques are held without delay.
 The last figure is of 2.12.1 with wheels and spacecraft in the opposite order: a sample late.""",
         "2.12.1 is within 2e-15 of the truth of 2017; RK4 in steps of 0.1 s is off the solution "
         "of the equations by 2.7e-14, as `python bench/wheel_feedback.py` finds.",

@@ -1,6 +1,7 @@
 """Contestants for wheels under sampled control: libraries that start anew at each sample.
 
-The torque that is held goes into the last parameters of ``equations``.
+The torque that is held goes into the last parameters of ``equations``. All of them run body by
+body, an ensemble too.
 """
 
 from __future__ import annotations
@@ -126,17 +127,12 @@ def _cyrk_driver() -> Callable[..., Any]:
 
 def cyrk(problem: Problem, quick: bool) -> Iterator[Contestant]:
     run, address = _cyrk_driver(), cyrk_function(problem.kind).address
+    given = problem.y0[: problem.n_exact], problem.parameters, problem.samples_of_control
 
     def ladder_of(method: str):
         def ladder(mode: str) -> Iterator[Run]:
-            starts = problem.y0[: problem.units(mode)]
-            for tol in tolerances(quick):
-                yield at_tolerance(
-                    tol,
-                    lambda tol=tol: run(
-                        address, starts, problem.parameters, problem.samples_of_control, tol, method
-                    ),
-                )
+            for tol in tolerances(quick) if mode == ONE else ():
+                yield at_tolerance(tol, lambda tol=tol: run(address, *given, tol, method))
 
         return ladder
 
@@ -147,20 +143,14 @@ def cyrk(problem: Problem, quick: bool) -> Iterator[Contestant]:
 def basilisk(problem: Problem, quick: bool) -> Iterator[Contestant]:
     del quick
     craft = BasiliskWheels(problem.samples_of_control)
-    starts = [
-        (
-            fa.quat_to_mrp(problem.q0[k]),
-            problem.w0[k],
-            problem.s0[k, :3] / WHEEL - problem.w0[k],
-        )
-        for k in range(problem.n_exact)
-    ]
+    speeds = problem.s0[:, :3] / WHEEL - problem.w0
+    starts = list(zip(fa.quat_to_mrp(problem.q0), problem.w0, speeds, strict=True))
 
     def ladder(mode: str) -> Iterator[Run]:
         if mode == ONE:
             yield Run(
                 f"{problem.samples_of_control} steps",
-                lambda: [craft.run(*start) for start in starts],
+                lambda: [craft.run(*start) for start in starts[: problem.n_exact]],
                 lambda ends: fa.mrp_to_quat(np.reshape(ends, (-1, 3))),
             )
 
