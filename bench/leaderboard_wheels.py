@@ -154,7 +154,7 @@ def basilisk(problem: Problem, quick: bool) -> Iterator[Contestant]:
                 lambda ends: fa.mrp_to_quat(np.reshape(ends, (-1, 3))),
             )
 
-    yield Contestant("Basilisk", "spacecraft, RK4", ladder)
+    yield Contestant("Basilisk", "spacecraft, RK4", ladder, bound="modules and messages")
 
 
 PEERS = {"heyoka": heyoka, "CyRK": cyrk, "scipy": scipy, "Basilisk": basilisk}
