@@ -207,6 +207,11 @@ class UserModel(Model):
         return bool(getattr(self, "uses_position", False))
 
     @property
+    def taken(self) -> int:
+        """Number of states that the function takes."""
+        return self.states
+
+    @property
     def form(self) -> str:
         """The signature of the function, a key of ``FORMS``."""
         return f"{self.kind} at position" if self.reads_position else self.kind
@@ -221,7 +226,7 @@ class UserModel(Model):
             raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
         params = join([given], n_bodies, "params")
         n = params.shape[-1]
-        made = user_function(self.function, self.form, n, params, self.states)
+        made = user_function(self.function, self.form, n, params, self.taken)
         resources.update(resources_of(made))
         return Law(replace(self, function=made, params=None), (n,), (None,)), params
 

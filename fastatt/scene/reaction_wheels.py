@@ -151,7 +151,7 @@ class ReactionWheels(Torque):
             if not callable(self.command):
                 raise TypeError(
                     f"{label}: found {checks.brief(self.command)}; accepted: a function "
-                    f"{FORMS['command'].call} or a model of fastatt.torques"
+                    f"{FORMS['command'].with_states(count).call} or a model of fastatt.torques"
                 )
             given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
             columns["params"] = given

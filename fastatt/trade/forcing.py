@@ -130,6 +130,6 @@ def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: An
         inverse = zip(motion.half_inverse, torque[:3], strict=True)
         found.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
-        force = structure.force.formula(t, q, w, v, r, p[n + 1 :])
+        force = structure.force.formula(t, q, w, v, r, s, p[n + 1 :])
         found.append(scale(p[n], tuple(force)))
     return tuple(found)
