@@ -229,8 +229,8 @@ def pack(
     model: Any,
     n_bodies: int | None,
     mass: NDArray[np.float64],
-    states: int,
     resources: Resources | None = None,
+    states: int = 0,
 ) -> Packed:
     """``models.pack`` of a force in a scene with ``mass``, () or (N,), kg, and ``states``."""
     return models.pack(_in_scene(model, mass, states), Force, n_bodies, resources)

@@ -127,6 +127,12 @@ class Model:
         """The states after a sample time, of those before."""
         return states
 
+    def corners(self) -> NDArray[np.float64]:
+        """Times, s, at which it jumps or has a corner for all bodies; of a linear table its own."""
+        values = (getattr(self, name) for name in self.fields)
+        tables = [x.t for x in values if isinstance(x, TimeSeries) and not x.form.cubic]
+        return np.concatenate([np.zeros(0), *tables])
+
     def check(self, name: str) -> None:
         """Refuse impossible numbers; fields are NumPy arrays with the body's index last."""
 
@@ -193,6 +199,10 @@ class Sum(Model):
     def of(cls, values: Iterable[Any]) -> Self:
         """A sum of other terms."""
         return cls(tuple(values))
+
+    def corners(self) -> NDArray[np.float64]:
+        """Those of the terms."""
+        return np.concatenate([term.corners() for term in self.terms])
 
 
 class UserModel(Model):

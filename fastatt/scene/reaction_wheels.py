@@ -164,6 +164,10 @@ class ReactionWheels(Torque):
         law = Law(driven, sizes, (None,) * len(sizes))
         return law, join(list(columns.values()), n_bodies, name)
 
+    def corners(self) -> NDArray[np.float64]:
+        """Those of a command that is a model."""
+        return self.command.corners() if isinstance(self.command, models.Model) else np.zeros(0)
+
     def _unit_axes(self, name: str) -> NDArray[np.float64]:
         axes = models.numbers(f"{name}.axes", self.axes)
         if axes.ndim not in (2, 3) or axes.shape[-1] != 3 or not axes.size:

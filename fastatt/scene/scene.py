@@ -67,7 +67,8 @@ class Scene:
         The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
         Times, s, at which a rate, torque or force has a jump or a kink. Steps end at these times,
-        so that the method keeps its order.
+        so that the method keeps its order. Linear tables in models, ``torques.Sampled`` and
+        ``rates.Slew`` bring theirs.
 
     Attributes
     ----------
@@ -324,7 +325,7 @@ class Scene:
         elif callable(model):
             model = forces.Custom(model)
         states = packed.structure.turning.law.states
-        force = forces.pack(model, n_bodies, mass, states, packed.resources)
+        force = forces.pack(model, n_bodies, mass, packed.resources, states)
         columns = [packed.params, 1.0 / mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)
         structure = structure._replace(position=position or structure.reads_position)
