@@ -21,6 +21,7 @@ from fastatt.engine.job import Job
 from fastatt.engine.run import Fixed, Results, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
+from fastatt.propagation.breakpoints import corners_of
 from fastatt.propagation.closed_forms import Evaluation
 from fastatt.propagation.event import watching
 from fastatt.propagation.execute import execute
@@ -93,7 +94,9 @@ class Plan:
                 f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
                 "holds can't be found backwards"
             )
-        divides = bool(scene.breakpoints or scene.sampling) or clock.ends is not None
+        # a device takes whole steps: it refuses declared breakpoints, and crosses those of models
+        corners = len(scene.breakpoints if choice.device else corners_of(scene)) > 0
+        divides = corners or scene.sampling is not None or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,
@@ -106,7 +109,7 @@ class Plan:
             projects=choice.projection > 0,
             own_steps=isinstance(clock, PerBodyClock) or divides,
             events=watches,
-            windowed=bool(scene.breakpoints),
+            windowed=corners,
             width=n_bodies if choice.device else width_for(n_bodies, lanes),
         )
         if not method.is_exact:

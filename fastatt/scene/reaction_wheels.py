@@ -151,7 +151,7 @@ class ReactionWheels(Torque):
             if not callable(self.command):
                 raise TypeError(
                     f"{label}: found {checks.brief(self.command)}; accepted: a function "
-                    f"{FORMS['command'].call} or a model of fastatt.torques"
+                    f"{FORMS['command'].with_states(count).call} or a model of fastatt.torques"
                 )
             given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
             columns["params"] = given
@@ -163,6 +163,10 @@ class ReactionWheels(Torque):
         driven = _Driven(**nothing, command=command, states=states)
         law = Law(driven, sizes, (None,) * len(sizes))
         return law, join(list(columns.values()), n_bodies, name)
+
+    def corners(self) -> NDArray[np.float64]:
+        """Those of a command that is a model."""
+        return self.command.corners() if isinstance(self.command, models.Model) else np.zeros(0)
 
     def _unit_axes(self, name: str) -> NDArray[np.float64]:
         axes = models.numbers(f"{name}.axes", self.axes)

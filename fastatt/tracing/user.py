@@ -60,8 +60,7 @@ class Signature(NamedTuple):
         """The signature of a function that also takes n states, before its parameters."""
         if not n:
             return self
-        call, given = self.call.replace(", w, p)", ", w, s, p)"), n if self.carries else 0
-        call = call.replace("rate(t, p)", "rate(t, s, p)").replace(", r, p)", ", r, s, p)")
+        call, given = self.call.replace(", p)", ", s, p)"), n if self.carries else 0
         results = n if self.results < 0 else self.results + given
         return self._replace(call=call, before=(*self.before, n), results=results, states=given)
 
@@ -72,7 +71,7 @@ FORMS = {
     "torque at position": Signature(
         "torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m", carries=True
     ),
-    "command": Signature("command(t, q, w, s, p)", (0, 4, 3), -1, "N·m"),
+    "command": Signature("command(t, q, w, p)", (0, 4, 3), -1, "N·m"),
     "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
