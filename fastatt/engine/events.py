@@ -22,6 +22,11 @@ class Watch(NamedTuple):
     #: whether a body stops at the event
     terminal: bool
 
+    @property
+    def reads_position(self) -> bool:
+        """Whether the function takes velocity and position, besides time, attitude and rate."""
+        return len(self.function.form.before) > 4
+
 
 def values(scope: Scope) -> Vector:
     """The functions of the events, at the state after the given number of steps."""
@@ -31,14 +36,16 @@ def values(scope: Scope) -> Vector:
     x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
     own, structure = scope.parts(x)[0], scope.job.structure
     # velocity and position come before the states of the scene
-    end = len(own) - structure.turning.law.states
-    moved = tuple(map(Double, own[len(own) - structure.beside : end]))
+    states = structure.turning.law.states
+    beside = tuple(map(Double, own[len(own) - structure.beside :]))
+    moved, s = beside[: len(beside) - states], beside[len(beside) - states :]
     p = scope.graph.inputs("double", "p", structure.turning.n_params)
     found = []
     for watch in scope.job.events:
         # the scene's ``params`` are the last parameters of the rotation
         given = p[len(p) - watch.function.n_params :]
-        found.append(scope.called(watch.function.given, t, own, moved[:3], moved[3:], given))
+        placed = (moved[:3], moved[3:]) if watch.reads_position else ()
+        found.append(scope.called(watch.function.given, t, own, *placed, s, given))
     return tuple(found)
 
 

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.engine.stops import TAKEN
 from fastatt.estimation import tangent
 from fastatt.estimation.derivatives import of_body, tangent_rows
 from fastatt.methods import Method
+from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene
@@ -87,6 +89,17 @@ class RunTangent:
         return np.pad(found, [(0, 0)] * (found.ndim - 1) + [(0, whole - size)])[..., None]
 
 
+def _refuse_parts(scene: Scene, run: Trajectory) -> None:
+    """Raise ``ValueError`` for a run across breakpoints, or whose steps corners divide."""
+    first, last = sorted(run.t[[0, -1]].tolist())
+    parts = Clock.of(run.dt, len(run.t) - 1, None).parts(run.t[0], scene)
+    if any(first <= x <= last for x in scene.breakpoints) or parts.clocks[:, TAKEN].any():
+        raise ValueError(
+            "scene: found breakpoints, or times of a linear table within steps; accepted: a run "
+            "between breakpoints, and steps that end at the times of the table"
+        )
+
+
 def run_tangent(
     scene: Scene,
     q0: ArrayLike,
@@ -129,7 +142,8 @@ def run_tangent(
     Raises
     ------
     ValueError, TypeError
-        If an argument does not fit, as in :func:`body_tangent` and :func:`fastatt.propagate`.
+        If an argument does not fit, as in :func:`body_tangent` and :func:`fastatt.propagate`, or if
+        breakpoints lie in the run.
 
     Notes
     -----
@@ -156,6 +170,7 @@ def run_tangent(
         )
         for normalise in ("output", "never")
     )  # fmt: skip
+    _refuse_parts(scene, run)
     q, w = ((x[:, None] if run.one_body else x)[:-1] for x in (stepped.q, stepped.w))
     *_, full = tangent_rows(record, packed, (run.t[:-1, None], run.dt), (q, w), n_threads)
     return run, RunTangent(full[:, 0] if run.one_body else full, size=tangent.UNIT)

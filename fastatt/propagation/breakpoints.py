@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine.run import Parts
-from fastatt.scene.models import Sampling
+from fastatt.scene.models import Model, Sampling
+from fastatt.scene.scene import Scene
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -31,6 +32,28 @@ class Breaks(NamedTuple):
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     sampled: NDArray[np.bool_]
+
+
+def corners_of(scene: Scene) -> NDArray[np.float64]:
+    """Times at which steps end, s: ``scene.breakpoints`` and those that models bring."""
+    known: NDArray[np.float64] | None = scene.memo.get("corners")
+    if known is not None:
+        return known
+    acting = (scene.rate, scene.torque, scene.force)
+    brought = [x.corners() for x in acting if isinstance(x, Model)]
+    every = np.sort(np.concatenate([np.array(scene.breakpoints), *brought]))
+    # once, where some are equal to rounding
+    apart = np.diff(every, prepend=-np.inf) > 16.0 * _EPS * np.abs(every)
+    found: NDArray[np.float64] = every[apart]
+    scene.memo["corners"] = found
+    return found
+
+
+def corners_within(scene: Scene, begin: float, duration: float) -> tuple[float, ...]:
+    """The times at which steps of a run end, s, with at least one before and one after the run."""
+    found = corners_of(scene)
+    low, high = np.searchsorted(found, sorted((begin, begin + duration)))
+    return tuple(found[max(low - 2, 0) : high + 2].tolist())
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +12,16 @@ from fastatt import checks
 from fastatt.engine.events import Watch
 from fastatt.scene.models import Packed, resources_of
 from fastatt.scene.scene import Scene
+from fastatt.tracing.references import required_arguments
 from fastatt.tracing.user import FORMS, user_function
 
-#: the form in ``FORMS``, by the number of the function's arguments
-_FORMS = {4: "event", 6: "event at position"}
+#: the form in ``FORMS`` and whether it takes states, by the number of the function's arguments
+_FORMS = {
+    4: ("event", False),
+    5: ("event", True),
+    6: ("event at position", False),
+    7: ("event at position", True),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,31 +47,29 @@ class Event:
 
         Raises ``TypeError`` and ``ValueError`` for a function that does not fit the scene.
         """
-        plain = getattr(self.function, "py_func", self.function)
-        form = _FORMS.get(_arguments(plain))
-        if form is None:
-            accepted = ", ".join(FORMS[name].call for name in _FORMS.values())
+        found = _FORMS.get(len(required_arguments(self.function)))
+        if found is None:
+            accepted = ", ".join(FORMS[name].with_states(n).call for name, n in _FORMS.values())
             raise TypeError(f"event: found {checks.brief(self.function)}; accepted: {accepted}")
+        form, is_of_states = found
+        call = FORMS[form].with_states(is_of_states).call
         if form == "event at position" and not position:
             raise ValueError(
-                f"event: found {FORMS[form].call}, but no position is carried; accepted: with r0, "
-                "in a scene with mass"
+                f"event: found {call}, but no position is carried; accepted: with r0, in a scene "
+                "with mass"
+            )
+        if is_of_states and not scene.states:
+            raise ValueError(
+                f"event: found {call}, but the scene has no states; accepted: {FORMS[form].call}, "
+                "or a scene with states"
             )
         params = None
         if scene.params is not None:
             params = np.atleast_1d(np.asarray(scene.params, dtype=np.float64))
         count = 0 if params is None else params.shape[-1]
-        made = user_function(self.function, form, count, params)
+        states = scene.states if is_of_states else 0
+        made = user_function(self.function, form, count, params, states)
         return Watch(made, self.direction, self.terminal)
-
-
-def _arguments(function: Any) -> int:
-    """The number of arguments that a function requires; 0 if it has no signature."""
-    try:
-        found = inspect.signature(function).parameters.values()
-    except (TypeError, ValueError):
-        return 0
-    return sum(x.default is x.empty for x in found)
 
 
 def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -> Event:
@@ -81,9 +84,10 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     g : callable
         ``g(t, q, w, p) -> float``, plain or jitted. Its arguments are the time, s, the unit
         quaternion, body to inertial, the angular velocity along body axes, rad/s, and the tuple of
-        the scene's ``params``, which is empty if there are none. If the position is propagated,
-        ``g(t, q, w, v, r, p)`` is accepted too, with the velocity along body axes, m/s, and the
-        position along inertial axes, m.
+        the scene's ``params``, which is empty if there are none. In a scene with states, ``g(t, q,
+        w, s, p)`` takes all of them. If the position is propagated, ``g(t, q, w, v, r, p)`` and
+        ``g(t, q, w, v, r, s, p)`` are accepted too, with the velocity along body axes, m/s, and the
+        position along inertial axes, m. The number of arguments, 4 to 7, tells the forms apart.
     direction : {0, 1, -1}, default 0
         1 if g must rise through zero along the run, -1 if it must fall, 0 for either. A g that is
         zero at the begin or the end of a step has crossed there.

@@ -18,7 +18,7 @@ from fastatt.attitudes import Attitude
 from fastatt.engine.run import Parts, PerBody, Span
 from fastatt.engine.stops import BREAK
 from fastatt.methods.method import Method
-from fastatt.propagation.breakpoints import Breaks, breaks_of, parts_of
+from fastatt.propagation.breakpoints import Breaks, breaks_of, corners_within, parts_of
 from fastatt.propagation.event import Event
 from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
@@ -134,7 +134,9 @@ class Clock:
 
     def parts(self, begin: float, scene: Scene) -> Parts:
         """The steps that are divided, for the engine; step 0 begins at ``begin``."""
-        return parts_of(scene.breakpoints, begin, self.h, self.end, self.ends, scene.sampling)
+        duration = self.end * self.h if self.ends is None else self.ends
+        corners = corners_within(scene, begin, duration)
+        return parts_of(corners, begin, self.h, self.end, self.ends, scene.sampling)
 
     def longest(self, begin: float) -> float:
         """The largest ``|t|`` of the run, s."""
@@ -309,7 +311,7 @@ def clock_of(
         at=at,
         since=since,
         slack=slack,
-        breaks=breaks_of(scene.breakpoints, begin, end, scene.sampling),
+        breaks=breaks_of(corners_within(scene, begin, end), begin, end, scene.sampling),
     )
 
 

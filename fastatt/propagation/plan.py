@@ -21,6 +21,7 @@ from fastatt.engine.job import Job
 from fastatt.engine.run import Fixed, Results, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
+from fastatt.propagation.breakpoints import corners_of
 from fastatt.propagation.closed_forms import Evaluation
 from fastatt.propagation.event import watching
 from fastatt.propagation.execute import execute
@@ -93,7 +94,9 @@ class Plan:
                 f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
                 "holds can't be found backwards"
             )
-        divides = bool(scene.breakpoints or scene.sampling) or clock.ends is not None
+        # a device takes whole steps: it refuses declared breakpoints, and crosses those of models
+        corners = len(scene.breakpoints if choice.device else corners_of(scene)) > 0
+        divides = corners or scene.sampling is not None or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,
@@ -106,7 +109,7 @@ class Plan:
             projects=choice.projection > 0,
             own_steps=isinstance(clock, PerBodyClock) or divides,
             events=watches,
-            windowed=bool(scene.breakpoints),
+            windowed=corners,
             width=n_bodies if choice.device else width_for(n_bodies, lanes),
         )
         if not method.is_exact:
@@ -265,6 +268,9 @@ class Plan:
         run = Run(self._setup, bodies, state, times, results, per_body, parts)
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
+            if start.watched == self.watched:
+                for to, kept in zip(run.events, start.events, strict=True):
+                    to[...] = kept
         return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
@@ -359,7 +365,7 @@ class Plan:
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
         return End(
             kept, run.states, run.diagnostics, done, t0, self.about, self.packed.params,
-            self.equations,
+            self.equations, self.watched, [x.copy() for x in run.events],
         )  # fmt: skip
 
     @cached_property
@@ -387,3 +393,13 @@ class Plan:
         for table in self.packed.tables.values():
             read.update(table.tobytes())
         return read.hexdigest()
+
+    @cached_property
+    def watched(self) -> str:
+        """A hash of the functions of the events and of what they do; empty without events."""
+        if not self.job.events:
+            return ""
+        formulas = self._program.formulas
+        each = [(watch.direction, watch.terminal) for watch in self.job.events]
+        spelled = formulas.events.spelled(formulas.resources)
+        return hashlib.sha256(f"{each}{spelled}".encode()).hexdigest()

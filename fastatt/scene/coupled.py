@@ -55,7 +55,7 @@ class Coupled(EquationsOfMotion):
         v, r = beside.velocity, beside.position
         q, w = self._stage.pose(t, a, beside)
         q = quat.renormalise(q)
-        acting = force.formula(self.instant(t), q, w, v, r, self._numbers[1:])
+        acting = force.formula(self.instant(t), q, w, *beside, self._numbers[1:])
         push = scale(self._numbers[0], as_like(tuple(acting), v[0]))
         if r:
             self._squares += squares_of_rates(force, r, self._numbers[1:])

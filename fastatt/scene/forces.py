@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.models import (
     Law,
@@ -25,14 +26,19 @@ from fastatt.scene.models import (
 )
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import apply
+from fastatt.tracing.references import required_arguments
+from fastatt.tracing.user import FORMS
+
+#: the forms of a user-defined force
+_FORMS = "force", "force at position"
 
 
 class Force(Model):
-    """Base class of forces: ``formula(t, q, w, v, r)``, N along body axes.
+    """Base class of forces: ``formula(t, q, w, v, r, s)``, N along body axes.
 
     v and r are () if no velocity or position is propagated, or if it is not stepped together with
-    the attitude. The optional method ``squared_rate(r)`` returns the square of the orbital rate
-    (rad/s) of a body at r.
+    the attitude; s are the states of the scene's rate or torque. The optional method
+    ``squared_rate(r)`` returns the square of the orbital rate (rad/s) of a body at r.
     """
 
     kind = "force"
@@ -55,7 +61,7 @@ class Constant(Force):
 
     force: TabledVector
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
         return self.force
 
 
@@ -75,7 +81,7 @@ class ConstantInertial(Force):
 
     force: TabledVector
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
         return quat.rotate_inverse(q, self.force)
 
 
@@ -95,7 +101,7 @@ class Drag(Force):
 
     coefficient: Number
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
         return scale(-self.coefficient, v)
 
 
@@ -130,7 +136,9 @@ class Custom(UserModel, Force):
         ``force(t, q, w, v, p) -> (f1, f2, f3)``, N along body axes, plain or jitted. Its arguments
         are the time, s, the quaternion, the angular velocity, rad/s, the velocity along body axes,
         m/s, and the parameters, all but t as tuples. With ``uses_position`` it is ``force(t, q, w,
-        v, r, p)``, with the position r along inertial axes, m.
+        v, r, p)``, with the position r along inertial axes, m. In a scene with states a function
+        with one argument more takes all states s, before p: ``force(t, q, w, v, s, p)`` or
+        ``force(t, q, w, v, r, s, p)``.
     params : array_like of shape (P,) or (N, P), optional
         Parameters p of the function.
     uses_position : bool, default False
@@ -147,13 +155,28 @@ class Custom(UserModel, Force):
 
     uses_position: bool = False
 
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
+        placed = (r,) if self.uses_position else ()
+        return self.function.given(t, q, w, v, *placed, s, self.params)
+
+
+class _InScene(Custom):
+    """``Custom`` together with the number of the scene's states that its function takes."""
+
+    states_of_scene: int = 0
+
+    @property
+    def taken(self) -> int:
+        """Number of states that the function takes."""
+        return self.states_of_scene
+
 
 class _Weight(CentralGravity):
     """``CentralGravity`` together with the mass of the scene, kg."""
 
     mass: Number = 1.0
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector) -> Any:
+    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
         k = -self.mass * falling(r, self.gravitational_parameter)
         return quat.rotate_inverse(q, scale(k, r))
 
@@ -162,7 +185,7 @@ class _Weight(CentralGravity):
 
 
 # error messages name a model by its class
-_Weight.__name__ = CentralGravity.__name__
+_Weight.__name__, _InScene.__name__ = CentralGravity.__name__, Custom.__name__
 
 
 def falling(r: Vector, gravitational_parameter: Any) -> Any:
@@ -171,12 +194,35 @@ def falling(r: Vector, gravitational_parameter: Any) -> Any:
     return gravitational_parameter * inverse * (inverse * inverse)
 
 
-def _weighed(model: Any, mass: NDArray[np.float64]) -> Any:
+def _in_scene(model: Any, mass: NDArray[np.float64], states: int) -> Any:
     if isinstance(model, Sum) and isinstance(model.terms, (tuple, list)):
-        return Sum(tuple(_weighed(term, mass) for term in model.terms))
+        return Sum(tuple(_in_scene(term, mass, states) for term in model.terms))
     if isinstance(model, CentralGravity):
         return _Weight(model.gravitational_parameter, mass)
+    if isinstance(model, Custom):
+        taken = _taken(model, states)
+        return _InScene(model.function, model.params, model.uses_position, taken)
     return model
+
+
+def _taken(model: Custom, states: int) -> int:
+    """The number of a scene's states that a function takes, by the number of its arguments.
+
+    Raises ``TypeError`` for more arguments than it can take.
+    """
+    names, form = required_arguments(model.function), FORMS[model.form]
+    more = len(names) - len(form.before) - 1
+    if more <= 0:
+        return 0
+    # the states, not a position that was not asked for
+    if more > 1 or not states or ("r" in names and not model.uses_position):
+        calls = [FORMS[name].with_states(n).call for name in _FORMS for n in (0, 1)]
+        raise TypeError(
+            f"force: found {checks.brief(model.function)} of {len(names)} arguments; accepted: "
+            f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "
+            f"{calls[2]} or {calls[3]}"
+        )
+    return states
 
 
 def pack(
@@ -184,9 +230,10 @@ def pack(
     n_bodies: int | None,
     mass: NDArray[np.float64],
     resources: Resources | None = None,
+    states: int = 0,
 ) -> Packed:
-    """``models.pack`` of a force; ``mass`` is () or (N,), kg."""
-    return models.pack(_weighed(model, mass), Force, n_bodies, resources)
+    """``models.pack`` of a force in a scene with ``mass``, () or (N,), kg, and ``states``."""
+    return models.pack(_in_scene(model, mass, states), Force, n_bodies, resources)
 
 
 def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:

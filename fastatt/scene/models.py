@@ -127,6 +127,12 @@ class Model:
         """The states after a sample time, of those before."""
         return states
 
+    def corners(self) -> NDArray[np.float64]:
+        """Times, s, at which it jumps or has a corner for all bodies; of a linear table its own."""
+        values = (getattr(self, name) for name in self.fields)
+        tables = [x.t for x in values if isinstance(x, TimeSeries) and not x.form.cubic]
+        return np.concatenate([np.zeros(0), *tables])
+
     def check(self, name: str) -> None:
         """Refuse impossible numbers; fields are NumPy arrays with the body's index last."""
 
@@ -194,6 +200,10 @@ class Sum(Model):
         """A sum of other terms."""
         return cls(tuple(values))
 
+    def corners(self) -> NDArray[np.float64]:
+        """Those of the terms."""
+        return np.concatenate([term.corners() for term in self.terms])
+
 
 class UserModel(Model):
     """A model given by a user-defined function."""
@@ -205,6 +215,11 @@ class UserModel(Model):
     def reads_position(self) -> bool:  # type: ignore[override]
         """Whether the function depends on the position."""
         return bool(getattr(self, "uses_position", False))
+
+    @property
+    def taken(self) -> int:
+        """Number of states that the function takes."""
+        return self.states
 
     @property
     def form(self) -> str:
@@ -221,7 +236,7 @@ class UserModel(Model):
             raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
         params = join([given], n_bodies, "params")
         n = params.shape[-1]
-        made = user_function(self.function, self.form, n, params, self.states)
+        made = user_function(self.function, self.form, n, params, self.taken)
         resources.update(resources_of(made))
         return Law(replace(self, function=made, params=None), (n,), (None,)), params
 

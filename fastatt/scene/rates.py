@@ -184,7 +184,8 @@ class Slew(Rate):
     """A rotation from rest to rest about a fixed axis.
 
     w(t) = rotation/T (1 − cos(2 π s/T)) for 0 ≤ s = t − start ≤ T, and 0 outside. Rate and angular
-    acceleration are continuous.
+    acceleration are continuous. Steps end where the slew begins and ends, as at ``breakpoints`` of
+    the scene, if all bodies share these times.
 
     Parameters
     ----------
@@ -214,6 +215,13 @@ class Slew(Rate):
 
     def bound(self: Any) -> Any:
         return 2.0 * lengths(self.rotation.T) / self.duration
+
+    def corners(self) -> Numbers:
+        """Begin and end, if all bodies share them."""
+        begin, duration = np.asarray(self.start), np.asarray(self.duration)
+        if begin.ndim or duration.ndim:
+            return np.zeros(0)
+        return np.array([begin, begin + duration], dtype=np.float64)
 
 
 class Custom(UserModel, Rate):

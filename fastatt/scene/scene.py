@@ -64,9 +64,11 @@ class Scene:
         Number n of states s of the user-defined function, such as the integral of a controller, the
         speed of a wheel or a flexible mode. The function is then ``torque(t, q, w, s, p) ->
         (torque, ds/dt)`` or ``rate(t, s, p) -> (rate, ds/dt)``, with tuples of 3 and of n numbers.
+        The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
         Times, s, at which a rate, torque or force has a jump or a kink. Steps end at these times,
-        so that the method keeps its order.
+        so that the method keeps its order. Linear tables in models, ``torques.Sampled`` and
+        ``rates.Slew`` bring theirs.
 
     Attributes
     ----------
@@ -322,7 +324,8 @@ class Scene:
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        force = forces.pack(model, n_bodies, mass, packed.resources)
+        states = packed.structure.turning.law.states
+        force = forces.pack(model, n_bodies, mass, packed.resources, states)
         columns = [packed.params, 1.0 / mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)
         structure = structure._replace(position=position or structure.reads_position)

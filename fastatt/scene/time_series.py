@@ -163,6 +163,14 @@ class TimeSeries:
         return f"<TimeSeries: {rows}{self.form.size} numbers, {start:g} s to {end:g} s>"
 
     @property
+    def t(self) -> Numbers:
+        """Times of the samples, s, of shape (T,)."""
+        n = int(self.data[_INTERVAL]) + 2
+        if self.form.uniform:
+            return np.asarray(self.data[_FIRST] + self.data[_WIDTH] * np.arange(n))
+        return self.data[int(self.data[_TIMES]) :][:n]
+
+    @property
     def span(self) -> tuple[float, float]:
         """First and last time, s."""
         return float(self.data[_FIRST]), float(self.data[_END])

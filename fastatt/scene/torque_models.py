@@ -255,8 +255,8 @@ class Rotor(Torque):
 class Sampled(Torque):
     """A history of torques along body axes, linear between the samples.
 
-    The torque has a kink at each sample. A method keeps its order if steps end at the samples, as
-    they do if ``dt`` of the history is a whole number of steps.
+    The torque has a corner at each sample, and steps end there, as at ``breakpoints`` of the scene:
+    a step size that divides the interval costs nothing, any other one more step for each sample.
 
     Parameters
     ----------
@@ -292,6 +292,10 @@ class Sampled(Torque):
         times = start + dt * np.arange(len(samples))
         table = TimeSeries(times, samples, kind="linear", outside=outside)
         return Constant(table).pack(n_bodies, argument, resources)
+
+    def corners(self) -> NDArray[np.float64]:
+        """Times of the samples."""
+        return np.asarray(self.start + self.dt * np.arange(np.shape(self.torques)[0]), np.float64)
 
 
 class Custom(UserModel, Torque):

@@ -39,6 +39,15 @@ def opened(function: Any) -> tuple[Any, tuple[Any, ...], dict[str, Any]]:
     return (call, (function,), {}) if is_object else (function, (), {})
 
 
+def required_arguments(function: Any) -> tuple[str, ...]:
+    """Names of the arguments without a default; () of a function that does not tell."""
+    try:
+        found = inspect.signature(getattr(function, "py_func", function)).parameters.items()
+    except (TypeError, ValueError):
+        return ()
+    return tuple(name for name, x in found if x.default is x.empty)
+
+
 def names_of(plain: FunctionType) -> set[str]:
     """Names of globals and of attributes in a function."""
     names: set[str] = set()

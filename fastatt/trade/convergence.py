@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks
 from fastatt.attitudes import Attitude
 from fastatt.methods import Method
+from fastatt.propagation.breakpoints import corners_of
 from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
@@ -221,7 +222,7 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
             break
     best = max(orders, default=None)
     scene = ladder.problem.ensemble.scene
-    is_divided = bool(scene.breakpoints) or scene.sampling is not None
+    is_divided = corners_of(scene).size > 0 or scene.sampling is not None
     # the parts of a step between breakpoints do not shrink in proportion to the step size
     if best is not None and best < declared - _SLACK and hidden and is_divided:
         return None

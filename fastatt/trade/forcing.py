@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
-from fastatt.propagation.breakpoints import breaks_of
+from fastatt.propagation.breakpoints import breaks_of, corners_within
 from fastatt.scene.equations import Body, PrescribedRate, Structure
 from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
@@ -48,7 +48,8 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
     # both sides of each breakpoint, where jumps are declared
     scene = problem.ensemble.scene
-    breaks = breaks_of(scene.breakpoints, problem.t0, problem.t_end, scene.sampling)
+    corners = corners_within(scene, problem.t0, problem.t_end)
+    breaks = breaks_of(corners, problem.t0, problem.t_end, scene.sampling)
     times = np.sort(np.concatenate([times, breaks.high[:-1], breaks.low[1:]]))
     run = problem.run(case, n_steps, save_at=times)
     signs = np.where((run.q[1:] * run.q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
@@ -130,6 +131,6 @@ def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: An
         inverse = zip(motion.half_inverse, torque[:3], strict=True)
         found.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
-        force = structure.force.formula(t, q, w, v, r, p[n + 1 :])
+        force = structure.force.formula(t, q, w, v, r, s, p[n + 1 :])
         found.append(scale(p[n], tuple(force)))
     return tuple(found)

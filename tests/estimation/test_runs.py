@@ -147,3 +147,20 @@ def test_refusals():
     tangent = es.RunTangent(np.eye(6)[None])
     with pytest.raises(ValueError, match=r"after: has shape \(3,\); accepted: \(..., 6\)"):
         tangent.adjoint([1.0, 0.0, 0.0])
+
+
+def test_breakpoints_are_refused():
+    """Derivatives are those of whole steps."""
+
+    def pulse(t, q, w, p):
+        return (0.1 if t < 1.0 else 0.0), 0.0, 0.0
+
+    table = fa.TimeSeries([0.0, 1.0, 5.0], np.eye(3), kind="linear")
+    run = {"dt": 0.25, "method": "rk4"}
+    of_table = fa.Scene(inertia=MOMENTS, torque=fa.torques.Constant(table))
+    declared = fa.Scene(inertia=MOMENTS, torque=pulse, breakpoints=(1.0,))
+    es.run_tangent(of_table, Q, W, **run, n_steps=8)
+    es.run_tangent(declared, Q, W, **run, n_steps=3)
+    for scene, dt in ((of_table, 0.3), (declared, 0.25)):
+        with pytest.raises(ValueError, match=r"^scene: found breakpoints, or times of a linear"):
+            es.run_tangent(scene, Q, W, dt=dt, n_steps=8, method="rk4")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt import angle_between as angle
-from fastatt.propagation.breakpoints import parts_of
+from fastatt.propagation.breakpoints import corners_of, parts_of
 
 J = np.array((2.0, 1.0, 2.0 / 3.0))
 W0 = np.array((0.1, 0.2, 0.3))
@@ -314,22 +315,103 @@ def test_velocity_and_position():
     np.testing.assert_allclose(run.v[-1], rest.v[-1], atol=1e-13)
 
 
-def test_a_linear_history():
-    """A history that declares its samples keeps its order with any step."""
-    times = np.linspace(0.0, END, 11)
-    samples = np.random.default_rng(2).normal(size=(11, 3))
-    torque = fa.torques.Sampled(samples, dt=0.5)
-    scene = fa.Scene(inertia=J, torque=torque, breakpoints=times)
-    fine = fa.propagate(scene, START, W0, dt=0.005, n_steps=1000, method="rk8")
-    errors = {}
-    for declared in (True, False):
-        s = scene if declared else fa.Scene(inertia=J, torque=torque)
-        for method in ("rk8", "suzuki4"):
-            run = fa.propagate(s, START, W0, dt=END / 41, n_steps=41, method=method)
-            errors[declared, method] = angle(run.q[-1], fine.q[-1])
-    assert errors[True, "rk8"] < 1e-10
-    assert errors[False, "rk8"] > 1e-6
-    assert errors[True, "suzuki4"] < errors[False, "suzuki4"]
+SAMPLES = np.random.default_rng(2).normal(size=(11, 3))
+SAMPLED_AT = np.linspace(0.0, END, 11)
+UNEVEN = np.sort(np.append(np.random.default_rng(6).uniform(0.0, END, 9), (0.0, END)))
+
+
+def of_table(t, kind="linear"):
+    return fa.TimeSeries(t, SAMPLES, kind=kind)
+
+
+def read_by_a_function(t, q, w, p):
+    return LINEAR(t)
+
+
+LINEAR = of_table(SAMPLED_AT)
+# models with a linear table, the times of its samples, and the torque as NumPy has it
+LINEAR_MODELS = {
+    "history": (fa.torques.Sampled(SAMPLES, dt=0.5), SAMPLED_AT),
+    "table": (fa.torques.Constant(of_table(UNEVEN)), UNEVEN),
+    "sum": (fa.torques.Sum((fa.torques.Damping(0.0), fa.torques.Constant(LINEAR))), SAMPLED_AT),
+}
+
+
+def linear_truth(times):
+    def slope(t, y):
+        w = y[4:]
+        torque = [np.interp(t, times, column) for column in SAMPLES.T]
+        turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
+        return np.concatenate([turned, (np.cross(J * w, w) + torque) / J])
+
+    y = np.append(START, W0)
+    for a, b in pairwise(times):
+        y = solve_ivp(slope, (a, b), y, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    return y[:4] / np.linalg.norm(y[:4])
+
+
+@pytest.mark.parametrize("name", LINEAR_MODELS)
+def test_linear_tables_bring_their_samples(name):
+    """Models keep the order of a method with any step; a function has to declare them."""
+    torque, times = LINEAR_MODELS[name]
+    scene, exact = fa.Scene(inertia=J, torque=torque), linear_truth(times)
+    run = fa.propagate(scene, START, W0, dt=END / 41, n_steps=41, method="rk8")
+    assert angle(run.q[-1], exact) < 1e-10
+    declared = replace(scene, breakpoints=times)
+    same(fa.propagate(declared, START, W0, dt=END / 41, n_steps=41, method="rk8"), run)
+    at = fa.propagate(scene, START, W0, dt=END / 41, t_end=END, save_at=[1.7, END], method="rk8")
+    assert angle(at.q[-1], exact) < 1e-10
+    q0, w0 = np.tile(START, (3, 1)), np.tile(W0, (3, 1))
+    each = fa.propagate(
+        scene, q0, w0, dt=END / np.array((41, 37, 61)), n_steps=np.array((41, 37, 61)), method="rk8"
+    )
+    assert angle(each.q[-1], exact).max() < 1e-10
+    first = fa.propagate(scene, START, W0, dt=END / 41, n_steps=17, method="rk8")
+    rest = fa.propagate(scene, dt=END / 41, n_steps=24, resume=first)
+    np.testing.assert_array_equal(rest.q, run.q)
+
+
+def test_a_function_declares_the_samples_of_its_table():
+    exact = linear_truth(SAMPLED_AT)
+    errors = []
+    for breakpoints in (LINEAR.t, ()):
+        scene = fa.Scene(inertia=J, torque=read_by_a_function, breakpoints=breakpoints)
+        run = fa.propagate(scene, START, W0, dt=END / 41, n_steps=41, method="rk8")
+        errors.append(angle(run.q[-1], exact))
+    assert errors[0] < 1e-10
+    assert errors[1] > 1e-6
+
+
+def test_cubic_tables_bring_none():
+    torque = fa.torques.Constant(of_table(SAMPLED_AT, "cubic"))
+    assert corners_of(fa.Scene(inertia=J, torque=torque)).size == 0
+
+
+def test_corners_of_forces_commands_and_declared_ones():
+    """Once each, also where a declared one differs from that of a table by rounding."""
+    wheels = fa.torques.ReactionWheels(np.eye(3), 0.1, fa.torques.Constant(of_table(UNEVEN)))
+    force = fa.forces.Constant(LINEAR)
+    near = np.nextafter(SAMPLED_AT[3], 9.0)
+    scene = fa.Scene(inertia=J, torque=wheels, mass=1.0, force=force, breakpoints=(near, 0.77))
+    wanted = np.union1d(np.union1d(UNEVEN, SAMPLED_AT), 0.77)
+    np.testing.assert_array_equal(corners_of(scene), wanted)
+    # a controller that is sampled reads its table at sample times alone
+    held = fa.torques.SampledControl(fa.torques.Constant(LINEAR), 0.7)
+    assert corners_of(fa.Scene(inertia=J, torque=held)).size == 0
+
+
+@pytest.mark.parametrize("method", ["magnus8", "rk4"])
+def test_a_slew_brings_its_begin_and_end(method):
+    slew = fa.rates.Slew((0.3, -0.2, 1.5), 2.0, 1.234)
+    rate = fa.rates.Sum((slew, fa.rates.Constant((0.1, 0.2, 0.05))))
+    runs = [
+        fa.propagate(fa.Scene(rate=rate), START, dt=END / n, n_steps=n, method=method)
+        for n in (20, 40, 4000)
+    ]
+    coarse, fine = (angle(run.q[-1], runs[2].q[-1]) for run in runs[:2])
+    assert fine < 1e-13 or np.log2(coarse / fine) > fa.METHODS[method].order - 0.6
+    many = fa.rates.Slew((0.3, -0.2, 1.5), 2.0, np.array([1.0, 2.0]))
+    assert corners_of(fa.Scene(rate=many)).size == 0
 
 
 def test_a_flag_in_a_part():

@@ -205,6 +205,129 @@ def test_velocity_and_position_are_one_system_with_states():
         np.testing.assert_allclose(getattr(run, name)[-1], part, atol=1e-10)
 
 
+def valve(t, q, w, s, p):
+    """A valve that opens with a lag, and the propellant that has flowed through it."""
+    return (0.0, p[1] * s[0], 0.0), (p[0] * (1.0 - s[0]), s[0])
+
+
+def thrust(t, q, w, v, s, p):
+    return 0.0, -0.2 * v[1], p[0] * s[0] / (1.0 - 0.1 * s[1])
+
+
+def test_a_force_reads_the_states():
+    """The thrust and its torque come from one state; alone, in a sum, and called."""
+
+    @njit
+    def counted(t, q, w, v, s, p):
+        x, n = 1.0, 0
+        while x > 1e-3:
+            x *= 0.5
+            n += 1
+        return 0.0 * n, -0.2 * v[1], p[0] * s[0] / (1.0 - 0.1 * s[1])
+
+    def slope(t, y):
+        q, w, v, s = np.split(y, (4, 7, 10))
+        torque, change = valve(t, q, w, s, (2.0, 0.3))
+        spin = np.linalg.solve(J, np.array(torque) - np.cross(w, J @ w))
+        push = np.array(thrust(t, q, w, v, s, (1.5,))) / 2.0 - np.cross(w, v)
+        return np.concatenate([kinematics(q, w), spin, push, change])
+
+    v0, s0 = np.array([0.5, 0.1, -0.2]), np.array([0.1, 0.0])
+    start = np.concatenate([Q0, W0, v0, s0])
+    y = solve_ivp(slope, (0.0, 4.0), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    nothing = fa.forces.Constant((0.0, 0.0, 0.0))
+    for force in (
+        lambda t, q, w, v, s, p: thrust(t, q, w, v, s, (1.5,)),
+        fa.forces.Custom(thrust, (1.5,)),
+        fa.forces.Sum((nothing, fa.forces.Custom(counted, (1.5,)))),
+    ):
+        scene = fa.Scene(
+            inertia=J, torque=valve, states=2, params=(2.0, 0.3), mass=2.0, force=force
+        )
+        run = fa.propagate(scene, Q0, W0, v0=v0, s0=s0, dt=0.02, n_steps=200, method="rk8")
+        np.testing.assert_allclose(run.v[-1], y[7:10], atol=1e-10)
+        np.testing.assert_allclose(run.w[-1], y[4:7], atol=1e-10)
+        np.testing.assert_allclose(run.s[-1], y[10:], atol=1e-10)
+
+
+def test_a_force_at_a_rate_reads_its_states():
+    def push(t, q, w, v, s, p):
+        return (
+            w[1] * v[2] - w[2] * v[1],
+            w[2] * v[0] - w[0] * v[2],
+            w[0] * v[1] - w[1] * v[0] + s[0],
+        )
+
+    scene = fa.Scene(rate=turning, states=2, params=(0.7, 2.0), mass=1.0, force=push)
+    v0 = (0.3, -0.2, 0.1)
+    run = fa.propagate(
+        scene, Q0, v0=v0, s0=(0.4, -0.2), dt=0.005, n_steps=600, method="rk4", save_every=1
+    )
+    # along body axes the velocity gains the integral of the state alone
+    integral = run.s[:, 0] @ ([1.0, *[4.0, 2.0] * 299, 4.0, 1.0]) * 0.005 / 3.0
+    np.testing.assert_allclose(run.v[-1], np.add(v0, (0.0, 0.0, integral)), atol=1e-9)
+
+
+FORMS_OF_FORCES = (
+    r"force\(t, q, w, v, p\), in a scene with states also force\(t, q, w, v, s, p\), and with "
+    r"uses_position=True force\(t, q, w, v, r, p\) or force\(t, q, w, v, r, s, p\)$"
+)
+
+
+def test_forms_of_forces_are_told_apart():
+    """By the number of arguments; a position is taken with ``uses_position`` alone."""
+    system = {"inertia": J, "torque": valve, "states": 2, "params": (2.0, 0.3), "mass": 2.0}
+
+    def at_position(t, q, w, v, r, p):
+        return 0.0, 0.0, r[2]
+
+    def of_all(t, q, w, v, r, s, p):
+        return 0.0, 0.0, r[2] * s[1]
+
+    still = {"inertia": J, "mass": 2.0}
+    for scene, force in ((system, at_position), (system, of_all), (still, thrust)):
+        with pytest.raises(
+            TypeError, match=r"^force: found .* of [67] arguments.*" + FORMS_OF_FORCES
+        ):
+            fa.Scene(**scene, force=force)
+    for force in (at_position, of_all):
+        scene = fa.Scene(**system, force=fa.forces.Custom(force, uses_position=True))
+        assert scene.needs_position
+    with pytest.raises(TypeError, match=r"^force: found .* of 7 arguments"):
+        fa.Scene(**still, force=fa.forces.Custom(of_all, uses_position=True))
+
+
+def test_events_read_the_states():
+    """The time at which a wheel reaches its largest speed is known."""
+
+    def spun(t, q, w, s, p):
+        return (0.0, 0.0, -p[0]), p[0]
+
+    moment, wheel, torque = 2.0, 0.1, 0.05
+    scene = fa.Scene(inertia=(moment,) * 3, torque=spun, states=1, params=(torque,))
+
+    def limit(t, q, w, s, p):
+        return s[0] / wheel - w[2] - 3.0
+
+    run = fa.propagate(
+        scene, Q0, np.zeros(3), s0=[0.0], dt=0.5, n_steps=20, method="rk8",
+        events=[fa.event(limit, 1), fa.event(lambda t, q, w, s, p: s[0] - p[0], terminal=True)],
+    )  # fmt: skip
+    assert np.isnan(run.event_times[0])
+    np.testing.assert_allclose(run.event_times[1], 1.0, rtol=1e-14)
+    np.testing.assert_allclose(run.s[-1], torque, rtol=1e-14)
+    run = fa.propagate(
+        scene, Q0, np.zeros(3), s0=[0.0], dt=0.5, n_steps=20, method="rk8",
+        events=[fa.event(limit, 1)],
+    )  # fmt: skip
+    wanted = 3.0 / torque / (1.0 / wheel + 1.0 / moment)
+    np.testing.assert_allclose(run.event_times, wanted, rtol=1e-14)
+    with pytest.raises(ValueError, match=r"event\(t, q, w, s, p\), but the scene has no states"):
+        fa.propagate(
+            fa.Scene(inertia=J), Q0, W0, dt=0.5, n_steps=2, method="rk4", events=[fa.event(limit)]
+        )
+
+
 def test_terms_of_a_sum_have_their_own_states():
     terms = [
         fa.torques.Custom(SYSTEMS[name][0], SYSTEMS[name][1], states=len(SYSTEMS[name][2]))

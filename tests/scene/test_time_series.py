@@ -237,7 +237,7 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
     def acting(law):
         def formula(t, q, w, p):
             if module is forces:
-                return law.formula(t, q, w, (0.1, 0.2, 0.3), (), p)
+                return law.formula(t, q, w, (0.1, 0.2, 0.3), (), (), p)
             return law.formula(t, Pose(QUATERNION, q, w, INERTIA), p)
 
         inputs = {"t": None, "q": 4, "w": 3, "p": law.count}

@@ -170,7 +170,8 @@ def test_a_closed_form_has_no_order():
 
 def test_a_history_with_kinks_warns_where_a_step_crosses_them():
     torques = np.random.default_rng(1).normal(scale=0.1, size=(40, 3))
-    scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0), torque=fa.torques.Sampled(torques, dt=0.13))
+    history = fa.TimeSeries(0.13 * np.arange(40), torques, kind="linear")
+    scene = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0), torque=lambda t, q, w, p: history(t))
     with pytest.warns(ConvergenceWarning, match="not smooth"):
         fa.check_convergence(scene, Q40, W40, dt=0.05, n_steps=100, method="rk4")
     with warnings.catch_warnings():
