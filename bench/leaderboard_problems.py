@@ -412,7 +412,7 @@ def gyro_log(quick: bool) -> Log:
         truth=_known(attitudes, rates, h),
         reference="DOP853 at 1e-10 on the sum of harmonics; white noise of the recording's level, "
         f"left out here, would add {np.sqrt(np.mean(apart**2)):.0e} rad to every method; "
-        f"{_from_the_maker()}, which tells them not apart",
+        f"{_from_the_maker()}, which does not distinguish them",
     )
 
 

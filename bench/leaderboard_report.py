@@ -235,18 +235,19 @@ def why(rows: Sequence[Row], name: str) -> str:
             continue
         ours, peer = two(ranked)
         a, b = ours.row, peer.row
-        begin = f"At {target:.0e} rad an ensemble's `{a.method}` "
-        rival = f"{b.package} some {b.work:.2g} at {b.work / b.seconds * 1e-9:.1f} a ns"
+        begin = f"For an ensemble at {target:.0e} rad, `{a.method}` takes "
         if not b.work:
             reason = f" ({b.bound})" if b.bound else ""
-            return f"{begin}takes {a.setting}, {b.package} {b.setting}{reason}."
+            return f"{begin}{a.setting}, {b.package} {b.setting}{reason}."
         if not a.work:
-            return f"{begin}takes no steps; operations a body of {rival}."
-        return (
-            f"{begin}does {a.work:.2g} operations a body at {a.work / a.seconds * 1e-9:.1f} a ns, "
-            f"{rival}."
-        )
-    return "No error is reached by ours and by another."
+            return f"{begin}no steps; {b.package} takes {_operations(b, 'about ')}."
+        return f"{begin}{_operations(a)}, {b.package} {_operations(b, 'about ')}."
+    return "No error is reached by fastatt and by another library."
+
+
+def _operations(row: Row, about: str = "") -> str:
+    speed = row.work / row.seconds * 1e-9
+    return f"{about}{row.work:.2g} operations per body at {speed:.1f} per ns"
 
 
 def _libraries() -> list[str]:
@@ -271,11 +272,12 @@ Bold cells are those that fastatt loses.
 "One" is a call for each body, "ensemble" one call for 1024 bodies.
 Times do not contain compilation, layouts, plans and other preparations that a library allows.
 `float32` in a method's name is single precision.
-Operations of heyoka follow from its order p and steps: p² a product of series, 2p a variable.
-Ours count as each body's what all share, a sine of time: the rate can then pass the core's peak.
-MuJoCo and Basilisk run free bodies that can exist: no moment above the sum of the others.
+The operations of heyoka follow from its order p and its steps: p² for each product of series and 2p
+for each variable. For fastatt, operations that all bodies share, such as a sine of time, are
+counted for each body; the rate of operations can then exceed the peak of the core.
+MuJoCo and Basilisk run free bodies that can exist: no moment is above the sum of the others.
 With wheels a torque is computed every 0.1 s and held, and steps end there: libraries that integrate
-equations start anew at each sample, Basilisk and fastatt have the controller in the run."""
+equations are restarted at each sample, while Basilisk and fastatt run the controller themselves."""
 
 
 def page(rows: Sequence[Row], where: str, single: str) -> str:
