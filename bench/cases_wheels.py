@@ -61,7 +61,7 @@ CASES = (
         "Basilisk's scenarioAttitudeFeedbackRW",
         """\
 A hub of 900, 800 and 600 kg·m² with three Honeywell HR16 of 50 N·m·s at 6000 rpm and 0.2 N·m,
-which turn at 100, 200 and 300 rpm; K = 3.5 N·m and P = 30 N·m·s on σ and w, every 0.1 s.
+which rotate at 100, 200 and 300 rpm; K = 3.5 N·m and P = 30 N·m·s on σ and w, every 0.1 s.
 Figures to 488 s are the truth of `test_scenarioAttitudeFeedbackRW.py` of 2017, to 14 places;
 those at 600 s are of Basilisk 2.12.1, run by `bench/peers_wheels.py`.
 The wheels read a torque before the spacecraft's next step: torques are held without delay.
