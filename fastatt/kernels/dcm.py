@@ -8,7 +8,7 @@ import math
 
 from fastatt._jit import kernel
 from fastatt.kernels import quat, so3, vec3
-from fastatt.kernels.vec3 import cross, dot
+from fastatt.kernels.vec3 import cross, dot, rotate_axes_first, rotate_axes_third
 
 
 @kernel
@@ -233,11 +233,7 @@ def rotate_first(a, c, s):
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
     x, y, z = a[:3], a[3:6], a[6:]
-    return (
-        vec3.rotate_axes_first(x, C, S)
-        + vec3.rotate_axes_first(y, C, S)
-        + vec3.rotate_axes_first(z, C, S)
-    )
+    return rotate_axes_first(x, C, S) + rotate_axes_first(y, C, S) + rotate_axes_first(z, C, S)
 
 
 @kernel
@@ -262,11 +258,7 @@ def rotate_third(a, c, s):
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
     x, y, z = a[:3], a[3:6], a[6:]
-    return (
-        vec3.rotate_axes_third(x, C, S)
-        + vec3.rotate_axes_third(y, C, S)
-        + vec3.rotate_axes_third(z, C, S)
-    )
+    return rotate_axes_third(x, C, S) + rotate_axes_third(y, C, S) + rotate_axes_third(z, C, S)
 
 
 @kernel
