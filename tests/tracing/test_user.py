@@ -274,6 +274,14 @@ def test_points_where_python_raises_are_left_out():
     assert made.reason == "an error in Python at every point where it was tried"
 
 
+def test_quaternions_that_are_tried_are_unit():
+    def function(t, q, w, p):
+        off = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0
+        return math.sqrt(1e-12 - off * off), w[0], p[0]
+
+    assert UserFunction(function, "torque", 1).straight
+
+
 def test_given_parameters_are_tried():
     seen = []
 
