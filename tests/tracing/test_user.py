@@ -182,7 +182,7 @@ def test_called_from_machine_code(lanes):
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("method", ["lie_euler", "lie_midpoint"])
 def test_what_bodies_share_is_asked_for_once(own, method, monkeypatch):
-    """Once a tile and step, in each form of the step, for all; of its own numbers each body asks."""
+    """Once a tile and step, in each form of the step, for all; else each body asks."""
     times = []
 
     def noting(t, p):
