@@ -60,6 +60,21 @@ def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     assert len(bars) == 1
 
 
+def test_steps_that_grow_past_the_limit_are_warned_of_once():
+    """As in the run that keeps its saves, at its end."""
+    scene = fa.Scene(inertia=FREE.inertia, torque=fa.torques.Constant((0.0, 0.0, 2.0 / 3.0)))
+    said = []
+    for options in ({}, {"on_save": lambda piece: None}):
+        with pytest.warns(fa.StepWarning, match="a step of body 0 is .* rad, rk4's limit") as found:
+            fa.propagate(
+                scene, [1, 0, 0, 0], [0, 0, 0.01], dt=0.2, n_steps=80, method="rk4", save_every=1,
+                **options,
+            )  # fmt: skip
+        said.append([str(warning.message) for warning in found])
+    assert said[0] == said[1]
+    assert len(said[0]) == 1
+
+
 def test_refusals():
     for taker, wrong in ((3, TypeError), (print, ValueError)):
         with pytest.raises(wrong, match="on_save: found"):
