@@ -163,19 +163,23 @@ def test_two_crossings_within_one_step():
     def cosine(t, q, w, p):
         return math.cos(0.3 * p[1]) - math.cos(0.3 * (t - p[0]))
 
-    # middles and halves of intervals, a body each
-    middle, half = np.array(
-        [*itertools.product([0.25, 2.0, 2.1, 2.31, 2.45, 9.75], [1e-3, 0.03, 0.24])]
-    ).T
+    def skewed(t, q, w, p):
+        return ((t - p[0]) ** 2 - p[1] ** 2) * (10.0 + t - p[0])
+
+    # middles and halves of intervals, a body each; some next to an end of a step
+    middles = [0.25, 2.0, 2.004, 2.1, 2.31, 2.45, 2.496, 9.75]
+    middle, half = np.array([*itertools.product(middles, [1e-3, 0.03, 0.24])]).T
     params = np.stack([middle, half], axis=1)
     scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=params)
-    events = [fa.event(g, direction) for g in (parabola, cosine) for direction in (0, -1, 1)]
+    events = [
+        fa.event(g, direction) for g in (parabola, cosine, skewed) for direction in (0, -1, 1)
+    ]
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1))
     found = fa.propagate(
         scene, q0, [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
     ).event_times
     first, second = middle - half, middle + half
-    wanted = np.stack([first, first, second] * 2, axis=1)
+    wanted = np.stack([first, first, second] * 3, axis=1)
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
 
 
