@@ -232,6 +232,21 @@ def test_the_first_of_two_terminal_events_ends_a_body(sign):
     assert np.array_equal(run.q, alone.q)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_terminal_event_keeps_a_prescribed_rate(sign):
+    """Each body's own; with an axis of bodies, and in the saves that are handed out."""
+    scene = fa.Scene(rate=lambda t, p: (t, p[0], 0.0), params=[[0.905], [1.31], [9.0]])
+    reached = fa.event(lambda t, q, w, p: abs(t) - p[0], terminal=True)
+    events = [fa.event(lambda t, q, w, p: abs(t) - 0.2), reached]
+    given = {"dt": sign * 0.1, "n_steps": 30, "method": "rk4", "save_every": 1, "events": events}
+    run = fa.propagate(scene, Q0[:3], **given)
+    ends = np.array([0.905, 1.31, 9.0])
+    np.testing.assert_allclose(run.w[..., 0], sign * np.minimum(sign * run.t[:, None], ends))
+    pieces = []
+    fa.propagate(scene, Q0[:3], **given, on_save=lambda piece: pieces.append(piece.w))
+    assert np.array_equal(np.concatenate(pieces), run.w)
+
+
 def test_what_comes_after_a_terminal_event_sets_no_status():
     # a rate that ends after 1 s
     scene = fa.Scene(rate=fa.rates.Custom(lambda t, p: (math.sqrt(1.0 - t), 0.0, 0.0)))
