@@ -232,6 +232,19 @@ def test_the_first_of_two_terminal_events_ends_a_body(sign):
     assert np.array_equal(run.q, alone.q)
 
 
+@pytest.mark.parametrize("method", ["strang2", "rk4"])
+def test_a_terminal_event_ends_as_a_run_of_that_length_does(method):
+    """Of a torque that changes with time, of which strang2 takes a part after its last step."""
+    torque = fa.torques.Sampled(RNG.normal(size=(20, 3)), 0.1)
+    scene = fa.Scene(inertia=MOMENTS, torque=torque)
+    end = fa.event(lambda t, q, w, p: t - 0.905, terminal=True)
+    given = {"q0": Q0[0], "w0": W0[0], "dt": 0.1, "method": method}
+    run = fa.propagate(scene, **given, n_steps=15, events=[end])
+    alone = fa.propagate(scene, **given, t_end=0.905)
+    np.testing.assert_allclose(run.w[-1], alone.w[-1], rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(run.q[-1], alone.q[-1], rtol=0.0, atol=1e-14)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_terminal_event_keeps_a_prescribed_rate(sign):
     """Each body's own; with an axis of bodies, and in the saves that are handed out."""
