@@ -221,14 +221,14 @@ def test_a_terminal_event_keeps_the_state(method):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_first_of_two_terminal_events_ends_a_body(sign):
-    ends = sign * np.array([1.013, 1.011])
+def test_the_first_of_some_terminal_events_ends_a_body(sign):
+    ends = sign * np.array([1.013, 1.011, 1.012])
     events = [fa.event(lambda t, q, w, p, k=k: t - k, terminal=True) for k in ends.tolist()]
     given = {"dt": sign * 0.02, "n_steps": 500, "method": "rk4"}
     run = fa.propagate(BODY, Q0, W0, **given, events=events)
-    assert np.isnan(run.event_times[:, 0]).all()
+    assert np.isnan(run.event_times[:, [0, 2]]).all()
     np.testing.assert_allclose(run.event_times[:, 1], ends[1], rtol=1e-15)
-    alone = fa.propagate(BODY, Q0, W0, **given, events=events[1:])
+    alone = fa.propagate(BODY, Q0, W0, **given, events=events[1:2])
     assert np.array_equal(run.q, alone.q)
 
 
