@@ -156,6 +156,15 @@ def test_times_of_functions_of_time():
     np.testing.assert_allclose(run.event_times[~triple], wanted[~triple], rtol=0.0, atol=4e-15)
 
 
+def test_a_crossing_at_a_save_has_the_time_of_the_save():
+    given = {"dt": 0.1, "n_steps": 60, "method": "rk4", "save_every": 1}
+    saves = fa.propagate(CONE, [1, 0, 0, 0], [0.5, 0.0, 1.0], **given).t
+    scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=saves[:, None])
+    q0, reached = np.tile([1.0, 0.0, 0.0, 0.0], (61, 1)), fa.event(lambda t, q, w, p: t - p[0])
+    run = fa.propagate(scene, q0, [0.5, 0.0, 1.0], **given, events=[reached])
+    assert np.array_equal(run.event_times[:, 0], saves)
+
+
 def test_two_crossings_within_one_step():
     def parabola(t, q, w, p):
         return (t - p[0]) ** 2 - p[1] ** 2
