@@ -269,7 +269,7 @@ def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) 
     if loop is not None:
         state = emit(loop.begin, find)
         n, size = len(loop.step.results), len(loop.table[0])
-        wide = [k in loop.wide and lanes > 1 for k in range(n)]
+        wide = [k in loop.wide for k in range(n)]
         places: list[Any] = []
 
         def keep(values: Sequence[tuple[Any, bool]]) -> None:

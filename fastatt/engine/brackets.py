@@ -98,12 +98,14 @@ def find_extremum(brackets, lanes, k, x, value, direction, trials):
         brackets[low], brackets[at_low] = left
         brackets[high], brackets[at_high] = right
         brackets[inner], brackets[at_inner] = x, value
-    # the vertex of the parabola through the three
+    # the vertex of the parabola through the three, or nearer to the end beyond which that lies
     p, q = brackets[inner] - brackets[low], brackets[inner] - brackets[high]
     u = p * (brackets[at_inner] - brackets[at_high])
     v = q * (brackets[at_inner] - brackets[at_low])
     point = brackets[inner] - 0.5 * (p * u - q * v) / (u - v)
+    if not brackets[low] < point < brackets[high]:
+        point = 0.5 * (brackets[inner] + brackets[low if point <= brackets[low] else high])
     brackets[POINT * lanes + k] = point
     bends = (u - v) * (p * q) * brackets[at_inner] > 0.0
-    inside = brackets[low] < point < brackets[high] and abs(point - brackets[inner]) > 1e-7
-    return EXTREMUM if bends and inside and trials < FEW else PASS
+    is_new = abs(point - brackets[inner]) > 1e-7
+    return EXTREMUM if bends and is_new and trials < FEW else PASS

@@ -324,6 +324,7 @@ class Plan:
             carried={name: out[:, :, columns] for name, columns in self._columns.items()},
             end=end,
             found=results.event_times,
+            terminal=tuple(x.terminal for x in self.choice.events),
         )
 
     @cached_property

@@ -77,6 +77,8 @@ class Trajectory:
     end: End | None = field(default=None, repr=False)
     #: times of events (N, E); None for a run without events
     found: NDArray[np.float64] | None = field(default=None, repr=False)
+    #: which of the events are terminal
+    terminal: tuple[bool, ...] = field(default=(), repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields, for pickling; a prescribed rate is stored as numbers."""
@@ -136,7 +138,11 @@ class Trajectory:
         n, params = law.states, packed.params[..., : law.count]
         rates = rows(_rate_of(law), {"t": None, "s": n, "p": law.count}, (3,), key=law)
         states = self.carried["s"] if n else np.zeros(0)
-        (found,) = rates(self.t[:, None], states, params, tables=packed.tables)
+        t = self.t[:, None]
+        if self.found is not None and any(self.terminal):  # a body stays at its event
+            earlier = np.fmin if np.min(self.dt) > 0.0 else np.fmax
+            t = earlier(t, earlier.reduce(self.found[:, self.terminal], axis=1))
+        (found,) = rates(t, states, params, tables=packed.tables)
         w = self._shaped(np.broadcast_to(found, (*self.state.shape[:2], 3)))
         if turning.inertial:
             w = np.einsum("...ji,...j->...i", self.dcm, w)

@@ -165,7 +165,7 @@ class Sample:
     def rounded(self, n: float) -> int:
         """The smallest multiple of the unit that is not below n."""
         unit = self.unit(n)
-        return max(1, math.ceil(n / unit - 1e-9)) * unit
+        return max(1, math.ceil(n / unit)) * unit
 
     def candidate(self, case: Case) -> Candidate:
         """A case, compiled and run once to measure its error and its speed."""

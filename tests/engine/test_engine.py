@@ -220,6 +220,23 @@ def peak():
     return measured
 
 
+def test_a_short_run_takes_the_tiles_that_it_has(monkeypatch):
+    taken, part = [], Run.part
+
+    def noted(run, span, *tiles):
+        taken.append(tiles)
+        return part(run, span, *tiles)
+
+    monkeypatch.setattr(Run, "part", noted)
+    for n in (1, 2, 300):
+        q0, w0 = np.tile(START, (n, 1)), np.ones((n, 3))
+        scene = fa.Scene(inertia=(2.0, 1.0, 0.7))
+        fa.propagate(scene, q0, w0, dt=0.1, n_steps=2, method="rk4", n_threads=1)
+        width = fa.plan(scene, n, dt=0.1, n_steps=2, method="rk4").job.width
+        assert taken.pop() == (0, math.ceil(n / width))
+    assert not taken
+
+
 def test_memory_is_that_of_the_state_and_its_saves(peak):
     """Not of the steps; a body takes its parameters, its state and what is handed out of it."""
 

@@ -7,6 +7,7 @@ import pytest
 
 import fastatt as fa
 from fastatt import angle_between as angle
+from fastatt.trade.measure import Problem
 
 N = 70  # more than a tile
 CHANCE = np.random.default_rng(7)
@@ -368,3 +369,17 @@ def test_a_tolerance_that_rounding_hides_is_refused(tol, message):
     options = {"t_end": 10.0, "tol": tol, "method": "rk4"}
     with pytest.raises(ValueError, match=message):
         fa.per_body_steps(SCENES["free"], Q0[:1], W0[:2], **options)
+
+
+def test_no_steps_are_tried_that_rounding_makes_worse(monkeypatch):
+    """A method of order 2 meets 1e-14 at 1e5 steps or more, which round more than that."""
+    tried, run = [], Problem.run
+
+    def counted(problem, case, steps, *given, **options):
+        tried.append(np.max(steps))
+        return run(problem, case, steps, *given, **options)
+
+    monkeypatch.setattr(Problem, "run", counted)
+    with pytest.raises(ValueError, match="accepted: what strang2 can meet, errors stay at"):
+        fa.per_body_steps(SCENES["free"], Q0[:1], W0[:1], t_end=1.0, tol=1e-14, method="strang2")
+    assert 1e5 < sum(tried) < 1e7

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 
@@ -378,6 +379,18 @@ def test_the_remedy_is_the_limit_itself():
     with warnings.catch_warnings():
         warnings.simplefilter("error", fa.StepWarning)
         fa.propagate(FREE, w0=[0.0, 0.0, 1.0], dt=least, method="rk4", **start)
+
+
+@pytest.mark.parametrize("method", ["strang2", "kahan_li6"])
+def test_the_angle_of_a_splitting_is_that_of_its_rotors(method):
+    """|m| h √((1/I1 − 1/I2)(1/I2 − 1/I3)) of a free body; in units of a torque's own limit else."""
+    moments, w, record = np.array([0.5, 0.8, 1.0]), np.array([8.0, 5.0, -7.0]), fa.METHODS[method]
+    free = np.linalg.norm(moments * w) * math.sqrt(0.75 * 0.25)
+    torqued = max(np.linalg.norm(w), free * record.limits["torqued"] / record.limit("quat"))
+    for torque, angle in ((None, free), (fa.torques.Constant([0.0, 0.0, 1e-9]), torqued)):
+        scene = fa.Scene(inertia=moments, torque=torque)
+        with pytest.warns(fa.StepWarning, match=f"a step of body 0 is {angle:.3g} rad, {method}"):
+            fa.propagate(scene, [1, 0, 0, 0], w, dt=1.0, n_steps=1, method=method)
 
 
 def test_the_remedy_of_per_body_steps_is_that_of_the_body_that_is_named():

@@ -299,6 +299,17 @@ def test_clocks_that_say_the_same_time_are_not_shifted_by_a_period():
         assert found.shift == pytest.approx(ahead, abs=0.01)
 
 
+def test_clocks_with_one_time_in_common_are_aligned_by_the_motion():
+    """As those without any: a shift of at most 1 s would leave one attitude to compare."""
+    t, when = np.arange(0.0, 30.0, 0.01), np.arange(8.0, 20.0, 0.02)
+    since = when - when[0]
+    for start in (t[-1], -since[-1]):
+        found = against_reference(t, motion(t), RecordedAttitudes(since, motion(when), start))
+        assert found.aligned[0]
+        assert found.shift == pytest.approx(start - when[0], abs=0.01)
+        assert found.angle.max() < 1e-3
+
+
 def test_what_the_motion_does_not_align_stays():
     """A constant rotation aligns neither the clocks nor the axes across it."""
     t = np.arange(0.0, 5.0, 0.01)

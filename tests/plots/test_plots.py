@@ -270,6 +270,8 @@ def test_recordings_have_no_truth(monkeypatch):
     figure = study_figure(monkeypatch, plots.recordings, [log], "coning3")
     assert labels(figure) == ["difference from coning3, deg"]
     assert set(texts(figure.axes[0])) == {"hold", "previous", "maker's orientation"}
+    shown = [line.get_ydata() for line in figure.axes[0].lines]
+    np.testing.assert_array_equal(shown, [*log.methods.values(), log.maker])
 
 
 def test_no_style_twice():

@@ -156,6 +156,15 @@ def test_times_of_functions_of_time():
     np.testing.assert_allclose(run.event_times[~triple], wanted[~triple], rtol=0.0, atol=4e-15)
 
 
+def test_a_crossing_at_a_save_has_the_time_of_the_save():
+    given = {"dt": 0.1, "n_steps": 60, "method": "rk4", "save_every": 1}
+    saves = fa.propagate(CONE, [1, 0, 0, 0], [0.5, 0.0, 1.0], **given).t
+    scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=saves[:, None])
+    q0, reached = np.tile([1.0, 0.0, 0.0, 0.0], (61, 1)), fa.event(lambda t, q, w, p: t - p[0])
+    run = fa.propagate(scene, q0, [0.5, 0.0, 1.0], **given, events=[reached])
+    assert np.array_equal(run.event_times[:, 0], saves)
+
+
 def test_two_crossings_within_one_step():
     def parabola(t, q, w, p):
         return (t - p[0]) ** 2 - p[1] ** 2
@@ -163,19 +172,23 @@ def test_two_crossings_within_one_step():
     def cosine(t, q, w, p):
         return math.cos(0.3 * p[1]) - math.cos(0.3 * (t - p[0]))
 
-    # middles and halves of intervals, a body each
-    middle, half = np.array(
-        [*itertools.product([0.25, 2.0, 2.1, 2.31, 2.45, 9.75], [1e-3, 0.03, 0.24])]
-    ).T
+    def skewed(t, q, w, p):
+        return ((t - p[0]) ** 2 - p[1] ** 2) * (10.0 + t - p[0])
+
+    # middles and halves of intervals, a body each; some next to an end of a step
+    middles = [0.25, 2.0, 2.004, 2.1, 2.31, 2.45, 2.496, 9.75]
+    middle, half = np.array([*itertools.product(middles, [1e-3, 0.03, 0.24])]).T
     params = np.stack([middle, half], axis=1)
     scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=params)
-    events = [fa.event(g, direction) for g in (parabola, cosine) for direction in (0, -1, 1)]
+    events = [
+        fa.event(g, direction) for g in (parabola, cosine, skewed) for direction in (0, -1, 1)
+    ]
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1))
     found = fa.propagate(
         scene, q0, [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
     ).event_times
     first, second = middle - half, middle + half
-    wanted = np.stack([first, first, second] * 2, axis=1)
+    wanted = np.stack([first, first, second] * 3, axis=1)
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
 
 
@@ -216,13 +229,44 @@ def test_a_terminal_event_keeps_the_state(method):
     assert np.isnan(run.event_times[~early, 0]).all()
 
 
-def test_the_earlier_of_two_terminal_events_ends_a_body():
-    events = [fa.event(lambda t, q, w, p, k=k: t - k, terminal=True) for k in (1.013, 1.011)]
-    run = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=events)
-    assert np.isnan(run.event_times[:, 0]).all()
-    np.testing.assert_allclose(run.event_times[:, 1], 1.011, rtol=1e-15)
-    alone = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=events[1:])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_first_of_some_terminal_events_ends_a_body(sign):
+    ends = sign * np.array([1.013, 1.011, 1.012])
+    events = [fa.event(lambda t, q, w, p, k=k: t - k, terminal=True) for k in ends.tolist()]
+    given = {"dt": sign * 0.02, "n_steps": 500, "method": "rk4"}
+    run = fa.propagate(BODY, Q0, W0, **given, events=events)
+    assert np.isnan(run.event_times[:, [0, 2]]).all()
+    np.testing.assert_allclose(run.event_times[:, 1], ends[1], rtol=1e-15)
+    alone = fa.propagate(BODY, Q0, W0, **given, events=events[1:2])
     assert np.array_equal(run.q, alone.q)
+
+
+@pytest.mark.parametrize("method", ["strang2", "rk4"])
+def test_a_terminal_event_ends_as_a_run_of_that_length_does(method):
+    """Of a torque that changes with time, of which strang2 takes a part after its last step."""
+    torque = fa.torques.Sampled(RNG.normal(size=(20, 3)), 0.1)
+    scene = fa.Scene(inertia=MOMENTS, torque=torque)
+    end = fa.event(lambda t, q, w, p: t - 0.905, terminal=True)
+    given = {"q0": Q0[0], "w0": W0[0], "dt": 0.1, "method": method}
+    run = fa.propagate(scene, **given, n_steps=15, events=[end])
+    alone = fa.propagate(scene, **given, t_end=0.905)
+    np.testing.assert_allclose(run.w[-1], alone.w[-1], rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(run.q[-1], alone.q[-1], rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_terminal_event_keeps_a_prescribed_rate(sign):
+    """Each body's own; with an axis of bodies, and in the saves that are handed out."""
+    scene = fa.Scene(rate=lambda t, p: (t, p[0], 0.0), params=[[0.905], [1.31], [9.0]])
+    reached = fa.event(lambda t, q, w, p: abs(t) - p[0], terminal=True)
+    events = [fa.event(lambda t, q, w, p: abs(t) - 0.2), reached]
+    given = {"dt": sign * 0.1, "n_steps": 30, "method": "rk4", "save_every": 1, "events": events}
+    run = fa.propagate(scene, Q0[:3], **given)
+    ends = np.array([0.905, 1.31, 9.0])
+    np.testing.assert_allclose(run.w[..., 0], sign * np.minimum(sign * run.t[:, None], ends))
+    pieces = []
+    fa.propagate(scene, Q0[:3], **given, on_save=lambda piece: pieces.append(piece.w))
+    assert np.array_equal(np.concatenate(pieces), run.w)
 
 
 def test_what_comes_after_a_terminal_event_sets_no_status():

@@ -44,6 +44,24 @@ def test_one_bar_for_all_pieces(bars, method):
     assert found == pytest.approx([*(0.5 * np.arange(34)), 16.65])
 
 
+def test_each_step_is_taken_once(monkeypatch):
+    taken, part = {}, engine_run.Run.part
+
+    def noted(run, span, *tiles):
+        taken.setdefault(tiles, []).append((span.first, span.last))
+        return part(run, span, *tiles)
+
+    monkeypatch.setattr(engine_run.Run, "part", noted)
+    fa.propagate(
+        FREE, Q0, W0[:, 1:], dt=0.05, n_steps=333, save_every=10, method="rk4",
+        on_save=lambda piece: None,
+    )  # fmt: skip
+    for spans in taken.values():
+        begins, ends = zip(*spans, strict=True)
+        assert begins == (0, *ends[:-1])
+        assert ends[-1] == 333
+
+
 def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     """The wait is over, or said to be one, before there is anything to count."""
     opened_at_compilation = []
@@ -58,6 +76,21 @@ def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     run(n_steps=2, method="rk4")
     assert opened_at_compilation == [0]
     assert len(bars) == 1
+
+
+def test_steps_that_grow_past_the_limit_are_warned_of_once():
+    """As in the run that keeps its saves, at its end."""
+    scene = fa.Scene(inertia=FREE.inertia, torque=fa.torques.Constant((0.0, 0.0, 2.0 / 3.0)))
+    said = []
+    for options in ({}, {"on_save": lambda piece: None}):
+        with pytest.warns(fa.StepWarning, match="a step of body 0 is .* rad, rk4's limit") as found:
+            fa.propagate(
+                scene, [1, 0, 0, 0], [0, 0, 0.01], dt=0.2, n_steps=80, method="rk4", save_every=1,
+                **options,
+            )  # fmt: skip
+        said.append([str(warning.message) for warning in found])
+    assert said[0] == said[1]
+    assert len(said[0]) == 1
 
 
 def test_refusals():

@@ -43,6 +43,12 @@ def helper(x):
     return jitted(x) + GAIN
 
 
+def gathered(x, /, *rest, scale=2.0, **named):
+    if x > rest[0]:
+        scale = -scale
+    return scale * x + sum(rest) * named["shift"]
+
+
 # functions of two numbers
 
 
@@ -212,6 +218,10 @@ def calls(x, y):
     return jitted(x) + jitted(x, y=y) + helper(y) + quat.dot((x, y, 0.0, 1.0), (y, x, 1.0, 2.0))
 
 
+def calls_with_any_arguments(x, y):
+    return gathered(x, y, 1.0, shift=x) + gathered(y, x, scale=3.0, shift=2.0, unused=y)
+
+
 def remainders(x, y):
     return x % 0.75 + x // 0.75 + 10.0 * (y % -0.5) + divmod(y, 0.375)[0] + 7.5 % (abs(x) + 1.0)
 
@@ -302,7 +312,7 @@ FUNCTIONS = [
     *(falls_through, three_in_a_row, loops, look_up, newton, broken_off, local_helpers),
     *(changes_a_list, aliased, known_conditions, globals_, clamped, calls, remainders, powers),
     *(collected, any_and_all, is_in, rounded, numpys, remainders_of_c, typed, matched),
-    remainders_to_the_nearest,
+    *(remainders_to_the_nearest, calls_with_any_arguments),
     *(truth_of_comparison, truth_as_number, none_at_first),
 ]
 

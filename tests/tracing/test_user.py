@@ -182,7 +182,7 @@ def test_called_from_machine_code(lanes):
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("method", ["lie_euler", "lie_midpoint"])
 def test_what_bodies_share_is_asked_for_once(own, method, monkeypatch):
-    """Once a tile and step, in each form of the step; with parameters per body each body asks."""
+    """Once a tile and step, in each form of the step, for all; else each body asks."""
     times = []
 
     def noting(t, p):
@@ -197,10 +197,11 @@ def test_what_bodies_share_is_asked_for_once(own, method, monkeypatch):
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     times.clear()
     with pytest.warns(fa.StepWarning):
-        fa.propagate(scene, q0, t0=0.25, dt=0.5, n_steps=2, method=method, n_threads=1)
+        run = fa.propagate(scene, q0, t0=0.25, dt=0.5, n_steps=2, method=method, n_threads=1)
     asked = [x for x in times if x == times[0]]
     # the form for small angles, and when the other one is compiled both
     assert len(asked) == (3 * n if own else 3)
+    assert own or (run.q == run.q[:, :1]).all()
 
 
 def raising(t, p):
@@ -272,6 +273,14 @@ def test_points_where_python_raises_are_left_out():
     made = UserFunction(function, "rate", 1, np.array([0.0]))
     assert not made.straight
     assert made.reason == "an error in Python at every point where it was tried"
+
+
+def test_quaternions_that_are_tried_are_unit():
+    def function(t, q, w, p):
+        off = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3] - 1.0
+        return math.sqrt(1e-12 - off * off), w[0], p[0]
+
+    assert UserFunction(function, "torque", 1).straight
 
 
 def test_given_parameters_are_tried():

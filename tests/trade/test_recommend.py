@@ -363,6 +363,8 @@ def test_a_corner_is_refused_below_what_the_reference_reaches():
     words = r"tol: found 1e-12; accepted: at least .* falls with order .* in place of 8"
     with pytest.raises(ValueError, match=words):
         fa.recommend(scene, Q0[:20], 0.1 * W0[:20], tol=1e-12, **options)
+    with pytest.raises(ValueError, match=words):
+        fa.per_body_steps(scene, Q0[:4], 0.1 * W0[:4], t_end=10.0, tol=1e-12, method="rk8")
 
 
 def shot(t, q, w, p):
