@@ -220,10 +220,10 @@ class UserFunction:
         self, function: Callable[..., Any], params: NDArray[np.float64] | None
     ) -> Callable[..., Any]:
         """The traced function; raises ``TraceError`` if it can't be traced or is wrong."""
-        recorded, states = _strict(traceable(function)), self.form.states
+        recorded = _strict(traceable(function))
 
         def formula(*args: Any) -> Any:
-            return in_a_row(recorded(*args), states)
+            return in_a_row(recorded(*args), self.form)
 
         recorder = Graph()
         numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
@@ -249,7 +249,7 @@ class UserFunction:
             try:
                 with np.errstate(all="ignore"):
                     result = in_python(*nested(point, self.sizes))
-                    asked.append(floats(in_a_row(result, states)))
+                    asked.append(floats(in_a_row(result, self.form)))
             except Exception:  # noqa: BLE001  # whatever the user's function raises there
                 continue
             found.append(traced(*(point[k] for k in places)))
