@@ -34,7 +34,7 @@ from fastatt.tracing.called import (
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.nodes import Recorded, TraceError
-from fastatt.tracing.references import opened, snapshot
+from fastatt.tracing.references import called_as, opened, signature_of, snapshot
 from fastatt.tracing.trace import traceable
 
 # tolerance of a component, relative to its largest value; a wrong formula differs by far more
@@ -141,6 +141,7 @@ class UserFunction:
         inner = opened(function)[0]
         self.name = getattr(function, "__name__", getattr(inner, "__name__", self.argument))
         self.reason = ""
+        self._check_arguments(function, form)
         #: arrays of the tables that it reads, and the time interval of their samples
         self.tables: dict[Any, NDArray[np.float64]] = {}
         self.span = 0.0, 10.0
@@ -152,6 +153,23 @@ class UserFunction:
             self.reason = str(error)
             opaque = called_back if config.DISABLE_JIT else compiled
             self._compiled = opaque(function, self)
+
+    def _check_arguments(self, function: Callable[..., Any], form: str) -> None:
+        """Refuse a function with another number of arguments, and say how to declare them."""
+        signature, states = signature_of(function), self.form.states
+        try:
+            if signature is not None:
+                signature.bind(*[None] * len(self.sizes))
+        except TypeError:
+            accepted = [self.form.call]
+            if self.form.carries and not states:
+                accepted.append(f"with states=n {self.form.with_states(1).call}")
+            if f"{form} at position" in FORMS:
+                placed = FORMS[f"{form} at position"].with_states(states)
+                accepted.append(f"with uses_position=True {placed.call}")
+            raise TypeError(
+                f"{self.argument}: found {called_as(function)}; accepted: {', or '.join(accepted)}"
+            ) from None
 
     def __repr__(self) -> str:
         how = "traced" if self.straight else f"called ({self.reason})"

@@ -286,14 +286,12 @@ def test_forms_of_forces_are_told_apart():
 
     still = {"inertia": J, "mass": 2.0}
     for scene, force in ((system, at_position), (system, of_all), (still, thrust)):
-        with pytest.raises(
-            TypeError, match=r"^force: found .* of [67] arguments.*" + FORMS_OF_FORCES
-        ):
+        with pytest.raises(TypeError, match=r"^force: found .*; accepted: " + FORMS_OF_FORCES):
             fa.Scene(**scene, force=force)
     for force in (at_position, of_all):
         scene = fa.Scene(**system, force=fa.forces.Custom(force, uses_position=True))
         assert scene.needs_position
-    with pytest.raises(TypeError, match=r"^force: found .* of 7 arguments"):
+    with pytest.raises(TypeError, match=r"^force: found of_all\("):
         fa.Scene(**still, force=fa.forces.Custom(of_all, uses_position=True))
 
 
