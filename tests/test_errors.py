@@ -260,7 +260,7 @@ def test_users_rate_function(function, message):
 def test_another_number_of_arguments_is_said_to_be_so():
     """In one line, with the forms that take other arguments and how these are declared."""
 
-    def of_states(t, q, w, s, p, gains=np.eye(3)):
+    def of_states(t, q, w, s, p, gains=(1.0, 2.0)):
         return (-s[0], 0.0, 0.0), s[0]
 
     message = "rate: found one_argument(t); accepted: rate(t, p), or with states=n rate(t, s, p)"
