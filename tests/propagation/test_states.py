@@ -543,6 +543,15 @@ def test_advice_and_checks_take_initial_states():
     assert fa.recommend(rate, Q0, s0=(0.4, -0.2), t_end=3.0, tol=1e-7).method in METHODS
 
 
+def test_advice_sees_a_force_that_jumps_with_a_state():
+    def switched(t, q, w, v, s, p):
+        return (1.0 if s[0] > 0.5 else 0.0), 0.0, 0.0
+
+    scene = fa.Scene(inertia=J, torque=valve, states=2, params=(2.0, 0.3), mass=2.0, force=switched)
+    with pytest.raises(ValueError, match=r"^scene: the force jumps near t = 0\.29"):
+        fa.recommend(scene, Q0, W0, v0=[0, 0, 0], s0=[0.1, 0.0], t_end=3.0, tol=1e-7)
+
+
 def test_dask_gives_the_same_bits():
     pytest.importorskip("dask")
     from fastatt import dask as fd
