@@ -67,8 +67,8 @@ class Scene:
         The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
         Times, s, at which a rate, torque or force has a jump or a kink. Steps end at these times,
-        so that the method keeps its order. Linear tables in models, ``torques.Sampled`` and
-        ``rates.Slew`` bring theirs.
+        so that the method keeps its order. Linear tables in models, tables of ``torques.Rotor`` and
+        ``torques.QuaternionPD``, ``torques.Sampled`` and ``rates.Slew`` bring theirs.
 
     Attributes
     ----------
