@@ -68,7 +68,7 @@ trade: $(VENV)/.trade  ## every method on the default scene: table, picture and 
 bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 	$(BIN)/pytest bench
 
-leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 8 minutes: bench/LEADERBOARD.md
+leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 9 minutes: bench/LEADERBOARD.md
 	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench --pictures fastatt/docs/pictures
 
 extremes: $(VENV)/.test  ## every method at the extremes, a minute: bench/EXTREMES.md

@@ -2,7 +2,8 @@
 
 Links between these and the pages of ``fastatt/docs`` are paths in the repository, so that they work
 wherever the files are read; here they become paths in the site. Roles of docstrings, such as
-``:func:``, become links, and the one script that the theme loads from another host a file.
+``:func:``, and names in "See Also" become links, and numbers in tables are kept in one line. The
+one script that the theme loads from another host becomes a file.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = "fastatt/docs/"
 ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):<code>~?([\w.]+)</code>")
+SEE_ALSO = re.compile(r'(?<=<details class="see-also" open>).*?(?=</details>)', re.DOTALL)
+ENTRY = re.compile(r"^(\s*<p>|)([\w.]+) : ", re.MULTILINE)
+CELL = re.compile(r"(?<=<t[dh]>)[^<]+")
+NUMBER = re.compile(r"-?\d[\d.]*e[+-]\d+")
 SHIM = "https://unpkg.com/iframe-worker/shim"
 LINK = re.compile(r"\]\((?!\w+:)([^)\s#]+)")
 
@@ -44,8 +49,20 @@ def on_page_markdown(markdown, page, **_):
     return LINK.sub(in_site, markdown)
 
 
+def reference(name: str) -> str:
+    target = name if name.startswith("fastatt.") else f"fastatt.{name}"
+    return f'<autoref identifier="{target}" optional><code>{name}</code></autoref>'
+
+
+def entries(see_also: str) -> str:
+    """The entries of "See Also", each in a line."""
+    return ENTRY.sub(lambda x: (x[1] or "<br>") + reference(x[2]) + " – ", see_also)
+
+
 def on_page_content(html, **_):
-    return ROLE.sub(r'<autoref identifier="\1" optional><code>\1</code></autoref>', html)
+    html = ROLE.sub(lambda role: reference(role[1]), html)
+    html = SEE_ALSO.sub(lambda part: entries(part[0]), html)
+    return CELL.sub(lambda cell: NUMBER.sub(r'<span class="number">\g<0></span>', cell[0]), html)
 
 
 def on_post_page(output, page, **_):

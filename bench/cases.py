@@ -9,9 +9,10 @@ from pathlib import Path
 
 import cases_asteroids
 import cases_tools
+import cases_wheels
 from cases_rows import page
 
-CASES = (*cases_tools.CASES, *cases_asteroids.CASES)
+CASES = (*cases_tools.CASES, *cases_wheels.CASES, *cases_asteroids.CASES)
 OUT = Path(__file__).with_name("CASES.md")
 
 

@@ -2,7 +2,9 @@
 
 The state is (q, w/2), which has the fewest products, or q alone where the rate is given. Parameters
 of a body are the factors of Euler's equations and, in the potential of a heavy top, those of its
-torque, or half the size of a push; of coning, the sizes and the frequency of half the rate.
+torque, or half the size of a push; of coning, the sizes and the frequency of half the rate. With
+three wheels along the axes half their momenta follow the state, and the inverse moments and half
+the motors' torques the factors.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-FREE, TOP, PUSHED, CONING = "free", "top", "pushed", "coning"
-N_STATE = {FREE: 7, TOP: 7, PUSHED: 7, CONING: 4}
+FREE, TOP, PUSHED, CONING, WHEELS = "free", "top", "pushed", "coning", "wheels"
+N_STATE = {FREE: 7, TOP: 7, PUSHED: 7, CONING: 4, WHEELS: 10}
 # products of two functions of time, sines among them: what a Taylor series pays for
-N_PRODUCTS = {FREE: 15, TOP: 19, PUSHED: 18, CONING: 10}
+N_PRODUCTS = {FREE: 15, TOP: 19, PUSHED: 18, CONING: 10, WHEELS: 21}
 
 
 def turn(q: Any, x: Any, y: Any, z: Any) -> Any:
@@ -57,7 +59,16 @@ def slope(
     def coning(t, y, p):
         return turned(y, -p[0] * sin(p[1] * t), p[0] * cos(p[1] * t), -p[2])
 
-    return compiled({FREE: free, TOP: top, PUSHED: pushed, CONING: coning}[kind])
+    def wheels(t, y, p):
+        spin = (
+            p[0] * (y[5] * y[6]) + p[3] * (2.0 * (y[8] * y[6] - y[9] * y[5]) - p[6]),
+            p[1] * (y[6] * y[4]) + p[4] * (2.0 * (y[9] * y[4] - y[7] * y[6]) - p[7]),
+            p[2] * (y[4] * y[5]) + p[5] * (2.0 * (y[7] * y[5] - y[8] * y[4]) - p[8]),
+        )
+        return turned(y, y[4], y[5], y[6]) + spin + (p[6], p[7], p[8])
+
+    functions = {FREE: free, TOP: top, PUSHED: pushed, CONING: coning, WHEELS: wheels}
+    return compiled(functions[kind])
 
 
 def of_body(inertia: np.ndarray, *, potential: bool = False) -> np.ndarray:
@@ -70,6 +81,11 @@ def of_body(inertia: np.ndarray, *, potential: bool = False) -> np.ndarray:
 def of_push(inertia: np.ndarray) -> np.ndarray:
     """Parameters (4,) of a body whose third rate is pushed by 0.25 sin² t, rad/s²."""
     return np.append(of_body(inertia), 0.125)
+
+
+def of_wheels(inertia: np.ndarray) -> np.ndarray:
+    """Parameters (9,) of a body with wheels whose motors are off."""
+    return np.concatenate([of_body(inertia), 1.0 / np.asarray(inertia, float), np.zeros(3)])
 
 
 def of_coning(angle: np.ndarray, frequency: np.ndarray) -> np.ndarray:

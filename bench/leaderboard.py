@@ -243,7 +243,12 @@ def measure(
     for package in packages:
         for contestant in contestants(problem, package, quick):
             run(contestant)
-        if package == OURS and isinstance(problem, Problem) and not problem.sampled:
+        # a step in a user's loop has no controller that is sampled
+        if (
+            package == OURS
+            and isinstance(problem, Problem)
+            and not (problem.sampled or problem.samples_of_control)
+        ):
             for name in leaders(problem, found):
                 run(our_loop(problem, name, quick))
     kept = found

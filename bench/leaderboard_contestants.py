@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import equations
 import leaderboard_solvers as solvers
+import leaderboard_wheels as wheels
 import numba
 import numpy as np
 from leaderboard_problems import MANY, ONE, Log, Problem
@@ -45,8 +46,15 @@ def _ours(problem: Problem, quick: bool) -> Iterator[Contestant]:
             if problem.sampled:
                 ladder = _our_samples(problem, name, dtype, quick)
             else:
-                ladder = our_plans(problem, name, dtype, QUICK["steps"] if quick else _STEPS)
+                ladder = our_plans(problem, name, dtype, _our_steps(problem, quick))
             yield Contestant(OURS, label, ladder)
+
+
+def _our_steps(problem: Problem, quick: bool) -> list[int]:
+    """Steps end at the samples of a controller: fewer there cannot be, and more need not."""
+    if problem.samples_of_control:
+        return [problem.samples_of_control]
+    return QUICK["steps"] if quick else _STEPS
 
 
 def our_loop(problem: Problem, name: str, quick: bool) -> Contestant:
@@ -134,16 +142,16 @@ def our_plans(problem: Problem, name: str, dtype: str, numbers: Iterable[int]):
             options.update(dt=problem.t_end / n, n_steps=n)
             if mode == MANY:
                 plan = fa.plan(problem.scene, len(problem.q0), **options)
-                start = [x.astype(dtype) for x in (problem.q0, problem.w0) if x is not None]
+                start = {key: x.astype(dtype) for key, x in problem.start.items()}
 
                 def call(plan=plan, start=start) -> np.ndarray:
-                    return plan(*start).q[-1]
+                    return plan(**start).q[-1]
             else:
                 bodies = [problem.of_body(k) for k in range(problem.n_exact)]
-                plans = [(fa.plan(scene, 1, **options), start) for scene, *start in bodies]
+                plans = [(fa.plan(scene, 1, **options), start) for scene, start in bodies]
 
                 def call(plans=plans) -> list[np.ndarray]:
-                    return [plan(*start).q[-1] for plan, start in plans]
+                    return [plan(**start).q[-1] for plan, start in plans]
 
             yield Run(_setting(name, n), call, np.asarray, work=_work(problem, name, n))
 
@@ -365,7 +373,7 @@ def contestants(problem: Problem | Log, package: str, quick: bool) -> Iterable[C
         return _ours(problem, quick)
     if problem.sampled:
         return _sampled_peer(package, problem, quick) if package in SAMPLED else ()
-    build = _PEERS[package][1]
+    build = wheels.PEERS.get(package) if problem.samples_of_control else _PEERS[package][1]
     return () if build is None else build(problem, quick)
 
 

@@ -98,7 +98,7 @@ def _ratios(
 ) -> None:
     axes.set(xscale="log", xlim=(0.03, 1.4 * _MOST), ylim=(len(rows) - 0.5, -0.5))
     axes.set_title(f"at an error of {TARGETS[target]:.0e} rad")
-    axes.set_xlabel("time over that of fastatt, which is the figure on the left")
+    axes.set_xlabel("time divided by that of fastatt, which is on the left")
     axes.set_yticks(range(len(rows)), [f"{t}, {m}" for t, m in rows] if named else [])
     axes.tick_params(axis="y", labelsize=8, length=0)
     axes.grid(visible=True, axis="x", alpha=0.3)

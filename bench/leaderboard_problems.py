@@ -17,6 +17,7 @@ from typing import Any
 import equations
 import numba
 import numpy as np
+import wheel_feedback
 
 import fastatt as fa
 from fastatt.trade.ensembles import coning_rates
@@ -44,7 +45,8 @@ class Problem:
 
     ``kind`` and ``parameters`` are those of ``equations``. ``growth``: error at the end, rad, over
     the relative error of the start. ``coning``: half angles and frequencies. ``sampled``: the rate
-    is given at instants only.
+    is given at instants only. ``s0``: states beside attitude and rate, those of the wheels first;
+    ``samples_of_control``: how often a torque is computed that is held in between.
     """
 
     name: str
@@ -60,6 +62,8 @@ class Problem:
     growth: float = 1.0
     coning: tuple[np.ndarray, np.ndarray] | None = None
     sampled: bool = False
+    s0: np.ndarray | None = None
+    samples_of_control: int = 0
 
     @property
     def n_exact(self) -> int:
@@ -69,16 +73,25 @@ class Problem:
     def y0(self) -> np.ndarray:
         """States of ``equations`` at the start, (N, k)."""
         parts = [self.q0] if self.w0 is None else [self.q0, 0.5 * self.w0]
+        if self.s0 is not None:
+            parts.append(0.5 * self.s0[:, :3])
         return np.ascontiguousarray(np.concatenate(parts, axis=1))
 
     def parameters_of(self, k: int) -> np.ndarray:
         return self.parameters if self.parameters.ndim == 1 else self.parameters[k]
 
-    def of_body(self, k: int) -> tuple[Any, ...]:
+    @property
+    def start(self) -> dict[str, np.ndarray]:
+        """What a run of ours starts from, by the names of its arguments."""
+        given = {"q0": self.q0, "w0": self.w0, "s0": self.s0}
+        return {name: x for name, x in given.items() if x is not None}
+
+    def of_body(self, k: int) -> tuple[fa.Scene, dict[str, np.ndarray]]:
         """Scene and start of body k alone."""
+        start = {name: x[k] for name, x in self.start.items()}
         if self.coning is None:
-            return self.scene, self.q0[k], self.w0[k]
-        return fa.Scene(rate=fa.rates.Coning(*(x[k] for x in self.coning))), self.q0[k]
+            return self.scene, start
+        return fa.Scene(rate=fa.rates.Coning(*(x[k] for x in self.coning))), start
 
     def samples(self, n: int) -> np.ndarray:
         """Rates (N, n + 1, 3) at equally spaced instants from 0 to ``t_end``."""
@@ -314,6 +327,36 @@ def sciml(quick: bool) -> Problem:
     return _bodies("sciml", title, scene, _aligned(n), m0, 10.0, quick, equations.PUSHED)
 
 
+def wheels(quick: bool) -> Problem:
+    """Basilisk's ``scenarioAttitudeFeedbackRW``, and other starts."""
+    n, exact = _sizes(quick)
+    exact, samples = min(exact, 4), 60 if quick else wheel_feedback.SAMPLES
+    craft, start = wheel_feedback.craft(), wheel_feedback.starts(n)
+
+    def end(k: int, digits: int) -> np.ndarray:
+        one = wheel_feedback.Start(*(x[k] for x in start))
+        return fa.mrp_to_quat(wheel_feedback.truth(one, samples, digits)[-1].sigma)
+
+    def ends() -> np.ndarray:
+        return np.array([end(0, _DIGITS + 6)] + [end(k, _DIGITS) for k in range(exact)])
+
+    t_end = samples * wheel_feedback.PERIOD
+    better, *truth = _known(ends, *(x[:exact] for x in start), t_end)
+    check = max(1e-16, fa.angle_between(truth[0], better))
+    return Problem(
+        name="wheels",
+        title=f"three wheels, torques sampled at 10 Hz, {t_end:.0f} s",
+        kind=equations.WHEELS,
+        scene=craft.scene,
+        t_end=t_end,
+        parameters=equations.of_wheels(np.array(wheel_feedback.HUB) - wheel_feedback.WHEEL),
+        truth=np.array(truth),
+        reference=f"mpmath with {_DIGITS} digits, with {_DIGITS + 6} it differs by {check:.0e} rad",
+        samples_of_control=samples,
+        **craft.start(start),
+    )
+
+
 def _from_the_maker() -> str:
     """The methods' largest angles from the attitudes of a maker's filter, on its recording."""
     log = fa.read_gyro_log(find_recordings()[0], unit="rad/s")
@@ -385,5 +428,6 @@ PROBLEMS = {
     "top": heavy_top,
     "top-triaxial": triaxial_top,
     "sciml": sciml,
+    "wheels": wheels,
     "log": gyro_log,
 }

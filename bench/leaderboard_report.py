@@ -24,7 +24,8 @@ _SETTINGS = {
     "scipy": "`solve_ivp`, `odeint`, `ode`, compiled equations, rtol = atol; ensembles in an array",
     "diffrax": "`jit`, `vmap`, 64 bits, `PIDController`, rtol = atol, `ForwardMode`",
     "MuJoCo": "a free joint, no contacts, `rollout` in C",
-    "Basilisk": "a hub, `svIntegratorRK4`; the simulation is built and reset beforehand",
+    "Basilisk": "a hub, `svIntegratorRK4`; the simulation is built and reset beforehand; with "
+    "wheels `scenarioAttitudeFeedbackRW` without orbit and records, built beforehand",
     "numpy-quaternion": "`integrate_angular_velocity`; samples: mean rates, `exp`, "
     "`multiply.accumulate`",
     "ahrs": "`AngularRate`, mean rates",
@@ -271,7 +272,9 @@ Compilation, layouts, plans and whatever a library can prepare beforehand are le
 `float32` in a method's name is single precision.
 Operations of heyoka follow from its order p and steps: p² a product of series, 2p a variable.
 Ours count as each body's what all share, a sine of time: the rate can then pass the core's peak.
-MuJoCo and Basilisk run free bodies that can exist: no moment above the sum of the others."""
+MuJoCo and Basilisk run free bodies that can exist: no moment above the sum of the others.
+With wheels a torque is computed every 0.1 s and held, and steps end there: libraries that integrate
+equations start anew at each sample, Basilisk and fastatt have the controller in the run."""
 
 
 def page(rows: Sequence[Row], where: str, single: str) -> str:

@@ -25,6 +25,7 @@ QUICK = {
         equations.FREE: ("exact",),
         equations.TOP: ("exact", "rk8"),
         equations.PUSHED: ("rk8",),
+        equations.WHEELS: ("rk4",),
     },
 }  # fmt: skip
 # of whole nanoseconds, which Basilisk counts
@@ -159,7 +160,7 @@ def _cyrk_driver() -> Callable[..., Any]:
 
 
 @cache
-def _cyrk_function(kind: str) -> Any:
+def cyrk_function(kind: str) -> Any:
     from CyRK.nb.numba_solver import cyjit_sig
 
     slope, n = _compiled(kind), equations.N_STATE[kind]
@@ -174,7 +175,7 @@ def _cyrk_function(kind: str) -> Any:
 
 
 def cyrk(problem: Problem, quick: bool) -> Iterator[Contestant]:
-    run, address = _cyrk_driver(), _cyrk_function(problem.kind).address
+    run, address = _cyrk_driver(), cyrk_function(problem.kind).address
     parameters = np.atleast_2d(problem.parameters)
 
     def ladder_of(method: str):
@@ -255,7 +256,7 @@ def _diffrax_ladder(problem: Problem, quick: bool, one: Callable, many: Callable
 
 
 @cache
-def _array_slopes(kind: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def array_slopes(kind: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """For one state, and for all states of an ensemble one after another in one array."""
     slope, n = _compiled(kind), equations.N_STATE[kind]
 
@@ -278,7 +279,7 @@ def _array_slopes(kind: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
 def scipy(problem: Problem, quick: bool) -> Iterator[Contestant]:
     from scipy import integrate
 
-    one, many = _array_slopes(problem.kind)
+    one, many = array_slopes(problem.kind)
     t_end, n, size = problem.t_end, len(problem.y0), problem.y0.shape[1]
     rows = [(problem.y0[k], problem.parameters_of(k)) for k in range(problem.n_exact)]
     all_parameters = np.ascontiguousarray(

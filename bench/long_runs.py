@@ -125,7 +125,7 @@ def speeds():
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=float, default=1e7, help="of 64 bodies, compensated")
-    parser.add_argument("--method", default="magnus4", help="a method for given rates")
+    parser.add_argument("--method", default="magnus4", help="a method for prescribed rates")
     arguments = parser.parse_args()
     steps = min(int(arguments.steps), MOST)
     print(

@@ -1,6 +1,6 @@
 """The README's method tables, from the CSV files that ``fastatt trade`` leaves: paths as arguments.
 
-``trade.csv`` gives the table of given rates, ``bodies.csv`` that of rigid bodies.
+``trade.csv`` gives the table of prescribed rates, ``bodies.csv`` that of rigid bodies.
 """
 
 from __future__ import annotations

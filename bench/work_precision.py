@@ -40,7 +40,7 @@ METHODS = {
     "top-triaxial": ("rk4", "kahan_li8", "rk8", "gbs16"),
 }
 PEERS = {"heyoka": "Taylor", "CyRK": "DOP853", "scipy": "solve_ivp DOP853"}
-TITLES = {"coning-large": "given rate", "top-triaxial": "given torque"}
+TITLES = {"coning-large": "prescribed rate", "top-triaxial": "torque"}
 _ROUNDS, _BUDGET = (2, 12), 25.0  # and seconds for each problem
 _FIELDS = ("problem", "title", "library", "method", "setting", "error_rad", "microseconds", "where")
 Row = dict[str, Any]

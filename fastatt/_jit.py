@@ -33,10 +33,8 @@ _INLINED: dict[str, Any] = {**_ARITHMETIC, "forceinline": True}
 _PARTS = Path(__file__), Path(__file__).parent / "codegen" / "call.py"
 
 
-def address_loop(
-    signature: Any, function: Callable[..., Any], *constants: Any
-) -> Callable[..., Any]:
-    """Compile a loop that takes arrays by their addresses; Numba keeps it on disk.
+def address_loop(function: Callable[..., Any], *constants: Any) -> Callable[..., Any]:
+    """Compile a loop of whole numbers, the addresses of arrays among them; Numba keeps it on disk.
 
     The loop calls functions of its file, functions of ``codegen/call.py``, and generated code by
     address. Numba notices an edit of the loop's file; a hash of the other files and of the imported
@@ -48,6 +46,7 @@ def address_loop(
     sources = [file.read_bytes() for file in _PARTS]
     parts = hashlib.sha256(b"".join([*sources, repr(constants).encode()])).hexdigest()[:16]
     function.__qualname__ = f"{function.__qualname__}_{parts}"
+    signature = types.int64(*[types.int64] * function.__code__.co_argcount)
     for _ in range(2):
         try:
             return _called(cfunc(signature, cache=True, error_model="numpy")(function))

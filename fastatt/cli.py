@@ -26,7 +26,6 @@ from fastatt.logs.reference import against_reference, read_attitudes
 from fastatt.methods import METHODS
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import Dependence
-from fastatt.threads import progress_bar
 from fastatt.trade.advice import recommend
 from fastatt.trade.recordings import compare_on_log
 from fastatt.trade.run import DEFAULT_SCENES, SCENES, open_folder, run_trade
@@ -251,13 +250,11 @@ def _integrate(arguments: argparse.Namespace) -> None:
         if path is not None and out.exists() and out.samefile(path):
             raise ValueError(f"--out: found {out}, which is {what}; accepted: another file")
     write = attitude_file(out)
-    size = 0 if piped else Path(arguments.log).stat().st_size
     said = ("columns", "unit", "rate", "time_column", "time_unit", "on_bad_rows", "max_gap")
     given = {name: getattr(arguments, name) for name in (*said, "bias_seconds")}
     reference = arguments.reference and read_attitudes(arguments.reference)
     method, split = arguments.method, arguments.on_bad_rows == "split"
-    with progress_bar(_bar_wanted(arguments.quiet), size, "B") as done:
-        log = read_gyro_log(arguments.log, progress=done, **given)
+    log = read_gyro_log(arguments.log, progress=_bar_wanted(arguments.quiet), **given)
     rows = attitude_rows(log, q0, method, pieces=split)
     write(rows)
     print(log.summary)

@@ -30,6 +30,7 @@ import polhodes
 import recordings
 import scale
 import tumbling
+import wheel_feedback
 import work_precision
 
 
@@ -123,6 +124,16 @@ def test_advice_is_compared_with_a_sweep():
     assert found.met
     assert found.best_steps >= 1
     assert found.advice_seconds > 0.0
+
+
+def test_wheels_beside_many_digits(capsys):
+    """A controller at all times, or a sample late, is another: rows far from round-off."""
+    wheel_feedback.differences(30)
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[2:]]
+    errors = {tuple(x.strip() for x in row[:2]): float(row[2]) for row in rows}
+    assert errors["`rk8`", "mpmath"] < 1e-15
+    assert errors["`rk4`, MRPs", "mpmath"] < 1e-14
+    assert min(errors["`rk8`", "a sample late"], errors["`rk8`", "at all times"]) > 1e-6
 
 
 def test_promises_are_compared_where_what_acts_jumps():

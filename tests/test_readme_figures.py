@@ -56,10 +56,10 @@ def test_cells_that_are_first_or_lost():
     assert [(problem.split(", ")[-1], bodies, k) for (problem, bodies), k in lost] == (
         [("sampled", "one", 0)] * 2
     )
-    assert len({problem for problem, _ in board}) == 11
     first = len(found) - len(lost)
     assert f"fastatt is first in {first} of {len(found)} cells; it loses two" in PROSE
-    assert "with nine libraries on 11 problems" in PROSE
+    problems = {problem for problem, _ in board}
+    assert f"with nine libraries on {len(problems)} problems" in PROSE
 
 
 def test_single_precision_is_named():

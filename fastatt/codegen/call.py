@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -89,12 +88,5 @@ def call_loop(
         with np.errstate(all="ignore"):
             return run(flat, settings, limits, first, last)
     addresses = [x if isinstance(x, int) else address_of(x) for x in arrays]
-    numbers = _array("q", addresses), _array("q", settings), _array("d", limits)
-    return run(*numbers, first, last)
-
-
-def _array(code: str, values: Sequence[Any]) -> Any:
-    """Numbers as an argument of a loop: half the time that ctypes takes alone."""
-    held = array(code, values)
-    kind = ctypes.c_int64 if code == "q" else ctypes.c_double
-    return (kind * len(held)).from_buffer(held)
+    numbers = array("q", addresses), array("q", settings), array("d", limits)
+    return run(*(x.buffer_info()[0] for x in numbers), first, last)

@@ -10,8 +10,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-from numba import types
-
 from fastatt._jit import address_loop
 from fastatt.codegen.call import call_generated, reals, wholes
 
@@ -80,10 +78,7 @@ def _run_rows(kind: str, block: int) -> Callable[..., int]:
     return run_rows
 
 
-_SIGNATURE = types.int64(*[types.int64] * 5)
-
-
 @functools.cache
 def row_loop(kind: str, block: int) -> Callable[..., int]:
     """``run_rows(numbers, memory, places, first, last)`` for a precision and lanes in a block."""
-    return address_loop(_SIGNATURE, _run_rows(kind, block))
+    return address_loop(_run_rows(kind, block))

@@ -246,7 +246,7 @@ def _table(
         counts: Counter[str] = sum(flags, Counter())
         error = np.concatenate(errors)
         rate_error = None if rates[0] is None else np.concatenate(rates)
-        measured = {"defect_max": max(norm_errors), "status": counted(counts)}
+        measured = {"norm_error_max": max(norm_errors), "status": counted(counts)}
         row = row_of(kind, case, t_end, n, sum(seconds), error, rate_error, **measured)
         ladders.setdefault(case, []).append(row)
     rows = []

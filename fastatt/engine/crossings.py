@@ -42,6 +42,8 @@ from fastatt.engine.stops import (
     BEGUN,
     DT,
     SAVE,
+    STOP_SIZE,
+    TIME,
     WATCH,
     copy_lane,
     copy_tile,
@@ -69,6 +71,8 @@ FUNCTION, EVENTS, LANES, OF_EACH = range(4)
 #: rows of the queue: lane, body, position, event, steps before the block and up to its end, what
 #: is done with the lane, evaluations; its length comes after them
 LANE, BODY, POSITION, EVENT, FIRST, END, DOING, TRIALS, LENGTH = range(9)
+#: in place of the mark in a run without steps so far
+NOT_BEGUN = -1.0
 #: in place of the value before the first: a bend that calls for a search of the first step
 UNKNOWN = 1e18
 
@@ -98,20 +102,20 @@ class Search(NamedTuple):
 
 @loop_part
 def begin_events(function, tile, search, base, count, step):
-    """Rows of the events of a tile: from the initial state, or as they were after some steps."""
+    """Rows of the events of a tile after some steps: as they were kept, or from the state."""
     rows, _, _, _ = tile
     width, size, _, _, _, _ = search.shape
     n = search.numbers[EVENTS]
-    if step == 0:
-        call_generated(function, WATCH, tile, (step, 0))
-        for j in range(n * width):
-            value = rows[size * width + j]
-            rows[(size + n) * width + j] = UNKNOWN if value >= 0.0 else -UNKNOWN
-            rows[(size + 2 * n) * width + j] = 0.0
-        return
     for i in range(EVENT_ROWS * n):
         for j in range(count):
             rows[(size + i) * width + j] = search.history[(base + j) * EVENT_ROWS * n + i]
+    if rows[(size + 2 * n) * width] != NOT_BEGUN:
+        return
+    call_generated(function, WATCH, tile, (step, 0))
+    for j in range(n * width):
+        value = rows[size * width + j]
+        rows[(size + n) * width + j] = UNKNOWN if value >= 0.0 else -UNKNOWN
+        rows[(size + 2 * n) * width + j] = 0.0
 
 
 @loop_part
@@ -227,7 +231,7 @@ def _step_to_points(search):
     for k in range(lanes):
         step = (clock + DT) * lanes + k
         wide_to[step] = brackets[POINT * lanes + k] * wide[step]
-    shorter_step(function, function, trial, shape)
+    shorter_step(function, trial, shape)
     for k in range(lanes):
         if brackets[POINT * lanes + k] == 0.0:
             copy_lane(searched, trial, shape, k)
@@ -337,14 +341,20 @@ def _is_waiting(queue, lanes, lane, event):
 
 
 @loop_part
-def search_block(tile, body_of, search, block):
-    """Search the lanes that are marked after a block; bodies that have stopped keep their state."""
+def search_block(tile, body_of, left, search, block):
+    """Search the lanes that are marked after a block; bodies that have stopped keep their state.
+
+    Lanes of which fewer steps are ``left`` are waiting. Returns whether a body may have stopped.
+    """
     rows, _, _, _ = tile
     width, size, _, _, angle_row, _ = search.shape
     times, stopped, _, _, _ = search.found
     base, count, first, last = block
     lanes, events, queue = search.numbers[LANES], search.numbers[EVENTS], search.queue
+    may_stop = False
     for j in range(count):
+        if left[j] < last:
+            continue
         body = body_of[j]
         was_stopped = stopped[body] == stopped[body]
         stops = False
@@ -360,9 +370,11 @@ def search_block(tile, body_of, search, block):
                 stops = stops or search.numbers[OF_EACH + 2 * event + 1] != 0
         if stops:
             _flush(search)
+            may_stop = True
         if stopped[body] == stopped[body]:
             for i in range(angle_row):
                 rows[i * width + j] = search.begun_at[i * width + j]
+    return may_stop
 
 
 @loop_part
@@ -379,11 +391,39 @@ def end_search(rows, search, base, count):
 
 @loop_part
 def save_stopped(found, body_of, out, errors, first, count, saved):
-    """Write the final states of bodies that have stopped into all later saves."""
-    _, stopped, final, _, _ = found
+    """Write the final states of bodies that have stopped into a save."""
+    _, stopped, _, _, _ = found
     for j in range(count):
-        body = body_of[j]
-        if stopped[body] == stopped[body]:
-            for i in range(saved):
-                out[(first + body) * saved + i] = final[body * (saved + 1) + i]
-            errors[first + body] = final[body * (saved + 1) + saved]
+        if stopped[body_of[j]] == stopped[body_of[j]]:
+            _save_final(found, out, errors, first, body_of[j], saved)
+
+
+@loop_part
+def _save_final(found, out, errors, first, body, saved):
+    """Write the final state of a body into the save whose first row is ``first``."""
+    _, _, final, _, _ = found
+    for i in range(saved):
+        out[(first + body) * saved + i] = final[body * (saved + 1) + i]
+    errors[first + body] = final[body * (saved + 1) + saved]
+
+
+@loop_part
+def save_again(search, body_of, saves, stops, end, count):
+    """Write the final states of bodies that have stopped into saves before the stop ``end``.
+
+    A save within a step is made before that step is searched. ``saves`` are the saved values, the
+    norm errors, the slots of the stops, and the number of bodies.
+    """
+    _, stopped, _, _, _ = search.found
+    _, _, numbers, _ = search.searched
+    _, saved = search.io
+    out, errors, slots, ensemble = saves
+    for j in range(count):
+        body, at = body_of[j], end - 1
+        while at >= 0:
+            since = numbers[0] + stops[at * STOP_SIZE + TIME] - stopped[body]
+            if not since * numbers[1] >= 0.0:
+                break
+            if slots[at] >= 0:
+                _save_final(search.found, out, errors, slots[at] * ensemble, body, saved)
+            at -= 1

@@ -27,8 +27,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import types
-
 from fastatt._jit import address_loop, loop_part
 from fastatt.codegen.call import call_generated, doubles, octets, reals, wholes
 from fastatt.engine import crossings
@@ -37,12 +35,9 @@ from fastatt.engine.stops import (
     BEFORE,
     BEGIN,
     BREAKS,
-    COUNT,
     COUNTED_FROM,
     DT,
     ENDS,
-    ENTER,
-    LEAVE,
     PART_SIZE,
     PROJECT,
     SAVE,
@@ -50,13 +45,13 @@ from fastatt.engine.stops import (
     STOP_SIZE,
     TAKEN,
     TIME,
-    UPDATE,
-    UPDATES,
+    begin_clock,
+    begin_part,
+    change_clock,
     count_from_stop,
     count_steps,
-    on_grid,
+    end_part,
     set_clock,
-    step_to_stop,
 )
 
 #: the most bodies in a tile; few bodies take one vector
@@ -182,7 +177,7 @@ def _advance(settings, tile, kept, marks, unbounded, first, last):
 
 
 @loop_part
-def _save(settings, tile, body_of, saved, slot, steps):
+def _save(settings, tile, body_of, saved, slot, steps, search):
     """Write a tile's values to the trajectory; ``saved`` are (out, errors, diagnostics, base)."""
     rows, _, _, _ = tile
     out, errors, diagnostics, base = saved
@@ -199,6 +194,8 @@ def _save(settings, tile, body_of, saved, slot, steps):
         for j in range(count):
             value = abs(rows[(io_row + size + k - NORM) * width + j])
             _raise(diagnostics, k * n + base + j, value)
+    if search is not None:
+        crossings.save_stopped(search.found, body_of, out, errors, first, count, size)
 
 
 @loop_part
@@ -235,6 +232,7 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
 
     def run_tiles(arrays, settings, limits, first_tile, last_tile):
         """Take the steps of a span on tiles; returns the tile that lacked the any-angle form."""
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         width, size, n = settings[TILE_WIDTH], settings[SIZE], settings[BODIES]
         angle_row, io_row, clock = settings[ANGLE_ROW], settings[IO_ROW], settings[CLOCK_ROW]
         shape = width, size, settings[N_ROWS], settings[N_WIDE], angle_row, clock
@@ -272,12 +270,15 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                 reals(arrays[crossings.BEGUN_AT], kind),
                 (io_row, settings[SAVED]),
             )
+        else:
+            search = None
         for number in range(first_tile, last_tile):
             base = number * width
             count = min(n - base, width)
             for j in range(width):
                 body = min(base + j, n - 1) + settings[BODY]
                 body_of[j] = order[body] if per_body else body
+                left[j] = settings[N_STEPS]
             attitude, carried = settings[COORDINATES], settings[CARRIED]
             _load(q0, settings[Q0_LENGTH], attitude, body_of, rows, io_row, width)
             _load(y0, settings[Y0_LENGTH], carried, body_of, rows, io_row + attitude, width)
@@ -285,33 +286,21 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
             part, ahead = settings[PART], 0
             if per_body:
                 _load(step_sizes, settings[ENSEMBLE], 1, body_of, wide, clock, width)
-                row = settings[FIRST] * STOP_SIZE
-                set_clock(shape, wide, BEFORE, stops, row + COUNT)
-                if settings[FIRST] > 0:
-                    slack = stops[row - STOP_SIZE + SLACK]
-                    time = stops[row - STOP_SIZE + TIME] - stops[row + COUNTED_FROM]
-                    for j in range(width):
-                        before, _ = on_grid(time, slack, wide[(clock + DT) * width + j])
-                        wide[(clock + BEFORE) * width + j] = before
+                begin_clock(shape, wide, stops, settings[FIRST])
             elif part > 0:
                 set_clock(shape, wide, DT, parts, (part - 1) * PART_SIZE)
             watched, saved = (states, diagnostics, base), (out, errors, diagnostics, base)
+            saves = out, errors, slots, settings[ENSEMBLE]
             unbounded = _begin(settings, limits, tile, body_of, marks, known, watched)
             if events:
-                since = settings[FIRST] - settings[ORIGIN]
-                crossings.begin_events(small, tile, search, base, count, since)
+                crossings.begin_events(small, tile, search, base, count, settings[FIRST])
             at, slot = settings[FIRST], -1
             is_bent = at == settings[ORIGIN]
             if not per_body and at == settings[ORIGIN]:
                 slot = 0 if settings[SLOT] == 1 or settings[N_STEPS] == at else -1
             while True:
                 if slot >= 0:
-                    _save(settings, tile, body_of, saved, slot, at)
-                    if events:
-                        save = slot * settings[ENSEMBLE]
-                        crossings.save_stopped(
-                            found, body_of, out, errors, save, count, settings[SAVED]
-                        )
+                    _save(settings, tile, body_of, saved, slot, at, search)
                 if at >= settings[LAST]:
                     break
                 # up to the next save or projection, or each lane up to the next stop
@@ -323,12 +312,8 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                 elif part < settings[N_PARTS] and part_steps[part] == at:
                     if events:
                         crossings.keep_begin(rows, search)
-                    call_generated(small, LEAVE, tile, (at + ahead, 0))
                     row = part * PART_SIZE
-                    set_clock(shape, wide, DT, parts, row)
-                    if parts[row + UPDATES] != 0.0:
-                        call_generated(small, UPDATE, tile, (at, 0))
-                    call_generated(small, ENTER, tile, (at, 0))
+                    change_clock(small, shape, tile, parts, row, (at + ahead, at))
                     if events:
                         crossings.begin_stretch(rows, body_of, search, count)
                         is_bent = True
@@ -357,39 +342,56 @@ def _run_tiles(kind: str, per_body: bool, events: bool) -> Callable[..., Any]:
                     if not _advance(settings, tile, kept, marks, unbounded, begin, stop):
                         return number
                     if events:
-                        crossings.search_block(tile, body_of, search, (base, count, begin, stop))
+                        block = base, count, begin, stop
+                        may_stop = crossings.search_block(tile, body_of, left, search, block)
+                        if per_body and may_stop:
+                            crossings.save_again(search, body_of, saves, stops, at, count)
                     for j in range(count):
-                        angle = float(rows[angle_row * width + j])
-                        reached = left[j] >= stop if per_body else True
+                        angle, reached = float(rows[angle_row * width + j]), left[j] >= stop
                         if events:
-                            reached = stopped[body_of[j]] != stopped[body_of[j]]
+                            reached = reached and stopped[body_of[j]] != stopped[body_of[j]]
                         if reached and angle > diagnostics[ANGLE * n + base + j]:
                             diagnostics[ANGLE * n + base + j] = angle
                     if per_body:
                         for j in range(width):
                             if left[j] == stop:
-                                for i in range(size):
+                                for i in range(angle_row):
                                     waiting[i * width + j] = rows[i * width + j]
                     begin = stop
                 if per_body:
-                    for i in range(size * width):
+                    for i in range(angle_row * width):
                         rows[i] = waiting[i]
                     for j in range(width):
                         wide[(clock + BEFORE) * width + j] += max(left[j], 0)
                     is_break = stops[row + BREAKS] != 0.0
-                    is_met = slots[at] >= 0 or is_break
-                    form = small if settings[MONITOR] == NEVER else settings[ANY]
-                    if is_met and not step_to_stop(
-                        small, form, shape, tile, copied, left, time, slack
-                    ):
-                        return number
+                    # the saves between two steps are made on a copy, and steps go on from before
+                    is_kept = is_break or at + 1 == settings[N_STEPS]
+                    if is_kept or slots[at] >= 0:
+                        form = small if settings[MONITOR] == NEVER else settings[ANY]
+                        if begin_part(small, shape, tile, copied, left, time, slack):
+                            if form == 0:
+                                return number
+                            if events and is_kept:
+                                crossings.keep_begin(copied[0], search)
+                                crossings.begin_stretch(copied[0], body_of, search, count)
+                            call_generated(form, ADVANCE, copied, (0, 1))
+                            if events and is_kept:
+                                block = base, count, 0, 1
+                                if crossings.search_block(copied, body_of, left, search, block):
+                                    crossings.save_again(search, body_of, saves, stops, at, count)
+                            end_part(shape, tile, copied, left)
                     if slots[at] >= 0:
-                        _save(settings, copied, body_of, saved, slots[at], 0)
+                        _save(settings, copied, body_of, saved, slots[at], 0, search)
                     if is_break:
                         for j in range(count):
                             angle = copied[0][angle_row * width + j] if left[j] != 0 else 0.0
                             _raise(diagnostics, ANGLE * n + base + j, angle)
+                        if events:
+                            crossings.keep_begin(rows, search)
                         count_from_stop(small, shape, tile, copied, stops, row + STOP_SIZE)
+                        if events:
+                            crossings.begin_stretch(rows, body_of, search, count)
+                            is_bent = True
                     at += 1
                 elif not stays:
                     at = end
@@ -415,6 +417,7 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
     """The loop that sets the flags of bodies whose states were computed elsewhere."""
 
     def set_all_status(arrays, settings, limits, first, count):
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         states, diagnostics = reals(arrays[STATES], kind), reals(arrays[DIAGNOSTIC_ROWS], kind)
         _set_status(states, diagnostics, arrays, settings, limits, first, count)
         return count
@@ -425,17 +428,15 @@ def _set_all_status(kind: str) -> Callable[..., Any]:
 #: the loop is compiled again if its parts in other files change
 _PARTS = ("brackets.py", "crossings.py", "stops.py")
 _OTHERS = [Path(__file__).with_name(x).read_bytes() for x in _PARTS]
-_POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
-_SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 
 
 @functools.cache
 def tile_loop(kind: str, *, per_body: bool, events: bool = False) -> Callable[..., int]:
     """``run_tiles(arrays, settings, limits, first_tile, last_tile)`` for a precision."""
-    return address_loop(_SIGNATURE, _run_tiles(kind, per_body, events), _OTHERS)
+    return address_loop(_run_tiles(kind, per_body, events), _OTHERS)
 
 
 @functools.cache
 def status_loop(kind: str) -> Callable[..., int]:
     """``set_all_status(arrays, settings, limits, first, count)`` for a precision."""
-    return address_loop(_SIGNATURE, _set_all_status(kind))
+    return address_loop(_set_all_status(kind))

@@ -98,12 +98,12 @@ class Program(TwoForms):
             return aligned(n * width, dtype)
 
         n_rows, n_wide = layout.rows.count, layout.wide.count
-        size, double, whole = self.formulas.size, DTYPES["double"], np.dtype(np.int64)
+        double, whole = DTYPES["double"], np.dtype(np.int64)
         carried = layout.rows.first["angle"] + 1
         return [
             rows(n_rows, kind), rows(n_wide, double), rows(carried, kind), rows(1, whole),
-            rows(1, whole), rows(size * copies, kind), rows(1, whole), rows(n_rows * copies, kind),
-            rows(n_wide * copies, double),
+            rows(1, whole), rows((carried - 1) * copies, kind), rows(1, whole),
+            rows(n_rows * copies, kind), rows(n_wide * copies, double),
             *([rows(11, double), rows(9, whole)] if job.is_searched else []),
             *([rows(carried - 1, kind)] if job.events and not job.is_searched else []),
         ]  # fmt: skip

@@ -16,7 +16,7 @@ from fastatt.codegen.call import call_loop
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.codegen.processor import processor
 from fastatt.engine import loop
-from fastatt.engine.crossings import EVENT_ROWS
+from fastatt.engine.crossings import EVENT_ROWS, NOT_BEGUN
 from fastatt.engine.job import Job
 from fastatt.engine.program import Program
 from fastatt.engine.status import DIAGNOSTICS
@@ -234,12 +234,12 @@ class Run:
         ]  # fmt: skip
         lengths = [len(x) for x in (*start, *setup.bodies)]
         self._settings = [*bodies[::-1], results.status.size, *lengths, *setup.settings]
-        #: events: rows of each body, found times, when bodies stop, their values from then on
-        self._events: list[Array] = []
+        #: of events: rows of each body, found times, when bodies stop, their values from then on
+        self.events: list[Array] = []
         if results.event_times is not None:
             n = results.status.size
-            self._events = [
-                np.empty((bodies[1], EVENT_ROWS * len(made.job.events)), kind),
+            self.events = [
+                np.full((bodies[1], EVENT_ROWS * len(made.job.events)), NOT_BEGUN, kind),
                 results.event_times,
                 np.full(n, np.nan),
                 np.empty((n if setup.stops else 0, made.formulas.handed_out + 1), kind),
@@ -270,7 +270,7 @@ class Run:
             arrays += made.memory()
             search, job = self.setup.search, made.job
             if search is not None:
-                arrays += [self.setup.search_numbers, *self._events, *search.memory()]
+                arrays += [self.setup.search_numbers, *self.events, *search.memory()]
             run_tiles = loop.tile_loop(
                 job.kind, per_body=per_body is not None, events=search is not None
             )

@@ -47,17 +47,46 @@ def set_clock(shape, wide, first, values, at):
 
 
 @loop_part
+def begin_clock(shape, wide, stops, first):
+    """Set the clocks of lanes with per-body step sizes after the stops before ``first``."""
+    width, _, _, _, _, clock = shape
+    row = first * STOP_SIZE
+    set_clock(shape, wide, BEFORE, stops, row + COUNT)
+    if first > 0:
+        slack = stops[row - STOP_SIZE + SLACK]
+        time = stops[row - STOP_SIZE + TIME] - stops[row + COUNTED_FROM]
+        for j in range(width):
+            before, _ = on_grid(time, slack, wide[(clock + DT) * width + j])
+            wide[(clock + BEFORE) * width + j] = before
+
+
+@loop_part
+def change_clock(function, shape, tile, parts, row, steps):
+    """Continue with the clock of a part of a step; ``steps`` are those by the last clock, and all.
+
+    At a sample time states jump.
+    """
+    _, wide, _, _ = tile
+    last, now = steps
+    call_generated(function, LEAVE, tile, (last, 0))
+    set_clock(shape, wide, DT, parts, row)
+    if parts[row + UPDATES] != 0.0:
+        call_generated(function, UPDATE, tile, (now, 0))
+    call_generated(function, ENTER, tile, (now, 0))
+
+
+@loop_part
 def count_steps(shape, tile, waiting, left, time, slack):
     """Count the steps of each lane to its last before a stop; returns the largest number."""
     rows, wide, _, _ = tile
-    width, size, _, _, _, clock = shape
+    width, _, _, _, angle_row, clock = shape
     most = 0
     for j in range(width):
         count, _ = on_grid(time, slack, wide[(clock + DT) * width + j])
         left[j] = int(count - wide[(clock + BEFORE) * width + j])
         most = max(most, left[j])
         if left[j] <= 0:
-            for i in range(size):
+            for i in range(angle_row):
                 waiting[i * width + j] = rows[i * width + j]
     return most
 
@@ -100,41 +129,50 @@ def leave_steps(function, tile, shape):
 
 
 @loop_part
-def shorter_step(function, form, tile, shape):
-    """A step of the size in each lane's clock; ``form`` is the function that takes it."""
+def shorter_step(function, tile, shape):
+    """A step of the size in each lane's clock."""
     _, wide, _, _ = tile
     width, _, _, _, _, clock = shape
     call_generated(function, ENTER, tile, (0, 0))
-    call_generated(form, ADVANCE, tile, (0, 1))
+    call_generated(function, ADVANCE, tile, (0, 1))
     for j in range(width):
         wide[(clock + BEFORE) * width + j] = 1.0
 
 
 @loop_part
-def step_to_stop(function, form, shape, tile, copied, left, time, slack):
-    """Step a copy of a tile to a stop; returns whether the form that it needs is compiled."""
+def begin_part(function, shape, tile, copied, left, time, slack):
+    """Prepare a shorter step to a stop on a copy of a tile; returns whether a lane takes one.
+
+    ``left`` is 1 for these lanes, and 0 for those that have reached the stop.
+    """
     _, wide, _, _ = tile
     _, wide_copy, _, _ = copied
     width, _, _, _, _, clock = shape
     copy_tile(tile, copied, shape)
-    partial = False
+    is_any = False
     for j in range(width):
         _, rest = on_grid(time, slack, wide[(clock + DT) * width + j])
         left[j] = 1 if rest != 0.0 else 0
-        partial = partial or rest != 0.0
-    if not partial:
-        return True
-    if form == 0:
+        is_any = is_any or rest != 0.0
+    if not is_any:
         return False
     leave_steps(function, copied, shape)
     for j in range(width):
         step = (clock + DT) * width + j
         _, wide_copy[step] = on_grid(time, slack, wide[step])
-    shorter_step(function, form, copied, shape)
+    call_generated(function, ENTER, copied, (0, 0))
+    return True
+
+
+@loop_part
+def end_part(shape, tile, copied, left):
+    """End a shorter step; lanes that had reached the stop before it stay there."""
+    _, wide, _, _ = copied
+    width, _, _, _, _, clock = shape
     for j in range(width):
+        wide[(clock + BEFORE) * width + j] = 1.0
         if left[j] == 0:
             copy_lane(tile, copied, shape, j)
-    return True
 
 
 @loop_part
@@ -142,9 +180,9 @@ def count_from_stop(function, shape, tile, copied, stops, row):
     """Continue from the copy of a tile at a breakpoint, from which steps are counted."""
     rows, wide, _, _ = tile
     copy, _, _, _ = copied
-    width, size, _, _, _, _ = shape
+    width, _, _, _, angle_row, _ = shape
     call_generated(function, LEAVE, copied, (0, 0))
-    for i in range(size * width):
+    for i in range(angle_row * width):
         rows[i] = copy[i]
     set_clock(shape, wide, BEFORE, stops, row + COUNT)
     if stops[row - STOP_SIZE + BREAKS] == SAMPLE:

@@ -16,10 +16,8 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-from numba import types
-
 from fastatt._jit import address_loop, loop_part
-from fastatt.codegen.call import call_generated, doubles, reals
+from fastatt.codegen.call import call_generated, doubles, reals, wholes
 from fastatt.methods.windows import CHUNK
 
 #: lanes of a tile
@@ -152,6 +150,7 @@ def _sweep(kind):
 
     def sweep(arrays, settings, limits, first, last):
         """Integrate the logs [first, last), a lane each; returns the first tile not run."""
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
         attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
         memory = samples, spans, attitudes, state
@@ -213,6 +212,7 @@ def _along(kind):
         Each lane has a chunk; the last one may be shorter. Without ``WRITE`` only the rotations are
         computed.
         """
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
         attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
         memory = samples, spans, attitudes, state
@@ -265,6 +265,7 @@ def _chain(kind):
 
     def chain(arrays, settings, limits, first, last):
         """p after the chunks [first, last), from their rotations."""
+        arrays, settings, limits = wholes(arrays), wholes(settings), doubles(limits)
         samples, spans = reals(arrays[SAMPLES], kind), reals(arrays[SPANS], kind)
         attitudes, state = reals(arrays[ATTITUDES], kind), reals(arrays[STATE], kind)
         memory = samples, spans, attitudes, state
@@ -281,8 +282,6 @@ def _chain(kind):
     return chain
 
 
-_POINTERS = types.CPointer(types.int64), types.CPointer(types.int64), types.CPointer(types.float64)
-_SIGNATURE = types.int64(*_POINTERS, types.int64, types.int64)
 _LOOPS: dict[str, Callable[[str], Callable[..., Any]]] = {
     "sweep": _sweep,
     "along": _along,
@@ -297,4 +296,4 @@ def loop(name: str, kind: str) -> Callable[..., int]:
     They take (arrays, settings, limits, first, last), and return ``last``, or the index at which
     they stopped.
     """
-    return address_loop(_SIGNATURE, _LOOPS[name](kind), CHUNK)
+    return address_loop(_LOOPS[name](kind), CHUNK)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +19,8 @@ from fastatt.logs import names, stamps
 from fastatt.logs.gaps import ON_BAD_ROWS, Samples, in_order
 from fastatt.logs.names import UNITS, GyroLogError, GyroLogWarning
 from fastatt.logs.tables import Frame, Table, tabular
-from fastatt.logs.text import Text, opened
+from fastatt.logs.text import Text, opened, size_of
+from fastatt.threads import progress_bar
 
 # the range of most gyros (2000 deg/s), rad/s, and of any gyro, deg/s
 _MOST_RAD, _MOST_DEG = 35.0, 4500.0
@@ -94,7 +95,7 @@ def read_gyro_log(
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
     bias_seconds: float | None = None,
-    progress: Callable[[int], object] | None = None,
+    progress: bool = False,
 ) -> GyroLog:
     """Read a gyro log.
 
@@ -134,8 +135,8 @@ def read_gyro_log(
         The longest interval that is not a gap, s; the default is 10 times the usual one.
     bias_seconds : float, optional
         Subtract the mean rate of so many seconds from the start, during which the body is at rest.
-    progress : callable, optional
-        A function that is called with the number of bytes read.
+    progress : bool, default False
+        Show a progress bar of the bytes read, which needs tqdm.
 
     Returns
     -------
@@ -169,12 +170,7 @@ def read_gyro_log(
     """
     _check_words(unit=unit, time_unit=time_unit, on_bad_rows=on_bad_rows)
     max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
-    with ExitStack() as stack:
-        table: Table = (
-            Frame(source)
-            if tabular(source)
-            else Text(*stack.enter_context(opened(source)), progress)
-        )
+    with _table(source, progress) as table:
         try:
             places = _columns(table, columns, attitude_columns)
             clock = [] if rate is not None else _clock(table, time_column)
@@ -229,6 +225,16 @@ def read_gyro_log(
         pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
         summary="; ".join([*said, *samples.said]),
     )  # fmt: skip
+
+
+@contextmanager
+def _table(source: Any, progress: bool) -> Iterator[Table]:
+    """The table of a source, which can be read within the context."""
+    if tabular(source):
+        yield Frame(source)
+        return
+    with opened(source) as (name, stream), progress_bar(progress, size_of(source), "B") as done:
+        yield Text(name, stream, done)
 
 
 def _check_words(**given: str | None) -> None:

@@ -240,6 +240,12 @@ def opened(source: Any) -> Iterator[tuple[str, Any]]:
             ) from None
 
 
+def size_of(source: Any) -> int:
+    """Size of a file, bytes; 0 where it is unknown."""
+    by_name = isinstance(source, (str, PathLike)) and source != "-"
+    return Path(source).stat().st_size if by_name else 0
+
+
 def _whole_lines(stream: Any) -> Iterator[bytes]:
     """The bytes of a stream in blocks of whole lines, with one kind of line ends."""
     while data := stream.read(BYTES):

@@ -10,7 +10,6 @@ from itertools import accumulate, product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
@@ -253,9 +252,6 @@ def _run_closed_form(kind: str, lanes: int, stored: int) -> Callable[..., int]:
     return run_closed_form
 
 
-_SIGNATURE = types.int64(*[types.int64] * 7)
-
-
 class _Compiled(NamedTuple):
     """The compiled formulas, with the layout of their rows and the loop that calls them."""
 
@@ -277,7 +273,7 @@ def _compiled(solution: Solution, kind: str, turned: bool, stored: Any = None) -
     inputs |= {("t", 0): Place(TIME)} | {("constant", k): x for k, x in enumerate(kept)}
     found = [Place(row) for row in range(RESULTS, constants)]
     both = LaneFormula(prepare, inputs, kept), LaneFormula(state, inputs, found, Place(FINITE))
-    loop = address_loop(_SIGNATURE, _run_closed_form(kind, lanes, results - 3))
+    loop = address_loop(_run_closed_form(kind, lanes, results - 3))
     return _Compiled(shape, Memory(shape, n, 2), lane_function(shape, both), loop)
 
 

@@ -51,7 +51,7 @@ def execute(plan: Plan, given: Given, t0: float, options: RunOptions) -> Traject
         check_begin(start, given, t0, clock.end)
         first = int(np.searchsorted(clock.saved, start.done, side="right"))
     if start is not None:
-        check(start, plan)
+        check(start, plan, is_same_run=options.checkpoint is not None)
         options = options._replace(start=start)
     history = None
     if options.file is not None:
@@ -198,8 +198,7 @@ def _keeps_end(plan: Plan, options: RunOptions) -> bool:
     is_small = plan.n_bodies <= min(MOST, PART)
     clock = plan.clock
     ends_on_step = clock.ends is None and not isinstance(clock, PerBodyClock)
-    goes_on = not any(x.terminal for x in plan.choice.events)
-    return options.keep_end and is_small and ends_on_step and goes_on
+    return options.keep_end and is_small and ends_on_step
 
 
 def _advance(plan: Plan, run: Run, span: Span, n_threads: int, done: Done | None) -> None:

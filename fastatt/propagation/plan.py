@@ -268,6 +268,9 @@ class Plan:
         run = Run(self._setup, bodies, state, times, results, per_body, parts)
         if start is not None:
             run.states[...], run.diagnostics[...] = start.states, start.diagnostics
+            if start.watched == self.watched:
+                for to, kept in zip(run.events, start.events, strict=True):
+                    to[...] = kept
         return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
@@ -362,7 +365,7 @@ class Plan:
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
         return End(
             kept, run.states, run.diagnostics, done, t0, self.about, self.packed.params,
-            self.equations,
+            self.equations, self.watched, [x.copy() for x in run.events],
         )  # fmt: skip
 
     @cached_property
@@ -390,3 +393,13 @@ class Plan:
         for table in self.packed.tables.values():
             read.update(table.tobytes())
         return read.hexdigest()
+
+    @cached_property
+    def watched(self) -> str:
+        """A hash of the functions of the events and of what they do; empty without events."""
+        if not self.job.events:
+            return ""
+        formulas = self._program.formulas
+        each = [(watch.direction, watch.terminal) for watch in self.job.events]
+        spelled = formulas.events.spelled(formulas.resources)
+        return hashlib.sha256(f"{each}{spelled}".encode()).hexdigest()

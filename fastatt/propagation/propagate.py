@@ -150,7 +150,7 @@ def propagate(
     events : Event or sequence of Event, optional
         Events made by :func:`fastatt.event`. ``Trajectory.event_times`` holds the time at which
         each body first meets each event. Accepted with methods that take steps, and not together
-        with per-body step sizes, ``save_at``, ``resume`` or ``device``.
+        with ``device``. A resumed run continues the search if its events are the same.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def propagate(
     as_scene(scene)
     watched = events_of(events)
     if watched:
-        _check_alone("events; accepted: without", resume=resume, device=device, save_at=save_at)
+        _check_alone("events; accepted: without", device=device)
     function, file = saving(on_save)
     checkpoint = resume.path if isinstance(resume, Checkpoint) else None
     gpu = None
@@ -242,8 +242,7 @@ def propagate(
     if isinstance(clock, PerBodyClock):
         # these need one step size for all bodies, and saves after whole steps
         _check_alone(
-            "save_at or per-body step sizes; accepted: without", events=watched or None,
-            on_save=on_save,
+            "save_at or per-body step sizes; accepted: without", on_save=on_save,
             resume=checkpoint, compensated=compensated, normalise=choice.projection or None,
         )  # fmt: skip
     if on_save is not None and clock.every is None:

@@ -23,7 +23,7 @@ from fastatt.propagation.initial import Given
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_FORMAT = 4
+_FORMAT = 5
 #: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 
@@ -86,8 +86,11 @@ class End:
     t0: float
     about: dict[str, Any]
     params: NDArray[np.float64]
-    #: a hash of the operations of a step
+    #: a hash of the operations of a step, and one of the events
     equations: str
+    watched: str
+    #: what the run keeps of its events: their last values, found times, states of stopped bodies
+    events: list[NDArray[Any]]
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the end to a file, completely or not at all."""
@@ -98,9 +101,11 @@ class End:
             "done": self.done,
             "t0": self.t0.hex(),
             "equations": self.equations,
+            "watched": self.watched,
             "one_body": given.one_body,
             **self.about,
         }
+        events: dict[str, Any] = {f"events_{i}": x for i, x in enumerate(self.events)}
         handle, name = tempfile.mkstemp(prefix=target.name, dir=target.parent)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -112,6 +117,7 @@ class End:
                     states=self.states,
                     diagnostics=self.diagnostics,
                     params=self.params,
+                    **events,
                 )
                 file.flush()
                 os.fsync(file.fileno())
@@ -138,6 +144,8 @@ def loaded(path: str | os.PathLike[str]) -> End:
                 done=about.pop("done"),
                 t0=float.fromhex(about.pop("t0")),
                 equations=about.pop("equations"),
+                watched=about.pop("watched"),
+                events=[file[name] for name in sorted(file) if name.startswith("events_")],
                 params=file["params"],
                 about=about,
             )
@@ -169,8 +177,11 @@ def end_of(resume: Any) -> End:
     )
 
 
-def check(end: End, plan: Plan) -> None:
-    """Refuse to resume with other options, another scene or another method."""
+def check(end: End, plan: Plan, *, is_same_run: bool) -> None:
+    """Refuse to resume with other options, another scene or another method.
+
+    ``is_same_run`` says that an interrupted run goes on, so that its events must be the same too.
+    """
     for name, value in plan.about.items():
         if end.about[name] != value:
             raise ValueError(
@@ -179,6 +190,11 @@ def check(end: End, plan: Plan) -> None:
             )
     if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
         raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")
+    if end.watched != plan.watched and (is_same_run or any(map(np.size, end.events[3:]))):
+        raise ValueError(
+            "events: found others than those of the run that is resumed; accepted: the same, since "
+            + ("the run is not over" if is_same_run else "bodies stop at terminal ones")
+        )
 
 
 def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:

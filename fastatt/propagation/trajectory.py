@@ -207,18 +207,18 @@ class Trajectory:
         ValueError
             If the shapes do not broadcast, the saved times differ, or a matrix is not a rotation.
         """
-        return np.asarray(arrays.angle_between(self.q, self._reference("target", target)))
+        return np.asarray(arrays.angle_between(self.q, self._target(target)))
 
-    def rotation_vector_to(self, reference: Any) -> NDArray[Any]:
-        """Rotation vector u from the attitude to a reference attitude: q∘exp(u) is the reference.
+    def rotation_vector_to(self, target: Any) -> NDArray[Any]:
+        """Rotation vector u from the attitude to a target: q∘exp(u) is the target.
 
         The length of u is the ``pointing_error``, at most π. Its components are the attitude errors
         about the body axes, as feedback laws need them.
 
         Parameters
         ----------
-        reference : array_like or Trajectory
-            The reference attitude, in the forms that :meth:`pointing_error` accepts.
+        target : array_like or Trajectory
+            The target, in the forms that :meth:`pointing_error` accepts.
 
         Returns
         -------
@@ -230,7 +230,7 @@ class Trajectory:
         ValueError
             If the shapes do not broadcast, the saved times differ, or a matrix is not a rotation.
         """
-        wanted = self._reference("reference", reference)
+        wanted = self._target(target)
         between = arrays.quat_multiply(self.q * np.array([1, -1, -1, -1], self.q.dtype), wanted)
         return arrays.quat_to_rotation_vector(between)
 
@@ -257,21 +257,21 @@ class Trajectory:
         checks.refuse("axis: its length", size, ~((size > 0.0) & np.isfinite(size)), "above 0")
         return arrays.quat_rotate(self.q, given / size)
 
-    def _reference(self, name: str, value: Any) -> NDArray[Any]:
+    def _target(self, value: Any) -> NDArray[Any]:
         """Quaternions of a target that broadcast against q, in its precision."""
         if isinstance(value, Trajectory):
             if not np.array_equal(value.t, self.t):
                 raise ValueError(
-                    f"{name}: found a run with other saved times; accepted: the same times, or "
+                    "target: found a run with other saved times; accepted: the same times, or "
                     "attitudes of fa.interpolate at run.t"
                 )
             q = value.q[:, None] if value.one_body and not self.one_body else value.q
         else:
-            q = arrays.as_quat(name, value)
+            q = arrays.as_quat("target", value)
         shapes = zip(q.shape[::-1], self.q.shape[::-1], strict=False)
         if q.ndim > self.q.ndim or any(a not in (1, b) for a, b in shapes):
             raise ValueError(
-                f"{name}: has shape {q.shape}, q {self.q.shape}; accepted: shapes that broadcast "
+                f"target: has shape {q.shape}, q {self.q.shape}; accepted: shapes that broadcast "
                 "to that of q"
             )
         return q.astype(self.q.dtype, copy=False)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.inertia import is_tensor
-from fastatt.scene.models import Field, Law, PackedLaw, Resources, join, resources_of
+from fastatt.scene.models import Field, Law, PackedLaw, Resources, Sampling, join, resources_of
 from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
 from fastatt.tracing.graph import apply, choose
@@ -39,8 +39,9 @@ class ReactionWheels(Torque):
     unless other torques act. ``inertia`` of the scene is I, the spacecraft's inertia **without**
     the wheels' inertia about their axes; ``body_inertia`` takes that off the inertia of the whole.
 
-    A run takes the initial h as ``s0``, the states of the command after them, and gives them as
-    ``run.s``; ``momenta`` and ``speeds`` convert.
+    A run takes the initial h as ``s0`` and gives them as ``run.s``; ``momenta`` and ``speeds``
+    convert. The K torques that a sampled function holds come after them, then the states of the
+    command.
 
     Parameters
     ----------
@@ -53,12 +54,21 @@ class ReactionWheels(Torque):
     command : callable, Torque or None
         What motors are commanded. A function ``command(t, q, w, s, p)`` gives a torque on each
         wheel, N·m, as a tuple of K, or a number of one wheel; s is the tuple of the speeds Ω,
-        rad/s. A model of ``fastatt.torques`` gives the torque that the motors are to exert on the
-        body, N·m, which the pseudo-inverse of the axes distributes over the wheels; it may carry
-        states, such as a PID controller written with ``Custom(function, params, states=3)``, and
-        may be sampled, ``SampledControl``. None leaves the motors off.
+        rad/s, and of its own ``states``. A model of ``fastatt.torques`` gives the torque that the
+        motors are to exert on the body, N·m, which the pseudo-inverse of the axes distributes over
+        the wheels; it may carry states, such as a PID controller written with ``Custom(function,
+        params, states=3)``, and may be sampled, ``SampledControl``. None leaves the motors off.
     params : array_like, optional
         (P,) or (N, P), of a ``command`` that is a function: its argument p.
+    states : int
+        How many states a ``command`` that is a function has. It then returns two tuples: the
+        torques, and the time derivatives of its states, or their next values if it is sampled.
+    period : float, optional
+        s, above 0, of a ``command`` that is a function: it is evaluated at the sample times
+        start + k period, and its torques are held in between, as in :class:`SampledControl`.
+        Without it the command is evaluated at all times.
+    start : float
+        A sample time, s, on the clock of ``t0``.
     viscous : array_like
         Coefficient of viscous friction, N·m·s, 0 or more.
     coulomb : array_like
@@ -79,6 +89,10 @@ class ReactionWheels(Torque):
         For axes that are no unit vectors, and for numbers of another shape or sign.
     TypeError
         For a command that is neither a function nor a model.
+
+    See Also
+    --------
+    SampledControl : A sampled torque on the body, also as ``command``; it knows no wheel speeds.
 
     Notes
     -----
@@ -108,6 +122,9 @@ class ReactionWheels(Torque):
     inertia: _OfWheels
     command: Callable[..., Any] | Torque | None = None
     params: Annotated[ArrayLike | None, Field((-1,))] = None
+    states: int = 0  # type: ignore[misc]
+    period: float | None = None
+    start: float = 0.0
     viscous: _OfWheels = 0.0
     coulomb: _OfWheels = 0.0
     coulomb_speed: _OfWheels = 1.0
@@ -138,11 +155,15 @@ class ReactionWheels(Torque):
         }
         for key, value in limits.items():
             columns[key] = _each(f"{name}.{key}", value, count, above_zero=True)
-        command: Any = None
+        command, sampled = None, self._sampling(name)
+        own = checks.whole(f"{name}.states", self.states, 0)
         label = f"{name}.command"
+        if self.command is None or isinstance(self.command, models.Model):
+            found = "without command" if self.command is None else "beside a model"
+            for key in ("params", "states", "period"):
+                if getattr(self, key):
+                    raise ValueError(f"{name}.{key}: found {found}; accepted: with a function")
         if isinstance(self.command, models.Model):
-            if self.params is not None:
-                raise ValueError(f"{name}.params: found beside a model; accepted: with a function")
             packed = models.pack(self.command, Torque, n_bodies, resources, argument=label)
             command, columns["params"] = packed.structure, packed.params
             inverse = -np.linalg.pinv(axes)  # of rows a_k: (3, K)
@@ -155,18 +176,28 @@ class ReactionWheels(Torque):
                 )
             given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
             columns["params"] = given
-            command = user_function(self.command, "command", given.shape[-1], given, count)
+            command = user_function(
+                self.command, "command", given.shape[-1], given, count + own, own
+            )
             resources.update(resources_of(command))
-        states = count + (command.states if isinstance(command, Law) else 0)
+        states = count * (1 if sampled is None else 2) + own
+        states += command.states if isinstance(command, Law) else 0
         sizes = tuple(column.shape[-1] for column in columns.values())
         nothing: dict[str, Any] = dict.fromkeys(columns)
-        driven = _Driven(**nothing, command=command, states=states)
+        driven = _Driven(**nothing, command=command, states=states, sampled=sampled)
         law = Law(driven, sizes, (None,) * len(sizes))
         return law, join(list(columns.values()), n_bodies, name)
 
     def corners(self) -> NDArray[np.float64]:
         """Those of a command that is a model."""
         return self.command.corners() if isinstance(self.command, models.Model) else np.zeros(0)
+
+    def _sampling(self, name: str) -> Sampling | None:
+        """The sample times of a command that is a function."""
+        start = checks.real(f"{name}.start", self.start)
+        if self.period is None:
+            return None
+        return Sampling(checks.above_zero(f"{name}.period", self.period, "above 0, s"), start)
 
     def _unit_axes(self, name: str) -> NDArray[np.float64]:
         axes = models.numbers(f"{name}.axes", self.axes)
@@ -298,11 +329,12 @@ class _Driven(Torque):
     params: _OfWheels
     command: Law | UserFunction | None = None
     states: int = 0  # type: ignore[misc]
+    #: sample times of a command that is a function
+    sampled: Sampling | None = None
 
     @property
     def sampling(self) -> Any:  # type: ignore[override]
-        """That of a command that is a model."""
-        return self.command.sampling if isinstance(self.command, Law) else None
+        return self.command.sampling if isinstance(self.command, Law) else self.sampled
 
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
@@ -312,9 +344,7 @@ class _Driven(Torque):
     def evaluate(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
         count, body = len(self.inertia), pose.along_body
         momenta, more = states[:count], states[count:]
-        speeds = tuple(
-            h / j - dot(a, body.w) for h, j, a in zip(momenta, self.inertia, self.axes, strict=True)
-        )
+        speeds = self._speeds(momenta, body)
         motors, slopes = self._commanded(t, pose, speeds, more)
         motors = tuple(self._within_limits(k, u, speeds[k]) for k, u in enumerate(motors))
         friction = tuple(
@@ -333,21 +363,38 @@ class _Driven(Torque):
 
     def update(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
         count = len(self.inertia)
-        made = self.command.updated(t, pose, self.params, states[count:])
-        return (*states[:count], *made)
+        momenta, more = states[:count], states[count:]
+        if isinstance(self.command, Law):
+            return (*momenta, *self.command.updated(t, pose, self.params, more))
+        speeds = self._speeds(momenta, pose.along_body)
+        return (*momenta, *self._called(t, pose, (*speeds, *more[count:])))
+
+    def _speeds(self: Any, momenta: Vector, body: Pose) -> Vector:
+        """The speeds of the wheels relative to the body."""
+        return tuple(
+            h / j - dot(a, body.w) for h, j, a in zip(momenta, self.inertia, self.axes, strict=True)
+        )
+
+    def _called(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+        """What a command that is a function returns, in a row."""
+        body = pose.along_body
+        found = self.command.call(t, body.quaternion, body.w, states, self.params)
+        found = tuple(found) if isinstance(found, (tuple, list)) else (found,)
+        return as_like(found, pose.moments[0])
 
     def _commanded(self: Any, t: Any, pose: Pose, speeds: Vector, states: Vector) -> Any:
         """Torques that are commanded of the motors, and the time derivatives of states."""
+        count = len(speeds)
         if self.command is None:
-            return (0.0,) * len(speeds), ()
+            return (0.0,) * count, ()
         if isinstance(self.command, Law):
             found = self.command.formula(t, pose, self.params, states=states)
             torque = found[:3] if pose.axes is None else quat.rotate(pose.axes, found[:3])
             return tuple(dot(row, torque) for row in self.distribution), found[3:]
-        body = pose.along_body
-        found = self.command.call(t, body.quaternion, body.w, speeds, self.params)
-        found = found if isinstance(found, tuple) else (found,)
-        return as_like(tuple(found), pose.moments[0]), ()
+        if self.sampled is not None:
+            return states[:count], (0.0,) * len(states)
+        found = self._called(t, pose, (*speeds, *states))
+        return found[:count], found[count:]
 
     def _within_limits(self: Any, k: int, torque: Any, speed: Any) -> Any:
         """A motor's torque within what it can give."""

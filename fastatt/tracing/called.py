@@ -59,9 +59,9 @@ def in_a_row(result: Any, form: Signature) -> Any:
         return found[0] if is_one else found
     if not (isinstance(result, (tuple, list)) and len(result) == 2):
         return ()
-    acting, slopes = map(numbers_of, result)
-    slopes = slopes if isinstance(slopes, tuple) else (slopes,)
-    return (*acting, *slopes) if isinstance(acting, tuple) and len(slopes) == states else ()
+    parts = map(numbers_of, result)
+    acting, slopes = (x if isinstance(x, tuple) else (x,) for x in parts)
+    return (*acting, *slopes) if len(slopes) == states else ()
 
 
 def floats(result: Any) -> list[float]:

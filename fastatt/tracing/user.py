@@ -44,7 +44,8 @@ _TOLERANCE = 1e-9
 class Signature(NamedTuple):
     """A function's arguments before its parameters (0: a number, n: a tuple), and its results.
 
-    ``results`` 0 means as many as there are parameters, −1 as many as states. A function that
+    ``results`` 0 means as many as there are parameters, −1 as many as states that are not the
+    function's own. A function that
     ``carries`` states returns two tuples, the second with their time derivatives; ``results`` are
     then the numbers of both.
     """
@@ -56,13 +57,18 @@ class Signature(NamedTuple):
     carries: bool = False
     states: int = 0
 
-    def with_states(self, n: int) -> Signature:
-        """The signature of a function that also takes n states, before its parameters."""
+    def with_states(self, n: int, own: int | None = None) -> Signature:
+        """The signature of a function that also takes n states, before its parameters.
+
+        ``own`` is how many of them it carries itself, all or none by default.
+        """
         if not n:
             return self
-        call, given = self.call.replace(", p)", ", s, p)"), n if self.carries else 0
-        results = n if self.results < 0 else self.results + given
-        return self._replace(call=call, before=(*self.before, n), results=results, states=given)
+        if own is None:
+            own = n if self.carries else 0
+        call = self.call.replace(", p)", ", s, p)")
+        results = (n - own if self.results < 0 else self.results) + own
+        return self._replace(call=call, before=(*self.before, n), results=results, states=own)
 
 
 FORMS = {
@@ -82,9 +88,7 @@ FORMS = {
 }
 
 # user-defined functions with the values of their names for which they were made
-_KNOWN: WeakKeyDictionary[Any, dict[tuple[str, int, int], tuple[Any, UserFunction]]] = (
-    WeakKeyDictionary()
-)
+_KNOWN: WeakKeyDictionary[Any, dict[Any, tuple[Any, UserFunction]]] = WeakKeyDictionary()
 
 
 def user_function(
@@ -93,12 +97,14 @@ def user_function(
     n_params: int,
     params: NDArray[np.float64] | None = None,
     states: int = 0,
+    own: int | None = None,
 ) -> UserFunction:
     """A user-defined function, made once for a number of parameters and its names' values.
 
     ``form`` is a key of ``FORMS``. ``params``, (P,) or (N, P), are parameters with which the
-    function is tried, and ``states`` is the number of states that it takes. Raises ``TypeError`` if
-    it is not a function, does not compile, or does not return the right number of results.
+    function is tried, ``states`` is the number of states that it takes, and ``own`` how many of
+    them it carries itself, all or none by default. Raises ``TypeError`` if it is not a function,
+    does not compile, or does not return the right number of results.
     """
     inner = opened(function)[0]
     if not isinstance(getattr(inner, "py_func", inner), FunctionType):
@@ -110,10 +116,10 @@ def user_function(
         made = _KNOWN.setdefault(function, {})
     except TypeError:  # an object without a hash or weak references
         made = {}
-    key, now = (form, n_params, states), snapshot(function)
+    key, now = (form, n_params, states, own), snapshot(function)
     before, found = made.get(key, (None, None))
     if found is None or before != now:
-        found = UserFunction(function, form, n_params, params, states)
+        found = UserFunction(function, form, n_params, params, states, own)
         made[key] = now, found
     return found
 
@@ -133,9 +139,10 @@ class UserFunction:
         n_params: int,
         params: NDArray[np.float64] | None = None,
         states: int = 0,
+        own: int | None = None,
     ) -> None:
-        own = FORMS[form].with_states(states)
-        self.form = own if own.results else own._replace(results=n_params)
+        form_of = FORMS[form].with_states(states, own)
+        self.form = form_of if form_of.results else form_of._replace(results=n_params)
         self.argument = form.partition(" ")[0]
         self.n_params = n_params
         inner = opened(function)[0]

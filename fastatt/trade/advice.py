@@ -49,7 +49,7 @@ def recommend(
     dtypes: Sequence[str] = DTYPES,
     sample: int = 128,
     n_threads: int | None = None,
-    seed: int = 0,
+    rng: int | np.random.Generator = 0,
     progress: bool = False,
 ) -> Recommendation:
     """Recommend the method, step size and precision that meet a tolerance in the shortest time.
@@ -94,8 +94,8 @@ def recommend(
         Number of bodies on which errors are measured.
     n_threads : int, optional
         Number of threads, as in :func:`fastatt.propagate`.
-    seed : int, default 0
-        Seed of the random choice of bodies.
+    rng : int or numpy.random.Generator, default 0
+        Random generator, or a seed for one, which chooses bodies.
     progress : bool, default False
         Show a progress bar, which needs tqdm.
 
@@ -154,7 +154,7 @@ def recommend(
         whole,
         checks.choice("at", at, ("run", "end")),
         checks.whole("sample", sample, 1),
-        np.random.default_rng(seed),
+        np.random.default_rng(rng),
         wanted / _FINER if tol is not None else 0.0,
     )
     search.known.refuse_jumps()

@@ -153,7 +153,7 @@ class Row:
         Angles at the end, rad: median, 95th percentile and largest of the bodies.
     rate_error_median, rate_error_max : float or None
         Errors of the angular velocity at the end, rad/s.
-    defect_max : float
+    norm_error_max : float
         Largest ``||q| − 1|`` or ‖C Cᵀ − 1‖ over the run.
     energy_drift_max, momentum_drift_max : float or None
         Largest relative drift; None if the scene does not conserve it.
@@ -184,7 +184,7 @@ class Row:
     error_max: float
     rate_error_median: float | None
     rate_error_max: float | None
-    defect_max: float = 0.0
+    norm_error_max: float = 0.0
     energy_drift_max: float | None = None
     momentum_drift_max: float | None = None
     seconds_per_body: float
@@ -257,7 +257,7 @@ def measure(
         None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
         operations=problem.operations(case),
         threads=problem.threads(n_steps),
-        defect_max=float(np.abs(saved.norm_error).max()),
+        norm_error_max=float(np.abs(saved.norm_error).max()),
         energy_drift_max=None if kept is None or kept.energy is None else float(kept.energy.max()),
         momentum_drift_max=(
             None if kept is None or kept.momentum is None else float(kept.momentum.max())
@@ -314,7 +314,7 @@ _COLUMNS: tuple[Column, ...] = (
     ("max", "error_max", "{:.1e}".format),
     ("w, rad/s", "rate_error_median", "{:.1e}".format),
     ("max", "rate_error_max", "{:.1e}".format),
-    ("norm_error", "defect_max", "{:.1e}".format),
+    ("norm_error", "norm_error_max", "{:.1e}".format),
     ("energy", "energy_drift_max", "{:.1e}".format),
     ("momentum", "momentum_drift_max", "{:.1e}".format),
     ("order", "order", "{:.2f}".format),

@@ -97,7 +97,7 @@ def per_body_steps(
     s0: ArrayLike | None = None,
     t0: float = 0.0,
     sample: int = 1536,
-    seed: int = 0,
+    rng: int | np.random.Generator = 0,
 ) -> PerBodySteps:
     """Find per-body step sizes for which the largest error over a run meets a tolerance.
 
@@ -129,8 +129,8 @@ def per_body_steps(
     sample : int, default 1536
         Number of bodies that are run, the fastest among them, in addition to those with the
         smallest and the largest of each number of the scene.
-    seed : int, default 0
-        Seed of the random choice of bodies.
+    rng : int or numpy.random.Generator, default 0
+        Random generator, or a seed for one, which chooses bodies.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def per_body_steps(
     record = method_of(scene, method, "quat", need="is_stepped")
     n = whole.ensemble.size
     classes = _Classes(whole, record)
-    rows = classes.sample(checks.whole("sample", sample, 1), np.random.default_rng(seed))
+    rows = classes.sample(checks.whole("sample", sample, 1), np.random.default_rng(rng))
     if rows.size < n and scene.rows is not None:
         numbers = scene.packed(n).params
         rows = np.unique([*rows, *numbers.argmin(axis=0), *numbers.argmax(axis=0)])

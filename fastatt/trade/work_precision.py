@@ -161,7 +161,7 @@ def work_precision(
     repeats: int = 3,
     max_seconds: float = 60.0,
     n_threads: int | None = None,
-    seed: int = 0,
+    rng: int | np.random.Generator = 0,
     progress: bool = False,
 ) -> WorkPrecision:
     """Measure methods over a ladder of step sizes on a sample of an ensemble.
@@ -198,8 +198,8 @@ def work_precision(
         Time for all rows together, s, without compilation; each case has its share.
     n_threads : int, optional
         Number of threads, as in :func:`fastatt.propagate`.
-    seed : int, default 0
-        Seed of the random choice of bodies.
+    rng : int or numpy.random.Generator, default 0
+        Random generator, or a seed for one, which chooses bodies.
     progress : bool, default False
         Show a progress bar, which needs tqdm.
 
@@ -235,7 +235,7 @@ def work_precision(
     cases = cases_of(scene, methods, representations, dtypes)
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     size = checks.whole("sample", sample, 1)
-    rows = spread(whole, size, np.random.default_rng(seed))
+    rows = spread(whole, size, np.random.default_rng(rng))
     problem = whole.take(rows)
     known = reference(problem)
     check = confirm(problem, known)

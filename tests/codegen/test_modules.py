@@ -457,7 +457,7 @@ def test_a_loop_is_kept_until_it_is_edited(tmp_path, monkeypatch):
         calls.write_text(called)
         scope = {"__name__": "loop"}
         exec(compile(text, str(file), "exec"), scope)
-        found = _jit.address_loop(types.int64(types.int64), scope["run"])
+        found = _jit.address_loop(scope["run"])
         return found(41), found.function.cache_hits
 
     assert [loop(), loop(), loop(added=2), loop(added=2, called="second")] == [

@@ -300,7 +300,7 @@ def test_work_precision_counts_every_chunk(monkeypatch):
     assert error.argmax() == rate.argmax() == np.abs(run.norm_error[-1]).argmax() == 40
     assert row.error_max == pytest.approx(error.max(), rel=1e-6)
     assert row.rate_error_max == pytest.approx(rate.max(), rel=1e-6)
-    assert row.defect_max == np.abs(run.norm_error).max()
+    assert row.norm_error_max == np.abs(run.norm_error).max()
     counts = run.status_counts()
     assert counts
     assert row.status == ", ".join(f"{name} {n}" for name, n in counts.items())

@@ -61,6 +61,7 @@ FALLING = fa.Scene(inertia=TENSOR, mass=2.0, force=fa.forces.ConstantInertial((0
 GLIDING = fa.Scene(rate=BODIES.model, mass=1.5, force=fa.forces.Drag(0.2))
 FAR = fa.Scene(rate=fa.rates.Polynomial(BODIES.c * np.linspace(1.0, 100.0, N)[:, None, None]))
 
+AT = np.linspace(0.0, 0.05 * STEPS, 5)
 EVENTS = [
     fa.event(lambda t, q, w, p: (t - 0.52) ** 2 - 1e-6),
     fa.event(lambda t, q, w, p: w[0] - 0.1, terminal=True),
@@ -91,6 +92,7 @@ RUNS = {
     "gliding": (GLIDING, "rk4", "quat", {}),
     "events": (FREE, "rk4", "quat", {"events": EVENTS}),
     "events, kicked": (KICKED, "kahan_li6", "quat", {"events": EVENTS}),
+    "events, times": (FREE, "rk4", "quat", {"events": EVENTS, "save_every": None, "save_at": AT}),
 }
 SINGLE = ("each coning", "matrices", "compensated", "called", "beyond", "symmetric", "torqued")
 CASES = [(name, "float64") for name in RUNS] + [(name, "float32") for name in SINGLE]
@@ -100,9 +102,10 @@ def run(name, dtype="float64", **options):
     scene, method, representation, more = RUNS[name]
     w0 = None if scene.kind == "rate" else W0
     v0 = V0 if scene.moves else None
+    given = {"save_every": 16} | more | options
     return fa.propagate(
-        scene, Q0, w0, v0=v0, dt=0.05, n_steps=STEPS, method=method, save_every=16,
-        representation=representation, dtype=dtype, **more, **options,
+        scene, Q0, w0, v0=v0, dt=0.05, n_steps=STEPS, method=method,
+        representation=representation, dtype=dtype, **given,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import sys
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fastatt.logs import GyroLogError, read_gyro_log
+from fastatt.logs import log as log_module
 from fastatt.logs import text as texts
 from fastatt.logs.attitudes import attitude_file
 
@@ -425,9 +427,15 @@ def test_blocks_join(tmp_path, monkeypatch, reader):
     monkeypatch.setattr(texts, "BYTES", 50)
     numbers = np.arange(60.0).reshape(20, 3)
     text = "wx,wy,wz\n" + "\n".join(",".join(map(str, r)) for r in numbers)
-    seen: list[int] = []
     path = write(tmp_path / "a.csv", text)
-    found = read_gyro_log(path, rate=1.0, unit="rad/s", progress=seen.append)
+    seen: list[int] = []
+
+    def bar(wanted, total, unit):
+        assert (wanted, total, unit) == (True, path.stat().st_size, "B")
+        return nullcontext(seen.append)
+
+    monkeypatch.setattr(log_module, "progress_bar", bar)
+    found = read_gyro_log(path, rate=1.0, unit="rad/s", progress=True)
     assert np.array_equal(found.rates, numbers)
     assert sum(seen) == path.stat().st_size - len("wx,wy,wz\n")
 

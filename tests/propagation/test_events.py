@@ -326,13 +326,7 @@ def test_what_is_refused():
     given = {**RUN, "events": EVENTS}
     with pytest.raises(ValueError, match=r"method with events: found 'exact'; accepted: .*rk8"):
         fa.propagate(BODY, Q0, W0, **given, method="exact")
-    with pytest.raises(ValueError, match="save_at: found with events"):
-        fa.propagate(BODY, Q0, W0, **given, save_at=[1.0])
-    with pytest.raises(ValueError, match=r"events: found with .*per-body step sizes"):
-        fa.propagate(BODY, Q0, W0, dt=[0.02] * N, n_steps=500, events=EVENTS)
     done = fa.propagate(BODY, Q0, W0, **RUN, method="rk4")
-    with pytest.raises(ValueError, match="resume: found with events"):
-        fa.propagate(BODY, **given, resume=done)
     with pytest.raises(ValueError, match="event_times: the run had no events"):
         _ = done.event_times
     with pytest.raises(TypeError, match=r"events: found .*; accepted: a list of fastatt.event"):

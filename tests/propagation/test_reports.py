@@ -78,7 +78,7 @@ def test_precision_is_the_runs():
         (lambda: RUN.pointing_error(np.ones((3, 4))), r"target: has shape \(3, 4\), q"),
         (lambda: RUN.pointing_error([1.0, 0.0, 0.0]), r"target: has shape \(3,\); accepted"),
         (lambda: RUN.pointing_error(np.ones((2, 11, 5, 4))), "target: has shape"),
-        (lambda: ONE.rotation_vector_to(UNITS), r"reference: has shape \(11, 5, 4\), q \(11, 4\)"),
+        (lambda: ONE.rotation_vector_to(UNITS), r"target: has shape \(11, 5, 4\), q \(11, 4\)"),
         (lambda: ONE.pointing_error(RUN), "target: has shape"),
         (lambda: RUN.body_axis([0.0, 0.0, 0.0]), "axis: its length"),
         (lambda: RUN.body_axis([np.nan, 0.0, 1.0]), "axis: its length"),
@@ -92,5 +92,5 @@ def test_what_does_not_fit_is_refused(call, message):
 
 def test_a_run_with_other_times_is_refused():
     other = fa.propagate(SCENE, Q0, W0, dt=0.05, n_steps=40, save_every=8)
-    with pytest.raises(ValueError, match="reference: found a run with other saved times"):
+    with pytest.raises(ValueError, match="target: found a run with other saved times"):
         RUN.rotation_vector_to(other)

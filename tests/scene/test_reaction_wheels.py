@@ -46,7 +46,7 @@ SCENE = fa.Scene(inertia=DRIVEN.body_inertia(WHOLE), torque=DRIVEN)
 S0 = DRIVEN.momenta(SPEEDS, W0)
 
 
-def truth(end, motors, n_more=0, scene_torque=None):
+def truth(end, motors, n_more=0, scene_torque=None, begin=None):
     """(q, w, speeds, more) at the end by DOP853, from Euler's equation of the whole spacecraft.
 
     Its unknowns are the speeds, whose equations J (Ω̇ + a·ẇ) = u are solved together with it.
@@ -66,7 +66,7 @@ def truth(end, motors, n_more=0, scene_torque=None):
         turned = 0.5 * np.concatenate([[-v @ w], a * w + np.cross(v, w)])
         return np.concatenate([turned, found, changes])
 
-    begin = np.concatenate([Q0, W0, SPEEDS, np.zeros(n_more)])
+    begin = np.concatenate([Q0, W0, SPEEDS, np.zeros(n_more)] if begin is None else begin)
     y = solve_ivp(slope, (0.0, end), begin, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     return y[:4] / np.linalg.norm(y[:4]), y[4:7], y[7 : 7 + count], y[7 + count :]
 
@@ -177,6 +177,52 @@ def test_a_model_commands_the_torque_on_the_body():
         np.testing.assert_array_equal(one.q[-1], run.q[-1, body])
 
 
+def law(t, q, w, s, p):
+    """Rate damping and integral control that reads the speeds; s are these, then the integral."""
+    speeds, integral = s[:4], s[4:]
+    torque = [p[0] * w[k] + p[1] * integral[k] for k in range(3)]
+    motors = tuple(0.4 * torque[k % 3] - 0.003 * x for k, x in enumerate(speeds))
+    return motors, tuple(2.0 * q[0] * x - 0.1 * m for x, m in zip(q[1:], integral, strict=True))
+
+
+def test_a_function_with_states_reads_the_speeds():
+    model = wheels(command=law, params=(0.8, 0.2), states=3, **FRICTION)
+    push = (0.02, 0.0, -0.01)
+    scene = fa.Scene(
+        inertia=model.body_inertia(WHOLE), torque=fa.torques.Sum((fa.torques.Constant(push), model))
+    )
+    assert scene.states == 7
+    s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(3)])
+
+    def motors(t, q, w, speeds, more):
+        found, changes = law(t, q, w, (*speeds, *more), (0.8, 0.2))
+        return np.array(found) - friction(speeds), changes
+
+    wanted = truth(5.0, motors, 3, lambda t: np.array(push))
+    agree(fa.propagate(scene, Q0, W0, s0=s0, **RUN), model, wanted, 1e-10)
+
+
+def test_a_sampled_function_reads_the_speeds():
+    """What it holds from one sample time to the next is a torque of each wheel."""
+    period = 0.27
+    model = wheels(command=law, params=(0.8, 0.2), states=3, period=period, **FRICTION)
+    scene = fa.Scene(inertia=model.body_inertia(WHOLE), torque=model)
+    assert scene.states == 11
+    s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(7)])
+    # a step size that does not divide the period
+    run = fa.propagate(scene, Q0, W0, s0=s0, dt=0.02, t_end=5.0 * period + 0.1, method="rk8")
+    found, memory = (Q0, W0, SPEEDS), np.zeros(3)
+    for k in range(6):
+        q, w, speeds = found[:3]
+        held, memory = law(k * period, q, w, (*speeds, *memory), (0.8, 0.2))
+
+        def motors(t, q, w, speeds, more, held=held):
+            return np.array(held) - friction(speeds), more
+
+        found = truth(period if k < 5 else 0.1, motors, begin=found[:3])
+    agree(run, model, (*found[:3], np.concatenate([held, memory])), 1e-10)
+
+
 def test_numbers_of_each_body():
     axes = np.stack([AXES, AXES[[1, 2, 0, 3]]])
     own = fa.torques.ReactionWheels(
@@ -235,6 +281,11 @@ def test_one_wheel_takes_a_number():
         ({"command": 3.0}, TypeError, r"command: found 3.0; accepted: a function command\("),
         ({"command": lambda t, q, w, s, p: (t, t)}, TypeError, r"a tuple of 4 floats"),
         ({"command": fa.torques.Damping(1.0), "params": 1.0}, ValueError, r"params: found beside"),
+        ({"command": fa.torques.Damping(1.0), "period": 1.0}, ValueError, r"period: found beside"),
+        ({"command": fa.torques.Damping(1.0), "states": 1}, ValueError, r"states: found beside"),
+        ({"command": spin_up, "period": 0.0}, ValueError, r"period.*0.0; accepted: above 0"),
+        ({"states": 2}, ValueError, r"states: found without command; accepted: with a function"),
+        ({"command": spin_up, "states": 2}, TypeError, r"spin_up\(t, q, w, s, p\)"),
     ],
 )
 def test_what_is_refused(options, error, message):

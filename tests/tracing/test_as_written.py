@@ -138,6 +138,10 @@ def test_one_number_may_be_in_a_row(name):
     assert_allclose(made.call(*POINT), 0.3 - 1.3, rtol=1e-15)
 
 
+def number_and_slope(t, q, w, s, p):
+    return 0.01 - s[0], [-s[1]]
+
+
 def test_the_command_of_one_wheel_may_be_a_tuple():
     runs = []
     for command in (lambda t, q, w, s, p: 0.01 - s[0], lambda t, q, w, s, p: (0.01 - s[0],)):
@@ -146,6 +150,8 @@ def test_the_command_of_one_wheel_may_be_a_tuple():
         start = {"q0": [1, 0, 0, 0], "w0": [0.1, 0.2, 0.3], "s0": [0.0]}
         runs.append(fa.propagate(scene, **start, dt=0.1, n_steps=5, method="rk4"))
     np.testing.assert_array_equal(runs[0].s, runs[1].s)
+    of_states = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, number_and_slope, states=1)
+    assert fa.Scene(inertia=(2.0, 1.5, 1.0), torque=of_states).functions[0].straight
     two = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, lambda t, q, w, s, p: (t, t))
     with pytest.raises(TypeError, match=r"^command: .* returns .*; accepted is a float, N·m$"):
         fa.Scene(inertia=(2.0, 1.5, 1.0), torque=two)

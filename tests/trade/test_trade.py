@@ -157,7 +157,7 @@ def test_measured_errors_are_those_of_the_library():
     row = measure(still, end, Case("dmv10"), 2, repeats=1)
     assert row.error_max == pytest.approx(0.1)
     assert row.rate_error_max == pytest.approx(5.0)
-    assert (row.defect_max, row.energy_drift_max, row.momentum_drift_max) == (0.0, 0.0, 0.0)
+    assert (row.norm_error_max, row.energy_drift_max, row.momentum_drift_max) == (0.0, 0.0, 0.0)
     assert row.status == ""
 
 

@@ -1,0 +1,188 @@
+"""Events of runs with ``save_at``, with per-body step sizes, and of runs that are resumed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+
+MOMENTS = (3.0, 2.0, 1.0)
+BODY = fa.Scene(inertia=MOMENTS)
+RNG = np.random.default_rng(4)
+N = 70  # a tile and some
+Q0 = RNG.normal(size=(N, 4))
+Q0 /= np.linalg.norm(Q0, axis=1)[:, None]
+W0 = RNG.normal(size=(N, 3))
+SIZES = RNG.uniform(0.011, 0.03, N)  # s
+END = 10.0
+
+
+def first_rate(t, q, w, p):
+    return w[0] - 0.1
+
+
+def height(t, q, w, p):
+    return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+
+
+def late(t, q, w, p):
+    """A time in the last, shorter step of most bodies."""
+    return t - 9.9987
+
+
+def touch(t, q, w, p):
+    """Two crossings within one step."""
+    return (t - 9.9975) ** 2 - 1e-6
+
+
+FREE = [fa.event(first_rate), fa.event(height, -1), fa.event(late), fa.event(touch)]
+STOPS = [fa.event(first_rate, terminal=True), *FREE[1:]]
+#: save times within steps and at their ends
+TIMES = np.sort(np.concatenate([np.linspace(0.0, END, 37), np.arange(0.0, END, 0.5)]))
+
+
+def run(events, scene=BODY, method="rk8", dt=0.02, **options):
+    given = {"t_end": END} | options
+    return fa.propagate(scene, Q0, W0, dt=dt, method=method, events=events, **given)
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """Times of events and of stops by whole steps of one size."""
+    return {name: run(e, save_every=25) for name, e in (("free", FREE), ("stops", STOPS))}
+
+
+def assert_stopped(found, k):
+    """Body ``k`` holds its state at the terminal event from then on, and no other one before."""
+    is_late = found.t >= found.event_times[k, 0]
+    assert (found.q[is_late, k] == found.q[-1, k]).all()
+    assert np.abs(found.w[is_late, k, 0] - 0.1).max(initial=0.0) < 1e-12
+
+
+@pytest.mark.parametrize("method", ["rk8", "dmv6"])
+@pytest.mark.parametrize("name", ["free", "stops"])
+def test_save_at_has_the_bits_of_whole_steps(reference, name, method):
+    events = STOPS if name == "stops" else FREE
+    whole = reference[name] if method == "rk8" else run(events, method=method, save_every=25)
+    # a save right after each event, within its step
+    after = whole.event_times[:, 0] + 1e-4
+    times = np.sort(np.concatenate([TIMES, after[after < END]]))
+    found = run(events, method=method, save_at=times)
+    np.testing.assert_array_equal(found.event_times, whole.event_times)
+    assert not found.has_flags
+    np.testing.assert_array_equal(found.q[np.searchsorted(found.t, whole.t)], whole.q)
+    for k in range(N) if name == "stops" else ():
+        assert_stopped(found, k)
+
+
+@pytest.mark.parametrize("name", ["free", "stops"])
+def test_per_body_step_sizes(reference, name):
+    events = STOPS if name == "stops" else FREE
+    found = run(events, dt=SIZES, save_at=TIMES)
+    np.testing.assert_allclose(found.event_times, reference[name].event_times, rtol=0.0, atol=1e-11)
+    assert np.isfinite(found.event_times).any(axis=0).all()
+    for k in range(N) if name == "stops" else ():
+        assert_stopped(found, k)
+    for k in (0, 33, 69):
+        alone = fa.propagate(
+            BODY, Q0[k], W0[k], dt=[SIZES[k]], t_end=END, method="rk8", events=events,
+            save_at=TIMES,
+        )  # fmt: skip
+        np.testing.assert_array_equal(alone.event_times, found.event_times[k])
+        np.testing.assert_array_equal(alone.q, found.q[:, k])
+
+
+def test_per_body_steps_of_a_run_backwards(reference):
+    start = reference["free"]
+    back = fa.propagate(
+        BODY, start.q[-1], start.w[-1], t0=END, dt=-SIZES, t_end=-END, method="rk8",
+        events=[fa.event(first_rate, terminal=True)], save_at=TIMES[::-1],
+    )  # fmt: skip
+    forward = fa.propagate(
+        BODY, start.q[-1], start.w[-1], t0=END, dt=-0.02, n_steps=500, method="rk8",
+        events=[fa.event(first_rate)],
+    )  # fmt: skip
+    np.testing.assert_allclose(back.event_times, forward.event_times, rtol=0.0, atol=1e-11)
+    for k in range(N):
+        is_late = back.t <= back.event_times[k, 0]
+        assert (back.q[is_late, k] == back.q[-1, k]).all()
+
+
+def test_saves_after_a_stop_in_the_last_shorter_step():
+    found = run([fa.event(late, terminal=True)], dt=SIZES, save_at=[9.9985, 9.9988, 9.9995, END])
+    np.testing.assert_allclose(found.event_times, [[9.9987]] * N, rtol=0.0, atol=1e-14)
+    assert (found.q[1:] == found.q[-1]).all()
+    assert (found.q[0] != found.q[1]).any(axis=1).all()
+
+
+def test_steps_after_the_end_of_a_body_set_no_status():
+    """Bodies with larger steps reach the end first, while their lanes go on beside the others."""
+    spin_up = fa.Scene(inertia=(1.0, 1.0, 1.0), torque=lambda t, q, w, p: (0.0, 0.0, 2.0 * t))
+    given = {"dt": [0.001, 0.1], "t_end": 2.0, "method": "rk8"}
+    found = fa.propagate(
+        spin_up, Q0[:2], [0.0, 0.0, 0.0], events=[fa.event(lambda t, q, w, p: w[2] - 1.0)], **given
+    )
+    assert not found.has_flags
+    np.testing.assert_allclose(found.event_times, 1.0, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("stops", [-1e-3, 5e-4, None])
+def test_beside_breakpoints(stops):
+    """A torque that jumps in the middle of steps; a crossing right before and after the jump."""
+    jump = 3.3333
+    scene = fa.Scene(
+        inertia=MOMENTS, breakpoints=(jump,),
+        torque=lambda t, q, w, p: (0.3 if t > jump else 0.0, 0.0, 0.1),
+    )  # fmt: skip
+    events = [
+        fa.event(lambda t, q, w, p: (t - jump - 1e-3) ** 2 - 2.5e-7, terminal=stops == 5e-4),
+        fa.event(lambda t, q, w, p: t - jump + 1e-3, terminal=stops == -1e-3),
+        fa.event(lambda t, q, w, p: t - jump),
+        fa.event(first_rate),
+    ]
+    times = np.sort(np.concatenate([TIMES, [jump - 2e-3, jump - 5e-4, jump, jump + 7e-4]]))
+    whole = run(events, scene, save_every=1)
+    wanted = np.array([jump + 5e-4, jump - 1e-3, jump])
+    wanted[wanted > jump + (END if stops is None else stops)] = np.nan
+    np.testing.assert_allclose(whole.event_times[:, :3], [wanted] * N, rtol=0.0, atol=1e-12)
+    for dt in (0.02, SIZES):
+        found = run(events, scene, dt=dt, save_at=times)
+        np.testing.assert_allclose(found.event_times, whole.event_times, rtol=0.0, atol=1e-11)
+        if stops is not None:
+            is_late = found.t >= jump + stops
+            assert (found.q[is_late] == found.q[-1]).all()
+            assert (found.q[~is_late][-1] != found.q[-1]).any(axis=1).all()
+
+
+@pytest.mark.parametrize("events", [FREE, STOPS], ids=["free", "stops"])
+def test_a_resumed_run_goes_on_with_its_events(events, tmp_path):
+    given = {"dt": 0.02, "method": "rk8", "events": events, "save_every": 10}
+    whole = fa.propagate(BODY, Q0, W0, n_steps=500, **given)
+    first = fa.propagate(BODY, Q0, W0, n_steps=130, **given)
+    first.save_end(tmp_path / "end")
+    for resume in (first, tmp_path / "end"):
+        rest = fa.propagate(BODY, resume=resume, n_steps=370, **given)
+        np.testing.assert_array_equal(rest.event_times, whole.event_times)
+        np.testing.assert_array_equal(rest.q, whole.q[13:])
+        np.testing.assert_array_equal(rest.status, whole.status)
+    # others are searched from there on, unless a body has stopped
+    given["events"] = [fa.event(lambda t, q, w, p: t - 1.0), fa.event(lambda t, q, w, p: t - 5.0)]
+    if events is STOPS:
+        with pytest.raises(ValueError, match=r"events: found others .*since bodies stop"):
+            fa.propagate(BODY, resume=first, n_steps=370, **given)
+    else:
+        other = fa.propagate(BODY, resume=first, n_steps=370, **given).event_times
+        np.testing.assert_allclose(other, [[np.nan, 5.0]] * N, rtol=0.0, atol=1e-14)
+
+
+def test_a_checkpoint_needs_the_same_events(tmp_path):
+    path = tmp_path / "job"
+    given = {"dt": 0.02, "n_steps": 100, "method": "rk4", "resume": fa.checkpoint(path)}
+    done = fa.propagate(BODY, Q0, W0, events=FREE, **given)
+    again = fa.propagate(BODY, Q0, W0, events=FREE, **given)
+    np.testing.assert_array_equal(again.event_times, done.event_times)
+    assert np.isfinite(done.event_times).any()
+    for events in (FREE[:1], [*FREE[:3], fa.event(touch, 1)], []):
+        with pytest.raises(ValueError, match=r"events: found others .*the run is not over"):
+            fa.propagate(BODY, Q0, W0, events=events, **given)
