@@ -247,7 +247,6 @@ def needs_three(t, p):
         (an_array, "returns array(float64, 1d, C); accepted is a tuple of three"),
         (words, "returns Tuple("),
         (no_such_name, "does not compile for floats, with p a tuple of 2 floats"),
-        (one_argument, "does not compile"),
         (needs_three, "does not compile for floats, with p a tuple of 2 floats"),
     ],
 )
@@ -256,6 +255,24 @@ def test_users_rate_function(function, message):
         TypeError, match="^rate: " + re.escape(f"{function.__name__}(t, p) {message}")
     ):
         fa.Scene(rate=function, params=[1.0, 2.0])
+
+
+def test_another_number_of_arguments_is_said_to_be_so():
+    """In one line, with the forms that take other arguments and how these are declared."""
+
+    def of_states(t, q, w, s, p, gains=(1.0, 2.0)):
+        return (-s[0], 0.0, 0.0), s[0]
+
+    message = "rate: found one_argument(t); accepted: rate(t, p), or with states=n rate(t, s, p)"
+    with pytest.raises(TypeError, match=f"^{re.escape(message)}$"):
+        fa.Scene(rate=one_argument)
+    message = (
+        "torque: found of_states(t, q, w, s, p, gains); accepted: torque(t, q, w, p), or with "
+        "states=n torque(t, q, w, s, p), or with uses_position=True torque(t, q, w, v, r, p)"
+    )
+    with pytest.raises(TypeError, match=f"^{re.escape(message)}$"):
+        fa.Scene(inertia=[1, 1, 1], torque=of_states)
+    assert fa.Scene(inertia=[1, 1, 1], torque=of_states, states=1).states == 1
 
 
 def test_users_function_is_refused_each_time():

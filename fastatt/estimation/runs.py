@@ -95,7 +95,7 @@ def _refuse_parts(scene: Scene, run: Trajectory) -> None:
     parts = Clock.of(run.dt, len(run.t) - 1, None).parts(run.t[0], scene)
     if any(first <= x <= last for x in scene.breakpoints) or parts.clocks[:, TAKEN].any():
         raise ValueError(
-            "scene: found breakpoints, or times of a linear table within steps; accepted: a run "
+            "scene: found breakpoints, or times of a table within steps; accepted: a run "
             "between breakpoints, and steps that end at the times of the table"
         )
 

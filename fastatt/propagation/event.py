@@ -12,7 +12,7 @@ from fastatt import checks
 from fastatt.engine.events import Watch
 from fastatt.scene.models import Packed, resources_of
 from fastatt.scene.scene import Scene
-from fastatt.tracing.references import required_arguments
+from fastatt.tracing.references import called_as, required_arguments
 from fastatt.tracing.user import FORMS, user_function
 
 #: the form in ``FORMS`` and whether it takes states, by the number of the function's arguments
@@ -50,7 +50,7 @@ class Event:
         found = _FORMS.get(len(required_arguments(self.function)))
         if found is None:
             accepted = ", ".join(FORMS[name].with_states(n).call for name, n in _FORMS.values())
-            raise TypeError(f"event: found {checks.brief(self.function)}; accepted: {accepted}")
+            raise TypeError(f"event: found {called_as(self.function)}; accepted: {accepted}")
         form, is_of_states = found
         call = FORMS[form].with_states(is_of_states).call
         if form == "event at position" and not position:

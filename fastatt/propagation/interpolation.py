@@ -65,7 +65,8 @@ def interpolate(
     polynomial through the attitudes and the rates of the four saves around it. Its degree is 7, so
     that the error falls as the interval to the 8th power, and that of the rates as the 7th. Two
     saves give orders 4 and 3, three saves 6 and 5. At a save the result is the saved value, to
-    rounding.
+    rounding. Across a breakpoint interpolate each part on its own, or save at the times that are
+    wanted (``save_at``).
 
     References
     ----------

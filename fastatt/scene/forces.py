@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.models import (
     Law,
@@ -26,7 +25,7 @@ from fastatt.scene.models import (
 )
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import apply
-from fastatt.tracing.references import required_arguments
+from fastatt.tracing.references import called_as, required_arguments
 from fastatt.tracing.user import FORMS
 
 #: the forms of a user-defined force
@@ -218,7 +217,7 @@ def _taken(model: Custom, states: int) -> int:
     if more > 1 or not states or ("r" in names and not model.uses_position):
         calls = [FORMS[name].with_states(n).call for name in _FORMS for n in (0, 1)]
         raise TypeError(
-            f"force: found {checks.brief(model.function)} of {len(names)} arguments; accepted: "
+            f"force: found {called_as(model.function)}; accepted: "
             f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "
             f"{calls[2]} or {calls[3]}"
         )

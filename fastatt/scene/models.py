@@ -128,10 +128,16 @@ class Model:
         return states
 
     def corners(self) -> NDArray[np.float64]:
-        """Times, s, at which it jumps or has a corner for all bodies; of a linear table its own."""
-        values = (getattr(self, name) for name in self.fields)
-        tables = [x.t for x in values if isinstance(x, TimeSeries) and not x.form.cubic]
-        return np.concatenate([np.zeros(0), *tables])
+        """Times, s, at which it jumps or has a corner for all bodies.
+
+        They are those of linear tables, and of tables whose slopes it takes.
+        """
+        found = [np.zeros(0)]
+        for name, field in self.fields.items():
+            value = getattr(self, name)
+            if isinstance(value, TimeSeries) and (not value.form.cubic or field.table == "slopes"):
+                found.append(value.t)
+        return np.concatenate(found)
 
     def check(self, name: str) -> None:
         """Refuse impossible numbers; fields are NumPy arrays with the body's index last."""

@@ -66,9 +66,8 @@ class Scene:
         (torque, ds/dt)`` or ``rate(t, s, p) -> (rate, ds/dt)``, with tuples of 3 and of n numbers.
         The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
-        Times, s, at which a rate, torque or force has a jump or a kink. Steps end at these times,
-        so that the method keeps its order. Linear tables in models, ``torques.Sampled`` and
-        ``rates.Slew`` bring theirs.
+        Times, s, at which a rate, torque or force jumps or has a kink. Steps end there, so that the
+        method keeps its order. Linear tables and some models, as ``rates.Slew``, bring theirs.
 
     Attributes
     ----------

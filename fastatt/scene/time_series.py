@@ -78,6 +78,10 @@ class TimeSeries:
     most h² M2/8 (linear) or h⁴ M4/384 + h⁵ M5/20 (cubic; without the second term if slopes are
     given).
 
+    Steps of a run end at the samples of a linear table in a field of a model, and of the tables of
+    ``torques.Rotor`` and ``torques.QuaternionPD``, as at ``breakpoints`` of the scene. For a table
+    that a user-defined function reads, declare ``breakpoints=table.t``.
+
     References
     ----------
     De Boor, *A Practical Guide to Splines* (2001), chapters II and IV.

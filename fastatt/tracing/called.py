@@ -27,7 +27,7 @@ from fastatt.tracing.references import is_library, opened, referred_to
 from fastatt.tracing.trace import ModuleProxy
 
 if TYPE_CHECKING:
-    from fastatt.tracing.user import UserFunction
+    from fastatt.tracing.user import Signature, UserFunction
 
 POINTS = 8
 
@@ -50,15 +50,18 @@ def are_numbers(values: tuple[Any, ...], n: int) -> bool:
     )
 
 
-def in_a_row(result: Any, states: int) -> Any:
-    """The result of a function as one tuple, also with states; () if these are missing."""
+def in_a_row(result: Any, form: Signature) -> Any:
+    """The result of a function as a number or one tuple; () if states are missing."""
+    states = form.states
     if not states:
-        return numbers_of(result)
+        found = numbers_of(result)
+        is_one = form.results == 1 and isinstance(found, tuple) and len(found) == 1
+        return found[0] if is_one else found
     if not (isinstance(result, (tuple, list)) and len(result) == 2):
         return ()
-    acting, slopes = map(numbers_of, result)
-    slopes = slopes if isinstance(slopes, tuple) else (slopes,)
-    return (*acting, *slopes) if isinstance(acting, tuple) and len(slopes) == states else ()
+    parts = map(numbers_of, result)
+    acting, slopes = (x if isinstance(x, tuple) else (x,) for x in parts)
+    return (*acting, *slopes) if len(slopes) == states else ()
 
 
 def floats(result: Any) -> list[float]:
@@ -112,18 +115,20 @@ def _with(plain: FunctionType, found: dict[str, Any]) -> FunctionType:
 
 
 def _renewed(function: Any, within: tuple[Any, ...] = ()) -> Any:
-    """The function, with the jitted functions that it calls compiled anew when they are called.
+    """The function, with the functions that it calls compiled anew when they are called.
 
-    Numba keeps the globals of the time when it first compiled a function.
+    Plain ones too; and Numba keeps the globals of the time when it first compiled a jitted one.
     """
     plain = getattr(function, "py_func", function)
     within = (*within, plain)
     found = referred_to(plain)
-    others = {
-        name: with_options_of(x, _renewed(x, within))
-        for name, x in found.items()
-        if isinstance(x, CPUDispatcher) and x.py_func not in within and not is_library(x.py_func)
-    }
+    others = {}
+    for name, x in found.items():
+        called = getattr(x, "py_func", x)
+        if not isinstance(called, FunctionType) or called in within or is_library(called):
+            continue
+        renewed = _renewed(x, within)
+        others[name] = recompile(renewed) if called is x else with_options_of(x, renewed)
     return _with(plain, found | others) if others else plain
 
 
@@ -156,7 +161,7 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
         except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
             failed = error
             continue
-        result = in_a_row(given, user.form.states)
+        result = in_a_row(given, user.form)
         if isinstance(result, tuple) != (n > 1) or not are_numbers(
             result if isinstance(result, tuple) else (result,), n
         ):
@@ -171,7 +176,7 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     def entry(given: Any, made: Any) -> None:
         try:
             result = function(*nested(given[:n_numbers], sizes))
-            values = floats(in_a_row(result, user.form.states))
+            values = floats(in_a_row(result, user.form))
         except Exception:  # noqa: BLE001  # as of a compiled one
             values = [math.nan] * n
         for k, x in enumerate(values):
@@ -223,7 +228,7 @@ def _items(inner: Any, user: UserFunction, returned: Any) -> tuple[list[str], li
         else:
             fits = _is_row(kind) and _lengths(inner, user, part) == {n}
             lengths.append(f"        if len({name}) != {n}: raise ValueError")
-        return [f"{name}[{k}]" for k in range(n)] if fits and (n > 1 or form.states) else []
+        return [f"{name}[{k}]" for k in range(n)] if fits else []
 
     if not form.states:
         return numbers(returned, form.results, "result", lambda x: x), lengths

@@ -39,13 +39,30 @@ def opened(function: Any) -> tuple[Any, tuple[Any, ...], dict[str, Any]]:
     return (call, (function,), {}) if is_object else (function, (), {})
 
 
+def signature_of(function: Any) -> inspect.Signature | None:
+    """The arguments of a function; None if it does not tell them."""
+    try:
+        return inspect.signature(getattr(function, "py_func", function))
+    except (TypeError, ValueError):
+        return None
+
+
 def required_arguments(function: Any) -> tuple[str, ...]:
     """Names of the arguments without a default; () of a function that does not tell."""
-    try:
-        found = inspect.signature(getattr(function, "py_func", function)).parameters.items()
-    except (TypeError, ValueError):
-        return ()
-    return tuple(name for name, x in found if x.default is x.empty)
+    found = signature_of(function)
+    given = () if found is None else found.parameters.items()
+    return tuple(name for name, x in given if x.default is x.empty)
+
+
+def called_as(function: Any) -> str:
+    """The name of a function with its arguments, in messages."""
+    name = getattr(function, "__name__", getattr(opened(function)[0], "__name__", "function"))
+    found = signature_of(function)
+    given = () if found is None else found.parameters.values()
+    # defaults may have many lines
+    return (
+        f"{name}({', '.join(str(x.replace(default=x.empty, annotation=x.empty)) for x in given)})"
+    )
 
 
 def names_of(plain: FunctionType) -> set[str]:

@@ -34,7 +34,7 @@ from fastatt.tracing.called import (
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.nodes import Recorded, TraceError
-from fastatt.tracing.references import opened, snapshot
+from fastatt.tracing.references import called_as, opened, signature_of, snapshot
 from fastatt.tracing.trace import traceable
 
 # tolerance of a component, relative to its largest value; a wrong formula differs by far more
@@ -148,6 +148,7 @@ class UserFunction:
         inner = opened(function)[0]
         self.name = getattr(function, "__name__", getattr(inner, "__name__", self.argument))
         self.reason = ""
+        self._check_arguments(function, form)
         #: arrays of the tables that it reads, and the time interval of their samples
         self.tables: dict[Any, NDArray[np.float64]] = {}
         self.span = 0.0, 10.0
@@ -159,6 +160,23 @@ class UserFunction:
             self.reason = str(error)
             opaque = called_back if config.DISABLE_JIT else compiled
             self._compiled = opaque(function, self)
+
+    def _check_arguments(self, function: Callable[..., Any], form: str) -> None:
+        """Refuse a function with another number of arguments, and say how to declare them."""
+        signature, states = signature_of(function), self.form.states
+        try:
+            if signature is not None:
+                signature.bind(*[None] * len(self.sizes))
+        except TypeError:
+            accepted = [self.form.call]
+            if self.form.carries and not states:
+                accepted.append(f"with states=n {self.form.with_states(1).call}")
+            if f"{form} at position" in FORMS:
+                placed = FORMS[f"{form} at position"].with_states(states)
+                accepted.append(f"with uses_position=True {placed.call}")
+            raise TypeError(
+                f"{self.argument}: found {called_as(function)}; accepted: {', or '.join(accepted)}"
+            ) from None
 
     def __repr__(self) -> str:
         how = "traced" if self.straight else f"called ({self.reason})"
@@ -227,10 +245,10 @@ class UserFunction:
         self, function: Callable[..., Any], params: NDArray[np.float64] | None
     ) -> Callable[..., Any]:
         """The traced function; raises ``TraceError`` if it can't be traced or is wrong."""
-        recorded, states = _strict(traceable(function)), self.form.states
+        recorded = _strict(traceable(function))
 
         def formula(*args: Any) -> Any:
-            return in_a_row(recorded(*args), states)
+            return in_a_row(recorded(*args), self.form)
 
         recorder = Graph()
         numbers = recorder.inputs("double", "x", sum(max(n, 1) for n in self.form.before))
@@ -256,7 +274,7 @@ class UserFunction:
             try:
                 with np.errstate(all="ignore"):
                     result = in_python(*nested(point, self.sizes))
-                    asked.append(floats(in_a_row(result, states)))
+                    asked.append(floats(in_a_row(result, self.form)))
             except Exception:  # noqa: BLE001  # whatever the user's function raises there
                 continue
             found.append(traced(*(point[k] for k in places)))

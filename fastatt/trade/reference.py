@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between, quat_multiply
 from fastatt.methods import METHODS
+from fastatt.propagation.breakpoints import breaks_of, corners_within
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.closed_forms import form_of
-from fastatt.scene import rates, torques
+from fastatt.scene import rates
 from fastatt.trade.forcing import forcing
 from fastatt.trade.ladder import Ladder
 from fastatt.trade.measure import Case, Problem, State
@@ -185,14 +186,11 @@ def coning_attitudes(
 
 
 def intervals(problem: Problem) -> int:
-    """The number of intervals of a sampled torque in the run; steps end at its kinks."""
-    torque = problem.ensemble.scene.torque
-    for term in torque.terms if isinstance(torque, torques.Sum) else (torque,):
-        if isinstance(term, torques.Sampled):
-            n = problem.t_end / term.dt
-            if abs(n - round(n)) < 1e-9 * n and 0 < n < _WORK:
-                return round(n)
-    return 1
+    """The number of equal intervals between the times at which steps end; 1 for unequal ones."""
+    scene, begin, end = problem.ensemble.scene, problem.t0, problem.t_end
+    breaks = breaks_of(corners_within(scene, begin, end), begin, end, scene.sampling)
+    gaps = np.diff(breaks.since, append=end)
+    return gaps.size if gaps.size < _WORK and np.ptp(gaps) < 1e-9 * abs(end) else 1
 
 
 def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:

@@ -158,7 +158,7 @@ class Sample:
         return worst, some.size
 
     def unit(self, n: float) -> int:
-        """The divisor of numbers of steps near n, so that steps end at a torque's samples."""
+        """The divisor of numbers of steps near n, so that steps end at equally spaced corners."""
         sampled = intervals(self.problem)
         return sampled if sampled <= n else 1
 

@@ -162,5 +162,5 @@ def test_breakpoints_are_refused():
     es.run_tangent(of_table, Q, W, **run, n_steps=8)
     es.run_tangent(declared, Q, W, **run, n_steps=3)
     for scene, dt in ((of_table, 0.3), (declared, 0.25)):
-        with pytest.raises(ValueError, match=r"^scene: found breakpoints, or times of a linear"):
+        with pytest.raises(ValueError, match=r"^scene: found breakpoints, or times of a table"):
             es.run_tangent(scene, Q, W, dt=dt, n_steps=8, method="rk4")

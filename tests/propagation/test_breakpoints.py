@@ -382,6 +382,28 @@ def test_a_function_declares_the_samples_of_its_table():
     assert errors[1] > 1e-6
 
 
+def test_a_switched_wheel_brings_its_samples():
+    """Its torque is the slope of a cubic table, which has a corner at each sample."""
+    momentum = fa.TimeSeries(SAMPLED_AT, 0.1 * SAMPLES)
+    scene = fa.Scene(inertia=J, torque=fa.torques.Rotor(momentum))
+
+    def slope(t, y):
+        w, h, change = y[4:], np.array(momentum(t)), np.array(momentum.slope(t))
+        turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
+        return np.concatenate([turned, (np.cross(J * w + h, w) - change) / J])
+
+    y = np.append(START, W0)
+    for a, b in pairwise(SAMPLED_AT):
+        inside = np.nextafter(a, 9.0), np.nextafter(b, -9.0)
+        y = solve_ivp(
+            lambda t, y, inside=inside: slope(np.clip(t, *inside), y), (a, b), y, "DOP853",
+            rtol=1e-13, atol=1e-14,
+        ).y[:, -1]  # fmt: skip
+    run = fa.propagate(scene, START, W0, dt=END / 83, n_steps=83, method="rk8")
+    assert angle(run.q[-1], y[:4] / np.linalg.norm(y[:4])) < 1e-10
+    assert np.abs(run.w[-1] - y[4:]).max() < 1e-10
+
+
 def test_cubic_tables_bring_none():
     torque = fa.torques.Constant(of_table(SAMPLED_AT, "cubic"))
     assert corners_of(fa.Scene(inertia=J, torque=torque)).size == 0

@@ -286,14 +286,12 @@ def test_forms_of_forces_are_told_apart():
 
     still = {"inertia": J, "mass": 2.0}
     for scene, force in ((system, at_position), (system, of_all), (still, thrust)):
-        with pytest.raises(
-            TypeError, match=r"^force: found .* of [67] arguments.*" + FORMS_OF_FORCES
-        ):
+        with pytest.raises(TypeError, match=r"^force: found .*; accepted: " + FORMS_OF_FORCES):
             fa.Scene(**scene, force=force)
     for force in (at_position, of_all):
         scene = fa.Scene(**system, force=fa.forces.Custom(force, uses_position=True))
         assert scene.needs_position
-    with pytest.raises(TypeError, match=r"^force: found .* of 7 arguments"):
+    with pytest.raises(TypeError, match=r"^force: found of_all\("):
         fa.Scene(**still, force=fa.forces.Custom(of_all, uses_position=True))
 
 
@@ -543,6 +541,15 @@ def test_advice_and_checks_take_initial_states():
     assert drift.energy is None
     rate = fa.Scene(rate=turning, states=2, params=(0.7, 2.0))
     assert fa.recommend(rate, Q0, s0=(0.4, -0.2), t_end=3.0, tol=1e-7).method in METHODS
+
+
+def test_advice_sees_a_force_that_jumps_with_a_state():
+    def switched(t, q, w, v, s, p):
+        return (1.0 if s[0] > 0.5 else 0.0), 0.0, 0.0
+
+    scene = fa.Scene(inertia=J, torque=valve, states=2, params=(2.0, 0.3), mass=2.0, force=switched)
+    with pytest.raises(ValueError, match=r"^scene: the force jumps near t = 0\.29"):
+        fa.recommend(scene, Q0, W0, v0=[0, 0, 0], s0=[0.1, 0.0], t_end=3.0, tol=1e-7)
 
 
 def test_dask_gives_the_same_bits():

@@ -860,10 +860,6 @@ def a_number(t, q, w, p):
     return 0.0
 
 
-def no_parameter(t, q, w):
-    return 0.0, 0.0, 0.0
-
-
 def beyond(t, q, w, p):
     return p[3], 0.0, 0.0
 
@@ -873,7 +869,6 @@ def beyond(t, q, w, p):
     [
         (two_numbers, "returns UniTuple(float64 x 2); accepted is a tuple of three floats, N·m"),
         (a_number, "returns float64; accepted is a tuple of three floats"),
-        (no_parameter, "does not compile for floats"),
         (beyond, "does not compile for floats, with p a tuple of 2 floats"),
     ],
 )

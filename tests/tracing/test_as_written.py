@@ -115,6 +115,48 @@ def test_a_partial_that_is_no_straight_line_is_compiled():
     assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-15)
 
 
+def halved(x):
+    while x > 1e-3:
+        x *= 0.5
+    return x
+
+
+#: functions of one number, which may be in a tuple, a list or an array
+ONE = {
+    "tuple": lambda t, q, w, p: (w[0] - t,),
+    "list": lambda t, q, w, p: [w[0] - t],
+    "array": lambda t, q, w, p: np.array([w[0] - t]),
+    "tuple, compiled": lambda t, q, w, p: (w[0] - t + 0.0 * halved(abs(w[1])),),
+    "list, compiled": lambda t, q, w, p: [w[0] - t + 0.0 * halved(abs(w[1]))],
+}
+
+
+@each("name", ONE)
+def test_one_number_may_be_in_a_row(name):
+    made = user_function(ONE[name], "event", 0)
+    assert made.straight == ("compiled" not in name)
+    assert_allclose(made.call(*POINT), 0.3 - 1.3, rtol=1e-15)
+
+
+def number_and_slope(t, q, w, s, p):
+    return 0.01 - s[0], [-s[1]]
+
+
+def test_the_command_of_one_wheel_may_be_a_tuple():
+    runs = []
+    for command in (lambda t, q, w, s, p: 0.01 - s[0], lambda t, q, w, s, p: (0.01 - s[0],)):
+        wheel = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, command)
+        scene = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=wheel)
+        start = {"q0": [1, 0, 0, 0], "w0": [0.1, 0.2, 0.3], "s0": [0.0]}
+        runs.append(fa.propagate(scene, **start, dt=0.1, n_steps=5, method="rk4"))
+    np.testing.assert_array_equal(runs[0].s, runs[1].s)
+    of_states = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, number_and_slope, states=1)
+    assert fa.Scene(inertia=(2.0, 1.5, 1.0), torque=of_states).functions[0].straight
+    two = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, lambda t, q, w, s, p: (t, t))
+    with pytest.raises(TypeError, match=r"^command: .* returns .*; accepted is a float, N·m$"):
+        fa.Scene(inertia=(2.0, 1.5, 1.0), torque=two)
+
+
 def test_a_method_that_counts_is_refused():
     with pytest.raises(TypeError, match="the attribute calls, which is assigned to") as error:
         user_function(Controller(GAIN).counting, "torque", 0)

@@ -397,7 +397,7 @@ def test_words_of_numba_have_no_colours():
                 rf"\({__file__}:\d+\); accepted is a .* says: NameError: name 'nowhere' is not def"
             ),
         ),
-        (too_few, "rate", rf"\({__file__}:\d+\); accepted .* Numba says: Signature mismatch: "),
+        (too_few, "rate", r"found too_few\(t\); accepted: rate\(t, p\)"),
         (
             beyond,
             "rate",
