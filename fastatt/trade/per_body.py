@@ -172,9 +172,7 @@ def per_body_steps(
     n = whole.ensemble.size
     classes = _Classes(whole, record)
     rows = classes.sample(checks.whole("sample", sample, 1), np.random.default_rng(seed))
-    if rows.size < n and scene.rows is not None:
-        numbers = scene.packed(n).params
-        rows = np.unique([*rows, *numbers.argmin(axis=0), *numbers.argmax(axis=0)])
+    rows = np.union1d(rows, ensemble.extremes)
     problem = whole.take(rows)
     known = reference(problem, most=times_compared("run", rows.size), goal=wanted / _FINER)
     known.refuse_jumps()
