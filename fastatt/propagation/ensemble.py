@@ -74,4 +74,5 @@ class Ensemble:
         def chosen(x: NDArray[Any] | None) -> Any:
             return None if x is None else np.broadcast_to(x, (self.size, x.shape[-1]))[rows]
 
-        return Ensemble(self.scene[rows], *map(chosen, self.initial.values()), self.places[rows])
+        states = {name: chosen(x) for name, x in self.initial.items()}
+        return Ensemble(self.scene[rows], **states, taken=self.places[rows])
