@@ -221,8 +221,8 @@ def _set_status(states, diagnostics, arrays, settings, limits, first, count):
             if k == ANGLE:
                 value = math.sqrt(value)
                 largest[0] = max(largest[0], value)
-            if value == math.inf:
-                found |= settings[FLAG_CODES + settings[DIAGNOSTICS] + k] if finite else 0
+            if value == math.inf and finite:
+                found |= settings[FLAG_CODES + settings[DIAGNOSTICS] + k]
             elif (finite or k == ANGLE) and not value <= limits[BOUNDS + k]:
                 found |= settings[FLAG_CODES + k]
         status[body] = found

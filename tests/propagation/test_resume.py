@@ -194,6 +194,16 @@ def test_what_went_wrong_before_nan_is_remembered(method):
     assert whole.status == rest.status == fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE
 
 
+def test_what_went_wrong_before_an_overflow_is_remembered():
+    """Nor does an infinite angular velocity, by large steps under a torque that grows with it."""
+    scene = fa.Scene(inertia=BODY, torque=lambda t, q, w, p: (0.1 * w[0] * w[0], 0.0, 0.0))
+    options = {"dt": 0.5, "n_steps": 10, "method": "cf4"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fa.StepWarning)
+        run = fa.propagate(scene, [1, 0, 0, 0], [9.0, 1.0, 1.0], **options)
+    assert run.status == fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE
+
+
 def other_swing(t, q, w, p):
     return (p[0] * np.cos(t), p[1] * w[1], 0.0)
 
