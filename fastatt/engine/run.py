@@ -125,7 +125,7 @@ class Setup:
         monitor = loop.ALWAYS if job.has_any_angle_form else loop.NEVER
         if job.known:
             monitor = loop.BOUNDED if job.bounds else loop.KNOWN
-        rows = layout.rows.first
+        rows, flags = layout.rows.first, [x.flag(job.attitude) for x in DIAGNOSTICS]
         self.settings = [
             job.width,
             layout.rows.count,
@@ -141,8 +141,8 @@ class Setup:
             layout.wide.first["dt"],
             monitor,
             len(DIAGNOSTICS),
-            *(x.flag(job.attitude) for x in DIAGNOSTICS),
-            *(x.infinite for x in DIAGNOSTICS),
+            *flags,
+            *((x.infinite for x in DIAGNOSTICS) if job.method.iterates else flags),
         ]
         self.tables = [(name, resources[name]) for name in formulas.resources]
         n_stages = len(job.method.stages)
