@@ -1,8 +1,9 @@
 """Forks of a process with threads: a child inherits locks, but not the threads that hold them.
 
-Modules are imported when they are first needed, and Numba compiles under a lock. A fork therefore
-waits until all other threads have finished compiling and importing modules of fastatt or the
-compiler. It does not wait for other modules: an import that runs a whole program may never end.
+Modules are imported when they are first needed, and Numba and LLVM compile under locks. A fork
+therefore waits until all other threads have finished compiling and importing modules of fastatt,
+NumPy or the compiler. It does not wait for other modules: an import that runs a whole program may
+never end.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from threading import get_ident
 from typing import Any
 
 _bootstrap: Any = import_module("importlib._bootstrap")
-_AWAITED = ("fastatt", "numba", "llvmlite")
+_AWAITED = ("fastatt", "numba", "llvmlite", "numpy")
 
 
 def _imported_elsewhere() -> list[str]:
@@ -28,37 +29,39 @@ def _imported_elsewhere() -> list[str]:
     return found
 
 
-def _compiler_lock() -> Any:
-    module = sys.modules.get("numba.core.compiler_lock")
-    return getattr(module, "global_compiler_lock", None)
+def _compiler_locks() -> list[Any]:
+    """The locks of Numba and of LLVM, in the order in which a compiling thread takes them."""
+    numba = sys.modules.get("numba.core.compiler_lock")
+    llvm = getattr(sys.modules.get("llvmlite.binding.ffi"), "lib", None)
+    found = getattr(numba, "global_compiler_lock", None), getattr(llvm, "_lock", None)
+    return [lock for lock in (found[0], getattr(found[1], "_lock", None)) if lock is not None]
 
 
-_held: list[Any] = []
+_held: list[list[Any]] = []
 
 
 def _before() -> None:
     while True:
         # no lock is held while waiting: an importing thread may compile, and a compiling one import
-        compiler = _compiler_lock()
-        if compiler is not None:
-            compiler.acquire()
+        compiling = _compiler_locks()
+        for lock in compiling:
+            lock.acquire()
         _imp.acquire_lock()
         elsewhere = _imported_elsewhere()
         if not elsewhere:
-            _held.append(compiler)
+            _held.append(compiling)
             return
         _imp.release_lock()
-        if compiler is not None:
-            compiler.release()
+        for lock in reversed(compiling):
+            lock.release()
         for name in elsewhere:
             _bootstrap._lock_unlock_module(name)  # noqa: SLF001
 
 
 def _after() -> None:
     _imp.release_lock()
-    compiler = _held.pop()
-    if compiler is not None:
-        compiler.release()
+    for lock in reversed(_held.pop()):
+        lock.release()
 
 
 def guard() -> None:

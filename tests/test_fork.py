@@ -26,21 +26,30 @@ thread.join()
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 IMPORTS = """
-fastatt.__path__.append(sys.argv[1])
+import {name}
+{name}.__path__.append(sys.argv[1])
 def first_call():
-    import fastatt.slow
+    import {name}.slow
 """
 COMPILES = """
 from numba.core.compiler_lock import global_compiler_lock
+from llvmlite.binding.ffi import lib
 def first_call():
-    with global_compiler_lock:
+    with {lock}:
         begun.set()
         may_end.wait(5)
 """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-@pytest.mark.parametrize("before", [IMPORTS, COMPILES])
+@pytest.mark.parametrize(
+    "before",
+    [
+        *(IMPORTS.format(name=x) for x in ("fastatt", "numpy")),
+        *(COMPILES.format(lock=x) for x in ("global_compiler_lock", "lib._lock")),
+    ],
+    ids=["fastatt", "numpy", "numba", "llvm"],
+)
 def test_a_child_does_not_wait_for_a_thread_that_it_does_not_have(before, tmp_path):
     (tmp_path / "slow.py").write_text("import sys\nsys.begun.set()\nsys.may_end.wait(5)\n")
     code = textwrap.dedent(FORKED).format(before=before)

@@ -218,10 +218,12 @@ def _set_status(states, diagnostics, arrays, settings, limits, first, count):
             if k == ANGLE:
                 value = math.sqrt(value)
                 largest[0] = max(largest[0], value)
-            if value == math.inf:
-                found |= settings[FLAG_CODES + settings[DIAGNOSTICS] + k] if finite else 0
+            exceeded = settings[FLAG_CODES + k]
+            infinite = settings[FLAG_CODES + settings[DIAGNOSTICS] + k]
+            if value == math.inf and infinite != exceeded:
+                found |= infinite if finite else 0
             elif (finite or k == ANGLE) and not value <= limits[BOUNDS + k]:
-                found |= settings[FLAG_CODES + k]
+                found |= exceeded
         status[body] = found
 
 

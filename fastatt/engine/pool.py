@@ -56,9 +56,10 @@ def run_ensemble(
         block = (last - first) * width * span.block
 
         def work(stop: Event) -> None:
-            n, blocks = span.first, 1 if calls else max(1, _PIECE // block)
+            is_known = not calls and span.grain > 1
+            n, blocks = span.first, max(1, _PIECE // block) if is_known else 1
             while not stop.is_set():
-                until = min(span.end_of_piece(n, blocks * span.block), span.last)
+                until = min(span.end_of_piece(n, blocks * span.grain), span.last)
                 begun = perf_counter()
                 call(span.part(n, until), first, last)
                 if done is not None:

@@ -23,8 +23,9 @@ from fastatt.engine.status import DIAGNOSTICS
 
 Array = NDArray[Any]
 
-#: steps of a block, so many that work once in a block takes negligible time
-BLOCK_LENGTH = 256
+#: steps of a block, so many that work once in a block takes negligible time; and of one whose steps
+#: call a function, which may take any time
+BLOCK_LENGTH, CALLING_LENGTH = 256, 2
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,27 @@ class Span:
     origin: int = 0
     block: int = BLOCK_LENGTH
 
+    @property
+    def grain(self) -> int:
+        """The number of which the ends of pieces are multiples."""
+        return self.block
+
     def end_of_piece(self, first: int, steps: int) -> int:
-        """The end of a piece of about ``steps`` steps from ``first`` on, at the end of a block."""
-        return (first // self.block + max(1, steps // self.block)) * self.block
+        """The end of a piece of about ``steps`` steps from ``first`` on."""
+        return (first // self.grain + max(1, steps // self.grain)) * self.grain
 
     def part(self, first: int, last: int) -> Span:
         """The span of some of its steps."""
         return replace(self, first=first, last=last)
+
+
+class StopSpan(Span):
+    """The stops [first, last) of a run with per-body step sizes."""
+
+    @property
+    def grain(self) -> int:
+        """The number of which the ends of pieces are multiples."""
+        return 1
 
 
 class Fixed(NamedTuple):
@@ -125,7 +140,7 @@ class Setup:
         monitor = loop.ALWAYS if job.has_any_angle_form else loop.NEVER
         if job.known:
             monitor = loop.BOUNDED if job.bounds else loop.KNOWN
-        rows = layout.rows.first
+        rows, flags = layout.rows.first, [x.flag(job.attitude) for x in DIAGNOSTICS]
         self.settings = [
             job.width,
             layout.rows.count,
@@ -141,8 +156,8 @@ class Setup:
             layout.wide.first["dt"],
             monitor,
             len(DIAGNOSTICS),
-            *(x.flag(job.attitude) for x in DIAGNOSTICS),
-            *(x.infinite for x in DIAGNOSTICS),
+            *flags,
+            *((x.infinite for x in DIAGNOSTICS) if job.method.iterates else flags),
         ]
         self.tables = [(name, resources[name]) for name in formulas.resources]
         n_stages = len(job.method.stages)

@@ -80,7 +80,8 @@ class Diagnostic(NamedTuple):
 
     The first is the square of a step's rotation angle, which the step computes. The others are
     those of ``Formulas.measures`` at each save, by their names. ``infinite`` is the flag of an
-    infinite value; ``at_poles`` is the flag for coordinates with poles, if it is another one.
+    infinite value of a method that iterates; ``at_poles`` is the flag for coordinates with poles,
+    if it is another one.
     """
 
     name: str

@@ -62,18 +62,22 @@ def split_multiply(a, b):
     return total, low - (total - high)
 
 
+#: the smallest normal number of float64; 0 in float32
+TINY = 2.0**-1022
+
+
 @kernel
 def least_scaled(tiny):
-    """1e-290, or 1e-30 in float32, where it would be 0."""
+    """``TINY``, or the smallest normal number of float32, where it would be 0."""
     F = type(tiny)
-    return tiny if tiny > F(0.0) else F(1e-30)
+    return tiny if tiny > F(0.0) else F(2.0**-126)
 
 
 @kernel
 def scale(x):
-    """A power of two s with 3/8 ≤ s x < 1, and 1/s, for 1e-290 ≤ x ≤ 1e290; below, 1 (float64)."""
+    """A power of two s with 3/8 ≤ s x < 1, and 1/s, for normal x ≤ 1e290; 1 for smaller x."""
     F = type(x)
-    tiny = F(1e-290)
+    tiny = F(TINY)
     shift = F(2.0**52) if tiny > F(0.0) else F(2.0**23)
     # x is the last bit of the sum: rounded to one bit. Fusing changes nothing here
     bit = (x * shift + x) - x * shift
@@ -294,7 +298,8 @@ def setup(q, m, inertia):
 
     Notes
     -----
-    Moments and momentum are between 1e-290 and 1e290 (float64). A body at rest remains at rest.
+    Moments and momentum are normal numbers up to 1e290 (float64). A body with a smaller momentum is
+    at rest, and remains so.
     """
     F = type(m[0])
     sm, unit = scale(largest(m))

@@ -130,7 +130,9 @@ def _method(level: int) -> Method:
         compensates=True,
         measure="momentum",
         limits=dict.fromkeys(FAMILIES, 0.7 if order == 2 else 1.0),
-        steps=Steps(stage=stage, prepare=partial(prepare, level), enter=enter, leave=leave),
+        steps=Steps(
+            stage=stage, prepare=partial(prepare, level), enter=enter, leave=leave, iterates=True
+        ),
         reversible=FREE,
         symplectic=level == 0,
         summary=f"{summary}; near machine precision at moderate steps" if order == 10 else summary,

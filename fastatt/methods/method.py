@@ -31,7 +31,7 @@ class Steps:
     other flow for k s. ``prepare(motion, h, x)`` returns the numbers e that a run with step size h
     needs of a body in addition to its parameters, from its initial state. ``enter`` and ``leave``
     convert between the state and the stepped variables: ``f(motion, t, s, k, x, e)``, s after the
-    start t.
+    start t. ``iterates`` says that a step is solved by iteration.
     """
 
     rate: Callable[..., Any] | None = None
@@ -41,6 +41,7 @@ class Steps:
     prepare: Callable[..., Any] | None = None
     enter: Callable[..., Any] | None = None
     leave: Callable[..., Any] | None = None
+    iterates: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +174,11 @@ class Method:
     def reduces(self) -> bool:
         """Whether ``reduce`` is accepted: the stepped variables are the state."""
         return self.steps is not None and self.steps.stage is None
+
+    @property
+    def iterates(self) -> bool:
+        """Whether a step is implicit and solved by iteration."""
+        return self.steps is not None and self.steps.iterates
 
     def order_of(self, scene: str) -> int:
         """Order on a kind of scene.

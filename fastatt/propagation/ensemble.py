@@ -23,6 +23,7 @@ class Ensemble:
     v0: NDArray[Any] | None = None
     r0: NDArray[Any] | None = None
     s0: NDArray[Any] | None = None
+    taken: NDArray[np.intp] | None = None  # the rows of another ensemble that these are
 
     @classmethod
     def of(
@@ -54,10 +55,24 @@ class Ensemble:
         states = self.initial.values()
         return max((len(x) for x in states if x is not None and x.ndim == 2), default=1)
 
+    @property
+    def places(self) -> NDArray[np.intp]:
+        """The bodies' rows in the ensemble that they were taken from, or in this one."""
+        return np.arange(self.size) if self.taken is None else self.taken
+
+    @cached_property
+    def extremes(self) -> NDArray[np.intp]:
+        """The bodies with the smallest and the largest of each number of the scene."""
+        if self.scene.rows is None:
+            return np.arange(0)
+        numbers = self.scene.packed(self.size).params
+        return np.unique([numbers.argmin(axis=0), numbers.argmax(axis=0)])
+
     def take(self, rows: NDArray[np.intp]) -> Ensemble:
         """The bodies of the given rows."""
 
         def chosen(x: NDArray[Any] | None) -> Any:
             return None if x is None else np.broadcast_to(x, (self.size, x.shape[-1]))[rows]
 
-        return Ensemble(self.scene[rows], *map(chosen, self.initial.values()))
+        states = {name: chosen(x) for name, x in self.initial.items()}
+        return Ensemble(self.scene[rows], **states, taken=self.places[rows])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.attitudes import Attitude
-from fastatt.engine.run import Parts, PerBody, Span
+from fastatt.engine.run import CALLING_LENGTH, Parts, PerBody, Span, StopSpan
 from fastatt.engine.stops import BREAK
 from fastatt.methods.method import Method
 from fastatt.propagation.breakpoints import Breaks, breaks_of, corners_within, parts_of
@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 #: saves that are in memory at a time in a run without a history
 RING = 16
 _EPS = float(np.finfo(np.float64).eps)
-# steps of the body with most steps between two times at which all bodies are synchronised
-_LEG = 4096
+# steps of the body with most steps between two times at which all bodies are synchronised, and the
+# most such times if steps call a function, which may take any time
+_LEG, _MOST_LEGS = 4096, 1 << 16
 
 
 @dataclass(frozen=True)
@@ -163,6 +164,11 @@ class PerBodyClock(Clock):
     since: NDArray[np.float64]
     slack: NDArray[np.float64]
     breaks: Breaks
+    leg: int = _LEG
+
+    def for_calls(self) -> PerBodyClock:
+        """The clock for steps that call a user-defined function."""
+        return replace(self, leg=min(_LEG, max(CALLING_LENGTH, self.n_steps // _MOST_LEGS)))
 
     @property
     def steps(self) -> NDArray[np.float64]:
@@ -191,7 +197,7 @@ class PerBodyClock(Clock):
         slack = np.concatenate([self.slack, breaks.slack[crossed]])[order]
         legs = np.diff(since, prepend=0.0)
         most = np.abs(legs / self.h)
-        parts = np.maximum(1, np.ceil(most / _LEG)).astype(np.int64)
+        parts = np.maximum(1, np.ceil(most / self.leg)).astype(np.int64)
         ends = np.cumsum(parts) - 1
         left = np.repeat(ends, parts) - np.arange(parts.sum())
         times = np.repeat(since, parts) - np.repeat(legs / parts, parts) * left
@@ -230,7 +236,7 @@ class PerBodyClock(Clock):
     def span(self, projection: int) -> Span:
         """All steps, for the engine."""
         n = self._stops[1].size
-        return Span(0, n, n, 1, 0, projection)
+        return StopSpan(0, n, n, 1, 0, projection)
 
 
 class RunOptions(NamedTuple):

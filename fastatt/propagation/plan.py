@@ -18,7 +18,7 @@ from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.crossings import SEARCH_BLOCK
 from fastatt.engine.job import Job
-from fastatt.engine.run import Fixed, Results, Run, Setup, prepare, width_for
+from fastatt.engine.run import CALLING_LENGTH, Fixed, Results, Run, Setup, prepare, width_for
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.propagation import limits
 from fastatt.propagation.breakpoints import corners_of
@@ -114,9 +114,13 @@ class Plan:
         )
         if not method.is_exact:
             self._program = (choice.device.program if choice.device else prepare)(self.job)
+            if self.calls and isinstance(clock, PerBodyClock):
+                self.clock = clock = clock.for_calls()
         self.span = clock.span(choice.projection)
         if watches:
             self.span = replace(self.span, block=SEARCH_BLOCK)
+        if not method.is_exact and self.calls:
+            self.span = replace(self.span, block=CALLING_LENGTH)
         #: prepared closed forms, by the number of saves
         self.evaluations: dict[int, Evaluation] = {}
 

@@ -91,7 +91,8 @@ def recommend(
     dtypes : sequence of str, default ("float64", "float32")
         Precisions to choose from.
     sample : int, default 128
-        Number of bodies on which errors are measured.
+        Number of bodies on which errors are measured, in addition to those with the smallest and
+        the largest of each number of the scene.
     n_threads : int, optional
         Number of threads, as in :func:`fastatt.propagate`.
     rng : int or numpy.random.Generator, default 0
@@ -125,8 +126,9 @@ def recommend(
 
     Errors are measured against a closed form, or against a run of high order whose step is halved
     until its error falls as its order predicts. Rates, torques and forces are sampled along its
-    path at 1024 times or more; a pulse that is shorter than the time between two samples can be
-    missed.
+    path at 1024 times or more, of 64 bodies of the sample and of those with the smallest and the
+    largest of each number of the scene; a pulse that is shorter than the time between two samples,
+    or of other bodies alone, can be missed.
 
     Examples
     --------

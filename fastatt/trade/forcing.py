@@ -16,7 +16,7 @@ from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
-_BODIES = 64  # the largest number of bodies, evenly from the first to the last
+_BODIES = 64  # bodies, evenly from the first to the last, beside those with extreme numbers
 _SAMPLES = 2**19  # in all, 1024 to 16384 for each body
 _SUSPECTS = 4  # intervals of a body with the largest changes, which are bisected
 _HALVINGS = 24
@@ -40,9 +40,9 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     There are many more samples than steps, one at random in each interval. The intervals with the
     largest changes are bisected repeatedly; for a continuous function the change then falls.
     """
-    few = np.unique(np.linspace(0, problem.ensemble.size - 1, _BODIES).astype(np.intp))
-    problem = problem.take(few)
-    size = few.size
+    even = np.linspace(0, problem.ensemble.size - 1, _BODIES).astype(np.intp)
+    problem = problem.take(np.union1d(even, problem.ensemble.extremes))
+    size = problem.ensemble.size
     count = int(np.clip(_SAMPLES // size, 1024, 16384))
     chance = np.random.default_rng(0).uniform(size=count)
     times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
@@ -65,7 +65,7 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
             finest, where = _examined(problem, path, name, f)
             steps = max(steps, finest)
             if where is not None:
-                jump = jump or f"the {name} jumps near t = {where[0]:.6g} s (body {few[where[1]]})"
+                jump = jump or f"the {name} jumps near t = {where[0]:.6g} s (body {where[1]})"
     return Forcing(steps, jump)
 
 
@@ -96,7 +96,7 @@ def _examined(
     k, body = np.unravel_index(np.nanargmax(gaps), gaps.shape)
     if not gaps[k, body] > _JUMP:
         return int(min(steps, 2**31)) + 1, None
-    return 1, (float(low[k, body, 0]), int(body))
+    return 1, (float(low[k, body, 0]), int(problem.ensemble.places[body]))
 
 
 def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:

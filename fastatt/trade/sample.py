@@ -77,8 +77,9 @@ class Sample:
         seconds, _ = best_time(lambda: short.run(_BASELINE, _STEPS), 2)
         #: time of a step of one body, s
         self.pace = seconds / (_STEPS * few.size)
-        rows, self.others = self._choose(sample, generator)
-        self.problem = whole.take(rows)
+        rows, others = self._choose(sample, generator)
+        rows = np.union1d(rows, whole.ensemble.extremes)
+        self.problem, self.others = whole.take(rows), others[~np.isin(others, rows)]
         self.most = times_compared(at, rows.size)
         self.known: Reference = reference(self.problem, most=self.most, goal=goal)
         fastest = float(speeds(self.problem).max())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -282,6 +283,24 @@ SCENES = {
     "rate": fa.Scene(rate=fa.rates.Coning(0.5, 1.0)),
     "torqued": fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0)),
 }
+
+
+def test_the_page_has_the_limits_of_the_records():
+    page = Path(fa.__file__).parent / "docs/explanations/status.md"
+    text = page.read_text(encoding="utf-8").partition("| method | measure |")[2]
+    found = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in text.partition("\n\n")[0].splitlines()[2:]
+    ]
+    expected = []
+    for record in filter(lambda m: m.is_stepped, fa.METHODS.values()):
+        stored = [x for x in ("quat", "dcm", "mrp", "euler313") if record.stores(x)]
+        limits = [f"{record.limit(x):.3g}" for x in stored] + [""] * (4 - len(stored))
+        for other in ({"body": True}, {"torqued": True}):
+            own = record.limit("quat", **other)
+            limits.append("" if own == record.limit("quat") else f"{own:.3g}")
+        expected.append([f"`{record.name}`", record.measure, *limits])
+    assert found == expected
 
 
 @pytest.mark.parametrize(

@@ -213,6 +213,18 @@ def test_units(rate, unit):
     assert np.array_equal(scaled[1], rate * turned)
 
 
+@pytest.mark.parametrize(("dtype", "size"), [("float64", 2.0**-1000), ("float32", 2.0**-120)])
+def test_slow_rates_are_not_taken_for_rest(dtype, size):
+    """The attitude depends on the product of rate and time only, to the last bit."""
+    scene, w = fa.Scene(inertia=(0.8, 0.5, 0.6)), np.array((0.5, -0.3, 0.9))
+    runs = [
+        fa.propagate(scene, ONE, x * w, dt=5.0 / x, n_steps=1, method="exact", dtype=dtype)
+        for x in (1.0, size)
+    ]
+    assert np.array_equal(runs[0].q, runs[1].q)
+    assert np.array_equal(size * runs[0].w.astype(float), runs[1].w)
+
+
 def test_long_times():
     assert (errors((0.5, -0.3, 0.9), (0.8, 0.5, 0.6), (150.0,)) <= BOUND).all()
 

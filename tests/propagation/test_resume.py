@@ -22,7 +22,7 @@ from test_plan import BODY, OWN, PAIRS, Q0, RNG, SCENES, W0, bits, rates_of, swi
 import fastatt as fa
 from fastatt.engine import run as engine_run
 from fastatt.engine.pool import InterruptedRun
-from fastatt.engine.run import BLOCK_LENGTH
+from fastatt.engine.run import CALLING_LENGTH
 from fastatt.propagation import execute, histories, resume
 
 UNFINISHED = fa.Status.UNFINISHED
@@ -192,6 +192,16 @@ def test_what_went_wrong_before_nan_is_remembered(method):
         whole, begun, rest = in_two(scene, [1, 0, 0, 0], dt=1.0, method=method, invalid="flag")
     assert begun.status & fa.Status.STEP_TOO_LARGE
     assert whole.status == rest.status == fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE
+
+
+def test_what_went_wrong_before_an_overflow_is_remembered():
+    """Nor does an infinite angular velocity, by large steps under a torque that grows with it."""
+    scene = fa.Scene(inertia=BODY, torque=lambda t, q, w, p: (0.1 * w[0] * w[0], 0.0, 0.0))
+    options = {"dt": 0.5, "n_steps": 10, "method": "cf4"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fa.StepWarning)
+        run = fa.propagate(scene, [1, 0, 0, 0], [9.0, 1.0, 1.0], **options)
+    assert run.status == fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE
 
 
 def other_swing(t, q, w, p):
@@ -591,9 +601,15 @@ def test_ctrl_c_is_looked_for_before_a_called_function_took_long(rate, is_called
     monkeypatch.setattr(engine_run.Run, "part", noted)
     scene = fa.Scene(rate=rate, params=(0.3,))
     fa.propagate(scene, Q, n_steps=1000, n_threads=1, **RK4)
-    assert pieces[0] == ((BLOCK_LENGTH, 1) if is_called else (1000, 4))
+    assert pieces[0] == ((CALLING_LENGTH, 1) if is_called else (1000, 4))
     assert len(pieces) > 4 if is_called else len(pieces) == 1
     assert {n for _, n in pieces} == {1 if is_called else 4}
+    pieces.clear()
+    counts = np.full(len(Q), 1000)
+    fa.propagate(scene, Q, dt=1.0 / counts, n_steps=counts, n_threads=1, method="rk4")
+    stops = 1000 // CALLING_LENGTH if is_called else 1
+    assert sum(stops for stops, _ in pieces) == stops * (4 if is_called else 1)
+    assert pieces[0] == (1, 1 if is_called else 4)
 
 
 def test_ctrl_c_is_looked_for_on_the_way(monkeypatch):

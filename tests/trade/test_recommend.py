@@ -318,6 +318,22 @@ def test_a_pulse_is_refused_with_its_time(end):
             fa.recommend(scene, Q0[:20], 0.1 * W0[:20], t_end=10.0, tol=tol, methods=["gbs16"])
 
 
+@pytest.mark.parametrize("function", [fa.recommend, fa.per_body_steps])
+def test_a_pulse_of_one_body_of_many_is_refused(function):
+    """The body is the only one of 4000 whose parameter is not 0, and the pulse is short."""
+    params = np.full((4000, 3), (5.0, 5.002, 0.0))
+    params[2501, 2] = 1.0
+    scene = fa.Scene(
+        inertia=(4.0, 3.0, 2.5),
+        torque=lambda t, q, w, p: ((p[2] if p[0] < t < p[1] else 0.0), 0.0, 0.0),
+        params=params,
+    )
+    options = {"methods": ["rk8"]} if function is fa.recommend else {"method": "rk8"}
+    w0 = np.random.default_rng(4).normal(0.0, 0.3, (4000, 3))
+    with pytest.raises(ValueError, match=r"the torque jumps near t = 5\S* s \(body 2501\)"):
+        function(scene, (1, 0, 0, 0), w0, t_end=10.0, tol=1e-4, **options)
+
+
 @pytest.mark.parametrize("end", [5.4, 5.04, 5.005])
 def test_a_pulse_between_breakpoints_is_accepted(end):
     """Advice and per-body steps keep their promise; another jump is refused still."""
