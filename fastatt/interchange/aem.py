@@ -136,7 +136,7 @@ class Aem:
         path : str or Path
             The file.
         """
-        Path(path).write_text(self.text(), encoding="ascii")
+        checks.path("path", path).write_text(self.text(), encoding="ascii")
 
 
 def read_aem(path: str | Path) -> Aem:
@@ -178,7 +178,7 @@ def read_aem(path: str | Path) -> Aem:
     (3, 4)
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = checks.path("path", path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(
             f"{path}: found bytes that are no text in ASCII or UTF-8 (UTF-16, or a binary file); "

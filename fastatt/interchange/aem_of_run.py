@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.interchange import epochs
 from fastatt.interchange.aem import FIXED, RATES_ALONG, TYPES, Aem, AemSegment, one_line
+from fastatt.interchange.tables import check_run
 
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
@@ -84,10 +85,10 @@ def aem_of(
     >>> aem.segments[0].epoch, aem.segments[0].t
     ('2023-11-14T22:13:20', array([0., 1., 2.]))
     """
-    if not hasattr(run, "one_body"):
-        raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
+    check_run(run)
     types = list(TYPES[checks.choice("version", version, TYPES)])
-    kind = checks.choice("attitude_type", attitude_type or types[-1], types)
+    default = types[-1] if attitude_type is None else attitude_type
+    kind = checks.choice("attitude_type", default, types)
     said: dict[str, str] = {
         "OBJECT_NAME": "UNKNOWN",
         "OBJECT_ID": "UNKNOWN",
@@ -136,7 +137,7 @@ def _times(
     epoch: str | datetime, t: NDArray[np.float64], system: str
 ) -> tuple[str, NDArray[np.float64]]:
     """(time tag, seconds since then, leap seconds counted) of a run's times."""
-    if epoch == "unix":
+    if isinstance(epoch, str) and epoch == "unix":
         if system.upper() != "UTC":
             raise ValueError(
                 f'epoch: found "unix" with TIME_SYSTEM {system}; accepted: with UTC, or a time'
