@@ -381,11 +381,12 @@ def _product(
     formula: Any, p_name: str, p: ArrayLike, name: str, value: ArrayLike, length: int
 ) -> NDArray[Any]:
     left, right = floats(p_name, p, (4,)), floats(name, value, (length,))
-    _check_broadcast(p_name, left, name, right)
+    check_broadcast(p_name, left, name, right)
     return on_rows(formula, left, right, after=length)
 
 
-def _check_broadcast(p_name: str, left: NDArray[Any], name: str, right: NDArray[Any]) -> None:
+def check_broadcast(p_name: str, left: NDArray[Any], name: str, right: NDArray[Any]) -> None:
+    """Refuse arrays whose leading axes do not broadcast."""
     try:
         np.broadcast_shapes(left.shape[:-1], right.shape[:-1])
     except ValueError:
@@ -429,7 +430,7 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
     1.570796
     """
     p, q = as_quat("a", a), as_quat("b", b)
-    _check_broadcast("a", p, "b", q)
+    check_broadcast("a", p, "b", q)
     found = on_rows(_angle, p, q, after=None)
     return found if found.ndim else float(found)
 

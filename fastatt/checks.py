@@ -10,6 +10,8 @@ from contextlib import suppress
 from datetime import timedelta
 from difflib import get_close_matches
 from functools import lru_cache, reduce
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,6 +39,35 @@ def nearest(value: object, words: Iterable[str]) -> str:
     form = value.casefold()[:60] if isinstance(value, str) else ""
     found = get_close_matches(form, by_form, n=1)
     return f" (nearest: {by_form[found[0]]})" if found else ""
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name}: found {brief(value)}; accepted: True or False")
+    return bool(value)
+
+
+def function(name: str, value: Any, accepted: str = "a function") -> Any:
+    """Anything that can be called."""
+    if not callable(value):
+        raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
+    return value
+
+
+def path(name: str, value: Any, accepted: str = "a path") -> Path:
+    """A file's path."""
+    if not isinstance(value, (str, PathLike)) or "\0" in str(value):
+        raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
+    return Path(value)
+
+
+def several(name: str, values: Any, accepted: str) -> list[Any]:
+    """The elements of a list, a tuple, an array or another iterable that is not text."""
+    with suppress(TypeError):
+        if not isinstance(values, (str, bytes)):
+            return list(values)
+    raise TypeError(f"{name}: found {brief(values)}; accepted: a list of {accepted}")
 
 
 def whole(name: str, value: Any, least: int) -> int:

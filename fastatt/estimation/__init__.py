@@ -27,15 +27,10 @@ from fastatt.estimation.derivatives import (
     sample_transitions,
     step_tangent,
 )
-from fastatt.estimation.filters import (
-    Motion,
-    attitude_error,
-    gyro_motion,
-    mean_attitude,
-    scene_motion,
-)
+from fastatt.estimation.filters import attitude_error, mean_attitude
 from fastatt.estimation.inertial_logs import Preintegration, Preintegrator, preintegrate
 from fastatt.estimation.mekf import MEKF
+from fastatt.estimation.motions import Motion, gyro_motion, scene_motion
 from fastatt.estimation.noise import (
     AllanDeviation,
     NoiseFit,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sized
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from fastatt import checks
 
 # bounds of numbers whose squares are neither infinite nor 0
 _SMALLEST, _LARGEST = 1e-150, 1e150
+# s; bounds of intervals whose powers are numbers
+_SHORTEST, _LONGEST = 1e-100, 1e100
 
 
 def at_least_zero(name: str, value: float) -> float:
@@ -36,9 +38,21 @@ def variance(name: str, deviation: float) -> float:
 def interval(dt: float) -> float:
     """An interval, s, above 0."""
     found = dt if type(dt) is float else checks.real("dt", dt)
-    if not 0.0 < found < math.inf:
-        raise ValueError(f"dt: found {found}; accepted: an interval above 0")
+    if not _SHORTEST <= found <= _LONGEST:
+        raise ValueError(
+            f"dt: found {found}; accepted: an interval above 0, {_SHORTEST:g} to {_LONGEST:g}"
+        )
     return found
+
+
+def random_generator(rng: Any) -> np.random.Generator:
+    """A random generator: the given one, or one from a seed."""
+    if rng is None or isinstance(rng, np.random.Generator):
+        return np.random.default_rng(rng)
+    accepted = "a numpy.random.Generator, a whole number from 0 on, or None"
+    with suppress(TypeError, ValueError):
+        return np.random.default_rng(checks.whole("rng", rng, 0))
+    raise TypeError(f"rng: found {checks.brief(rng)}; accepted: {accepted}")
 
 
 def common_number(of: str, **arrays: Sized) -> int:

@@ -75,7 +75,7 @@ def _over(
     formula: Formula,
     w: ArrayLike,
     dt: float,
-    covariance: ArrayLike | None = None,
+    covariance: NDArray[Any] | None = None,
     **densities: float,
 ) -> NDArray[Any]:
     """Apply a formula to rates over ``dt`` s, with noise densities and covariances, if any."""
@@ -85,8 +85,8 @@ def _over(
         variances = [at_least_zero(*found) ** 2 for found in densities.items()]
         given["v"] = np.array(variances, dtype=rates.dtype)
     if covariance is not None:
-        given["p"] = _covariances(covariance)
-        _same_rows(covariance=given["p"], w=rates)
+        given["p"] = covariance
+        _same_rows(covariance=covariance, w=rates)
     return _apply(formula, 6, **given)
 
 
@@ -276,7 +276,7 @@ def process_noise(
     >>> f"{Q[0, 0]:.1e}"
     '1.0e-07'
     """
-    formula = _noise_at_rest if at_rest else _noise
+    formula = _noise_at_rest if checks.flag("at_rest", at_rest) else _noise
     return _over(formula, w, dt, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
@@ -308,7 +308,8 @@ def predict_covariance(
     ValueError, TypeError
         If ``covariance`` is not a covariance, or another argument does not fit.
     """
-    return _over(_predict, w, dt, covariance, angle_noise=angle_noise, bias_noise=bias_noise)
+    P = _covariances(covariance)
+    return _over(_predict, w, dt, P, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
 def covariance_to_inertial(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:

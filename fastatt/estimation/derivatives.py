@@ -185,7 +185,7 @@ def sample_transitions(
     >>> found.matrix.shape
     (4, 6, 6)
     """
-    names = methods_for_samples(increments)
+    names = methods_for_samples(checks.flag("increments", increments))
     fitting = [name for name in names if METHODS[name].window.iteration is None]
     record = METHODS[checks.choice("method", method, fitting)]
     data = checks.array("rates", rates, "(n, 3) or (N, n, 3)")
@@ -330,6 +330,7 @@ def body_tangent(
     (6, 6)
     """
     record, packed = of_body(scene, method)
+    checks.flag("parameters", parameters)
     h, begin = checks.real("dt", dt), checks.real("t0", t0)
     attitudes = checks.attitudes("q0", q0)
     w = checks.array("w0", w0, "(3,) or (N, 3)")
@@ -388,7 +389,8 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     'magnus4'
     """
     of_rate = as_scene(scene).kind == "rate"
-    record, packed = _of_rate(scene, method or "magnus4") if of_rate else of_body(scene, method)
+    named = "magnus4" if method is None else method
+    record, packed = _of_rate(scene, named) if of_rate else of_body(scene, method)
     structure, tables = packed.structure.turning, packed.tables
     # compiled once for all scenes that differ in their numbers only
     made = _step_function(record, structure, tables) if tables else _kept(record, structure)

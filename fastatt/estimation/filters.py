@@ -1,22 +1,22 @@
-"""Common parts of filters: motions of sigma points and particles, errors, means, updates.
-
-A motion steps an ensemble with attitudes (M, 4) and auxiliary states (M, K):
-``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make motions, and users may define
-others.
-"""
+"""Common parts of filters: errors, means, updates."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.arrays import normalised, quat_multiply, quat_to_rotation_vector
+from fastatt.arrays import (
+    check_broadcast,
+    floats,
+    normalised,
+    quat_multiply,
+    quat_to_rotation_vector,
+)
 from fastatt.estimation.amounts import (
     attitude_covariance,
     common_number,
@@ -26,113 +26,8 @@ from fastatt.estimation.amounts import (
     variance,
 )
 from fastatt.estimation.updates import operation
-from fastatt.propagation.propagate import propagate
-from fastatt.scene import rates
-from fastatt.scene.scene import Scene
 
 Floats = NDArray[np.float64]
-Motion = Callable[[Floats, Floats], tuple[Floats, Floats]]
-
-
-@dataclass(frozen=True)
-class TimedMotion:
-    """A motion over some seconds, with rates that differ as the first auxiliary numbers do."""
-
-    motion: Motion
-    seconds: float
-
-    def __call__(self, q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Attitudes and auxiliary states after the motion."""
-        return self.motion(q, y)
-
-
-def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
-    """The motion at a gyro's rate less the bias, which is the first three auxiliary numbers.
-
-    Parameters
-    ----------
-    gyro : array_like of shape (3,) or (N, 3)
-        Gyro samples, rad/s, held for ``dt``: one, or those of N filters, whose points follow each
-        other in equal numbers.
-    dt : float
-        Interval, s.
-    n_threads : int, optional
-        Number of threads, as in :func:`fastatt.propagate`.
-
-    Returns
-    -------
-    Motion
-        A function ``motion(q, y) -> (q, y)`` of attitudes (M, 4) and auxiliary states (M, K), for
-        :meth:`UKF.predict` and :meth:`ParticleFilter.predict`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import fastatt as fa
-    >>> motion = fa.estimation.gyro_motion((0.0, 0.0, 0.5), 0.1)
-    >>> q, y = motion(np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)), np.zeros((5, 3)))
-    >>> q.shape, y.shape
-    ((5, 4), (5, 3))
-    """
-    sample = checks.array("gyro", gyro, "(3,) or (N, 3)")
-
-    def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        if y.shape[1] < 3:
-            raise ValueError(
-                f"y: has shape {y.shape}; accepted: a bias of three numbers in each row"
-            )
-        each = np.repeat(sample, len(q) // len(sample), axis=0) if sample.ndim == 2 else sample
-        scene = Scene(rate=rates.Constant(each - y[:, :3]))
-        moved = propagate(scene, q, dt=dt, n_steps=1, method="lie_euler", n_threads=n_threads)
-        return moved.q[-1], y
-
-    return TimedMotion(motion, abs(checks.real("dt", dt)))
-
-
-def scene_motion(
-    scene: Scene,
-    dt: float,
-    n_steps: int,
-    *,
-    method: str | None = None,
-    t0: float = 0.0,
-    n_threads: int | None = None,
-) -> Motion:
-    """The motion of a scene over some steps.
-
-    Parameters
-    ----------
-    scene : Scene
-        A scene with inertia or with a rate.
-    dt : float
-        Step size, s.
-    n_steps : int
-        Number of steps.
-    method : str or Method, optional
-        The method, as in :func:`fastatt.propagate`.
-    t0 : float, default 0.0
-        Time at which the motion begins, s.
-    n_threads : int, optional
-        Number of threads, as in :func:`fastatt.propagate`.
-
-    Returns
-    -------
-    Motion
-        A function ``motion(q, y) -> (q, y)`` of attitudes (M, 4) and auxiliary states (M, K). For a
-        scene with inertia the first three auxiliary numbers are the angular velocity along body
-        axes, rad/s.
-    """
-    carries = scene.kind != "rate"
-
-    def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        moved = propagate(
-            scene, q, y[:, :3] if carries else None, dt=dt, n_steps=n_steps, method=method, t0=t0,
-            n_threads=n_threads,
-        )  # fmt: skip
-        return moved.q[-1], np.hstack([moved.w[-1], y[:, 3:]]) if carries else y
-
-    seconds = abs(checks.real("dt", dt)) * checks.whole("n_steps", n_steps, 0)
-    return TimedMotion(motion, seconds if carries else 0.0)
 
 
 def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
@@ -152,8 +47,8 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
 
     Raises
     ------
-    ValueError
-        If a quaternion is zero.
+    ValueError, TypeError
+        If a shape is another one, or a quaternion is zero.
 
     Examples
     --------
@@ -161,12 +56,13 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
     >>> fa.estimation.attitude_error([1, 0, 0, 0], [1, 0, 0, 0.001]).round(6).tolist()
     [0.0, 0.0, 0.002]
     """
-    conjugate = _not_zero("q", q) * (1.0, -1.0, -1.0, -1.0)
-    return quat_to_rotation_vector(quat_multiply(conjugate, _not_zero("q_true", q_true)))
+    rows, true = _not_zero("q", q), _not_zero("q_true", q_true)
+    check_broadcast("q", rows, "q_true", true)
+    return quat_to_rotation_vector(quat_multiply(rows * (1.0, -1.0, -1.0, -1.0), true))
 
 
 def _not_zero(name: str, q: ArrayLike) -> Floats:
-    found = np.asarray(q, dtype=np.float64)
+    found = floats(name, q, (4,)).astype(np.float64)
     if not found.any(axis=-1).all():
         raise ValueError(f"{name}: found a zero quaternion; accepted: of any other length")
     return found
@@ -181,7 +77,8 @@ def normalised_square(d: Floats, P: Floats) -> Floats:
         x, pivot = left[..., k], L[..., k, k]
         u = np.divide(x, pivot, where=pivot != 0.0, out=np.zeros(found.shape))
         # without variance the result is 0 or infinite
-        found += np.where((pivot == 0.0) & (x != 0.0), np.inf, u * u)
+        with np.errstate(over="ignore"):
+            found += np.where((pivot == 0.0) & (x != 0.0), np.inf, u * u)
         left -= L[..., :, k] * u[..., None]
     return found
 
@@ -203,7 +100,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
 
     Raises
     ------
-    ValueError
+    ValueError, TypeError
         If a shape does not fit, a quaternion is zero, weights are negative or all zero, or the mean
         is not unique.
 
@@ -218,15 +115,16 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     >>> fa.mean_attitude([[1.0, 0.1, 0.0, 0.0], [1.0, -0.1, 0.0, 0.0]]).round(6).tolist()
     [1.0, 0.0, 0.0, 0.0]
     """
-    rows = np.asarray(q, dtype=np.float64)
-    if rows.ndim < 2 or rows.shape[-1] != 4 or rows.shape[-2] == 0:
+    rows = _not_zero("q", q)
+    if rows.ndim < 2 or rows.shape[-2] == 0:
         raise ValueError(f"q: has shape {rows.shape}; accepted: (..., M, 4)")
     checks.finite("q", rows)
-    weighted = rows = normalised(_not_zero("q", rows))
+    weighted = rows = normalised(rows)
     if weights is not None:
-        w = np.asarray(weights, dtype=np.float64)
+        w = checks.numbers("weights", weights, "real numbers").astype(np.float64)
         if w.shape[-1:] != rows.shape[-2:-1]:
             raise ValueError(f"weights: has shape {w.shape}; accepted: (..., {rows.shape[-2]})")
+        check_broadcast("q", rows[..., 0], "weights", w)
         checks.finite("weights", w)
         if (w < 0.0).any() or not w.any(axis=-1).all():
             raise ValueError(
@@ -238,12 +136,6 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
         raise ValueError("q: has no one mean; accepted: attitudes that do not weigh each other out")
     found = vectors[..., -1]
     return np.asarray(np.where(found[..., :1] < 0.0, -found, found))
-
-
-def moved_rows(q: ArrayLike, y: ArrayLike, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Checked results of a motion: unit quaternions (M, 4) and auxiliary states (M, K)."""
-    attitudes = checks.attitudes("motion: q", q, f"({shape[0]}, 4)")
-    return normalised(attitudes), checks.array("motion: y", y, str(shape)).astype(np.float64)
 
 
 def unit_rows(value: NDArray[Any], n: int) -> Floats:

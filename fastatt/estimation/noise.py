@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.estimation.amounts import at_least_zero, interval
+from fastatt.estimation.amounts import at_least_zero, interval, random_generator
 from fastatt.estimation.filters import Floats
 
 # share of the largest variance; smaller ones have the same weight in a fit's first guess
@@ -201,12 +201,13 @@ def simulate_gyro(
     h = interval(dt)
     angle = at_least_zero("angle_noise", angle_noise)
     walk = at_least_zero("bias_noise", bias_noise)
+    checks.flag("increments", increments)
     if runs is not None:
         if motion.ndim == 3:
             raise ValueError(f"runs: found {runs} with {len(motion)} motions; accepted: None")
         motion = np.broadcast_to(motion, (checks.whole("runs", runs, 1), *motion.shape))
     first = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (*motion.shape[:-2], 3)])
-    generator = np.random.default_rng(rng)
+    generator = random_generator(rng)
     steps = walk * math.sqrt(h) * generator.standard_normal(motion.shape)
     start = np.broadcast_to(first, (*motion.shape[:-2], 3))[..., None, :]
     biases = np.concatenate([start, start + np.cumsum(steps, axis=-2)], axis=-2)
@@ -257,8 +258,10 @@ class NoiseFit:
         ndarray of shape (T,) or (T, K)
             The Allan deviation.
         """
+        times = checks.array("tau", tau, "(T,)").astype(np.float64)
+        checks.refuse("tau", times, times <= 0.0, "above 0")
         parts = np.stack([self.angle_noise, self.bias_instability, self.bias_noise])
-        return np.asarray(np.sqrt(_basis(np.asarray(tau, dtype=np.float64)) @ parts**2))
+        return np.asarray(np.sqrt(_basis(times) @ parts**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,6 +396,7 @@ def allan_deviation(
     >>> print(f"{es.allan_deviation(white, 0.01).fit().angle_noise:.1e} rad/√s")
     1.0e-04 rad/√s
     """
+    checks.flag("increments", increments)
     given = checks.array("samples", samples, "(n,) or (n, K)")
     rates = given.astype(np.float64)
     n, h = len(rates), interval(dt)

@@ -6,21 +6,26 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import quat_multiply, quat_rotate_inverse, rotation_vector_to_quat
-from fastatt.estimation.amounts import attitude_covariance, covariances, root, variance
+from fastatt.estimation.amounts import (
+    attitude_covariance,
+    covariances,
+    random_generator,
+    root,
+    variance,
+)
 from fastatt.estimation.filters import (
     Floats,
-    Motion,
     attitude_error,
     mean_attitude,
-    moved_rows,
     normalised_square,
     rows_of,
     unit_rows,
 )
+from fastatt.estimation.motions import Motion, moved_rows
 
 
 class ParticleFilter:
@@ -74,8 +79,10 @@ class ParticleFilter:
         self.q = unit_rows(start, len(start))
         self.y = rows_of(auxiliary, auxiliary.shape)
         self.weights = np.full(len(start), 1.0 / len(start))
-        self._rng = np.random.default_rng(rng)
+        self._rng = random_generator(rng)
         self._threshold = checks.real("threshold", threshold)
+        if not 0.0 <= self._threshold <= 1.0:
+            raise ValueError(f"threshold: found {threshold}; accepted: 0 to 1")
 
     @classmethod
     def around(
@@ -101,7 +108,7 @@ class ParticleFilter:
         ParticleFilter
             The filter.
         """
-        generator = np.random.default_rng(rng)
+        generator = random_generator(rng)
         particles = checks.whole("n", n, 1)
         centre = checks.attitudes("q", q, "(4,)")
         auxiliary = checks.array("y", y, "(K,)")
@@ -140,8 +147,7 @@ class ParticleFilter:
         """
         size = 3 + self.y.shape[1]
         P = None if noise is None else covariances("noise", noise, f"({size}, {size})")
-        q, y = motion(self.q, self.y)
-        self.q, self.y = moved_rows(q, y, self.y.shape)
+        self.q, self.y = moved_rows(motion, self.q, self.y)
         if P is not None:
             self.scatter(P)
 
@@ -158,12 +164,19 @@ class ParticleFilter:
         ValueError
             If no particle has a finite one.
         """
-        given = checks.array("log_likelihood", log_likelihood, f"({len(self.weights)},)", flag=True)
+        shape = f"({len(self.weights)},)"
+        self._weigh(
+            "log_likelihood", checks.array("log_likelihood", log_likelihood, shape, flag=True)
+        )
+
+    def _weigh(self, name: str, log_likelihood: NDArray[Any]) -> None:
+        """Weight the particles by a likelihood of the argument ``name``."""
         with np.errstate(divide="ignore"):
-            logs = np.log(self.weights) + given
+            logs = np.log(self.weights) + log_likelihood
         top = logs.max()
         if not math.isfinite(top):
-            raise ValueError(f"log_likelihood: its maximum is {top}; accepted: a finite one")
+            what = "" if name == "log_likelihood" else " of the log likelihood"
+            raise ValueError(f"{name}: its maximum{what} is {top}; accepted: a finite one")
         weights = np.exp(logs - top)
         self.weights = weights / weights.sum()
         if self.effective_number < self._threshold * len(self.weights):
@@ -185,7 +198,7 @@ class ParticleFilter:
         fixed = checks.array("reference", reference, "(3,)")
         weight = -0.5 / variance("sigma", sigma)
         away = quat_rotate_inverse(self.q, fixed) - seen
-        self.update(np.einsum("ij,ij->i", away, away) * weight)
+        self._weigh("measured", np.einsum("ij,ij->i", away, away) * weight)
 
     def update_attitude(self, measured: ArrayLike, sigma: ArrayLike) -> None:
         """Update with a measured attitude.
@@ -198,7 +211,7 @@ class ParticleFilter:
             Standard deviation, as in :meth:`MEKF.update_attitude`.
         """
         error = attitude_error(self.q, checks.attitudes("measured", measured, "(4,)"))
-        self.update(-0.5 * normalised_square(error, attitude_covariance(sigma)))
+        self._weigh("measured", -0.5 * normalised_square(error, attitude_covariance(sigma)))
 
     @property
     def effective_number(self) -> float:

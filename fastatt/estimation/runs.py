@@ -163,6 +163,8 @@ def run_tangent(
     0.714
     """
     record, packed = of_body(scene, method)
+    checks.real("dt", dt)
+    checks.whole("n_steps", n_steps, 0)
     run, stepped = (
         propagate(
             scene, q0, w0, dt=dt, n_steps=n_steps, method=record, save_every=1, t0=t0,

@@ -120,7 +120,7 @@ class Stepper:
         Raises
         ------
         ValueError, TypeError
-            If the number of arguments or a shape does not fit.
+            If the number of arguments or a shape does not fit, or ``params`` has no such row.
         """
         if len(more) != len(self._carried):
             accepted = ", ".join(("q", *self._carried))
@@ -152,6 +152,9 @@ class Stepper:
         return _floats(value.astype(self._kind))
 
     def _of(self, body: int) -> Any:
+        n = 1 if isinstance(self.params, tuple) else len(self.params)
+        if checks.whole("body", body, 0) >= n:
+            raise ValueError(f"body: found {body}; accepted: 0 to {n - 1}, the rows of params")
         return self.params if isinstance(self.params, tuple) else self.params[body]
 
 
@@ -215,7 +218,7 @@ def single_step(
     as_scene(scene)
     attitude = attitude_of(representation)
     record = method_of(scene, method, attitude, need="is_stepped")
-    if position and not scene.moves:
+    if checks.flag("position", position) and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     if scene.sampling is not None:
         raise ValueError(

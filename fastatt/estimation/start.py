@@ -16,6 +16,7 @@ from fastatt.arrays import (
     quat_rotate_inverse,
     rotation_vector_to_quat,
 )
+from fastatt.estimation.amounts import variance
 from fastatt.estimation.filters import Floats
 
 _PIECES = 4
@@ -153,6 +154,8 @@ def _deviations(sigma: ArrayLike, n: int) -> Floats:
     found = checks.array("sigma", sigma, f"a number or ({n},)")
     if not (found > 0.0).all():
         raise ValueError(f"sigma: found {found.min()}; accepted: above 0")
+    for deviation in found.flat:
+        variance("sigma", float(deviation))
     return np.broadcast_to(found.astype(np.float64), (n,))
 
 
@@ -239,6 +242,8 @@ def static_start(
     >>> print(found.q, found.bias)
     [1. 0. 0. 0.] [0.01 0.   0.  ]
     """
+    for name, limit in (("largest_bias", largest_bias), ("largest_change", largest_change)):
+        checks.above_zero(name, limit, finite=False)
     rates = _samples("gyro", gyro)
     bias = rates.mean(axis=0)
     size = float(np.linalg.norm(bias))

@@ -21,11 +21,10 @@ from fastatt.estimation.amounts import covariances, definite, largest_square, ro
 from fastatt.estimation.filters import (
     Estimates,
     Floats,
-    Motion,
     attitude_error,
-    moved_rows,
     normalised_square,
 )
+from fastatt.estimation.motions import Motion, moved_rows
 
 # largest angle of a sigma point from the estimate, and from the mean after a motion, rad, since
 # errors of π are ambiguous
@@ -182,8 +181,7 @@ class UKF(Estimates):
         added = covariances("noise", noise, f"({size}, {size}) or ({n}, {size}, {size})")
         q, y, _, columns = self._points(getattr(motion, "seconds", 0.0))
         m = q.shape[0] * q.shape[1]
-        moved = motion(q.reshape(m, 4), y.reshape(m, size - 3))
-        moved = moved_rows(*moved, (m, size - 3))
+        moved = moved_rows(motion, q.reshape(m, 4), y.reshape(m, size - 3))
         q, y = moved[0].reshape(q.shape), moved[1].reshape(y.shape)
         mean = q[:, 0]
         for _ in range(2):
@@ -231,6 +229,7 @@ class UKF(Estimates):
         q, y, L, columns = self._points(0.0)
         (n, points), size = q.shape[:2], self._P.shape[1]
         rows = n * points
+        checks.function("observe", observe, "a function observe(q, y)")
         made = observe(q.reshape(rows, 4), y.reshape(rows, size - 3))
         made = checks.array("observe", made, f"({rows}, m)", [(rows, -1)]).astype(np.float64)
         z = made.reshape(n, points, -1)

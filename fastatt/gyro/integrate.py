@@ -202,9 +202,7 @@ def methods_for_samples(increments: bool = False) -> list[str]:
 
 def method_of(name: str, increments: bool) -> Method:
     """The method for samples of a name; raises ``ValueError`` for any other."""
-    if not isinstance(increments, (bool, np.bool_)):
-        raise TypeError(f"increments: found {checks.brief(increments)}; accepted: True or False")
-    named = _named(increments)
+    named = _named(checks.flag("increments", increments))
     if type(name) is not str or name not in named:
         name = checks.choice("method", name, named)
     return named[name]

@@ -120,6 +120,8 @@ class Aem:
             If this is not a valid message, for example if times do not rise.
         """
         checks.choice("version", self.version, TYPES)
+        if not self.segments:
+            raise ValueError("segments: found none; accepted: one or more")
         lines = [f"CCSDS_AEM_VERS = {self.version}", *_comments(self.comments)]
         lines += _assignments("header", self.header, _HEADER)
         for k, segment in enumerate(self.segments):
@@ -134,7 +136,7 @@ class Aem:
         path : str or Path
             The file.
         """
-        Path(path).write_text(self.text(), encoding="ascii")
+        checks.path("path", path).write_text(self.text(), encoding="ascii")
 
 
 def read_aem(path: str | Path) -> Aem:
@@ -176,7 +178,7 @@ def read_aem(path: str | Path) -> Aem:
     (3, 4)
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = checks.path("path", path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(
             f"{path}: found bytes that are no text in ASCII or UTF-8 (UTF-16, or a binary file); "
@@ -189,7 +191,7 @@ def read_aem(path: str | Path) -> Aem:
         key, version = _assignment(lines[0][1])
         if key != "CCSDS_AEM_VERS" or version not in TYPES:
             raise ValueError(f"found {key} = {version}; accepted: CCSDS_AEM_VERS = 1.0 or 2.0")
-    sections = _sections(lines[1:])
+    sections = _sections(lines)
     header, comments = _values(next(sections))
     segments = tuple(_segment(*block, version) for block in zip(sections, sections, strict=True))
     return Aem(version, header, segments, comments)
@@ -209,7 +211,7 @@ def _sections(lines: list[_Numbered]) -> Iterator[list[_Numbered]]:
     marks = cycle(_MARKS)
     mark, inside = next(marks), True
     section: list[_Numbered] = []
-    for k, line in lines:
+    for k, line in lines[1:]:
         if line == mark:
             if inside:
                 yield section
@@ -399,10 +401,10 @@ class _Layout:
 
 
 def _comments(comments: tuple[str, ...]) -> list[str]:
-    return [f"COMMENT {_line('comments', x)}" for x in comments]
+    return [f"COMMENT {one_line('comments', x)}" for x in comments]
 
 
-def _line(name: str, value: Any) -> str:
+def one_line(name: str, value: Any) -> str:
     """A value that is one line of ASCII."""
     if isinstance(value, str) and value.strip() and value.isascii() and value.isprintable():
         return value
@@ -416,7 +418,7 @@ def _assignments(name: str, values: Mapping[str, str], known: tuple[str, ...]) -
         raise ValueError(f"{name}: found {', '.join(unknown)}; accepted: {', '.join(known)}")
     for key in known:
         if key in values:
-            yield f"{key} = {_line(f'{name} {key}', values[key])}"
+            yield f"{key} = {one_line(f'{name} {key}', values[key])}"
 
 
 def _number(x: float) -> str:

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.interchange import epochs
-from fastatt.interchange.aem import FIXED, RATES_ALONG, TYPES, Aem, AemSegment
+from fastatt.interchange.aem import FIXED, RATES_ALONG, TYPES, Aem, AemSegment, one_line
+from fastatt.interchange.tables import check_run
 
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
 
 # s; longer than any run, and Unix time was past it in 1973
 _LONG = 1e8
+# before that day UTC had no leap seconds; local times of the Unix epoch are in 1969 or 1970
+_FIRST_LEAPS = "1972"
 
 
 def aem_of(
@@ -68,8 +71,10 @@ def aem_of(
     ------
     ValueError
         If an argument does not fit, ``body`` is missing for an ensemble, an attitude is not finite,
-        or times are beyond 1e8 s after an epoch of 1970, which Unix time and elapsed seconds
-        interpret differently.
+        or times are beyond 1e8 s from an epoch before 1972, such as 1970, which Unix time and
+        elapsed seconds interpret differently.
+    TypeError
+        If an argument has the wrong type.
 
     Examples
     --------
@@ -80,13 +85,15 @@ def aem_of(
     >>> aem.segments[0].epoch, aem.segments[0].t
     ('2023-11-14T22:13:20', array([0., 1., 2.]))
     """
+    check_run(run)
     types = list(TYPES[checks.choice("version", version, TYPES)])
-    kind = checks.choice("attitude_type", attitude_type or types[-1], types)
+    default = types[-1] if attitude_type is None else attitude_type
+    kind = checks.choice("attitude_type", default, types)
     said: dict[str, str] = {
         "OBJECT_NAME": "UNKNOWN",
         "OBJECT_ID": "UNKNOWN",
-        "REF_FRAME_A": frame,
-        "REF_FRAME_B": body_frame,
+        "REF_FRAME_A": one_line("frame", frame),
+        "REF_FRAME_B": one_line("body_frame", body_frame),
         "TIME_SYSTEM": "UTC",
         "ATTITUDE_TYPE": kind,
     }
@@ -94,14 +101,23 @@ def aem_of(
         said |= FIXED
     if kind == types[-1]:
         said[RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
-    said |= metadata or {}
+    said |= _keywords("metadata", metadata)
     begin, t = _times(epoch, run.t, said["TIME_SYSTEM"])
     q, w = (np.asarray(x, dtype=np.float64) for x in _of_body(run, body))
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    first = {"CREATION_DATE": now, "ORIGINATOR": "FASTATT", **(header or {})}
+    first = {"CREATION_DATE": now, "ORIGINATOR": "FASTATT", **_keywords("header", header)}
     direction, order = ({**FIXED, **said}[key] for key in FIXED)
     comment = f"quaternions: scalar {order.lower()}, {direction} of REF_FRAME_A and REF_FRAME_B"
     return Aem(version, first, (AemSegment(begin, t, q, w, said, (comment,)),))
+
+
+def _keywords(name: str, given: Mapping[str, str] | None) -> Mapping[str, str]:
+    found = {} if given is None else given
+    if not isinstance(found, Mapping):
+        raise TypeError(f"{name}: found {checks.brief(found)}; accepted: a mapping of str to str")
+    for key, value in found.items():
+        one_line(f"{name} {one_line(f'{name}: a keyword', key)}", value)
+    return found
 
 
 def _of_body(run: Trajectory, body: int | None) -> list[NDArray[Any]]:
@@ -121,7 +137,7 @@ def _times(
     epoch: str | datetime, t: NDArray[np.float64], system: str
 ) -> tuple[str, NDArray[np.float64]]:
     """(time tag, seconds since then, leap seconds counted) of a run's times."""
-    if epoch == "unix":
+    if isinstance(epoch, str) and epoch == "unix":
         if system.upper() != "UTC":
             raise ValueError(
                 f'epoch: found "unix" with TIME_SYSTEM {system}; accepted: with UTC, or a time'
@@ -129,7 +145,7 @@ def _times(
         tags = epochs.tags("1970-01-01T00:00:00", t, leaps=False)
         return tags[0], epochs.seconds_since(tags[0], tags, leaps=True)
     tag = epochs.tag_of(epoch, system)
-    if tag.startswith("1970") and np.abs(t).max() > _LONG:
+    if tag < _FIRST_LEAPS and np.abs(t).max() > _LONG:
         raise ValueError(
             f"epoch: found {tag} with t up to {t[-1]:.10g} s, in which leap seconds count; "
             'accepted: "unix" where t is Unix time, or a time near the run, t counted from it'

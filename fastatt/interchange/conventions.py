@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.arrays import floats, mrp_to_quat, quat_rotate, quat_rotate_inverse, quat_to_mrp
+from fastatt import checks
+from fastatt.arrays import (
+    check_broadcast,
+    floats,
+    mrp_to_quat,
+    normalised,
+    quat_rotate,
+    quat_rotate_inverse,
+    quat_to_mrp,
+)
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -77,6 +86,8 @@ def to_scipy(q: ArrayLike) -> Rotation:
     ------
     ImportError
         If SciPy is not installed.
+    ValueError, TypeError
+        If the shape is another one, or a quaternion is zero or not finite.
 
     Examples
     --------
@@ -86,7 +97,11 @@ def to_scipy(q: ArrayLike) -> Rotation:
     """
     from scipy.spatial.transform import Rotation
 
-    return Rotation.from_quat(to_scalar_last(q))
+    found = floats("q", q, (4,))
+    checks.finite("q", found)
+    if not found.any(axis=-1).all():
+        raise ValueError("q: found a zero quaternion; accepted: of any other length")
+    return Rotation.from_quat(to_scalar_last(normalised(found)))
 
 
 def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
@@ -261,7 +276,7 @@ def rates_to_body(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
     >>> fa.interchange.rates_to_body([1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0]).round(6).tolist()
     [1.0, 0.0, 0.0]
     """
-    return quat_rotate_inverse(q, w)
+    return quat_rotate_inverse(*_attitudes_and_rates(q, w))
 
 
 def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
@@ -285,4 +300,10 @@ def rates_to_inertial(q: ArrayLike, w: ArrayLike) -> NDArray[Any]:
     >>> fa.interchange.rates_to_inertial([1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0]).round(6).tolist()
     [0.0, 1.0, 0.0]
     """
-    return quat_rotate(q, w)
+    return quat_rotate(*_attitudes_and_rates(q, w))
+
+
+def _attitudes_and_rates(q: ArrayLike, w: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    attitudes, rates = floats("q", q, (4,)), floats("w", w, (3,))
+    check_broadcast("q", attitudes, "w", rates)
+    return attitudes, rates

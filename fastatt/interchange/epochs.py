@@ -69,7 +69,8 @@ def tag_of(epoch: Any, system: str) -> str:
             epoch = datetime.fromisoformat(epoch)
         except ValueError:
             raise ValueError(f"epoch: found {checks.brief(epoch)}; accepted: {accepted}") from None
-    if not isinstance(epoch, datetime):
+    # NaT of pandas is a datetime
+    if not isinstance(epoch, datetime) or not _TAG.fullmatch(epoch.isoformat()[:19]):
         raise TypeError(f"epoch: found {checks.brief(epoch)}; accepted: {accepted}")
     if epoch.tzinfo is not None:
         if system.upper() != "UTC":

@@ -98,12 +98,12 @@ def quat_to_euler(q: ArrayLike, sequence: str) -> NDArray[Any]:
 
 
 def _known(sequence: Any) -> str:
-    if sequence not in SEQUENCES:
+    if not isinstance(sequence, str) or sequence not in SEQUENCES:
         raise ValueError(
             f"sequence: found {checks.brief(sequence)}; accepted: three of x, y, z about fixed "
             "axes or of X, Y, Z about the body's own, none twice in a row, such as 'ZYX'"
         )
-    return str(sequence)
+    return sequence
 
 
 def _axes(sequence: str) -> tuple[list[int], bool]:

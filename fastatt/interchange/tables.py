@@ -10,12 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import checks
+
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
 
 # rows that are converted to text at a time, and rows that a notebook shows
 _ROWS = 1 << 16
 _SHOWN = 5
+
+
+def check_run(run: Any) -> None:
+    """Refuse anything but a run, whose class is in a layer above."""
+    if not hasattr(run, "one_body"):
+        raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
 
 
 def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
@@ -26,6 +34,7 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
     axes, ``rx`` to ``rz`` m along inertial axes, and states ``s0``, ``s1`` …; ``status`` of the
     whole run.
     """
+    check_run(run)
     q = run.q
     shape = q.shape[:-1]
     # read-only views, so that shared values are not copied
@@ -60,12 +69,14 @@ def write_csv(run: Trajectory, path: str | Path) -> None:
 
     Raises
     ------
+    TypeError
+        If ``run`` is not a run, or ``path`` is not a path.
     OSError
         If the file can't be written.
     """
     table = columns(run)
     saves = max(1, _ROWS // run.status.size)
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
+    with checks.path("path", path).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(table)
         for a in range(0, len(run.t), saves):

@@ -87,7 +87,7 @@ def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
     found: dict[str, list[tuple[str, int]]] = {}
     for i, name in enumerate(names):
         text = bare(name)[0]
-        match = _AXIS.fullmatch(text) or _AXIS.fullmatch(_UNIT_AT_END.sub("", text))
+        match = _AXIS.fullmatch(_UNIT_AT_END.sub("", text)) or _AXIS.fullmatch(text)
         if match is None:
             continue
         stem = re.sub(r"[ _\-]", "", re.split(r"[./]", match["stem"])[-1]).lower()

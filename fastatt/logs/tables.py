@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -147,22 +148,30 @@ def _array(found: Any) -> NDArray[Any]:
     if np.ma.is_masked(found) and array.dtype.kind in "fiumM":
         array = array.astype(np.float64) if array.dtype.kind in "iu" else array.copy()
         array[np.ma.getmaskarray(found)] = "NaT" if array.dtype.kind in "mM" else np.nan
-    if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], datetime):
+    if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], (datetime, timedelta)):
+        kind = "datetime" if isinstance(array.flat[0], datetime) else "timedelta"
         with warnings.catch_warnings():  # NumPy warns that zones are dropped
             warnings.simplefilter("ignore", UserWarning)
-            return np.asarray(found, dtype="datetime64[ns]")
+            return np.asarray(found, dtype=f"{kind}64[ns]")
     return array
 
 
 def _plain(array: NDArray[Any]) -> NDArray[np.float64]:
     """float64; NaN for values that are not real, finite numbers."""
-    try:
-        if array.dtype.kind in "bcmM":
-            raise TypeError
+    if array.dtype.kind in "OUST":
+        numbers = np.array([_number(x) for x in array.tolist()])
+    elif array.dtype.kind in "iuf":
         numbers = array.astype(np.float64)
-    except (TypeError, ValueError):
-        return np.full(array.shape, np.nan)
+    else:
+        numbers = np.full(array.shape, np.nan)
     return np.where(np.isfinite(numbers), numbers, np.nan)
+
+
+def _number(value: Any) -> float:
+    try:
+        return math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
 def _stamps(array: NDArray[Any]) -> NDArray[Any]:
@@ -172,4 +181,5 @@ def _stamps(array: NDArray[Any]) -> NDArray[Any]:
         return array.astype(unit).view(np.int64)
     if array.dtype.kind in "iu" and (not array.size or int(np.abs(array).max()) < 2**63):
         return array.astype(np.int64)
-    return _plain(array)
+    how = stamps.kind(str(array[0])) if array.dtype.kind in "OUST" else "float"
+    return _plain(array) if how == "float" else stamps.from_text(how, [str(x) for x in array])

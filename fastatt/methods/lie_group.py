@@ -228,5 +228,5 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
 def named(name: Any) -> str:
     """The name of a method; raises ``TypeError`` for anything else."""
     if not isinstance(name, str) or not name:
-        raise TypeError(f"name: found {name!r}; accepted: a name")
+        raise TypeError(f"name: found {checks.brief(name)}; accepted: a name")
     return name

@@ -256,14 +256,8 @@ def runge_kutta(
     >>> fa.propagate(scene, [1, 0, 0, 0], [0.1, 0.2, 0.3], dt=0.01, n_steps=10, method=rk3).method
     'ralston3'
     """
-    try:
-        numbers = (
-            tuple(map(float, c)),
-            tuple(tuple(map(float, row)) for row in a),
-            tuple(map(float, b)),
-        )
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"c, a, b: {error}; accepted: sequences of numbers") from error
+    rows = tuple(_numbers(f"a[{i}]", row) for i, row in enumerate(checks.several("a", a, "rows")))
+    numbers = _numbers("c", c), rows, _numbers("b", b)
     tableau = Tableau(checks.whole("order", order, 1), *numbers)
     return explicit_method(
         named(name),
@@ -274,6 +268,10 @@ def runge_kutta(
         summary="user-defined",
         source="user-defined",
     )
+
+
+def _numbers(name: str, values: Any) -> tuple[float, ...]:
+    return tuple(checks.numbers(name, values, "a sequence of numbers").ravel().tolist())
 
 
 def _growth(tableau: Tableau, z: complex) -> complex:

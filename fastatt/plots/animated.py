@@ -21,6 +21,7 @@ from fastatt.propagation.trajectory import Trajectory
 # half lengths of the box: no two equal, so that no two attitudes are drawn alike
 _BOX = np.array([0.75, 0.5, 0.2])
 _LONGEST = 10.0
+_MOST_FRAMES = 100_000
 # elevation and azimuth, deg
 _SEEN_FROM = (22.0, 35.0)
 
@@ -67,7 +68,12 @@ def animation(
     span = abs(float(run.t[-1] - run.t[0]))
     lasts = min(span, _LONGEST) if seconds is None else seconds
     lasts = checks.above_zero("seconds", lasts, "above 0")
-    place = Path(path)
+    if lasts * rate > _MOST_FRAMES:
+        raise ValueError(
+            f"seconds: found {lasts:g} at {rate} frames per second; accepted: up to "
+            f"{_MOST_FRAMES} frames"
+        )
+    place = checks.path("path", path)
     kinds: dict[str, Any] = {".gif": writers.PillowWriter, ".mp4": writers.FFMpegWriter}
     kind = kinds.get(place.suffix.lower())
     if kind is None or not kind.isAvailable():

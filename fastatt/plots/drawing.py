@@ -104,4 +104,4 @@ def check_run(run: object) -> None:
 def save(figure: Figure, path: str | Path) -> None:
     """Write a figure to a file."""
     FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=110)
+    figure.savefig(checks.path("path", path), dpi=110)

@@ -138,7 +138,10 @@ def polhode(
             raise ValueError("run: found flags of all bodies; accepted: a body without one")
         chosen = fine[np.unique(np.linspace(0, fine.size - 1, min(fine.size, _CHOSEN)).astype(int))]
     else:
-        chosen = np.array([checks.whole("bodies", k, 0) for k in bodies], dtype=int)
+        chosen = np.array(
+            [checks.whole("bodies", k, 0) for k in checks.several("bodies", bodies, "bodies")],
+            dtype=int,
+        )
         if not 0 < chosen.size <= _CURVES or chosen.max() >= n:
             raise ValueError(f"bodies: found {list(bodies)}; accepted: 1 to 8 of 0 to {n - 1}")
         if run.status[chosen].any():

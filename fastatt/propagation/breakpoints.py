@@ -14,6 +14,8 @@ from fastatt.scene.models import Model, Sampling
 from fastatt.scene.scene import Scene
 
 _EPS = float(np.finfo(np.float64).eps)
+# sample times of a run, and sample times since the start, which doubles tell apart
+_MOST, _FARTHEST = 10**8, 1e15
 
 
 class Breaks(NamedTuple):
@@ -100,6 +102,13 @@ def _with_samples(
     """Breakpoints and sample times in order, those that are equal to rounding once; which are."""
     period, start = sampling
     first, last = sorted((begin, begin + duration))
+    farthest = max(abs(first - start), abs(last - start))
+    if last - first > _MOST * period or farthest > _FARTHEST * period:
+        raise ValueError(
+            f"torque: SampledControl.period is {period} and .start {start}, in a run from {first} "
+            f"to {last} s; accepted: up to {_MOST} samples in it, and less than {_FARTHEST:.0e} "
+            "periods between it and the start"
+        )
     k = np.arange(math.floor((first - start) / period), math.ceil((last - start) / period) + 1)
     slack = 16.0 * _EPS * (np.abs(breakpoints) + abs(begin))
     nearest = start + np.rint((breakpoints - start) / period) * period

@@ -50,7 +50,7 @@ def methods_for(
     TypeError
         If ``scene`` is not a scene.
     ValueError
-        If the representation is unknown.
+        If the representation or the property is unknown.
 
     Examples
     --------
@@ -59,6 +59,8 @@ def methods_for(
     True
     """
     as_scene(scene)
+    properties = [name for name, found in vars(Method).items() if isinstance(found, property)]
+    checks.choice("need", need, ["", *properties])
     if representation is not None:
         representation = attitude_of(representation)
     return [
@@ -142,7 +144,7 @@ def _named(scene: Scene, method: str | None, representation: str | Attitude, nee
         form_of(scene)  # raises, with the reason
     if method is not None:
         name, able = "method", methods_for(scene, need=need)
-        if method in able:
+        if known is not None and known.name in able:
             name = f'method for representation "{_name_of(representation)}"'
             able = methods_for(scene, representation, need=need)
         if known is None:
@@ -196,7 +198,7 @@ def chosen(
 
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
-    compensated = bool(compensated)
+    compensated = checks.flag("compensated", compensated)
     key = ("choice", method, representation, compensated, normalise)
     of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
     is_kept = of_names and reducer is None and device is None and not events

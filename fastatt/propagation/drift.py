@@ -140,8 +140,9 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     elif wheels is not None:
         inside = inside + _of_wheels(wheels(), trajectory)
     total = quat_rotate(trajectory.q, inside)
-    change = np.linalg.norm(total - total[0], axis=-1)
-    return _relative(change, np.linalg.norm(total, axis=-1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        change = np.linalg.norm(total - total[0], axis=-1)
+        return _relative(change, np.linalg.norm(total, axis=-1))
 
 
 def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:

@@ -131,13 +131,11 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     >>> run.event_times.round(6)
     array([1.138071])
     """
-    if not callable(g):
-        raise TypeError(f"g: found {checks.brief(g)}; accepted: a function g(t, q, w, p)")
-    if direction not in (-1, 0, 1) or isinstance(direction, bool):
+    checks.function("g", g, "a function g(t, q, w, p)")
+    way = checks.any_real("direction", direction, "-1, 0, 1")
+    if way not in (-1.0, 0.0, 1.0):
         raise ValueError(f"direction: found {checks.brief(direction)}; accepted: -1, 0, 1")
-    if not isinstance(terminal, (bool, np.bool_)):
-        raise TypeError(f"terminal: found {checks.brief(terminal)}; accepted: True or False")
-    return Event(g, int(direction), bool(terminal))
+    return Event(g, int(way), checks.flag("terminal", terminal))
 
 
 def events_of(events: Event | Sequence[Event]) -> tuple[Event, ...]:

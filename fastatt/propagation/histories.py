@@ -63,11 +63,9 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     >>> fa.to_file("history.npy").path.name
     'history.npy'
     """
-    if not isinstance(path, (str, os.PathLike)):
-        raise TypeError(f"path: found {checks.brief(path)}; accepted: a path, *.npy or *.zarr")
-    target = Path(path)
+    target = checks.path("path", path, "a path, *.npy or *.zarr")
     if target.suffix not in (".npy", ".zarr"):
-        raise ValueError(f"path: found {target.name}; accepted: *.npy or *.zarr")
+        raise ValueError(f"path: found {checks.brief(target.name)}; accepted: *.npy or *.zarr")
     return ToFile(target)
 
 

@@ -13,7 +13,7 @@ from fastatt.codegen.rows import kind_of
 from fastatt.engine.job import Job
 from fastatt.engine.loop import WIDTH
 from fastatt.methods import Method
-from fastatt.propagation.choice_of_method import chosen
+from fastatt.propagation.choice_of_method import attitude_of, chosen, method_of
 from fastatt.propagation.reducer import Reducer
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.tracing import source
@@ -101,7 +101,8 @@ def job_of(
     scene: Scene, method: Any, representation: Any, kind: Any, reduce: Reducer | None = None
 ) -> Job:
     """The job of a scene, without its bodies."""
-    choice = chosen(scene, method, representation, reducer=reduce)
+    record = method_of(scene, method, attitude_of(representation), need="is_stepped")
+    choice = chosen(scene, record, representation, reducer=reduce)
     packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
     if reduce is not None:
         packed = reduce.watching(packed, np.dtype(kind))

@@ -70,9 +70,7 @@ def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     >>> fa.checkpoint("job").path.name
     'job'
     """
-    if not isinstance(path, (str, os.PathLike)):
-        raise TypeError(f"path: found {checks.brief(path)}; accepted: a path")
-    return Checkpoint(Path(path))
+    return Checkpoint(checks.path("path", path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +149,8 @@ def loaded(path: str | os.PathLike[str]) -> End:
             )
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
-            f"resume: {path} is no file of a run's end ({error}); accepted: one that "
-            "Trajectory.save_end or fa.checkpoint wrote"
+            f"resume: {checks.brief(str(path))} is no file of a run's end ({error}); accepted: "
+            "one that Trajectory.save_end or fa.checkpoint wrote"
         ) from None
 
 

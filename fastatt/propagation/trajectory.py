@@ -258,10 +258,11 @@ class Trajectory:
         ValueError
             If the shape is another one, or if a vector is zero or not finite.
         """
-        given = arrays.floats("axis", axis, (3,)).astype(self.q.dtype)
-        size = np.linalg.norm(given, axis=-1, keepdims=True)
-        checks.refuse("axis: its length", size, ~((size > 0.0) & np.isfinite(size)), "above 0")
-        return arrays.quat_rotate(self.q, given / size)
+        shapes = "(3,)" if self.one_body else f"(3,) or ({self.status.size}, 3)"
+        given = checks.array("axis", axis, shapes).astype(self.q.dtype)
+        size = np.abs(given).max(axis=-1, keepdims=True)
+        checks.refuse("axis: its largest component", size, ~(size > 0.0), "above 0")
+        return arrays.quat_rotate(self.q, arrays.normalised(given))
 
     def _target(self, value: Any) -> NDArray[Any]:
         """Quaternions of a target that broadcast against q, in its precision."""

@@ -116,7 +116,8 @@ def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[n
     """
     inside = arm if found.axes is None else quat_rotate_inverse(found.axes, arm)
     m, inside = np.broadcast_arrays(found.moments, inside)
-    size = np.linalg.norm(inside, axis=-1)[..., None]
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(inside, axis=-1)[..., None]
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])
     most = m.max(axis=-1, keepdims=True)
     even = np.abs(m[..., first] - m[..., second]) <= EQUAL * most

@@ -220,7 +220,7 @@ class UserModel(Model):
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
         """Whether the function depends on the position."""
-        return bool(getattr(self, "uses_position", False))
+        return checks.flag("uses_position", getattr(self, "uses_position", False))
 
     @property
     def taken(self) -> int:

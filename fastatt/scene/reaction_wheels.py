@@ -175,6 +175,8 @@ class ReactionWheels(Torque):
                     f"{FORMS['command'].with_states(count).call} or a model of fastatt.torques"
                 )
             given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
+            if given.ndim > 2:
+                raise ValueError(f"{name}.params {checks.shape(given)}; accepted: (K,) or (N, K)")
             columns["params"] = given
             command = user_function(
                 self.command, "command", given.shape[-1], given, count + own, own

@@ -126,6 +126,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
+        checks.flag("allow_unphysical", self.allow_unphysical)
         if (self.rate is None) == (self.inertia is None):
             found = "neither" if self.rate is None else "both"
             if self.rate is None and self.torque is not None:

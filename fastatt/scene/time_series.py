@@ -114,11 +114,12 @@ class TimeSeries:
             )
         cubic = checks.choice("kind", kind, ("cubic", "linear")) == "cubic"
         holds = checks.choice("outside", outside, ("nan", "hold")) == "hold"
-        shape = np.shape(values)
+        shape = checks.numbers("values", values, "numbers").shape
         samples = _samples("values", values, len(times))
-        if slopes is not None and (not cubic or np.shape(slopes) != shape):
+        of = None if slopes is None else checks.numbers("slopes", slopes, "numbers").shape
+        if slopes is not None and (not cubic or of != shape):
             raise ValueError(
-                f"slopes: found of shape {np.shape(slopes)} for {kind} values {shape}; accepted: "
+                f"slopes: found of shape {of} for {kind} values {shape}; accepted: "
                 "of the same shape, for cubic ones"
             )
         if cubic:

@@ -290,6 +290,8 @@ class Sampled(Torque):
         start = checks.real(f"{name}.start", self.start)
         outside = checks.choice(f"{name}.outside", self.outside, ("nan", "hold"))
         times = start + dt * np.arange(len(samples))
+        if not (np.diff(times) > 0.0).all():
+            raise ValueError(f"{name}.start: found {start}; accepted: such that dt can be added")
         table = TimeSeries(times, samples, kind="linear", outside=outside)
         return Constant(table).pack(n_bodies, argument, resources)
 
@@ -339,7 +341,8 @@ class Custom(UserModel, Torque):
 
     @property
     def depends(self) -> Dependence:  # type: ignore[override]
-        return Dependence.RATE if self.uses_rate else Dependence.POSITION
+        uses_rate = checks.flag("uses_rate", self.uses_rate)
+        return Dependence.RATE if uses_rate else Dependence.POSITION
 
     @property
     def energy(self) -> Any:
@@ -357,7 +360,11 @@ class Custom(UserModel, Torque):
         law, params = super().pack(n_bodies, argument, resources)
         function = law.model.function
         # checked when the scene is made, not at each run
-        if not self.uses_rate and n_bodies is None and _uses_rate(function, params):
+        if (
+            not checks.flag("uses_rate", self.uses_rate)
+            and n_bodies is None
+            and _uses_rate(function, params)
+        ):
             raise ValueError(
                 f"{argument}: found Custom.uses_rate False with {function.name}, which gives other "
                 "torques at some w than at w = 0; accepted: True, or a function that does not use w"

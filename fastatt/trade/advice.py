@@ -151,7 +151,7 @@ def recommend(
     usual = [m for m in _USUAL.get(kind, _USUAL["free"]) if m in fitting]
     cases = cases_of(scene, usual if methods is None else methods, representations, dtypes)
     if tol is not None and methods is None:
-        cases = _hopeful(cases, tol)
+        cases = _hopeful(cases, wanted)
     search = Search(
         whole,
         checks.choice("at", at, ("run", "end")),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
-from fastatt.gyro.integrate import integrate_rates, methods_for_samples
+from fastatt.gyro.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
 
@@ -174,14 +174,16 @@ def error_budget(
     """
     fitting = methods_for_samples()
     checks.choice("method", method, fitting)
-    for name in rivals or ():
+    others = fitting if rivals is None else checks.several("rivals", rivals, "methods")
+    for name in others:
         checks.choice("rivals", name, fitting)
     data = checks.array("rates", rates, "(n, 3)")
     kind = checks.precision(dtype, rates)
     if len(data) < LEAST:
         raise ValueError(f"rates: found {len(data)} samples; accepted: at least {LEAST}")
-    log = _Log(data.astype(np.float64), dt, checks.attitudes("q0", q0), max_gap)
-    others = [m for m in (fitting if rivals is None else rivals) if m != method]
+    spans = intervals(dt, len(data) - 1, max_gap, np.dtype(np.float64))
+    log = _Log(data.astype(np.float64), spans, checks.attitudes("q0", q0, "(4,)"), max_gap)
+    others = [name for name in others if name != method]
     with noted():  # leaving out samples makes intervals long
         truncation = log.truncation(method)
         density = log.noise_density()

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.attitudes import Attitude
 from fastatt.codegen.processor import processor
@@ -83,6 +84,10 @@ class State(NamedTuple):
     w: NDArray[Any] | None = None
 
 
+#: rad/s; the square of a faster rate is no number
+_FASTEST = 1e150
+
+
 @dataclass(frozen=True)
 class Problem:
     """An ensemble, with a row for each body, from t0 to t0 + t_end, s."""
@@ -91,6 +96,11 @@ class Problem:
     t_end: float
     t0: float = 0.0
     n_threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.ensemble.w0 is not None:
+            w0 = np.asarray(self.ensemble.w0, dtype=np.float64)
+            checks.refuse("w0", w0, np.abs(w0) > _FASTEST, f"up to {_FASTEST:g} rad/s")
 
     def run(
         self, case: Case, n_steps: Any, save_every: int | None = None, save_at: Any = None

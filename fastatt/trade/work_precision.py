@@ -47,6 +47,8 @@ DTYPES = ("float64", "float32")
 # |w| h of the coarsest step, rad, if the method allows it, and the number of halvings
 _COARSEST = 2.0
 _RUNGS = 14
+# s; steps of shorter runs would underflow
+_SHORTEST = 1e-290
 
 
 @dataclass(frozen=True)
@@ -266,7 +268,8 @@ def cases_of(
     representations, and if no combination is valid.
     """
     fitting = methods_for(scene)
-    for method in methods or ():
+    tried = fitting if methods is None else checks.several("methods", methods, "methods")
+    for method in tried:
         if not isinstance(method, Method):
             checks.choice("methods", method, fitting)
         elif not fits(method, scene):
@@ -274,12 +277,14 @@ def cases_of(
                 f"methods: found {method.name}, for {', '.join(method.scenes)}; accepted for this "
                 f"scene ({scene.kind}): {', '.join(fitting)}"
             )
+    representations = checks.several("representations", representations, "representations")
+    dtypes = checks.several("dtypes", dtypes, "float32 and float64")
     for rep in representations:
         if not isinstance(rep, Attitude):
             checks.choice("representations", rep, ATTITUDES)
     for dtype in dtypes:
         checks.choice("dtypes", dtype, DTYPES)
-    wanted = [Case(method).record for method in (fitting if methods is None else methods)]
+    wanted = [Case(method).record for method in tried]
     stored = [attitude_of(rep) for rep in representations]
     names = [record.name for record in wanted], [record.name for record in stored]
     for argument, used in zip(("methods", "representations"), names, strict=True):
@@ -308,7 +313,10 @@ def name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
 
 def duration(t_end: float) -> float:
     """A finite duration above 0, s."""
-    return checks.above_zero("t_end", t_end, "a duration above 0, s")
+    found = checks.above_zero("t_end", t_end, "a duration above 0, s")
+    if found < _SHORTEST:
+        raise ValueError(f"t_end: found {found}; accepted: a duration of at least {_SHORTEST:g} s")
+    return found
 
 
 def spread(problem: Problem, size: int, generator: np.random.Generator) -> NDArray[np.intp]:

@@ -207,6 +207,7 @@ def test_files_that_are_no_message(tmp_path):
         (EXAMPLE.encode("utf-16"), "message.aem: found bytes that are no text in ASCII or UTF-8"),
         (b"", "message.aem: is empty; accepted: a message, from CCSDS_AEM_VERS on"),
         (b"\n \n", "message.aem: is empty"),
+        (b"CCSDS_AEM_VERS = 2.0\n", "line 1: the message ends before a block does"),
     ):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=message):
@@ -357,7 +358,7 @@ def test_a_run_as_a_message(tmp_path):
         with pytest.raises(ValueError, match=message):
             ic.aem_of(run, epoch="2026-01-01T00:00:00", frame="ICRF", **options)
     for wrong in ("", "A\nB", "é"):
-        with pytest.raises(ValueError, match=r"REF_FRAME_A: found .*; accepted: a line of ASCII"):
+        with pytest.raises(ValueError, match=r"^frame: found .*; accepted: a line of ASCII"):
             run.to_aem(path, epoch="2026-01-01T00:00:00", frame=wrong, body=0)
 
 
@@ -388,6 +389,48 @@ def test_long_times_since_1970_are_refused_with_both_ways(epoch):
         ic.aem_of(run_from(1.7e9), epoch=epoch, frame="ICRF")
     # a run of that time
     assert ic.aem_of(run_from(1e7), epoch=epoch, frame="ICRF").segments[0].t[0] == 1e7
+
+
+@pytest.mark.parametrize(
+    "epoch", ["1969-12-31T19:00:00", "1970-01-01T00:00:00+01:00", "1971-12-31"]
+)
+def test_long_times_since_a_day_without_leap_seconds_are_refused(epoch):
+    """The Unix epoch as local time, for one."""
+    with pytest.raises(
+        ValueError, match=r'epoch: found 19\d\d-12-31T.*accepted: "unix" where t is'
+    ):
+        ic.aem_of(run_from(1.7e9), epoch=epoch, frame="ICRF")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"frame": None}, "frame: found None; accepted: a line of ASCII text"),
+        ({"body_frame": 5}, "body_frame: found 5; accepted: a line of ASCII text"),
+        ({"metadata": 5}, "metadata: found 5; accepted: a mapping of str to str"),
+        ({"metadata": [("OBJECT_NAME", "A")]}, "metadata: found .*; accepted: a mapping of str"),
+        ({"metadata": {"TIME_SYSTEM": 5}}, "metadata TIME_SYSTEM: found 5; accepted: a line"),
+        ({"header": {5: "A"}}, "header: a keyword: found 5; accepted: a line of ASCII text"),
+        ({"header": "A"}, "header: found 'A'; accepted: a mapping of str to str"),
+    ],
+)
+def test_arguments_of_another_type_are_refused(options, message):
+    given = {"epoch": "2026-01-01", "frame": "ICRF", **options}
+    with pytest.raises((TypeError, ValueError), match=message):
+        ic.aem_of(run_from(0.0), **given)
+
+
+def test_what_is_no_time_of_pandas_is_refused():
+    pandas = pytest.importorskip("pandas")
+    with pytest.raises(TypeError, match="epoch: found NaT; accepted: a datetime"):
+        ic.aem_of(run_from(0.0), epoch=pandas.NaT, frame="ICRF")
+
+
+def test_what_is_no_run_and_no_segment_is_refused():
+    with pytest.raises(TypeError, match=r"run: found .*; accepted: a Trajectory"):
+        ic.aem_of({"q": Q, "t": T}, epoch="2026-01-01", frame="ICRF")
+    with pytest.raises(ValueError, match="segments: found none; accepted: one or more"):
+        ic.Aem("2.0", {}, ()).text()
 
 
 @pytest.mark.parametrize(

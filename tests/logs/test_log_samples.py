@@ -378,6 +378,25 @@ def test_masks_and_what_is_no_real_number_in_tables():
             fa.read_gyro_log({**time, **dict.fromkeys(names, bad)})
 
 
+def test_columns_of_objects_are_read_cell_by_cell():
+    """One cell without a number made all of a column NaN, a magnetometer's in silence."""
+    count = np.arange(5.0).tolist()
+    gyro = {f"gyro_{a} (rad/s)": count for a in "xyz"}
+    mag = {f"mag_{a}": np.array([1.0, None, "x", 2.5, "3"], dtype=object) for a in "xyz"}
+    moments = [datetime(2024, 1, 1, 0, 0, 0, 10_000 * k) for k in range(5)]  # noqa: DTZ001
+    for stamps in (
+        [f"{0.01 * k:g}" for k in range(5)],
+        [str(m) + (".000000" if not m.microsecond else "") for m in moments],
+        [f"{m:%H:%M:%S.%f}" for m in moments],
+        [m - moments[0] for m in moments],
+    ):
+        log = fa.read_gyro_log({"t": np.array(stamps, dtype=object), **gyro, **mag})
+        assert np.allclose(log.t, 0.01 * np.arange(5), rtol=0.0, atol=1e-15)
+        assert np.array_equal(log.mag[:, 0], [1.0, np.nan, np.nan, 2.5, 3.0], equal_nan=True)
+    with pytest.raises(GyroLogError, match="row 2: t is no finite number"):
+        fa.read_gyro_log({"t": np.array([0.0, 0.01, None, 0.03, 0.04]), **gyro})
+
+
 def test_dates_in_zones():
     """A clock that goes from one zone to another, as text and in a table."""
     moments = [datetime(2024, 10, 27, 0, 59, 59, 950_000 + 20_000 * k, UTC) for k in range(3)]

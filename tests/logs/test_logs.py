@@ -378,6 +378,13 @@ def test_degrees_by_other_names(tmp_path, unit):
     assert read_gyro_log(path, rate=1.0).unit == "deg/s"
 
 
+def test_the_last_letter_of_a_unit_is_no_axis(tmp_path):
+    path = write(tmp_path / "a.csv", f"gyro_x_hz,gyro_y_hz,gyro_z_hz\n{rows(',')}")
+    log = read_gyro_log(path, rate=1.0)
+    assert log.columns == ("gyro_x_hz", "gyro_y_hz", "gyro_z_hz")
+    assert log.unit == "Hz"
+
+
 def test_units_that_differ_are_refused(tmp_path):
     path = write(tmp_path / "a.csv", f"wx (deg/s),wy (rad/s),wz (deg/s)\n{rows(',')}")
     with pytest.raises(GyroLogError, match="one for all"):

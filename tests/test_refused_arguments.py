@@ -1,0 +1,140 @@
+"""Each argument by itself replaced by what it is not: a result, or a refusal that names it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt import estimation as es
+from fastatt import interchange as ic
+
+Q, W, P = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.1, 0.2, 0.3]), 0.01 * np.eye(6)
+BODY = fa.Scene(inertia=(2.0, 1.0, 0.7))
+RUN = fa.propagate(BODY, Q, W, dt=0.1, n_steps=4, save_every=1, method="rk4")
+HOSTILE = [
+    None, True, -1, 10**400, np.nan, 1e300, 1j, "", "abc", b"x", {}, [[1, 2, 3], [4, 5]], ["a"],
+    [1e200] * 3, np.array(1.0), np.empty((0, 3)), np.ones((2, 3, 4)),
+    np.array([1, 2, 3], dtype="M8[s]"), np.ma.masked_array([1.0, 2.0, 3.0], [0, 1, 0]), object(),
+    iter([1]), BODY,
+]  # fmt: skip
+CALLS = {
+    "event": (fa.event, {"g": lambda t, q, w, p: t, "direction": 0, "terminal": False}),
+    "mean_attitude": (fa.mean_attitude, {"q": [Q, Q], "weights": [1.0, 1.0]}),
+    "euler_to_quat": (fa.euler_to_quat, {"angles": W, "sequence": "ZYX"}),
+    "to_scipy": (fa.to_scipy, {"q": Q}),
+    "methods_for": (fa.methods_for, {"scene": BODY, "representation": "quat", "need": ""}),
+    "inspect_step": (fa.inspect_step, {"scene": BODY, "method": "rk4"}),
+    "runge_kutta": (
+        fa.runge_kutta,
+        {"name": "mine", "order": 2, "c": [0, 0.5], "a": [[0.5]], "b": [0.0, 1.0]},
+    ),
+    "TimeSeries": (fa.TimeSeries, {"t": np.arange(3.0), "values": np.ones(3), "slopes": None}),
+    "Scene": (fa.Scene, {"inertia": (2.0, 1.0, 0.7), "allow_unphysical": False}),
+    "body_axis": (RUN.body_axis, {"axis": W}),
+    "aem_of": (ic.aem_of, {"run": RUN, "epoch": "2026-01-01", "frame": "ICRF", "body": 0}),
+    "dataframe": (ic.dataframe, {"run": RUN}),
+    "rates_to_body": (ic.rates_to_body, {"q": Q, "w": W}),
+    "attitude_error": (es.attitude_error, {"q": Q, "q_true": Q}),
+    "attitude_from_vectors": (
+        es.attitude_from_vectors,
+        {"measured": np.eye(3)[:2], "reference": np.eye(3)[:2], "sigma": 0.01},
+    ),
+    "static_start": (
+        es.static_start,
+        {
+            "gyro": np.tile([0.01, 0.0, 0.0], (8, 1)), "accel": np.tile([0.0, 0.0, 9.8], (8, 1)),
+            "sigma": 0.01, "largest_bias": 0.05, "largest_change": 0.01,
+        },
+    ),
+    "gyro_motion": (es.gyro_motion, {"gyro": W, "dt": 0.1, "n_threads": None}),
+    "moved": (es.gyro_motion(W, 0.1), {"q": [Q, Q], "y": np.zeros((2, 3))}),
+    "scene_motion": (
+        es.scene_motion, {"scene": BODY, "dt": 0.1, "n_steps": 1, "method": None, "t0": 0.0},
+    ),
+    "UKF.predict": (
+        lambda **options: es.UKF(Q, np.zeros(3), P).predict(**options),
+        {"motion": es.gyro_motion(W, 0.1), "noise": P},
+    ),
+    "ParticleFilter": (
+        es.ParticleFilter, {"q": [Q, Q], "y": np.zeros((2, 3)), "rng": 0, "threshold": 0.5},
+    ),
+    "simulate_gyro": (es.simulate_gyro, {"rates": np.ones((5, 3)), "dt": 0.1, "rng": 0}),
+    "allan_deviation": (
+        es.allan_deviation, {"samples": np.ones(20), "dt": 0.1, "increments": False},
+    ),
+    "body_tangent": (
+        es.body_tangent,
+        {"scene": BODY, "q0": Q, "w0": W, "dt": 0.1, "method": "rk4", "parameters": False},
+    ),
+    "predict_covariance": (
+        es.predict_covariance,
+        {"covariance": P, "w": W, "dt": 0.1, "angle_noise": 0.1, "bias_noise": 0.1},
+    ),
+}  # fmt: skip
+# where one argument has the length of another, that one is named
+BESIDE = {"mean_attitude": "weights", "attitude_from_vectors": "reference", "TimeSeries": "values"}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_refusal_names_its_argument(name):
+    function, given = CALLS[name]
+    function(**given)
+    for argument in given:
+        for value in HOSTILE:
+            try:
+                function(**given | {argument: value})
+                continue
+            except (TypeError, ValueError) as error:
+                text = str(error)
+            named = "|".join([argument, *filter(None, [BESIDE.get(name)])])
+            assert re.search(rf"(?<!\w)({named})(?!\w)", text), (argument, value, text)
+            assert "\n" not in text
+
+
+@pytest.mark.parametrize("value", [None, 5, b"a", "a\0b"])
+def test_what_is_no_path_is_refused(value):
+    for function in (
+        ic.read_aem, RUN.to_csv, fa.checkpoint, fa.to_file, lambda path: ic.write_csv(RUN, path),
+        lambda path: RUN.to_aem(path, epoch="2026-01-01", frame="ICRF"),
+    ):  # fmt: skip
+        with pytest.raises(TypeError, match=r"^path: found .*; accepted: a path"):
+            function(value)
+    assert not Path("5").exists()
+
+
+def test_rates_whose_square_overflows_are_refused():
+    for function, options in (
+        (fa.per_body_steps, {"tol": 1e-3, "t_end": 1.0, "method": "rk4"}),
+        (fa.work_precision, {"t_end": 1.0, "methods": ["rk4"]}),
+        (fa.check_convergence, {"dt": 0.1, "n_steps": 4}),
+    ):
+        with pytest.raises(ValueError, match=r"w0\[0\] is 1e\+200; accepted: up to 1e\+150 rad/s"):
+            function(BODY, Q, [1e200, 0.0, 0.0], **options)
+
+
+@pytest.mark.parametrize(("period", "start"), [(1e-320, 0.0), (0.1, 1e300), (1e-9, 0.0)])
+def test_sample_times_that_no_double_tells_apart_are_refused(period, start):
+    control = fa.torques.SampledControl(fa.torques.QuaternionPD(1.0, 1.0), period, start=start)
+    scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=control)
+    with pytest.raises(
+        ValueError, match=r"SampledControl.period is .* and .start .*; accepted: up"
+    ):
+        fa.propagate(scene, Q, W, s0=np.zeros(3), dt=10.0, n_steps=10)
+
+
+def test_rows_of_parameters_that_are_not_there():
+    stepper = fa.single_step(fa.Scene(inertia=[[2.0, 1.0, 0.7], [1.0, 2.0, 1.5]]), method="rk4")
+    for body in (2, -1):
+        with pytest.raises(ValueError, match="body: found"):
+            stepper.state(Q, W, body=body)
+
+
+def test_a_body_axis_of_each_save_is_none():
+    """One body's saves took a row each."""
+    with pytest.raises(ValueError, match=r"axis: has shape \(5, 3\); accepted: \(3,\)"):
+        RUN.body_axis(np.ones((5, 3)))
+    assert np.array_equal(RUN.body_axis([0.0, 0.0, 1e200]), RUN.body_axis([0.0, 0.0, 1.0]))
