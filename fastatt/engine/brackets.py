@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from fastatt._jit import loop_part
 
 #: rows of brackets: ends and the values there, a point between them and its value, the next point
@@ -16,6 +18,7 @@ LOW, HIGH, AT_LOW, AT_HIGH, INNER, AT_INNER, POINT, AT_POINT, RADIUS, LEAST, ROT
 MARCH, PASS, EXTREMUM, BRACKET, NONE, FOUND = range(6)
 #: evaluations of an extremum, and of a bracket, at most
 FEW, MOST = 10, 80
+_SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 def crosses(a: Any, b: Any, direction: int) -> Any:
@@ -72,12 +75,18 @@ def narrow_bracket(brackets, lanes, k, x, value):
 
 @loop_part
 def find_extremum(brackets, lanes, k, x, value, direction, trials):
-    """Use the value at a point in the search of an extremum; returns what to do next."""
+    """Use the value at a point in the search of an extremum; returns what to do next.
+
+    The function has the same sign at both ends of the step. Where it is exactly zero in between, it
+    has crossed, and crosses back after that point.
+    """
     low, high, inner = LOW * lanes + k, HIGH * lanes + k, INNER * lanes + k
     at_low, at_high, at_inner = AT_LOW * lanes + k, AT_HIGH * lanes + k, AT_INNER * lanes + k
     # the two parts of the bracket next to the point, up to the nearest points with a value
     left = brackets[low], brackets[at_low]
     right = brackets[high], brackets[at_high]
+    if value == 0.0:
+        value = -math.copysign(_SMALLEST, left[1] + right[1])
     if trials > 1:
         if x < brackets[inner]:
             right = brackets[inner], brackets[at_inner]

@@ -158,8 +158,8 @@ class Formulas:
         """From initial values: the stepped variables, prepared numbers, and invariants."""
         scope = self.scope()
         y = scope.inputs("y", self.given)
-        x = scope.begin(y[: self.coordinates], y[self.coordinates :])
         t, h = scope.time(), scope.number("h")
+        x = scope.defined(h, scope.begin(y[: self.coordinates], y[self.coordinates :]))
         e = scope.prepared(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
         bound = (scope.bound(h, x),) if self.job.bounds else ()
@@ -426,16 +426,22 @@ class Scope:
 
     def monitored(self, h: Any, x: Vector) -> Vector:
         """The initial invariants; NaN if products underflow on which a rotation angle depends."""
-        kept = self.invariants(x)
-        if not kept or self.job.method.measure != "angle":
-            return kept
+        return self._without_lost(h, x, self.invariants(x))
+
+    def defined(self, h: Any, x: Vector) -> Vector:
+        """The state at the begin; NaN if such products underflow and there are no invariants."""
+        return x if self.invariants(x) else self._without_lost(h, x, x)
+
+    def _without_lost(self, h: Any, x: Vector, values: Vector) -> Vector:
+        """Values, or NaN if products underflow in the state x on which a rotation angle depends."""
         motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
-        assert isinstance(motion, Body)
+        if not isinstance(motion, Body) or self.job.method.measure != "angle":
+            return values
         m = motion.momentum_of(self.parts(x)[0])[:3]
-        turn = scale(h, motion.angular_velocity(m))
-        seen = dot(turn, turn) > float(np.finfo(DTYPES[self.kind]).eps)
+        angle = scale(h, motion.angular_velocity(m))
+        seen = dot(angle, angle) > float(np.finfo(DTYPES[self.kind]).eps)
         lost = both(dot(m, m) < _LOST[self.kind], seen)
-        return tuple(choose(lost, math.nan, each) for each in kept)
+        return tuple(choose(lost, math.nan, each) for each in values)
 
 
 @lru_cache(maxsize=64)

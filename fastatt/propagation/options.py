@@ -164,6 +164,9 @@ class PerBodyClock(Clock):
     since: NDArray[np.float64]
     slack: NDArray[np.float64]
     breaks: Breaks
+    #: the duration of the run, s, and whether it goes on to its end after the last save
+    duration: float
+    goes_on: bool = False
     leg: int = _LEG
 
     def for_calls(self) -> PerBodyClock:
@@ -185,16 +188,20 @@ class PerBodyClock(Clock):
     @cached_property
     def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Times at which the loop stops, and the index of the save there, or −1."""
-        breaks, saves = self.breaks, self.at.size
-        # stops after the last save are not reached
-        crossed = np.abs(breaks.since) < np.abs(self.since).max(initial=0.0)
+        breaks, saves, reached, slack = self.breaks, self.at.size, self.since, self.slack
+        left = abs(self.duration) - np.abs(reached).max(initial=0.0)
+        if self.goes_on and left > slack.max(initial=0.0):
+            reached = np.append(reached, self.duration)
+            slack = np.append(slack, 16.0 * _EPS * abs(self.duration))
+        # breakpoints after the last stop are not reached
+        crossed = np.abs(breaks.since) < np.abs(reached).max(initial=0.0)
         # where the run begins states may jump
         crossed[0] &= breaks.sampled[0]
-        since = np.concatenate([self.since, breaks.since[crossed]])
+        since = np.concatenate([reached, breaks.since[crossed]])
         order = np.argsort(np.abs(since), kind="stable")
-        since, is_break = since[order], order >= saves
+        since, is_break = since[order], order >= reached.size
         divides = is_break & (since != 0.0)
-        slack = np.concatenate([self.slack, breaks.slack[crossed]])[order]
+        slack = np.concatenate([slack, breaks.slack[crossed]])[order]
         legs = np.diff(since, prepend=0.0)
         most = np.abs(legs / self.h)
         parts = np.maximum(1, np.ceil(most / self.leg)).astype(np.int64)
@@ -202,10 +209,10 @@ class PerBodyClock(Clock):
         left = np.repeat(ends, parts) - np.arange(parts.sum())
         times = np.repeat(since, parts) - np.repeat(legs / parts, parts) * left
         slots = np.full(times.size, -1)
-        slots[ends] = np.where(is_break, -1, order)
+        slots[ends] = np.where(order < saves, order, -1)
         stretch: NDArray[np.int64] = np.repeat(np.cumsum(divides) - divides, parts)
         breaking = np.zeros(times.size)
-        kinds = np.concatenate([np.zeros(saves), BREAK + breaks.sampled[crossed]])[order]
+        kinds = np.concatenate([np.zeros(reached.size), BREAK + breaks.sampled[crossed]])[order]
         breaking[ends] = kinds
         columns = [times, np.repeat(slack, parts), breaking, breaks.since[stretch], 0.0 * times]
         columns += [x[stretch] for x in (breaks.times, breaks.low, breaks.high)]
@@ -318,6 +325,7 @@ def clock_of(
         since=since,
         slack=slack,
         breaks=breaks_of(corners_within(scene, begin, end), begin, end, scene.sampling),
+        duration=end,
     )
 
 

@@ -96,7 +96,8 @@ class Plan:
             )
         # a device takes whole steps: it refuses declared breakpoints, and crosses those of models
         corners = len(scene.breakpoints if choice.device else corners_of(scene)) > 0
-        divides = corners or scene.sampling is not None or clock.ends is not None
+        corners = corners or scene.sampling is not None
+        divides = corners or clock.ends is not None
         self.job = Job(
             method,
             self.attitude,

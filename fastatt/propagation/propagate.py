@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -226,6 +227,8 @@ def propagate(
             same_number({**carried, "q0": start})
         given = Given.of(start, carried, kind)
         clock = clock_of(dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene)
+        if watched and isinstance(clock, PerBodyClock):
+            clock = replace(clock, goes_on=True)
         position = r0 is not None
     else:
         # the initial values are those of the earlier run, and saves are counted from its end

@@ -175,6 +175,11 @@ def check_convergence(
     kind = checks.precision(dtype, q0, w0, v0, r0, s0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
+    if scene.sampling is not None and abs(step) > scene.sampling.period * (1.0 + 1e-9):
+        raise ValueError(
+            f"dt: found {step} with a controller that is sampled every {scene.sampling.period} s; "
+            "accepted: at most that, since longer steps are divided at the samples"
+        )
     whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)
     rows = spread(whole, checks.whole("sample", sample, 1), np.random.default_rng(0))
     most = times_compared(checks.choice("at", at, ("run", "end")), rows.size)

@@ -193,12 +193,22 @@ def intervals(problem: Problem) -> int:
     return gaps.size if gaps.size < _WORK and np.ptp(gaps) < 1e-9 * abs(end) else 1
 
 
+def fewest_steps(problem: Problem) -> int:
+    """The fewest steps of which none is longer than the period of a sampled controller.
+
+    Longer steps would end at the samples all the same, but errors are measured after steps.
+    """
+    sampling = problem.ensemble.scene.sampling
+    return 1 if sampling is None else math.ceil(abs(problem.t_end) / sampling.period)
+
+
 def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
     """Halve the step until errors fall by the method's order, to the goal or to rounding."""
     case, unit = Case(method), intervals(problem)
+    least = max(_LEAST, fewest_steps(problem))
 
     def whole(n: float) -> int:
-        return math.ceil(max(n, _LEAST) / unit) * unit
+        return math.ceil(max(n, least) / unit) * unit
 
     first = whole(largest_rotation(problem))
     acting = forcing(problem, case, first)

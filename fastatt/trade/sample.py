@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fastatt.trade.ladder import Ladder, largest_angle, see, times_compared
 from fastatt.trade.measure import Case, Problem, best_time, is_flat
-from fastatt.trade.reference import Reference, intervals, reference, speeds
+from fastatt.trade.reference import Reference, fewest_steps, intervals, reference, speeds
 
 _BASELINE = Case("rk4")  # fits every scene
 _SCREENING = 0.3  # s for finding the bodies with the largest errors
@@ -87,6 +87,7 @@ class Sample:
             fastest = max(fastest, float(np.linalg.norm(self.known.end.w, axis=-1).max()))
         #: rotation angle of the fastest body, rad
         self.angle = fastest * whole.t_end
+        self.fewest = fewest_steps(whole)
         # no step may rotate by more than π
         self.least_seconds = _LEAST_WORK * self.pace * n * self.angle / math.pi
         timed = np.linspace(0, n - 1, min(n, _TIMED)).astype(np.intp)
@@ -164,7 +165,8 @@ class Sample:
         return sampled if sampled <= n else 1
 
     def rounded(self, n: float) -> int:
-        """The smallest multiple of the unit that is not below n."""
+        """The smallest multiple of the unit that is not below n, nor below the fewest steps."""
+        n = max(n, self.fewest)
         unit = self.unit(n)
         return max(1, math.ceil(n / unit)) * unit
 

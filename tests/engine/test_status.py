@@ -505,3 +505,23 @@ def test_a_body_spun_up_from_rest_is_monitored(method):
         run = fa.propagate(scene, Q0[0], np.zeros(3), dt=0.25, n_steps=100, method=method)
     assert run.w[-1, 2] * 0.25 > 5.0
     assert int(run.status[0]) & fa.Status.STEP_TOO_LARGE
+
+
+DAMPED_SLOWLY = fa.Scene(inertia=(3.0, 2.0, 1.2), torque=fa.torques.Damping(1e-3))
+
+
+@pytest.mark.parametrize("method", fa.methods_for(DAMPED_SLOWLY, need="is_stepped"))
+def test_slow_rates_under_a_torque_are_right_or_flagged(method):
+    """Without invariants too, no body whose products of rates underflow passes for right."""
+    w0, wanted = np.array([0.7, 1.1, -0.4]), None
+    for size in (1.0, 1e-140, 1e-157, 1e-160, 1e-165, 1e-250):
+        scene = fa.Scene(inertia=(3.0, 2.0, 1.2), torque=fa.torques.Damping(1e-3 * size))
+        run = fa.propagate(
+            scene, [1, 0, 0, 0], w0 * size, dt=0.02 / size, n_steps=100, method=method
+        )
+        wanted = run.q[-1] if wanted is None else wanted
+        if not run.status[0]:
+            assert fa.angle_between(run.q[-1], wanted) < 1e-10
+        assert run.status[0] == 0 or size < 1e-150
+    rest = fa.propagate(scene, [1, 0, 0, 0], [0, 0, 0], dt=1e100, n_steps=1, method=method)
+    assert not rest.has_flags

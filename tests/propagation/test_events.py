@@ -165,6 +165,19 @@ def test_a_crossing_at_a_save_has_the_time_of_the_save():
     assert np.array_equal(run.event_times[:, 0], saves)
 
 
+def test_the_direction_of_a_crossing_at_a_point_of_the_search():
+    """A zero in the middle of the step [3, 3.5], where the search of two crossings begins."""
+    for sign in (1, -1):
+
+        def twice(t, q, w, p, sign=sign):
+            return sign * (t - 3.25) * (t - 3.35)
+
+        assert abs(times(twice, sign) - 3.35) < 1e-13
+        assert abs(times(twice, -sign) - 3.25) < 1e-13
+        assert abs(times(twice) - 3.25) < 1e-13
+        assert abs(times(lambda t, q, w, p: (t - 3.25) ** 2, sign) - 3.25) < 1e-7
+
+
 def test_two_crossings_within_one_step():
     def parabola(t, q, w, p):
         return (t - p[0]) ** 2 - p[1] ** 2

@@ -116,6 +116,19 @@ def test_saves_after_a_stop_in_the_last_shorter_step():
     assert (found.q[0] != found.q[1]).any(axis=1).all()
 
 
+@pytest.mark.parametrize("dt", [0.1, [0.1, 0.07]])
+def test_events_after_the_last_save(dt):
+    """The run goes on to its end: after a save within a step, and after a breakpoint."""
+    scene = fa.Scene(inertia=MOMENTS, torque=lambda t, q, w, p: (0.0, 0.0, 0.1), breakpoints=(9.5,))
+    events = [fa.event(lambda t, q, w, p, k=k: t - k) for k in (2.0, 9.3, 9.6)]
+    given = {"dt": dt, "t_end": 10.0, "method": "rk8", "save_at": [2.0, 9.25]}
+    run = fa.propagate(scene, Q0[:2], W0[:2], events=events, **given)
+    np.testing.assert_allclose(run.event_times, [[2.0, 9.3, 9.6]] * 2, rtol=0.0, atol=1e-14)
+    plain = fa.propagate(scene, Q0[:2], W0[:2], **given)
+    np.testing.assert_array_equal(run.q, plain.q)
+    np.testing.assert_array_equal(run.t, [2.0, 9.25])
+
+
 def test_steps_after_the_end_of_a_body_set_no_status():
     """Bodies with larger steps reach the end first, while their lanes go on beside the others."""
     spin_up = fa.Scene(inertia=(1.0, 1.0, 1.0), torque=lambda t, q, w, p: (0.0, 0.0, 2.0 * t))

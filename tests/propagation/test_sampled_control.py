@@ -225,3 +225,43 @@ def test_what_is_refused():
 def sampled_pd(**options):
     pd = fa.torques.QuaternionPD(1.0, 1.0)
     return fa.Scene(inertia=J, torque=fa.torques.SampledControl(pd, **options))
+
+
+def law(t, q, w, p):
+    return [-0.1 * q[0] * q[k + 1] - 0.3 * w[k] for k in range(3)]
+
+
+def push(t, q, w, p):
+    return (0.01 if 20.0 < t < 40.0 else 0.0), 0.0, 0.0
+
+
+CONTROL = fa.torques.SampledControl(law, period=2.0)
+HELD = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=CONTROL)
+BEGIN = {
+    "q0": fa.rotation_vector_to_quat([0.5, -1.0, 1.2]), "w0": [0, 0, 0], "s0": [0, 0, 0],
+}  # fmt: skip
+#: within steps and between samples
+INSIDE = np.arange(0.5, 200.0, 0.7)
+
+
+def fine(scene):
+    return fa.propagate(scene, **BEGIN, dt=0.02, t_end=200.3, method="rk8", save_at=INSIDE).q
+
+
+def test_advice_takes_no_step_longer_than_the_period():
+    """Errors are measured after steps, and longer steps would be divided at the samples."""
+    advice = fa.recommend(HELD, **BEGIN, t_end=200.3, tol=1e-6)
+    run = fa.propagate(HELD, **BEGIN, **advice.arguments, save_at=INSIDE)
+    assert abs(advice.dt) <= 2.0
+    assert fa.angle_between(run.q, fine(HELD)).max() < 1e-6
+    with pytest.raises(ValueError, match=r"dt: found 4.0 with .* sampled every 2.0 s"):
+        fa.check_convergence(HELD, **BEGIN, dt=4.0, n_steps=50, method="rk4")
+    assert fa.check_convergence(HELD, **BEGIN, dt=0.5, n_steps=100, method="rk4").passed
+
+
+def test_a_torque_that_jumps_at_sample_times_keeps_the_order():
+    torque = fa.torques.Sum((CONTROL, fa.torques.Custom(push)))
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=torque)
+    declared = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=torque, breakpoints=(20.0, 40.0))
+    run = fa.propagate(scene, **BEGIN, dt=0.1, t_end=200.3, method="rk8", save_at=INSIDE)
+    assert fa.angle_between(run.q, fine(declared)).max() < 1e-12
