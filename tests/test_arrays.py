@@ -223,3 +223,10 @@ def test_float32_angles():
 def test_refusals_name_the_argument(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+def test_every_reflection_is_refused():
+    """Whichever side of -1 rounding leaves its determinant on."""
+    for C in fa.quat_to_dcm(QUATS) * [1.0, 1.0, -1.0]:
+        with pytest.raises(ValueError, match=r"C: found the determinant -1"):
+            fa.dcm_to_quat(C)

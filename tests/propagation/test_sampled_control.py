@@ -212,6 +212,8 @@ def test_what_is_refused():
         sampled_pd(period=0.0)
     with pytest.raises(TypeError, match=r"SampledControl.control: found 3; accepted: a function"):
         fa.Scene(inertia=J, torque=fa.torques.SampledControl(3, 0.1))
+    with pytest.raises(ValueError, match=r"^torque: SampledControl.control: Damping.c.* is nan"):
+        fa.Scene(inertia=J, torque=fa.torques.SampledControl(fa.torques.Damping(np.nan), 0.1))
     with pytest.raises(ValueError, match=r"found params or states beside a model"):
         sampled_pd(period=0.1, params=(1.0,))
     law = fa.torques.Custom(lambda t, q, w, s, p: ((0.0, 0.0, 0.0), s), states=4)
