@@ -152,10 +152,12 @@ class Stepper:
         return _floats(value.astype(self._kind))
 
     def _of(self, body: int) -> Any:
-        n = 1 if isinstance(self.params, tuple) else len(self.params)
+        if isinstance(self.params, tuple):
+            return self.params
+        n = len(self.params)
         if checks.whole("body", body, 0) >= n:
             raise ValueError(f"body: found {body}; accepted: 0 to {n - 1}, the rows of params")
-        return self.params if isinstance(self.params, tuple) else self.params[body]
+        return self.params[body]
 
 
 def single_step(

@@ -15,7 +15,6 @@ from fastatt.arrays import (
     check_broadcast,
     floats,
     mrp_to_quat,
-    normalised,
     quat_rotate,
     quat_rotate_inverse,
     quat_to_mrp,
@@ -101,7 +100,9 @@ def to_scipy(q: ArrayLike) -> Rotation:
     checks.finite("q", found)
     if not found.any(axis=-1).all():
         raise ValueError("q: found a zero quaternion; accepted: of any other length")
-    return Rotation.from_quat(to_scalar_last(normalised(found)))
+    # by a power of 2, since SciPy takes denormal numbers for zero
+    exponent = np.frexp(np.abs(found).max(axis=-1, keepdims=True))[1]
+    return Rotation.from_quat(to_scalar_last(np.ldexp(found, -exponent)))
 
 
 def from_scipy(rotation: Rotation) -> NDArray[np.float64]:

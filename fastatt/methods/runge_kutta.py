@@ -271,7 +271,7 @@ def runge_kutta(
 
 
 def _numbers(name: str, values: Any) -> tuple[float, ...]:
-    return tuple(checks.numbers(name, values, "a sequence of numbers").ravel().tolist())
+    return tuple(checks.array(name, values, "(s,)", flag=True).tolist())
 
 
 def _growth(tableau: Tableau, z: complex) -> complex:

@@ -259,9 +259,9 @@ class Trajectory:
             If the shape is another one, or if a vector is zero or not finite.
         """
         shapes = "(3,)" if self.one_body else f"(3,) or ({self.status.size}, 3)"
-        given = checks.array("axis", axis, shapes).astype(self.q.dtype)
+        given = checks.array("axis", axis, shapes, flag=True).astype(self.q.dtype)
         size = np.abs(given).max(axis=-1, keepdims=True)
-        checks.refuse("axis: its largest component", size, ~(size > 0.0), "above 0")
+        checks.refuse("axis: its length", size, ~((size > 0.0) & np.isfinite(size)), "above 0")
         return arrays.quat_rotate(self.q, arrays.normalised(given))
 
     def _target(self, value: Any) -> NDArray[Any]:

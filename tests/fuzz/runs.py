@@ -83,6 +83,7 @@ ARGUMENTS = (
     "scene", "q0", "w0", "v0", "r0", "dt", "n_steps", "method", "representation", "save_every",
     "dtype", "n_threads", "t0", "compensated", "normalise", "invalid", "on_save", "rate", "inertia",
     "params", "frame", "torque", "mass", "force", "every",
+    "allow_unphysical",
 )  # fmt: skip
 
 

@@ -34,6 +34,14 @@ def test_scipy_there_and_back():
     assert np.abs(rotation.as_rotvec() - fa.quat_to_rotation_vector(Q)).max() <= 16 * EPS
 
 
+def test_scipy_takes_attitudes_of_any_length():
+    for size in (1e-320, 1e-200, 1e200):
+        assert fa.to_scipy([size, 0.0, 0.0, size]).magnitude() == pytest.approx(np.pi / 2)
+    for bad in ([0.0] * 4, [np.nan, 0.0, 0.0, 1.0]):
+        with pytest.raises(ValueError, match=r"^q"):
+            fa.to_scipy(bad)
+
+
 def test_scipy_histories():
     history = Q.reshape(5, 10, 4)
     if tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 17):

@@ -217,8 +217,8 @@ WRONG_TABLEAUX = [
     ({"a": ((1 / 2,), (3 / 4,))}, ValueError, "a[1]: found 1 numbers; accepted: 2"),
     ({"c": (0.1, 1 / 2, 3 / 4)}, ValueError, "c[0]: found 0.1; accepted: 0, of an explicit method"),
     ({"b": (math.nan, 1 / 3, 4 / 9)}, ValueError, "c, a, b: found numbers that are not finite"),
-    ({"c": 3}, TypeError, "c, a, b: 'int' object is not iterable; accepted: sequences of numbers"),
-    ({"b": "abc"}, TypeError, "c, a, b: could not convert string to float: 'a'; accepted: seq"),
+    ({"c": 3}, ValueError, "c: has shape (); accepted: (s,)"),
+    ({"b": "abc"}, TypeError, "b: found 'abc'; accepted: real numbers of shape (s,)"),
     ({"name": ""}, TypeError, "name: found ''; accepted: a name"),
     ({"name": 3}, TypeError, "name: found 3; accepted: a name"),
 ]

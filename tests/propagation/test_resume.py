@@ -439,7 +439,7 @@ def test_the_closed_form_in_a_file(tmp_path):
 def test_wrong_files(tmp_path):
     for path, wrong, message in (
         (3, TypeError, "path: found 3; accepted: a path"),
-        (tmp_path / "history.csv", ValueError, r"path: found history\.csv; accepted: \*\.npy"),
+        (tmp_path / "history.csv", ValueError, r"path: found 'history\.csv'; accepted: \*\.npy"),
     ):
         with pytest.raises(wrong, match=message):
             fa.to_file(path)
