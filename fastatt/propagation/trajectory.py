@@ -419,7 +419,10 @@ class Trajectory:
             If the trajectory does not hold the final state as the run had it.
         """
         if self.end is None:
-            raise ValueError("end: this trajectory does not hold it; accepted: one of propagate")
+            raise ValueError(
+                "end: this trajectory does not hold it; accepted: one of propagate by a method that "
+                "steps, with one step size, whole steps (t_end a multiple of dt) and without save_at"
+            )
         self.end.save(path)
 
     @property

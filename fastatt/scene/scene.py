@@ -297,8 +297,7 @@ class Scene:
     ) -> Packed:
         """The structure and the flat parameters of the scene, for a number of bodies.
 
-        ``sorted_axes`` puts the intermediate principal axis second; ``position`` says that the
-        position is propagated.
+        ``sorted_axes`` puts the intermediate principal axis second; ``position`` is propagated too.
         """
         key = "packed", sorted_axes, position
         found: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
