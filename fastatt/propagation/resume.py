@@ -167,8 +167,8 @@ def end_of(resume: Any) -> End:
     if hasattr(resume, "status"):
         raise ValueError(
             "resume: this trajectory does not hold its end; accepted: one of propagate by a method "
-            f"that steps, of at most {MOST} bodies, with one step size, whole steps (t_end a multiple "
-            "of dt) and without save_at; a file that fa.checkpoint wrote, of any number"
+            f"that steps, of at most {MOST} bodies, with one step size, whole steps (t_end a "
+            "multiple of dt) and without save_at; a file that fa.checkpoint wrote, of any number"
         )
     raise TypeError(
         f"resume: found {checks.brief(resume)}; accepted: a trajectory, a file's path or "

@@ -420,8 +420,9 @@ class Trajectory:
         """
         if self.end is None:
             raise ValueError(
-                "end: this trajectory does not hold it; accepted: one of propagate by a method that "
-                "steps, with one step size, whole steps (t_end a multiple of dt) and without save_at"
+                "end: this trajectory does not hold it; accepted: one of propagate by a method "
+                "that steps, with one step size, whole steps (t_end a multiple of dt) and without "
+                "save_at"
             )
         self.end.save(path)
 
