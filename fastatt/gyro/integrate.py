@@ -16,6 +16,8 @@ from fastatt.methods import METHODS, Method
 from fastatt.threads import number_of, progress_bar
 
 _GAP = 10.0  # an interval this many times the median is a gap
+# times the median: the longest interval that a window of three and more may hold
+_UNEVEN = 3.0
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -75,7 +77,9 @@ def integrate_rates(
     Warns
     -----
     StepWarning
-        If the rotation angle over an interval exceeds the method's limit.
+        If the rotation angle over an interval exceeds the method's limit, and if a method with
+        windows of three intervals or more fits a polynomial across one that is longer than three
+        times the median.
 
     See Also
     --------
@@ -130,6 +134,7 @@ def integrate_rates(
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
     warn_of_turns(seen, data, spans, record, increments)
+    warn_of_gap(spans, record)
     return result
 
 
@@ -186,6 +191,20 @@ def warn_of_turns(
             f"dt: interval {first + k} of log {log} rotates by {most:.3g} rad, {record.name}'s "
             f"limit is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): "
             f"sample more than {most / limit:.2g} times as often"
+        )
+
+
+def warn_of_gap(spans: Any, record: Method) -> None:
+    """Warn of a long interval among those through which the method fits one polynomial."""
+    window = record.window
+    if window is None or window.span < 3 or not isinstance(spans, np.ndarray) or not spans.size:
+        return
+    typical, k = float(np.median(spans)), int(np.argmax(spans))
+    if spans[k] > _UNEVEN * typical:
+        rounding.warn(
+            f"dt: interval {k} of {spans[k]:.3g} s is {spans[k] / typical:.2g} times the median, "
+            f"and {record.name} fits a polynomial across it, which magnifies noise: take previous, "
+            "or cut the log there"
         )
 
 

@@ -179,7 +179,8 @@ def _reason(method: Method, scene: Scene) -> str:
     if scene.kind == "torqued" and not _takes(method, scene):
         return (
             f" ({method.name} needs a torque that does not depend on w, but for linear damping "
-            "along principal axes)"
+            "along principal axes; of a function that does not, fa.torques.Custom(function, "
+            "uses_rate=False) says so)"
         )
     return ""
 

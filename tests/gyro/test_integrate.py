@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -437,3 +438,19 @@ def test_out_anywhere_in_memory(shape, dtype):
 def test_out_of_another_kind_is_refused(out, error):
     with pytest.raises(error, match=r"^out: found"):
         fa.integrate_rates(np.ones((30, 3)), 0.1, out=out)
+
+
+def test_a_long_interval_in_a_window_of_three_is_warned_of():
+    """A polynomial through samples on both sides of a gap magnifies their noise."""
+    t = np.delete(np.arange(0.0, 5.0, 0.01), np.arange(200, 210))
+    rates = np.stack([np.sin(t), np.cos(t), 0.1 * t], axis=-1)
+    for method in ("coning3", "picard"):
+        with pytest.warns(fa.StepWarning, match=rf"interval 199 of 0.11 s is 11 times .* {method}"):
+            fa.integrate_rates(rates, np.diff(t), method=method, max_gap=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for method in ("trapezoid", "previous", "coning2"):
+            fa.integrate_rates(rates, np.diff(t), method=method, max_gap=1.0)
+        uneven = np.diff(t) * np.linspace(0.5, 1.4, t.size - 1)
+        uneven[199] = 0.02
+        fa.integrate_rates(rates, uneven, method="picard")

@@ -425,3 +425,11 @@ def test_a_row_without_the_empty_cell_at_its_end():
     with pytest.raises(GyroLogError, match=r"line 2: wz \[rad/s\] is ''"):
         fa.read_gyro_log(io.StringIO(text))
     assert len(fa.read_gyro_log(io.StringIO(text), on_bad_rows="drop").t) == 2
+
+
+@pytest.mark.parametrize("unit", ["uT", "nT", "T", "gauss", "mG"])
+def test_units_at_the_end_of_a_magnetometers_names(unit):
+    head = f"t_s,gx_dps,gy_dps,gz_dps,mag_x_{unit},mag_y_{unit},mag_z_{unit}\n"
+    rows = "\n".join(f"{0.005 * k:.3f},.1,.2,.3,20,1,-43" for k in range(50))
+    log = fa.read_gyro_log(io.StringIO(head + rows))
+    np.testing.assert_array_equal(log.mag, [[20.0, 1.0, -43.0]] * 50)
