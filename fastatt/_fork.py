@@ -4,19 +4,52 @@ Modules are imported when they are first needed, and Numba and LLVM compile unde
 therefore waits until all other threads have finished compiling and importing modules of fastatt,
 NumPy or the compiler. It does not wait for other modules: an import that runs a whole program may
 never end.
+
+Hooks that were registered last run first. ``logging`` locks itself in its hook and a compiling
+thread asks it for its level, so that it has to be there before this module registers its own; so
+does ``concurrent.futures.thread``, whose hooks may not appear while a fork waits.
+
+``functools.cached_property`` holds a lock in Python 3.11 for as long as a value is computed, which
+may compile; ``cached_property`` here has none, as from Python 3.12 on.
 """
 
 from __future__ import annotations
 
 import _imp
+import concurrent.futures.thread  # noqa: F401
+import logging  # noqa: F401
 import os
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from threading import get_ident
-from typing import Any
+from typing import Any, Generic, TypeVar, overload
 
 _bootstrap: Any = import_module("importlib._bootstrap")
 _AWAITED = ("fastatt", "numba", "llvmlite", "numpy")
+T = TypeVar("T")
+
+
+class cached_property(Generic[T]):  # noqa: N801  # as in functools
+    """An attribute that is computed when it is first read, without a lock."""
+
+    def __init__(self, compute: Callable[[Any], T]) -> None:
+        self._compute, self.__doc__ = compute, compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> cached_property[T]: ...
+
+    @overload
+    def __get__(self, instance: object, owner: type) -> T: ...
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        if instance is None:
+            return self
+        # two threads may both compute it; they get one value
+        return instance.__dict__.setdefault(self._name, self._compute(instance))
 
 
 def _imported_elsewhere() -> list[str]:

@@ -39,6 +39,25 @@ def first_call():
         begun.set()
         may_end.wait(5)
 """
+COMPUTES = """
+from fastatt._fork import cached_property
+class Kept:
+    @cached_property
+    def value(self):
+        begun.set()
+        return may_end.wait(5)
+def first_call():
+    Kept().value
+"""
+LOGS = """
+import logging
+from numba.core.compiler_lock import global_compiler_lock
+def first_call():
+    with global_compiler_lock:
+        begun.set()
+        may_end.wait(0.5)
+        logging.getLogger("numba").isEnabledFor(logging.DEBUG)
+"""
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
@@ -47,15 +66,17 @@ def first_call():
     [
         *(IMPORTS.format(name=x) for x in ("fastatt", "numpy")),
         *(COMPILES.format(lock=x) for x in ("global_compiler_lock", "lib._lock")),
+        COMPUTES,
+        LOGS,
     ],
-    ids=["fastatt", "numpy", "numba", "llvm"],
+    ids=["fastatt", "numpy", "numba", "llvm", "property", "logging"],
 )
 def test_a_child_does_not_wait_for_a_thread_that_it_does_not_have(before, tmp_path):
     (tmp_path / "slow.py").write_text("import sys\nsys.begun.set()\nsys.may_end.wait(5)\n")
     code = textwrap.dedent(FORKED).format(before=before)
     path = os.pathsep.join([str(tmp_path), *sys.path])
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code, str(tmp_path)], check=False,
+        [sys.executable, "-W", "ignore", "-c", code, str(tmp_path)], check=False, timeout=60,
         env={**os.environ, "PYTHONPATH": path},
     )  # fmt: skip
     assert done.returncode == 0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from fastatt._fork import cached_property
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
 from fastatt.tracing.graph import Graph, flattened

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from functools import cached_property, partial
+from functools import partial
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
+from fastatt._fork import cached_property
 from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_function
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.codegen.processor import processor

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
+from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 
 from fastatt.codegen.memory import address_of
@@ -20,7 +21,7 @@ class TwoForms(ABC):
     """
 
     def __init__(self, *, plain: bool, one_form: bool = False) -> None:
-        self.plain, self._lock = plain, threading.Lock()
+        self.plain = plain
         made = self._compiled(small_angle=True)
         #: the forms that are compiled
         self.functions = [made]
@@ -38,7 +39,7 @@ class TwoForms(ABC):
 
     def compile_any_angle(self) -> None:
         """Compile the any-angle form, if it is not compiled."""
-        with self._lock:
+        with global_compiler_lock:  # a fork waits for it
             if self.any_angle == 0:
                 made = self._compiled(small_angle=False)
                 self.functions.append(made)

@@ -6,11 +6,12 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from fastatt._fork import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
 from fastatt.engine import double_states

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt.engine.stops import TAKEN
 from fastatt.estimation import tangent
 from fastatt.estimation.derivatives import of_body, tangent_rows

@@ -226,7 +226,11 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
 
 
 def named(name: Any) -> str:
-    """The name of a method; raises ``TypeError`` for anything else."""
+    """The name of a new method; raises ``TypeError`` or ``ValueError`` for anything else."""
+    from fastatt.methods import METHODS  # which this module helps to make
+
     if not isinstance(name, str) or not name:
         raise TypeError(f"name: found {checks.brief(name)}; accepted: a name")
+    if name in METHODS:
+        raise ValueError(f"name: found {name!r}, a method of the library; accepted: another name")
     return name

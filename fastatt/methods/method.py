@@ -58,8 +58,8 @@ class Method:
     order : int
         Order, as tests measure it.
     scenes : tuple of str
-        Kinds of scenes (``Scene.kind``) that the method accepts, "rates" and "increments" for
-        samples.
+        Kinds of scenes (``Scene.kind``) that the method accepts, "sampled rates" and "increments"
+        for samples.
     conserves : tuple of str
         Quantities that the method conserves.
     rate_calls : int

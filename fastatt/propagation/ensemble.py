@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fastatt._fork import cached_property
 from fastatt.propagation.initial import INITIAL, initial
 from fastatt.scene.scene import Scene, as_scene
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.engine.run import CALLING_LENGTH, Parts, PerBody, Span, StopSpan
 from fastatt.engine.stops import BREAK
@@ -179,7 +179,7 @@ class PerBodyClock(Clock):
         return self.sizes
 
     @cached_property
-    def order(self) -> NDArray[np.int64] | None:  # type: ignore[override]
+    def order(self) -> NDArray[np.int64] | None:
         """Indices of the bodies, those with most steps first; None if all have one step size."""
         if self.sizes.size == 1:
             return None

@@ -6,7 +6,6 @@ import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
+from fastatt._fork import cached_property
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.crossings import SEARCH_BLOCK

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import arrays, checks
+from fastatt._fork import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
 from fastatt.engine.double_states import joined_array

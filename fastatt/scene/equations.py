@@ -8,9 +8,9 @@ the formulas; the parameters are passed separately, as a flat tuple.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, NamedTuple
 
+from fastatt._fork import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
 from fastatt.scene.torque_record import ALONE, Beside, Pose

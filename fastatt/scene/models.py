@@ -10,13 +10,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, NamedTuple, Self, dataclass_transform, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.user import FORMS, UserFunction, user_function

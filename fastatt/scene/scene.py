@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt._jit import plain
 from fastatt.kernels import rigid
 from fastatt.scene import forces, models, rates, torques

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Double
 from fastatt.tracing.nodes import Recorded

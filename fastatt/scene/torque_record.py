@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene.models import Model
 from fastatt.tracing.formulas import Vector, quat

@@ -170,7 +170,7 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     else:
         raise TypeError(
             f"{user.argument}: {user.described} raises {type(failed).__name__}: {failed}; accepted "
-            f"is a function of floats, with p a tuple of {user.n_params} floats"
+            f"is a function of floats, with {_params_of(user)}"
         )
 
     def entry(given: Any, made: Any) -> None:
@@ -187,6 +187,13 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     return made
 
 
+def _params_of(user: UserFunction) -> str:
+    """What p is, in a message."""
+    if user.n_params == 0:
+        return "p empty, since the scene has no params"
+    return f"p a tuple of {user.n_params} floats"
+
+
 def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
     """The function compiled by Numba, with pointers as arguments."""
     f8 = types.float64
@@ -201,8 +208,8 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
         inner.compile(signature)
     except Exception as error:
         raise TypeError(
-            f"{user.argument}: {user.described} does not compile for floats, with p a tuple of "
-            f"{user.n_params} floats ({_place_of(error, plain)}); accepted is a function that "
+            f"{user.argument}: {user.described} does not compile for floats, with "
+            f"{_params_of(user)} ({_place_of(error, plain)}); accepted is a function that "
             f"numba.njit compiles, or that is traced: this is not, for {user.reason}. Numba says: "
             f"{_words_of(error)}"
         ) from error

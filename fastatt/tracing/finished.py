@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from heapq import heapify, heappop, heappush
 from itertools import chain
 from typing import Any
 
+from fastatt._fork import cached_property
 from fastatt.tracing.graph import Graph, number
 from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt._fork import cached_property
 from fastatt.arrays import angle_between, quat_multiply
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import breaks_of, corners_within

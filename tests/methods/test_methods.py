@@ -264,6 +264,8 @@ def test_record_is_complete(record):
     assert record.is_stepped + record.is_exact + (record.window is not None) == 1
     assert set(record.reversible) <= set(record.scenes)
     assert record.summary
+    if record.summary.endswith("reversible"):
+        assert set(record.reversible) == set(record.scenes)
     assert record.source
     given = {"rate", "sampled rates", "increments"}
     assert set(record.scenes) <= {*given, "spherical", "symmetric", "free", "torqued"}
@@ -283,6 +285,17 @@ SCENES = {
     "rate": fa.Scene(rate=fa.rates.Coning(0.5, 1.0)),
     "torqued": fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0)),
 }
+
+
+def test_the_page_has_the_summaries_of_the_records():
+    page = Path(fa.__file__).parent / "docs/explanations/methods.md"
+    lines = page.read_text(encoding="utf-8").splitlines()
+    rows = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in lines]
+    found = {(row[0], row[-1]) for row in rows if len(row) == 9 and row[0] in fa.METHODS}
+    assert found - {(m.name, m.summary) for m in fa.METHODS.values()} <= {
+        (name, "") for name in fa.METHODS
+    }
+    assert {name for name, summary in found if summary} >= {"cf4", "strang2", "exact"}
 
 
 def test_the_page_has_the_limits_of_the_records():

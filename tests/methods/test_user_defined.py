@@ -321,6 +321,7 @@ WRONG_EXPONENTS = [
     ({"limit": math.nan}, ValueError, "limit: found nan"),
     ({"limit": "far"}, TypeError, "limit: found 'far'"),
     ({"name": ""}, TypeError, "name: found ''; accepted: a name"),
+    ({"name": "rk4"}, ValueError, "name: found 'rk4', a method of the library; accepted: another"),
 ]
 
 

@@ -379,6 +379,12 @@ def push(t, q, w, p):
     return (0.1 * math.sin(t), 0.0, 0.0)
 
 
+def test_a_function_of_params_that_the_scene_lacks():
+    event = fa.event(lambda t, q, w, p: w[0] - p[0])
+    with pytest.raises(TypeError, match=r"event: .* with p empty, since the scene has no params"):
+        fa.propagate(BODY, Q0, W0, **RUN, events=event)
+
+
 def test_what_is_refused():
     given = {**RUN, "events": EVENTS}
     with pytest.raises(ValueError, match=r"method with events: found 'exact'; accepted: .*rk8"):
