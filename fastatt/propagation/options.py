@@ -293,6 +293,11 @@ def clock_of(
         raise ValueError(f"dt: found {steps.size} steps; accepted: one, or {bodies} of the bodies")
     if not ((steps > 0.0).all() or (steps < 0.0).all()):
         raise ValueError("dt: found steps of both signs or 0; accepted: all above 0, or all below")
+    if save_at is not None:
+        save_at = checks.array("save_at", save_at, "(S,) times, s").astype(np.float64)
+        if n_steps is None and t_end is None and np.size(save_at):
+            last = float(save_at[-1]) - begin
+            t_end = last if last * steps[0] > 0.0 else 0.0  # refused below, if it is not the begin
     if t_end is not None:
         end = _duration(t_end, n_steps, steps)
         counts = _steps_within(end, steps)
@@ -363,8 +368,7 @@ def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:
     return found.astype(np.int64)
 
 
-def _times(save_at: Any, begin: float, end: float) -> NDArray[np.float64]:
-    at = checks.array("save_at", save_at, "(S,) times, s").astype(np.float64)
+def _times(at: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
     forward = end >= begin
     slack = 16.0 * _EPS * (abs(begin) + abs(end))
     first, last = (begin, end) if forward else (end, begin)

@@ -88,7 +88,8 @@ def propagate(
         step sizes.
     n_steps : int or array_like of shape (N,), optional
         Number of steps, at least 0. With per-body step sizes it is an array too, and all bodies
-        must end at the same time, to rounding. Give either ``n_steps`` or ``t_end``.
+        must end at the same time, to rounding. Give either ``n_steps`` or ``t_end``; with
+        ``save_at`` both may be left out, and the run ends at the last of these times.
     t_end : float, optional
         Duration of the run, s, counted from ``t0`` and with the sign of ``dt``. If it is not a
         whole number of steps, the last step is shorter.

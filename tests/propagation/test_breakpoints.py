@@ -480,6 +480,18 @@ def test_t_end_elsewhere():
     assert fa.propagate(scene, q0, w0, dt=0.3, t_end=0.1, method="rk9").t.tolist() == [0.1]
 
 
+def test_saves_alone_end_the_run():
+    scene, start = fa.Scene(inertia=J), ([1.0, 0.0, 0.0, 0.0], W0)
+    for dt, at in ((0.1, [0.8, 2.57]), (-0.1, [0.5, -3.0]), (0.1, [0.5])):
+        run = fa.propagate(scene, *start, dt=dt, save_at=at, t0=0.5, method="rk9")
+        same = fa.propagate(scene, *start, dt=dt, t_end=at[-1] - 0.5, t0=0.5, method="rk9")
+        assert run.t.tolist() == at
+        assert same.t.tolist() == at[-1:]
+        assert angle(run.q[-1], same.q[-1]) == 0.0
+    with pytest.raises(ValueError, match=r"save_at\[0\] is -1; accepted: from 0.5 to 0.5"):
+        fa.propagate(scene, *start, dt=0.1, save_at=[-1.0], t0=0.5)
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [
