@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
+from fastatt.gyro.gaps import part, stretches
 from fastatt.gyro.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
@@ -311,7 +312,18 @@ class _Log:
 
 
 def _integrated(method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[Any]) -> NDArray[Any]:
-    """Attitudes at the samples from a window's polynomials, as far as whole windows go.
+    """Attitudes at the samples from a window's polynomials, which begin anew at gaps."""
+    window, found = METHODS[method].window, [q0[None]]
+    for first, last in stretches(window, dt, len(rates) - 1):
+        own, apart = part(rates[None], dt, False, first, last)
+        found.append(_without_gap(method, own[0], apart, found[-1][-1])[1:])
+    return np.concatenate(found)
+
+
+def _without_gap(
+    method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[Any]
+) -> NDArray[Any]:
+    """Attitudes from a window's polynomials through samples without a gap.
 
     Another method gets their values at times so close that it integrates them exactly.
     """
@@ -319,13 +331,12 @@ def _integrated(method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[An
     # polynomial it integrates exactly
     tight, fineness = ("picard", 6) if method == "picard" else ("coning3", 12)
     window = METHODS[method].window
-    powers = np.arange(window.samples(False))
+    powers = np.arange(min(window.samples(False), len(rates)))
     spans = np.broadcast_to(dt, len(rates) - 1)
     t = np.concatenate([[0.0], np.cumsum(spans)])
-    n = len(spans) // window.span * window.span
     inside = np.arange(fineness)[:, None] / fineness
     found = [q0[None]]
-    for k in np.array_split(np.arange(n), -(-n // _PIECE)):
+    for k in np.array_split(np.arange(len(spans)), -(-len(spans) // _PIECE)):
         start = k // window.span * window.span - window.history
         nodes = np.clip(start, 0, len(rates) - powers.size)[:, None] + powers
         # in intervals from the beginning of each

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -76,6 +77,47 @@ def test_pieces_of_many_bodies_with_intervals_given_along(method, increments, dt
     found = streamed(data, spans, cuts, q0=q0, **options)
     assert found.dtype == dtype
     assert found.tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("method", "increments"),
+    [("trapezoid", False), ("previous", False), ("coning3", True), ("picard", False)],
+)
+@pytest.mark.parametrize("cuts", ["singly", "in pieces"])
+@pytest.mark.parametrize("n_bodies", [1, 3])
+def test_gaps_are_those_of_the_whole_log(method, increments, cuts, n_bodies):
+    cuts = CUTS[cuts]
+    n = sum(cuts)
+    data = LOG[:n_bodies, :n] * (0.02 if increments else 1.0)
+    spans = np.random.default_rng(1).uniform(0.015, 0.025, n - (not increments))
+    spans[[3, 40, 41, 48, 100, 126]] = [0.1, 0.15, 0.1, 0.1, 0.12, 0.2]
+    options = {"method": method, "increments": increments, "max_gap": 1.0}
+    whole = fa.integrate_rates(data, spans, START, **options)
+    found = streamed(data, spans, cuts, q0=np.tile(START, (n_bodies, 1)), **options)
+    assert found.tobytes() == whole.tobytes()
+
+
+def test_a_long_gap_is_warned_of_unless_it_is_accepted():
+    rates = np.tile([0.1, 0.2, 0.3], (41, 1))
+    spans = np.full(40, 0.01)
+    spans[30] = 0.5
+    for max_gap in (1.0, np.inf):
+        fa.GyroIntegrator(START, max_gap=max_gap).push(rates, spans)
+    for method in ("trapezoid", "previous"):
+        flow = fa.GyroIntegrator(START, method=method)
+        flow.push(rates[:25], spans[:24])
+        before = pickle.dumps(flow)
+        with pytest.warns(fa.StepWarning, match="interval 30 of 0.5 s is a gap, 50 times the med"):
+            later = flow.push(rates[25:], spans[24:])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            again = pickle.loads(before)
+            with pytest.raises(fa.StepWarning):
+                again.push(rates[25:], spans[24:])
+            assert pickle.dumps(again) == before
+        assert len(later) == 16
+    with pytest.raises(ValueError, match=r"0\.5: a gap"):
+        fa.GyroIntegrator(START, max_gap=0.1).push(rates, spans)
 
 
 def test_long_pieces_on_threads_are_the_whole_log():

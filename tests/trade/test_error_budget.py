@@ -174,6 +174,15 @@ def test_where_the_sample_rate_limits_no_method_helps():
     )
 
 
+@pytest.mark.parametrize("method", ["previous", "coning3"])
+def test_truncation_of_a_log_with_a_gap_is_of_its_own_polynomials(method):
+    """Noise, whose polynomials across the gap of half a second are far from the samples."""
+    spans = np.full(100, 0.01)
+    spans[50] = 0.5
+    noise = 1e-3 * np.random.default_rng(0).normal(size=(101, 3))
+    assert _Log(noise, spans, START, 1.0).truncation(method) < 1e-9
+
+
 def test_intervals_are_joined_where_samples_are_left_out():
     log = _Log(np.zeros((9, 3)), np.arange(1.0, 9.0), START, 10.0)
     rates, joined, gap = log.part(3)
