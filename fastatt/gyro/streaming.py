@@ -31,7 +31,8 @@ class GyroIntegrator:
     """Integrate gyro samples that arrive one by one or in batches.
 
     The attitudes are those of :func:`fastatt.integrate_rates` over the whole log, bit for bit,
-    however it is divided. An integrator can be pickled and copied, and continues from there.
+    however it is divided, unless ``q`` is assigned. An integrator can be pickled and copied, and
+    continues from there.
 
     Parameters
     ----------
@@ -62,6 +63,14 @@ class GyroIntegrator:
     >>> flow = fa.GyroIntegrator((1.0, 0.0, 0.0, 0.0), 0.01, method="coning2")
     >>> [len(flow.push((0.0, 0.0, 1.0))) for _ in range(4)], len(flow.close())
     ([1, 0, 2, 0], 1)
+
+    Notes
+    -----
+    A method with windows returns the attitudes of a window when its last sample is known. With
+    "previous" every sample gives the attitude at its time. Only the second rate gives none, and the
+    third gives two attitudes, since the rate before the first is extrapolated from three rates (the
+    first of increments gives the initial attitude, and the second gives two more). The same holds
+    after a gap, where the windows begin anew.
     """
 
     def __init__(
@@ -94,6 +103,26 @@ class GyroIntegrator:
         self._given = self._done = self._before = self._lead = 0
         self._samples: NDArray[Any] = np.empty((0, 0, 3))
         self._spans = self._q = self._last = self._recent = np.empty(0)
+
+    @property
+    def q(self) -> NDArray[Any]:
+        """Attitude (4,) or (N, 4) at the time of the last one returned; q0 before the first push.
+
+        Assign an attitude of any norm above zero to correct it, for example by the update of a
+        filter. Later attitudes follow from the assigned one.
+        """
+        last = self._last if self._begun else self._start
+        return np.array(last[0] if self._one else last)
+
+    @q.setter
+    def q(self, value: ArrayLike) -> None:
+        self._check_open()
+        accepted = "(4,)" if self._one else f"(4,) or ({len(self._start)}, 4)"
+        given = unit_quaternions("q", checks.attitudes("q", value, accepted))
+        self._start = np.tile(given, (len(self._start), 1)) if given.ndim == 1 else given
+        if self._begun:
+            self._last = self._start.astype(self._last.dtype)
+            self._q = beginning(self._start, len(self._start), self._last.dtype)
 
     def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> NDArray[Any]:
         """Add samples and return the attitudes that are then final.

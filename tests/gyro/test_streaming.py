@@ -145,6 +145,43 @@ def test_attitudes_come_as_soon_as_they_are_final(method, increments, sizes, lef
     assert flow.close().shape == (left, 4)
 
 
+@pytest.mark.parametrize("increments", [False, True])
+def test_previous_begins_with_three_rates_or_two_increments(increments):
+    """And so it does after a gap."""
+    flow = fa.GyroIntegrator(START, increments=increments, max_gap=1.0)
+    data = LOG[0, :40] * (0.02 if increments else 1.0)
+    first = None if not increments else 0.02
+    sizes = [len(flow.push(data[0], first)), *(len(flow.push(x, 0.02)) for x in data[1:20])]
+    assert sizes == ([1, 2, *[1] * 18] if increments else [1, 0, 2, *[1] * 17])
+    sizes = [len(flow.push(data[20], 0.5)), *(len(flow.push(x, 0.02)) for x in data[21:])]
+    assert sizes == [1, 0, 2, *[1] * 17]
+
+
+@pytest.mark.parametrize(
+    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
+)
+@pytest.mark.parametrize("n_bodies", [1, 3])
+def test_an_attitude_that_is_assigned_turns_all_later_ones(method, increments, n_bodies):
+    """By the same rotation along inertial axes, within a chunk, a window and at the beginning."""
+    data = LOG[:n_bodies, :150] * (0.02 if increments else 1.0)
+    data = data if n_bodies > 1 else data[0]
+    start = np.tile(START, (n_bodies, 1)) if n_bodies > 1 else START
+    options = {"method": method, "increments": increments}
+    plain, turned = (fa.GyroIntegrator(start, 0.02, **options) for _ in range(2))
+    turn = np.array([0.8, 0.0, -0.6, 0.0])
+    turned.q = 3.0 * fa.quat_multiply(turn, turned.q)
+    for first, last in ((0, 31), (31, 38), (38, 150)):
+        a, b = (flow.push(data[..., first:last, :]) for flow in (plain, turned))
+        assert np.array_equal(plain.q, a[..., -1, :])
+        assert fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
+        turn = fa.quat_multiply([0.6, 0.8, 0.0, 0.0], turn)
+        turned.q = fa.quat_multiply([0.6, 0.8, 0.0, 0.0], turned.q)
+    a, b = plain.close(), turned.close()
+    assert not a.size or fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
+    with pytest.raises(ValueError, match="found an integrator that is closed"):
+        turned.q = start
+
+
 def test_a_log_without_samples():
     assert fa.GyroIntegrator(START, 0.1).close().shape == (0, 4)
     assert fa.GyroIntegrator([START] * 2, 0.1).close().shape == (2, 0, 4)
