@@ -29,10 +29,13 @@ def gaps(spans: Any, before: Any = ()) -> list[tuple[int, float]]:
     if not np.ndim(spans) or not len(spans):
         return []
     known = np.concatenate((before, spans), dtype=spans.dtype)
-    longer = np.flatnonzero(spans > _LONG * known.min())
-    if not longer.size:
+    if spans.max() <= _LONG * known.min():
         return []
     padded = np.concatenate((np.repeat(known[:1], RECENT - len(before)), known))
+    least = padded  # of the intervals before, which spares most of the medians
+    for step in (1, 2, 4):
+        least = np.minimum(least[:-step], least[step:])
+    longer = np.flatnonzero(spans > _LONG * least[: len(spans)])
     usual = np.median(sliding_window_view(padded, RECENT)[longer], axis=1)
     found = spans[longer] > _LONG * usual
     return list(zip(longer[found].tolist(), usual[found].tolist(), strict=True))

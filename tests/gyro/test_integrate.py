@@ -488,6 +488,19 @@ def test_intervals_that_only_vary_are_no_gaps():
     assert gaps(np.array([9.0, *[0.01] * 20])) == []
 
 
+def test_gaps_are_those_of_the_medians():
+    """Of intervals of all sizes, some before those that are looked at."""
+    spans = np.random.default_rng(1).exponential(size=300)
+    padded = np.concatenate([np.full(8, spans[0]), spans])
+    medians = [float(np.median(padded[k : k + 8])) for k in range(300)]
+    known = [(k, m) for k, m in enumerate(medians) if spans[k] > 3.0 * m]
+    assert len(known) > 20
+    assert gaps(spans) == known
+    for cut in (1, 5, 100):
+        later = [(k - cut, m) for k, m in known if k >= cut]
+        assert gaps(spans[cut:], spans[max(cut - 8, 0) : cut]) == later
+
+
 def test_advice_of_the_sample_rate_is_above_1():
     limit = fa.METHODS["coning2"].limit("rates")
     for ratio, said in ((1.001, "1.1"), (1.43, "1.5"), (11.0, "12")):
