@@ -88,7 +88,7 @@ def integrate_rates(
     Where an interval is longer than three times the median of the eight before it, samples are
     missing, and a polynomial through the samples on both sides would magnify their noise. The
     windows of the method then begin anew after that interval, and it is integrated on its own: from
-    the two rates at its ends, or from its increment.
+    the two rates at its ends, or from its increment. The error across it is that of "trapezoid".
 
     Examples
     --------
