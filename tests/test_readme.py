@@ -241,6 +241,20 @@ def test_every_public_name_is_in_the_reference(module):
     assert [n for n in names if not {n, f"{module}.{n}"} & shown] == []
 
 
+def test_inherited_methods_of_filters_are_in_the_reference():
+    """The methods of a base that is not public itself."""
+    text = (DOCS / "reference" / "estimation.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^::: fastatt\.estimation\.(\S+)\n((?:    .*\n)*)", text, re.MULTILINE)
+    hidden = []
+    for name, options in shown:
+        found = getattr(fastatt.estimation, name)
+        bases = found.__mro__[1:-1] if isinstance(found, type) else ()
+        inherited = {m for b in bases if b.__module__.startswith("fastatt.") for m in vars(b)}
+        if "inherited_members: true" not in options:
+            hidden += [f"{name}.{m}" for m in inherited if not m.startswith("_")]
+    assert hidden == []
+
+
 def test_the_page_of_the_command_line_has_every_option_with_its_help():
     page = (DOCS / "reference" / "cli.md").read_text(encoding="utf-8")
     commands = next(a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction))

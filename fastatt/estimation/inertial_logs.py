@@ -61,7 +61,8 @@ class Preintegration:
     position_gyro, position_accel : ndarray of shape (3, 3)
         Derivatives of Δp by the two biases.
     covariance : ndarray of shape (9, 9)
-        Covariance of the errors of (ΔR, Δv, Δp).
+        Covariance of the errors (δφ, δv, δp), in this order: of ΔR, rad, along the body axes at j,
+        with ΔR_true = ΔR∘exp(δφ); of Δv, m/s, and of Δp, m, along the body axes at i.
     rows : ndarray of shape (101,)
         All numbers.
     """

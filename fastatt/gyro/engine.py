@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.arrays import quat_multiply
+from fastatt.arrays import normalised, quat_multiply
 from fastatt.codegen.call import call_loop
 from fastatt.gyro import ends
+from fastatt.gyro.gaps import part, stretches
 from fastatt.gyro.loops import LANES, TILE, loop
 from fastatt.gyro.program import program
 from fastatt.methods.windows import CHUNK, Window
@@ -189,6 +190,40 @@ def finish(
     run = GyroRun(window, increments, samples, apart, turns)
     run.carry(beginning(NO_TURN, len(out), out.dtype))
     out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
+
+
+def integrate(
+    window: Window,
+    increments: bool,
+    data: NDArray[Any],
+    spans: Any,
+    out: NDArray[Any],
+    q: NDArray[Any],
+    *,
+    n_threads: int | None = 1,
+    done: _Done = None,
+) -> float:
+    """Write the attitudes of whole logs, from q as in :meth:`GyroRun.carry`, into ``out``.
+
+    The windows begin anew at gaps. Returns the largest component of an angle over an interval, rad.
+    """
+    count, seen = out.shape[1] - 1, 0.0
+    for first, last in stretches(window, spans, count):
+        samples, apart = part(data, spans, increments, first, last)
+        own = np.ascontiguousarray(out[:, first : last + 1])
+        if first:
+            own = own.copy()  # the attitude before a gap is not normalised in the result
+            q[:] = beginning(normalised(own[:, 0]), len(q), q.dtype)
+        run = GyroRun(window, increments, samples, apart, own)
+        seen = max(seen, run.carry(q, n_threads=n_threads, done=done))
+        rest = (last - first) % window.span
+        if window.iteration and rest:
+            end = np.ascontiguousarray(own[:, -rest - 1 :])
+            finish(window, increments, samples, apart, end)
+            own[:, -rest:] = end[:, 1:]
+        if not np.may_share_memory(own, out):
+            out[:, first + bool(first) : last + 1] = own[:, bool(first) :]
+    return seen
 
 
 def beginning(unit: NDArray[Any], n_logs: int, precision: np.dtype[Any]) -> NDArray[Any]:

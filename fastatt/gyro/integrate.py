@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks, rounding
 from fastatt.arrays import normalised
-from fastatt.gyro.engine import NO_TURN, GyroRun, beginning, finish
+from fastatt.gyro.engine import NO_TURN, beginning, integrate
 from fastatt.methods import METHODS, Method
 from fastatt.threads import number_of, progress_bar
 
-_GAP = 10.0  # an interval this many times the median is a gap
-# times the median: the longest interval that a window of three and more may hold
-_UNEVEN = 3.0
+#: times the median: a longer interval is refused by default
+LONGEST = 10.0
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -77,14 +76,19 @@ def integrate_rates(
     Warns
     -----
     StepWarning
-        If the rotation angle over an interval exceeds the method's limit, and if a method with
-        windows of three intervals or more fits a polynomial across one that is longer than three
-        times the median.
+        If the rotation angle over an interval exceeds the method's limit.
 
     See Also
     --------
     GyroIntegrator : The same for samples that arrive one by one.
     read_gyro_log : Rates and intervals from a file.
+
+    Notes
+    -----
+    Where an interval is longer than three times the median of the eight before it, samples are
+    missing, and a polynomial through the samples on both sides would magnify their noise. The
+    windows of the method then begin anew after that interval, and it is integrated on its own: from
+    the two rates at its ends, or from its increment. The error across it is that of "trapezoid".
 
     Examples
     --------
@@ -117,24 +121,17 @@ def integrate_rates(
     if count == 0:
         out[:, 0] = q[:, :4]
         return result
-    window = record.window
-    run = GyroRun(window, increments, data, spans, out)
+    run = functools.partial(integrate, record.window, increments, data, spans, out, q)
     if progress:
         with progress_bar(progress, n_logs * count, "sample") as done:
-            seen = run.carry(q, n_threads=threads, done=done)
+            seen = run(n_threads=threads, done=done)
     else:
-        seen = run.carry(q, n_threads=threads)
-    rest = count % window.span
-    if window.iteration and rest:
-        end = np.ascontiguousarray(out[:, -rest - 1 :])
-        finish(window, increments, data, spans, end)
-        out[:, -rest:] = end[:, 1:]
+        seen = run(n_threads=threads)
     # a sample that is not finite affects every later attitude; the last one may be unused
     if not checks.all_finite(q, data[:, -1]):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
     warn_of_turns(seen, data, spans, record, increments)
-    warn_of_gap(spans, record)
     return result
 
 
@@ -190,22 +187,13 @@ def warn_of_turns(
         rounding.warn(
             f"dt: interval {first + k} of log {log} rotates by {most:.3g} rad, {record.name}'s "
             f"limit is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): "
-            f"sample more than {most / limit:.2g} times as often"
+            f"sample at least {_times(most / limit)} times as often"
         )
 
 
-def warn_of_gap(spans: Any, record: Method) -> None:
-    """Warn of a long interval among those through which the method fits one polynomial."""
-    window = record.window
-    if window is None or window.span < 3 or not isinstance(spans, np.ndarray) or not spans.size:
-        return
-    typical, k = float(np.median(spans)), int(np.argmax(spans))
-    if spans[k] > _UNEVEN * typical:
-        rounding.warn(
-            f"dt: interval {k} of {spans[k]:.3g} s is {spans[k] / typical:.2g} times the median, "
-            f"and {record.name} fits a polynomial across it, which magnifies noise: take previous, "
-            "or cut the log there"
-        )
+def _times(ratio: float) -> str:
+    """A ratio above 1 with two digits, rounded up by what rounding may take off."""
+    return f"{max(1.1, 1.05 * ratio):.2g}"
 
 
 @functools.cache
@@ -275,7 +263,7 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
         raise ValueError(f"dt[{k}] is {spans[k]}: {what} time stamp; accepted: intervals above 0")
     if max_gap is None:
         with np.errstate(over="ignore"):
-            longest = _GAP * float(np.median(spans))
+            longest = LONGEST * float(np.median(spans))
     if spans.max() > longest:
         k = int(np.argmax(spans))
         raise ValueError(

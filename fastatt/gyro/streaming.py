@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
+from fastatt.arrays import normalised
 from fastatt.gyro.engine import GyroRun, beginning, finish
+from fastatt.gyro.gaps import RECENT, gaps
 from fastatt.gyro.integrate import (
+    LONGEST,
     check_intervals,
     intervals,
     largest_gap,
@@ -28,7 +31,8 @@ class GyroIntegrator:
     """Integrate gyro samples that arrive one by one or in batches.
 
     The attitudes are those of :func:`fastatt.integrate_rates` over the whole log, bit for bit,
-    however it is divided. An integrator can be pickled and copied, and continues from there.
+    however it is divided, unless ``q`` is assigned. An integrator can be pickled and copied, and
+    continues from there.
 
     Parameters
     ----------
@@ -45,8 +49,8 @@ class GyroIntegrator:
     n_threads : int, optional
         Number of threads, as in :func:`fastatt.integrate_rates`.
     max_gap : float, optional
-        The longest interval that is accepted, s; the default accepts any, since the median is
-        unknown.
+        The longest interval that is accepted, s; the default accepts any, with a warning if it is
+        longer than 10 times the median of the eight before it.
 
     Raises
     ------
@@ -59,6 +63,14 @@ class GyroIntegrator:
     >>> flow = fa.GyroIntegrator((1.0, 0.0, 0.0, 0.0), 0.01, method="coning2")
     >>> [len(flow.push((0.0, 0.0, 1.0))) for _ in range(4)], len(flow.close())
     ([1, 0, 2, 0], 1)
+
+    Notes
+    -----
+    A method with windows returns the attitudes of a window when its last sample is known. With
+    "previous" every sample gives the attitude at its time. Only the second rate gives none, and the
+    third gives two attitudes, since the rate before the first is extrapolated from three rates (the
+    first of increments gives the initial attitude, and the second gives two more). The same holds
+    after a gap, where the windows begin anew.
     """
 
     def __init__(
@@ -79,17 +91,38 @@ class GyroIntegrator:
         start = unit_quaternions("q0", q0)
         self._one = start.ndim == 1
         self._start = np.atleast_2d(start)
-        self._max_gap = largest_gap(max_gap)
+        self._max_gap, self._warns = largest_gap(max_gap), max_gap is None
         self._dt = dt
         if dt is not None:
             self._dt = intervals(checks.real("dt", dt), 0, max_gap, np.dtype("f8"))
         self._precision = None if dtype is None else checks.precision(dtype)
         self._threads = None if n_threads is None else number_of(n_threads)
         self._begun = self._closed = False
-        # intervals done, and how many of them the kept samples and intervals cover
-        self._done = self._lead = 0
+        # intervals given; done since the last gap, and before it; of those done, how many the kept
+        # samples and intervals cover
+        self._given = self._done = self._before = self._lead = 0
         self._samples: NDArray[Any] = np.empty((0, 0, 3))
-        self._spans = self._q = self._last = np.empty(0)
+        self._spans = self._q = self._last = self._recent = np.empty(0)
+
+    @property
+    def q(self) -> NDArray[Any]:
+        """Attitude (4,) or (N, 4) at the time of the last one returned; q0 before the first push.
+
+        Assign an attitude of any norm above zero to correct it, for example by the update of a
+        filter. Later attitudes follow from the assigned one.
+        """
+        last = self._last if self._begun else self._start
+        return np.array(last[0] if self._one else last)
+
+    @q.setter
+    def q(self, value: ArrayLike) -> None:
+        self._check_open()
+        accepted = "(4,)" if self._one else f"(4,) or ({len(self._start)}, 4)"
+        given = unit_quaternions("q", checks.attitudes("q", value, accepted))
+        self._start = np.tile(given, (len(self._start), 1)) if given.ndim == 1 else given
+        if self._begun:
+            self._last = self._start.astype(self._last.dtype)
+            self._q = beginning(self._start, len(self._start), self._last.dtype)
 
     def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> NDArray[Any]:
         """Add samples and return the attitudes that are then final.
@@ -116,7 +149,8 @@ class GyroIntegrator:
         Warns
         -----
         StepWarning
-            If the rotation angle over an interval exceeds the method's limit.
+            If the rotation angle over an interval exceeds the method's limit, or an interval is a
+            gap in which many samples are missing, unless ``max_gap`` is given.
         """
         self._check_open()
         n_logs, increments = len(self._start), self._increments
@@ -126,18 +160,13 @@ class GyroIntegrator:
         samples = given.astype(precision).reshape(n_logs, -1, 3)
         n = samples.shape[1]
         spans = self._intervals(dt, n if self._begun or increments else n - 1, precision)
-        q = self._q
-        if self._begun:
-            samples = np.concatenate((self._samples, samples), axis=1)
-        else:
-            q = beginning(self._start, n_logs, precision)
-        window = METHODS[self._method].window
-        known = samples.shape[1] - self._lead - (not increments)
-        count = known - known % window.span
-        # samples before the first window are extrapolated from the first ones
-        if not self._done and window.history and samples.shape[1] < window.samples(increments):
-            count = 0
-        return self._advanced(samples, spans, q, count)
+        kept = self.__dict__.copy()
+        try:
+            found = self._through_gaps(samples, spans)
+        except BaseException:
+            self.__dict__.update(kept)
+            raise
+        return found[0] if self._one else found
 
     def close(self) -> NDArray[Any]:
         """End the log and return the remaining attitudes.
@@ -154,18 +183,79 @@ class GyroIntegrator:
         """
         self._check_open()
         self._closed = True
-        n_logs = len(self._start)
-        if not self._begun:
-            return np.empty((0, 4) if self._one else (n_logs, 0, 4))
+        found = self._rest() if self._begun else np.empty((len(self._start), 0, 4))
+        return found[0] if self._one else found
+
+    def _through_gaps(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
+        """The attitudes that are final after further samples; windows begin anew at gaps."""
+        late = not (self._begun or self._increments)  # the very first rate ends no interval
+        parts, done = [], 0
+        for k, usual in gaps(spans, self._recent):
+            if self._warns and spans[k] > LONGEST * usual:
+                rounding.warn(
+                    f"dt: interval {self._given + k} of {spans[k]:.3g} s is a gap, "
+                    f"{spans[k] / usual:.2g} times the median of the {RECENT} before: correct the "
+                    "attitude after it, or pass max_gap to accept it"
+                )
+            if METHODS[self._method].window.intervals > 1:
+                parts += [(done, k), (k, k + 1)]
+                done = k + 1
+        parts.append((done, len(spans) if np.ndim(spans) else samples.shape[1] - late))
+        found, at = [], 0
+        for i, (first, last) in enumerate(parts):
+            if i:
+                found.append(self._rest())
+                self._begin_anew()
+            if last > first or not i:
+                own = samples[:, at : last + late]
+                found.append(self._take(own, spans[first:last] if np.ndim(spans) else spans))
+                at = last + late
+        if np.ndim(spans):
+            self._recent = np.concatenate((self._recent, spans))[-RECENT:]
+            self._given += len(spans)
+        return np.concatenate(found, axis=1)
+
+    def _take(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
+        """The attitudes that are final after further samples, without a gap."""
+        q = self._q
+        if self._begun:
+            samples = np.concatenate((self._samples, samples), axis=1)
+        else:
+            q = beginning(self._start, len(samples), samples.dtype)
+        if np.ndim(spans):
+            spans = np.concatenate((self._spans, spans), dtype=samples.dtype)
+        window = METHODS[self._method].window
+        known = samples.shape[1] - self._lead - (not self._increments)
+        count = known - known % window.span
+        # samples before the first window are extrapolated from the first ones
+        least = window.samples(self._increments)
+        if not self._done and window.history and samples.shape[1] < least:
+            count = 0
+        return self._advanced(samples, spans, q, count)
+
+    def _rest(self) -> NDArray[Any]:
+        """The attitudes at all samples so far, at the end of a log or before a gap."""
         count = self._samples.shape[1] - self._lead - (not self._increments)
-        return self._advanced(self._samples, self._spans, self._q, count)
+        return self._advanced(self._samples, self._spans, self._q, count, end=True)
+
+    def _begin_anew(self) -> None:
+        """Begin the windows at the last sample, unless they just began there."""
+        if not self._done:
+            return
+        self._before += self._done
+        self._done = self._lead = 0
+        last = self._samples.shape[1]
+        self._samples = self._samples[:, last - (not self._increments) :]
+        self._spans = self._spans if self._dt is not None else self._spans[:0]
+        self._last = normalised(self._last)
+        self._q = beginning(self._last, len(self._last), self._last.dtype)
 
     def _check_open(self) -> None:
         if self._closed:
             raise ValueError("found an integrator that is closed; accepted: one that is open")
 
     def _intervals(self, dt: ArrayLike | None, count: int, precision: np.dtype[Any]) -> Any:
-        """The interval, or all kept intervals and ``count`` more."""
+        """The interval, or ``count`` intervals."""
         if self._dt is not None:
             if dt is not None:
                 raise ValueError(
@@ -179,18 +269,20 @@ class GyroIntegrator:
             )
         if dt is None:
             return np.empty(0, dtype=precision)
-        spans = intervals(dt, count, self._max_gap, precision)
-        return np.concatenate((self._spans, np.broadcast_to(spans, count)), dtype=precision)
+        return np.broadcast_to(intervals(dt, count, self._max_gap, precision), count)
 
     def _advanced(
-        self, samples: NDArray[Any], spans: Any, q: NDArray[Any], count: int
+        self, samples: NDArray[Any], spans: Any, q: NDArray[Any], count: int, *, end: bool = False
     ) -> NDArray[Any]:
-        """The next ``count`` attitudes; the samples that later ones need are kept."""
+        """The next ``count`` attitudes; the samples that later ones need are kept.
+
+        ``end`` says that no sample follows.
+        """
         record, increments = METHODS[self._method], self._increments
         window, lead, n_logs = record.window, self._lead, len(samples)
         out = np.empty((n_logs, count + 1, 4), dtype=samples.dtype)
         q, seen = q.copy(), 0.0
-        if not count or (window.iteration and self._closed):
+        if not count or (window.iteration and end):
             out[:, 0] = self._last if self._begun else q[:, :4]
             if count:
                 seen = math.inf
@@ -201,8 +293,9 @@ class GyroIntegrator:
         if not checks.all_finite(out[:, -1]):
             raise overflow("rates", samples.dtype)
         own = samples[:, lead : lead + count + (not increments)]
-        gaps = spans if self._dt is not None else spans[lead : lead + count]
-        warn_of_turns(seen, own, gaps, record, increments, first=self._done)
+        apart = spans if self._dt is not None else spans[lead : lead + count]
+        before = self._before + self._done
+        warn_of_turns(seen, own, apart, record, increments, first=before)
         found = out[:, self._begun :]
         self._done += count
         # those of a window, which the end of a log needs
@@ -211,4 +304,4 @@ class GyroIntegrator:
         self._samples, self._precision = samples[:, first:].copy(), samples.dtype
         self._spans = spans if self._dt is not None else spans[first:]
         self._q, self._last, self._begun = q, out[:, -1].copy(), True
-        return found[0] if self._one else found
+        return found

@@ -7,6 +7,7 @@ packets, or too coarse for the rate: such rows are samples, and their times are 
 
 from __future__ import annotations
 
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,19 @@ Flags = NDArray[np.bool_]
 ON_BAD_ROWS = ("refuse", "drop", "split", "hold")
 _GAP = 10.0  # an interval this many times the usual one is a gap
 _AHEAD = 8  # rows that distinguish outliers from a reset; as many successive rows can be outliers
-_REGULAR = 2.5  # the longest step between successive rows, in usual intervals
+#: the longest step between successive rows, in usual intervals
+REGULAR = 2.5
+_MISSING = 1.5  # usual intervals across rows left out, beyond which a sample is missing there
+_SHOWN = 3  # events of each kind that the summary lists
 _SHARED = 0.05  # share of rows (at least 3) with a repeated stamp, beyond which stamps are shared
+
+
+class Event(NamedTuple):
+    """What became of a row, or of the interval before it, as in :class:`GyroLog`."""
+
+    what: str
+    row: int
+    t: float
 
 
 class Samples(NamedTuple):
@@ -28,8 +40,9 @@ class Samples(NamedTuple):
 
     ``t`` has the times from the first sample, s, and ``rows`` the indices in the table. ``held``
     are samples that repeat the rates of the sample before; ``added`` are samples without a row,
-    which hold the rates up to the end of a gap. ``cuts`` are the first samples of pieces, ``said``
-    the parts of the summary, and ``spread`` says whether rows with shared stamps were spread.
+    which hold the rates up to the end of a gap. ``cuts`` are the first samples of pieces,
+    ``events`` as in :class:`GyroLog`, ``said`` the parts of the summary, and ``spread`` says
+    whether rows with shared stamps were spread.
     """
 
     t: Floats
@@ -37,6 +50,7 @@ class Samples(NamedTuple):
     held: Flags
     added: Flags
     cuts: list[int]
+    events: list[Event]
     said: list[str]
     spread: bool
 
@@ -97,21 +111,38 @@ def in_order(
     s = s - s[:1]
     gaps = np.flatnonzero(np.diff(s) > longest) + 1
     held = ~numbers[rows]
-    counts = {
-        "rows dropped": len(t) - len(rows),
-        "rows held": int(held.sum()),
-        "gaps": len(gaps),
-        "clock resets": len(resets),
+    left = np.delete(np.arange(len(t)), rows)
+    kinds = {
+        "rows dropped": left,
+        "rows held": rows[held],
+        "gaps": rows[gaps],
+        "clock resets": rows[np.array(resets, dtype=int)],
+    }
+    since = np.append(0.0, s)  # each event at the time of the last sample before it
+    events = {
+        what: [*map(Event, repeat(what), at.tolist(), since[np.searchsorted(rows, at)].tolist())]
+        for what, at in kinds.items()
     }
     plain = np.zeros(len(rows), dtype=bool)
-    samples = Samples(s, rows, plain, plain, [], [], bool(shared.any()))
+    everything = sorted((e for some in events.values() for e in some), key=lambda e: e.row)
+    samples = Samples(s, rows, plain, plain, [], everything, [], bool(shared.any()))
     if on_bad_rows == "split":
         left_out = np.flatnonzero(np.diff(rows) > 1) + 1
-        samples.cuts.extend(sorted({*left_out.tolist(), *gaps.tolist(), *resets}))
+        # a repeated row takes the place of no sample
+        empty = np.cumsum(~numbers)
+        missing = s[left_out] - s[left_out - 1] > _MISSING * usual
+        missing |= empty[rows[left_out]] > empty[rows[left_out - 1]]
+        samples.cuts.extend(sorted({*left_out[missing].tolist(), *gaps.tolist(), *resets}))
     elif on_bad_rows == "hold":
         samples = _held(samples, held, gaps, usual)
-    samples.said.extend(f"{n} {what}" for what, n in counts.items() if n)
+    samples.said.extend(_said(table, what, some) for what, some in events.items() if some)
     return samples
+
+
+def _said(table: Table, what: str, events: list[Event]) -> str:
+    """The number of events of a kind, and where the first ones are."""
+    some = [f"{table.place(e.row)} at {e.t:.6g} s" for e in events[:_SHOWN]]
+    return f"{len(events)} {what}: {', '.join([*some, '...'][: len(events)])}"
 
 
 def _shared(s: Floats, rates: Floats) -> Flags:
@@ -166,7 +197,7 @@ def _misplaced(s: Floats, usual: float, longest: float) -> tuple[list[int], list
                 after = s[i : i + _AHEAD + 1]
                 following = np.diff(after)
                 regular = len(following) > 0 and bool(
-                    ((following > 0.0) & (following <= _REGULAR * usual)).all()
+                    ((following > 0.0) & (following <= REGULAR * usual)).all()
                 )
                 goes_on = bool(((after > s[last]) & (after - s[last] <= longest)).any())
                 ahead = s[i] > s[last]

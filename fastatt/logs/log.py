@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.logs import names, stamps
-from fastatt.logs.gaps import ON_BAD_ROWS, Samples, in_order
+from fastatt.logs.gaps import ON_BAD_ROWS, REGULAR, Samples, in_order
 from fastatt.logs.names import UNITS, GyroLogError, GyroLogWarning
 from fastatt.logs.tables import Frame, Table, tabular
 from fastatt.logs.text import Text, opened, size_of
@@ -27,6 +27,7 @@ _MOST_RAD, _MOST_DEG = 35.0, 4500.0
 # largest bias, rad/s, and rotation about it, rad, of a body at rest
 _LARGEST_BIAS, _LARGEST_ROTATION = 0.2, 0.05
 _LEAST_RATE = 1e-290  # Hz, below which times overflow
+_OTHERS = {"accel": "accel_columns", "mag": "mag_columns", "quat": "attitude_columns"}
 _MANY = 0.01  # share of rows; leaving out more is warned of
 
 
@@ -58,11 +59,15 @@ class GyroLog:
     timing : str
         The source of the times.
     rate : float
-        Mean sample rate, Hz.
+        Sample rate, Hz: one over the mean interval, without those above 2.5 times the median.
     start : float
         The first time stamp, s (0 if there is none).
     pieces : tuple of slice
         Ranges of samples without a break: one, unless ``on_bad_rows="split"``.
+    events : tuple of (str, int, float)
+        Bad rows and gaps in order: "rows dropped", "rows held", "gaps" or "clock resets"; the index
+        of the row in the table, from 0, which for a gap is the first after it; and the time of the
+        last sample before it, s.
     summary : str
         A line that describes what was recognised.
     """
@@ -80,6 +85,7 @@ class GyroLog:
     mag: NDArray[np.float64] | None = None
     start: float = 0.0
     pieces: tuple[slice, ...] = ()
+    events: tuple[tuple[str, int, float], ...] = ()
     summary: str = ""
 
 
@@ -92,6 +98,8 @@ def read_gyro_log(
     rate: float | None = None,
     time_column: str | None = None,
     attitude_columns: Sequence[str] | None = None,
+    accel_columns: Sequence[str] | None = None,
+    mag_columns: Sequence[str] | None = None,
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
     bias_seconds: float | None = None,
@@ -126,11 +134,14 @@ def read_gyro_log(
         Name or number of the column of time stamps.
     attitude_columns : sequence of str or int, optional
         Names or numbers of an attitude's columns w, x, y and z.
+    accel_columns, mag_columns : sequence of str or int, optional
+        Names or numbers of the columns x, y and z of the accelerometer and of the magnetometer.
     on_bad_rows : {"refuse", "drop", "split", "hold"}, default "refuse"
         What is done with rows without a rate or a stamp, stamps that do not increase, and gaps: an
-        error; leaving the row out, so that the next interval is longer; starting a new piece
-        (``log.pieces``); or holding the last rates. Rows that share stamps are spread evenly,
-        unless refused.
+        error; leaving the row out, so that the next interval is longer; leaving it out and, where
+        samples are missing, starting a new piece (``log.pieces``); or holding the last rates, also
+        up to the end of a gap, where a sample is inserted. Rows that share stamps are spread
+        evenly, unless refused.
     max_gap : float, optional
         The longest interval that is not a gap, s; the default is 10 times the median interval, or
         10/``rate``.
@@ -173,7 +184,8 @@ def read_gyro_log(
     max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
     with _table(source, progress) as table:
         try:
-            places = _columns(table, columns, attitude_columns)
+            given = {"accel": accel_columns, "mag": mag_columns, "quat": attitude_columns}
+            places = _columns(table, columns, given)
             clock = [] if rate is not None else _clock(table, time_column)
             axes = tuple(table.column(i) for i in places["gyro"])
             unit = unit or names.rate_unit(axes)
@@ -209,9 +221,10 @@ def read_gyro_log(
     dt = np.diff(samples.t)
     if not (clock or samples.said):
         dt = np.full(len(dt), 1.0 / hertz)
-    mean_rate = 1.0 / float(np.mean(dt)) if len(dt) else hertz
+    usual = float(np.median(dt)) if len(dt) else 1.0 / hertz
+    found_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * usual])) if len(dt) else hertz
     said = [
-        f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
+        f"{table.name}: {len(rates)} samples at {found_rate:.6g} Hz ({timing})",
         f"{', '.join(axes)} in {shown}{'' if unit else ' (assumed)'}",
     ]
     if columns is None and places["gyro"] in names.triples(table.names, "unnamed"):
@@ -221,9 +234,10 @@ def read_gyro_log(
         said.append(f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off")
     return GyroLog(
         path=Path(table.name), columns=axes, unit=shown if unit else f"{shown} (assumed)",
-        timing=timing, rate=mean_rate, t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]),
+        timing=timing, rate=found_rate, t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]),
         rates=rates, accel=accel, mag=mag, attitudes=attitudes,
         pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
+        events=tuple((*event,) for event in samples.events),
         summary="; ".join([*said, *samples.said]),
     )  # fmt: skip
 
@@ -252,7 +266,7 @@ def _span(name: str, seconds: float | None) -> float | None:
 
 
 def _columns(
-    table: Table, columns: Sequence[str] | None, attitude_columns: Sequence[str] | None
+    table: Table, columns: Sequence[str] | None, given: Mapping[str, Sequence[str] | None]
 ) -> dict[str, list[int]]:
     """Indices of columns, as given or recognised by their names; [] for none."""
     if columns is None:
@@ -265,11 +279,13 @@ def _columns(
             "columns (names or numbers from 1)"
         )
     accel, mag = (names.triples(table.names, sensor) for sensor in ("accel", "mag"))
-    quat = names.quaternion(table.names) or []
-    if attitude_columns is not None:
-        quat = table.chosen(attitude_columns, 4, "attitude columns")
-    one = {k: x[0] if len(x) == 1 else [] for k, x in (("accel", accel), ("mag", mag))}
-    return {"gyro": gyro, **one, "quat": quat}
+    found = {k: x[0] if len(x) == 1 else [] for k, x in (("accel", accel), ("mag", mag))}
+    found["quat"] = names.quaternion(table.names) or []
+    for sensor, argument in _OTHERS.items():
+        wanted = given[sensor]
+        if wanted is not None:
+            found[sensor] = table.chosen(wanted, 4 if sensor == "quat" else 3, argument)
+    return {"gyro": gyro, **found}
 
 
 def _clock(table: Table, time_column: str | None) -> list[int]:
@@ -310,7 +326,7 @@ def _check(table: Table, samples: Samples, n: int, least: int) -> None:
         found = f"{kept} of {n} rows that are samples"
         raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
     if n - kept > _MANY * n:
-        counts = ", ".join(samples.said)
+        counts = "; ".join(samples.said)
         _warn(f"{table.name}: {n - kept} of {n} rows are left out ({counts})")
     if samples.spread:
         _warn(f"{table.name}: rows that share time stamps are spread evenly, unless rate says")

@@ -44,7 +44,7 @@ _QUAT = re.compile(
 _NOT_RATES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
-    r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|m[ _/]*s).*$",
+    r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|m[ _/p]*s).*$",
     re.IGNORECASE,
 )
 _AXIS = re.compile(
@@ -210,7 +210,7 @@ def _unit(match: re.Match[str]) -> str:
 def accel_unit(name: str) -> float | None:
     """The unit in the name of an accelerometer's column, in m/s²; None if there is none."""
     text = name.lower()
-    if re.search(r"m[ _]*[/ _.*·]?[ _]*s", text):
+    if re.search(r"m[ _]*[/p _.*·]?[ _]*s", text):
         return 1.0
     match = re.search(r"(?<=[\[( _])(m?)g[\])]?$", text)
     return match and (STANDARD_GRAVITY * (1e-3 if match[1] else 1.0))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
+from fastatt.gyro.gaps import part, stretches
 from fastatt.gyro.integrate import integrate_rates, intervals, methods_for_samples
 from fastatt.methods import METHODS
 from fastatt.rounding import noted
@@ -25,8 +26,18 @@ _QUIET = 16
 _WHITE = 0.8
 # share of a declared order below which an error is a mere guess
 _RESOLVED = 0.7
+# samples per cycle, below which every third sample, at 4 a cycle or less, shows no order of the
+# error
+_CYCLE = 12.0
+# the power of a strong oscillation, in the noise's and in that of the strongest
+_STANDS_OUT, _STRONG = 100.0, 0.2**2
 DEGREES = 180.0 / math.pi
 _LIMITS = ("interpolation", "truncation", "round-off", "noise")
+_UNDERSAMPLED = "undersampled"
+_BEYOND_METHODS = {
+    "noise": "noise limits, or motion as rough as noise: another method will not help",
+    "round-off": "round-off limits: float64 is what helps, if anything",
+}
 
 
 @dataclass(frozen=True)
@@ -57,10 +68,13 @@ class ErrorBudget:
         Order with which interpolation and truncation fall with the interval; None if noise hides
         it.
     limited_by : str
-        The largest contribution.
+        The largest contribution, or "undersampled": with fewer than 12 samples per cycle the
+        contributions of interpolation and noise are unknown (NaN).
     half_rate : dict of str to float
         Largest change of the attitude, rad, without every second sample, by method: this one, and
         rivals whose order the log resolves.
+    samples_per_cycle : float
+        Samples per cycle of the fastest strong oscillation of the rates; inf if there is none.
 
     Notes
     -----
@@ -78,6 +92,7 @@ class ErrorBudget:
     order: float | None
     limited_by: str
     half_rate: dict[str, float]
+    samples_per_cycle: float = math.inf
 
     @property
     def total(self) -> float:
@@ -89,10 +104,14 @@ class ErrorBudget:
         """A sentence that says what limits the accuracy, and which measured method is better."""
         if not self.total:
             return "no error is seen: the log does not rotate"
-        if self.limited_by == "noise":
-            return "noise limits, or motion as rough as noise: another method will not help"
-        if self.limited_by == "round-off":
-            return "round-off limits: float64 is what helps, if anything"
+        if self.limited_by == _UNDERSAMPLED:
+            needed = self.rate * _CYCLE / self.samples_per_cycle
+            return (
+                f"undersampled: {self.samples_per_cycle:.2g} samples per cycle of the motion, an "
+                f"estimate needs {_CYCLE:g} or more (at least {needed:.3g} Hz)"
+            )
+        if self.limited_by in _BEYOND_METHODS:
+            return _BEYOND_METHODS[self.limited_by]
         own = self.half_rate[self.method]
         halved = f"with every second sample the attitude changes by {own * DEGREES:.0e} deg"
         best = min(self.half_rate, key=lambda name: self.half_rate[name])
@@ -112,6 +131,8 @@ class ErrorBudget:
             for name, value, note in zip(_LIMITS, shares, (order, "", "", density), strict=True)
         ]
         head = f"error of {self.method} on {self.samples} samples at {self.rate:.6g} Hz, deg:"
+        if self.limited_by == _UNDERSAMPLED:
+            lines = []
         return "\n".join([head, *lines, f"  {self.verdict}"])
 
 
@@ -190,7 +211,12 @@ def error_budget(
         sampling = log.extrapolated(log.exact, method, density)
         measured = {m: log.extrapolated(log.attitudes, m, density) for m in (method, *others)}
         round_off = log.round_off(method, kind)
-    shares = (sampling.error, truncation, round_off, log.noise(density))
+    cycle = _samples_per_cycle(log.rates)
+    noise = log.noise(density)
+    if cycle < _CYCLE:
+        sampling, density, noise = _Extrapolated(math.nan, None, math.nan), math.nan, math.nan
+    shares = (sampling.error, truncation, round_off, noise)
+    limited_by = _LIMITS[int(np.argmax(shares))]
     return ErrorBudget(
         method,
         len(data),
@@ -198,7 +224,8 @@ def error_budget(
         *shares,
         noise_density=density,
         order=sampling.order,
-        limited_by=_LIMITS[int(np.argmax(shares))],
+        limited_by=_UNDERSAMPLED if cycle < _CYCLE else limited_by,
+        samples_per_cycle=cycle,
         # the error of a rival without an observed order is a mere guess
         half_rate={
             name: found.changed
@@ -206,6 +233,16 @@ def error_budget(
             if name == method or (found.order or 0.0) > _RESOLVED * METHODS[name].order
         },
     )
+
+
+def _samples_per_cycle(rates: NDArray[np.float64]) -> float:
+    """Samples per cycle of the fastest strong oscillation that is no white noise, or inf."""
+    about_mean = rates - rates.mean(axis=0)
+    tapered = about_mean / (np.abs(about_mean).max() or 1.0) * np.hanning(len(rates))[:, None]
+    power = (np.abs(np.fft.rfft(tapered, axis=0)) ** 2).sum(axis=1)
+    noise = np.median(power[len(power) // 2 :])
+    strong = (power > _STANDS_OUT * noise) & (power >= _STRONG * power.max())
+    return len(rates) / int(np.flatnonzero(strong)[-1]) if strong[1:].any() else math.inf
 
 
 class _Extrapolated(NamedTuple):
@@ -311,7 +348,18 @@ class _Log:
 
 
 def _integrated(method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[Any]) -> NDArray[Any]:
-    """Attitudes at the samples from a window's polynomials, as far as whole windows go.
+    """Attitudes at the samples from a window's polynomials, which begin anew at gaps."""
+    window, found = METHODS[method].window, [q0[None]]
+    for first, last in stretches(window, dt, len(rates) - 1):
+        own, apart = part(rates[None], dt, False, first, last)
+        found.append(_without_gap(method, own[0], apart, found[-1][-1])[1:])
+    return np.concatenate(found)
+
+
+def _without_gap(
+    method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[Any]
+) -> NDArray[Any]:
+    """Attitudes from a window's polynomials through samples without a gap.
 
     Another method gets their values at times so close that it integrates them exactly.
     """
@@ -319,13 +367,12 @@ def _integrated(method: str, rates: NDArray[np.float64], dt: Any, q0: NDArray[An
     # polynomial it integrates exactly
     tight, fineness = ("picard", 6) if method == "picard" else ("coning3", 12)
     window = METHODS[method].window
-    powers = np.arange(window.samples(False))
+    powers = np.arange(min(window.samples(False), len(rates)))
     spans = np.broadcast_to(dt, len(rates) - 1)
     t = np.concatenate([[0.0], np.cumsum(spans)])
-    n = len(spans) // window.span * window.span
     inside = np.arange(fineness)[:, None] / fineness
     found = [q0[None]]
-    for k in np.array_split(np.arange(n), -(-n // _PIECE)):
+    for k in np.array_split(np.arange(len(spans)), -(-len(spans) // _PIECE)):
         start = k // window.span * window.span - window.history
         nodes = np.clip(start, 0, len(rates) - powers.size)[:, None] + powers
         # in intervals from the beginning of each

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-import warnings
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from each import each
 from exact import EPS, LADDER, START, angle, cone, coning, conj, exp, generic, mul, observed_order
 
 import fastatt as fa
+from fastatt.gyro.gaps import gaps
 
 KINDS = [False, True]
 SAMPLED = [
@@ -440,17 +441,69 @@ def test_out_of_another_kind_is_refused(out, error):
         fa.integrate_rates(np.ones((30, 3)), 0.1, out=out)
 
 
-def test_a_long_interval_in_a_window_of_three_is_warned_of():
-    """A polynomial through samples on both sides of a gap magnifies their noise."""
-    t = np.delete(np.arange(0.0, 5.0, 0.01), np.arange(200, 210))
-    rates = np.stack([np.sin(t), np.cos(t), 0.1 * t], axis=-1)
-    for method in ("coning3", "picard"):
-        with pytest.warns(fa.StepWarning, match=rf"interval 199 of 0.11 s is 11 times .* {method}"):
-            fa.integrate_rates(rates, np.diff(t), method=method, max_gap=1.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for method in ("trapezoid", "previous", "coning2"):
-            fa.integrate_rates(rates, np.diff(t), method=method, max_gap=1.0)
-        uneven = np.diff(t) * np.linspace(0.5, 1.4, t.size - 1)
-        uneven[199] = 0.02
-        fa.integrate_rates(rates, uneven, method="picard")
+def with_gaps(rng, n):
+    """Intervals of a log with gaps: single ones, two in a row, one within two of the last."""
+    spans = rng.uniform(0.009, 0.011, n)
+    spans[[17, 60, 61, 103, n - 2]] = [0.05, 0.09, 0.04, 0.05, 0.06]
+    return spans
+
+
+@pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
+@pytest.mark.parametrize("n_logs", [1, 20])
+def test_windows_begin_anew_at_gaps(method, increments, n_logs):
+    """As if the log were cut there: at a gap, a log of two rates or of one increment."""
+    spans = with_gaps(np.random.default_rng(3), 200)
+    n = len(spans) + (not increments)
+    data = 0.1 * np.random.default_rng(4).normal(size=(n_logs, n, 3))
+    options = {"method": method, "increments": increments, "max_gap": 1.0}
+    q = fa.integrate_rates(data, spans, START, **options)
+    bounds = [0, 17, 18, 60, 61, 62, 103, 104, 198, 199, 200]
+    apart = np.broadcast_to(START / np.linalg.norm(START), (n_logs, 4))
+    for first, last in pairwise(bounds):
+        own = data[:, first : last + (not increments)]
+        part = fa.integrate_rates(own, spans[first:last], apart, **options)
+        assert angle(q[:, first : last + 1], part).max() < 200 * 12 * EPS
+        apart = part[:, -1]
+    if n_logs == 1:
+        assert same(fa.integrate_rates(data[0], spans, START, **options), q[0])
+
+
+@pytest.mark.parametrize("method", ["previous", "coning2", "coning3", "picard"])
+def test_a_gap_does_not_magnify_noise(method):
+    """Samples of a body at rest: over a gap of 0.5 s a few hundredths of a millirad."""
+    spans = np.full(120, 0.01)
+    spans[60] = 0.5
+    noise = 1e-4 * np.random.default_rng(5).normal(size=(50, 121, 3))
+    q = fa.integrate_rates(noise, spans, method=method, max_gap=1.0)
+    turned = angle(q[:, 60], q[:, 61])
+    # the mean of two samples: σ h √(3/2) on three axes
+    assert np.sqrt(np.mean(turned**2)) == pytest.approx(0.5e-4 * math.sqrt(1.5), rel=0.2)
+
+
+def test_intervals_that_only_vary_are_no_gaps():
+    """Of a slow part of a log after its first eight intervals, the part itself is none."""
+    assert gaps(np.array([0.01] * 20 + [0.1] * 20))[0] == (20, 0.01)
+    assert [k for k, _ in gaps(np.array([0.01] * 20 + [0.1] * 20))] == [20, 21, 22, 23]
+    assert gaps(np.random.default_rng(0).uniform(0.05, 0.15, 1000)) == []
+    assert gaps(np.array([9.0, *[0.01] * 20])) == []
+
+
+def test_gaps_are_those_of_the_medians():
+    """Of intervals of all sizes, some before those that are looked at."""
+    spans = np.random.default_rng(1).exponential(size=300)
+    padded = np.concatenate([np.full(8, spans[0]), spans])
+    medians = [float(np.median(padded[k : k + 8])) for k in range(300)]
+    known = [(k, m) for k, m in enumerate(medians) if spans[k] > 3.0 * m]
+    assert len(known) > 20
+    assert gaps(spans) == known
+    for cut in (1, 5, 100):
+        later = [(k - cut, m) for k, m in known if k >= cut]
+        assert gaps(spans[cut:], spans[max(cut - 8, 0) : cut]) == later
+
+
+def test_advice_of_the_sample_rate_is_above_1():
+    limit = fa.METHODS["coning2"].limit("rates")
+    for ratio, said in ((1.001, "1.1"), (1.43, "1.5"), (11.0, "12")):
+        rates = np.tile([ratio * limit, 0.0, 0.0], (5, 1))
+        with pytest.warns(fa.StepWarning, match=f"sample at least {said} times as often"):
+            fa.integrate_rates(rates, 1.0, method="coning2")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -78,6 +79,47 @@ def test_pieces_of_many_bodies_with_intervals_given_along(method, increments, dt
     assert found.tobytes() == whole.tobytes()
 
 
+@pytest.mark.parametrize(
+    ("method", "increments"),
+    [("trapezoid", False), ("previous", False), ("coning3", True), ("picard", False)],
+)
+@pytest.mark.parametrize("cuts", ["singly", "in pieces"])
+@pytest.mark.parametrize(("n_bodies", "dtype"), [(1, "f8"), (3, "f4")])
+def test_gaps_are_those_of_the_whole_log(method, increments, cuts, n_bodies, dtype):
+    cuts = CUTS[cuts]
+    n = sum(cuts)
+    data = (LOG[:n_bodies, :n] * (0.02 if increments else 1.0)).astype(dtype)
+    spans = np.random.default_rng(1).uniform(0.015, 0.025, n - (not increments))
+    spans[[3, 40, 41, 48, 100, 126]] = [0.1, 0.15, 0.1, 0.1, 0.12, 0.2]
+    options = {"method": method, "increments": increments, "max_gap": 1.0}
+    whole = fa.integrate_rates(data, spans, START, **options)
+    found = streamed(data, spans, cuts, q0=np.tile(START, (n_bodies, 1)), **options)
+    assert found.tobytes() == whole.tobytes()
+
+
+def test_a_long_gap_is_warned_of_unless_it_is_accepted():
+    rates = np.tile([0.1, 0.2, 0.3], (41, 1))
+    spans = np.full(40, 0.01)
+    spans[30] = 0.5
+    for max_gap in (1.0, np.inf):
+        fa.GyroIntegrator(START, max_gap=max_gap).push(rates, spans)
+    for method in ("trapezoid", "previous"):
+        flow = fa.GyroIntegrator(START, method=method)
+        flow.push(rates[:25], spans[:24])
+        before = pickle.dumps(flow)
+        with pytest.warns(fa.StepWarning, match="interval 30 of 0.5 s is a gap, 50 times the med"):
+            later = flow.push(rates[25:], spans[24:])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            again = pickle.loads(before)
+            with pytest.raises(fa.StepWarning):
+                again.push(rates[25:], spans[24:])
+            assert pickle.dumps(again) == before
+        assert len(later) == 16
+    with pytest.raises(ValueError, match=r"0\.5: a gap"):
+        fa.GyroIntegrator(START, max_gap=0.1).push(rates, spans)
+
+
 def test_long_pieces_on_threads_are_the_whole_log():
     """More than a thread takes at least, from within a chunk to within a chunk."""
     data = np.resize(LOG, (150_000, 3))
@@ -101,6 +143,43 @@ def test_attitudes_come_as_soon_as_they_are_final(method, increments, sizes, lef
     flow = fa.GyroIntegrator(START, 0.1, method=method, increments=increments)
     assert [len(flow.push((0.1, 0.2, 0.3))) for _ in sizes] == sizes
     assert flow.close().shape == (left, 4)
+
+
+@pytest.mark.parametrize("increments", [False, True])
+def test_previous_begins_with_three_rates_or_two_increments(increments):
+    """And so it does after a gap."""
+    flow = fa.GyroIntegrator(START, increments=increments, max_gap=1.0)
+    data = LOG[0, :40] * (0.02 if increments else 1.0)
+    first = None if not increments else 0.02
+    sizes = [len(flow.push(data[0], first)), *(len(flow.push(x, 0.02)) for x in data[1:20])]
+    assert sizes == ([1, 2, *[1] * 18] if increments else [1, 0, 2, *[1] * 17])
+    sizes = [len(flow.push(data[20], 0.5)), *(len(flow.push(x, 0.02)) for x in data[21:])]
+    assert sizes == [1, 0, 2, *[1] * 17]
+
+
+@pytest.mark.parametrize(
+    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
+)
+@pytest.mark.parametrize("n_bodies", [1, 3])
+def test_an_attitude_that_is_assigned_turns_all_later_ones(method, increments, n_bodies):
+    """By the same rotation along inertial axes, within a chunk, a window and at the beginning."""
+    data = LOG[:n_bodies, :150] * (0.02 if increments else 1.0)
+    data = data if n_bodies > 1 else data[0]
+    start = np.tile(START, (n_bodies, 1)) if n_bodies > 1 else START
+    options = {"method": method, "increments": increments}
+    plain, turned = (fa.GyroIntegrator(start, 0.02, **options) for _ in range(2))
+    turn = np.array([0.8, 0.0, -0.6, 0.0])
+    turned.q = 3.0 * fa.quat_multiply(turn, turned.q)
+    for first, last in ((0, 31), (31, 38), (38, 150)):
+        a, b = (flow.push(data[..., first:last, :]) for flow in (plain, turned))
+        assert np.array_equal(plain.q, a[..., -1, :])
+        assert fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
+        turn = fa.quat_multiply([0.6, 0.8, 0.0, 0.0], turn)
+        turned.q = fa.quat_multiply([0.6, 0.8, 0.0, 0.0], turned.q)
+    a, b = plain.close(), turned.close()
+    assert not a.size or fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
+    with pytest.raises(ValueError, match="found an integrator that is closed"):
+        turned.q = start
 
 
 def test_a_log_without_samples():

@@ -86,6 +86,32 @@ def test_an_outlier_costs_its_own_row(how, places, lost):
     )
 
 
+def test_rows_left_out_divide_a_log_only_where_samples_are_missing():
+    """A repeated row takes the place of none."""
+    twice = np.insert(np.arange(N), [300, 700], [299, 699])
+    repeated = fa.read_gyro_log(table(T[twice], RATES[twice]), on_bad_rows="split")
+    assert repeated.pieces == (slice(0, N),)
+    assert [event[:2] for event in repeated.events] == [
+        ("rows dropped", 300), ("rows dropped", 701)
+    ]  # fmt: skip
+    assert [event[2] for event in repeated.events] == pytest.approx([T[299], T[699]])
+    rates = RATES.copy()
+    rates[500] = np.nan
+    without = fa.read_gyro_log(table(T, rates), on_bad_rows="split")
+    assert without.pieces == (slice(0, 500), slice(500, N - 1))
+
+
+def test_the_sample_rate_leaves_out_gaps():
+    """Of a log with a tenth of its time missing, and of one whose stamps are whole milliseconds."""
+    t = np.where(np.arange(N) < 500, T, T + 0.09)
+    t[700:] += 1.0
+    log = fa.read_gyro_log(table(t), on_bad_rows="drop")
+    assert log.rate == pytest.approx(100.0, rel=1e-9)
+    assert "1000 samples at 100 Hz" in log.summary
+    coarse = np.floor(np.arange(N) / 0.7) * 1e-3
+    assert fa.read_gyro_log(table(coarse)).rate == pytest.approx(700.0, rel=2e-3)
+
+
 @pytest.mark.parametrize("at", [4, 11, 500, 995])
 @pytest.mark.parametrize("to", [0.0, -100.0])
 def test_a_reset_of_the_clock_costs_nothing(at, to):
@@ -94,7 +120,8 @@ def test_a_reset_of_the_clock_costs_nothing(at, to):
         log = fa.read_gyro_log(table(t), on_bad_rows=how)
         assert np.array_equal(log.rates, RATES)
         assert np.allclose(log.t, T, rtol=0.0, atol=1e-12)
-        assert log.summary.endswith("; 1 clock resets")
+        assert log.summary.endswith(f"; 1 clock resets: row {at} at {T[at - 1]:.6g} s")
+        assert log.events == (("clock resets", at, pytest.approx(T[at - 1])),)
         assert log.pieces == ((slice(0, at), slice(at, N)) if how == "split" else (slice(0, N),))
 
 
@@ -166,6 +193,10 @@ def test_more_than_a_hundredth_is_warned_of(bad, warned, tmp_path, capsys):
     ]
     assert main(arguments) == 0
     found = capsys.readouterr()
-    said = f"fastatt: warning: {path}: 11 of 1000 rows are left out (11 rows dropped, 1 gaps)\n"
+    places = "line 52 at 0.49 s, line 53 at 0.49 s, line 54 at 0.49 s, ..."
+    said = (
+        f"fastatt: warning: {path}: 11 of 1000 rows are left out (11 rows dropped: {places}; 1 "
+        "gaps: line 63 at 0.49 s)\n"
+    )
     assert found.err == (said if warned else "")
     assert f"; {bad} rows dropped" in found.out

@@ -539,3 +539,22 @@ def test_hostile_files(tmp_path, content):
     else:
         message = "" if log.rates.shape[1] == 3 and np.isfinite(log.rates).all() else "read\nwrong"
     assert "\n" not in message
+
+
+def test_columns_of_other_sensors_can_be_named():
+    table = {"t [s]": [0.0, 0.1], **{f"gyro_{a} [rad/s]": [0.1, 0.1] for a in "xyz"}}
+    table |= {f"f{a}": [9.8, 9.8] for a in "NED"} | {f"B{k}": [k, k] for k in (1, 2, 3)}
+    assert read_gyro_log(table).accel is None
+    log = read_gyro_log(table, accel_columns=["fN", "fE", "fD"], mag_columns=["B3", "B2", "B1"])
+    assert log.accel.tolist() == [[9.8] * 3] * 2
+    assert log.mag.tolist() == [[3.0, 2.0, 1.0]] * 2
+    with pytest.raises(GyroLogError, match=r"mag_columns: found .*; accepted: 3 different columns"):
+        read_gyro_log(table, mag_columns=["B3", "B2"])
+
+
+@pytest.mark.parametrize("unit", ["mps2", "m/s2", "m_s2", "ms2"])
+def test_units_at_the_end_of_an_accelerometers_names(unit):
+    table = {"t [s]": [0.0, 0.1], **{f"gyro_{a} [rad/s]": [0.1, 0.1] for a in "xyz"}}
+    log = read_gyro_log(table | {f"acc_{a}_{unit}": [3.0, 3.0] for a in "xyz"})
+    assert log.accel.tolist() == [[3.0] * 3] * 2
+    assert "accelerometer in m/s²" in log.summary

@@ -165,13 +165,44 @@ def test_single_precision_is_what_limits_clean_data():
 
 def test_where_the_sample_rate_limits_no_method_helps():
     """Rates with kinks between the samples: every polynomial is wrong there."""
-    w = np.abs((generic(T) * 4.0) % 2.0 - 1.0)
+    w = np.abs((0.7 * T[:, None] + [0.0, 0.3, 0.7]) % 2.0 - 1.0)
     budget = error_budget(w, H, method="coning3", rivals=["trapezoid"])
     assert budget.limited_by == "interpolation"
     assert (
         "a better integrator will not help; with every second sample the attitude changes"
         in str(budget)
     )
+
+
+@pytest.mark.parametrize("method", ["previous", "coning3"])
+def test_truncation_of_a_log_with_a_gap_is_of_its_own_polynomials(method):
+    """Noise, whose polynomials across the gap of half a second are far from the samples."""
+    spans = np.full(100, 0.01)
+    spans[50] = 0.5
+    noise = 1e-3 * np.random.default_rng(0).normal(size=(101, 3))
+    assert _Log(noise, spans, START, 1.0).truncation(method) < 1e-9
+
+
+@pytest.mark.parametrize("per_cycle", [2.6, 4.0, 9.0])
+def test_motion_with_too_few_samples_is_called_undersampled(per_cycle):
+    w = 0.3 * coning_rates(np.array([0.8]), np.array([2.0 * np.pi / (per_cycle * H)]), T)[0]
+    for noise in (0.0, 1e-3):
+        own = noise * np.random.default_rng(0).normal(size=w.shape)
+        budget = error_budget(w + own, H, method="previous", rivals=["coning3"])
+        assert budget.limited_by == "undersampled"
+        assert budget.samples_per_cycle == pytest.approx(per_cycle, rel=0.04)
+        assert np.isnan([budget.interpolation, budget.noise, budget.total]).all()
+        _, said = str(budget).splitlines()
+        assert said == (
+            f"  undersampled: {budget.samples_per_cycle:.2g} samples per cycle of the motion, an "
+            f"estimate needs 12 or more (at least {600 / budget.samples_per_cycle:.3g} Hz)"
+        )
+
+
+def test_noise_and_slow_motion_are_not_undersampled():
+    noise = np.random.default_rng(0).normal(size=(601, 3))
+    for w in (noise, noise[:27] * [0.0, 0.0, 1.0], generic(T), generic(T) + 0.3 * noise):
+        assert error_budget(w, H, rivals=[]).limited_by != "undersampled"
 
 
 def test_intervals_are_joined_where_samples_are_left_out():
