@@ -245,8 +245,8 @@ def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
     if scene is not None and as_scene(scene).inertia is not None:
         measured = drift(run, scene)
         found |= {
-            "relative change of energy": measured.energy,
-            "relative change of angular momentum": measured.momentum,
+            "energy, relative": measured.energy,
+            "angular momentum, relative": measured.momentum,
         }
     for k, (name, values) in enumerate(found.items()):
         if values is None:

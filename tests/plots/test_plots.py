@@ -60,7 +60,7 @@ def test_one_body():
     assert np.allclose(theta.get_ydata(), np.degrees(run.euler313[:, 1]))
     assert np.array_equal(curves(rates)["$w_y$"].get_ydata(), run.w[:, 1])
     assert np.array_equal(curves(rates)["|w|"].get_ydata(), np.linalg.norm(run.w, axis=1))
-    energy = curves(drifts)["relative change of energy"].get_ydata()
+    energy = curves(drifts)["energy, relative"].get_ydata()
     assert np.array_equal(energy[1:], fa.drift(run, BODY).energy[1:])
     alone = drawn(fa.plots.history, run, scene=None).axes
     assert set(curves(alone[3])) == {"norm error"}
@@ -119,9 +119,7 @@ def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     )
     figure = drawn(fa.plots.history, run, scene=BODY)
     assert "1 flagged" in figure.get_suptitle()
-    assert np.isfinite(
-        curves(figure.axes[2])["relative change of angular momentum"].get_ydata()[1:]
-    ).all()
+    assert np.isfinite(curves(figure.axes[2])["angular momentum, relative"].get_ydata()[1:]).all()
     assert len(drawn(fa.plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 4
     assert np.isfinite(curves(figure.axes[1])["median of the bodies"].get_ydata()).all()
 
