@@ -431,10 +431,11 @@ def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str
     if not rows:
         return np.concatenate([np.zeros(0), *columns])
     if len(rows) > 1 or (n_bodies is not None and rows != {n_bodies}):
+        found, n = " and ".join(map(str, sorted(rows))), max(rows)
         expected = "one number of rows" if n_bodies is None else f"{n_bodies} bodies"
-        raise ValueError(
-            f"{name}: found parameters for {sorted(rows)} bodies; accepted: {expected}"
-        )
+        if n_bodies == 1:
+            expected = f"1, as the initial values have, or {n} with q0 of shape ({n}, 4)"
+        raise ValueError(f"{name}: found parameters for {found} bodies; accepted: {expected}")
     n = rows.pop()
     together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
     return np.ascontiguousarray(together)
