@@ -70,7 +70,8 @@ class Field(NamedTuple):
             accepted = f"values of {self.shape[0]} numbers" if self.table else "numbers, no table"
             raise ValueError(f"{name}: found {table!r}; accepted: {accepted}")
         if self.table == "slopes" and not table.form.cubic:
-            raise ValueError(f'{name}: found a linear table; accepted: one of kind "cubic"')
+            kind = "previous" if table.form.steps else "linear"
+            raise ValueError(f'{name}: found a table of kind "{kind}"; accepted: "cubic"')
 
 
 # annotations of a model's fields
@@ -130,7 +131,7 @@ class Model:
     def corners(self) -> NDArray[np.float64]:
         """Times, s, at which it jumps or has a corner for all bodies.
 
-        They are those of linear tables, and of tables whose slopes it takes.
+        They are those of tables that are not cubic, and of tables whose slopes it takes.
         """
         found = [np.zeros(0)]
         for name, field in self.fields.items():
