@@ -120,7 +120,9 @@ _fork.guard()
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
-        raise AttributeError(f"module 'fastatt' has no attribute {name!r}")
+        of_kernels: list[str] = importlib.import_module("fastatt.kernels").__all__
+        place = f" (in fastatt.kernels: {name})" if name in of_kernels else ""
+        raise AttributeError(f"module 'fastatt' has no attribute {name!r}{place}")
     module = importlib.import_module(_held_by()[name])
     found = vars(module).get(name) or importlib.import_module(f"{module.__name__}.{name}")
     globals()[name] = found

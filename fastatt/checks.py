@@ -34,10 +34,14 @@ def choice(name: str, value: object, accepted: Iterable[str]) -> str:
 
 
 def nearest(value: object, words: Iterable[str]) -> str:
-    """The end of a message, which suggests the most similar word; empty if there is none."""
+    """The end of a message, which suggests the most similar word; empty if there is none.
+
+    Otherwise the longest word that is the beginning of the value, such as "mul" of "multiply".
+    """
     by_form = {word.casefold(): word for word in words}
     form = value.casefold()[:60] if isinstance(value, str) else ""
-    found = get_close_matches(form, by_form, n=1)
+    begun = [word for word in by_form if len(word) > 2 and form.startswith(word)]
+    found = get_close_matches(form, by_form, n=1) or sorted(begun, key=len)[-1:]
     return f" (nearest: {by_form[found[0]]})" if found else ""
 
 

@@ -97,7 +97,7 @@ PROPAGATE = [
     (
         {"scene": generic(3).scene, "q0": [Q, Q]},
         ValueError,
-        "found parameters for [3] bodies; accepted: 2 bodies",
+        "found parameters for 3 bodies; accepted: 2 bodies",
     ),
 ]
 
@@ -118,11 +118,11 @@ DIRECTIONS = [
     ({"v0": "up"}, TypeError, "v0: found 'up'"),
     ({"method": "hold"}, ValueError, "method: found 'hold'"),
     ({"scene": None}, TypeError, "scene: found None"),
-    ({"scene": generic(3).scene}, ValueError, "parameters for [3] bodies"),
+    ({"scene": generic(3).scene}, ValueError, "parameters for 3 bodies"),
     (
         {"scene": generic(3).scene, "v0": np.ones((2, 5, 3))},
         ValueError,
-        "parameters for [3] bodies",
+        "parameters for 3 bodies",
     ),
     ({"dt": 0}, ValueError, "dt: found 0.0"),
     ({"n_steps": None}, TypeError, "n_steps: found None"),
@@ -177,7 +177,7 @@ SCENES = [
     (
         {"rate": R.Coning([1, 2], [1, 2, 3])},
         ValueError,
-        "rate: Coning: found parameters for [2, 3]",
+        "rate: Coning: found parameters for 2 and 3",
     ),
     ({"rate": R.Coning([[1]], 1)}, ValueError, "rate: Coning.angle has shape (1, 1)"),
     ({"rate": R.Slew([1, 2, 3], 0.0)}, ValueError, "rate: Slew.duration"),
@@ -301,7 +301,7 @@ def test_users_parameters(params, error, message):
 
 def test_rows_of_users_parameters_must_be_the_bodies():
     scene = fa.Scene(rate=needs_three, params=np.ones((3, 3)))
-    with pytest.raises(ValueError, match=r"params: found parameters for \[3\] bodies; accepted: 2"):
+    with pytest.raises(ValueError, match=r"params: found parameters for 3 bodies; accepted: 2"):
         propagate(scene, [Q, Q])
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from fastatt import checks
+
 if TYPE_CHECKING:
     from fastatt.kernels import (
         axis_angle,
@@ -43,7 +45,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """A module of kernels, imported when it is first used."""
     if name not in __all__:
-        raise AttributeError(f"module 'fastatt.kernels' has no attribute {name!r}")
+        found = checks.nearest(name, __all__)
+        raise AttributeError(f"module 'fastatt.kernels' has no attribute {name!r}{found}")
     return importlib.import_module(f"fastatt.kernels.{name}")
 
 

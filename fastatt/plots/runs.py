@@ -215,7 +215,7 @@ def _lines(axes: Any, run: Trajectory, values: NDArray[Any], names: Sequence[str
 
 def _axis(axes: Any, run: Trajectory) -> None:
     _lines(axes, run, _of_one(run, run.dcm[..., 2]), ("X", "Y", "Z"))
-    axes.set(ylabel="third body axis\nalong inertial X, Y, Z", ylim=(-1.1, 1.1))
+    axes.set(ylabel="third body axis (unit vector)\nalong inertial X, Y, Z", ylim=(-1.1, 1.1))
     _legend(axes)
 
 
@@ -244,7 +244,10 @@ def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
     found: dict[str, Any] = {"norm error": np.abs(run.norm_error)}
     if scene is not None and as_scene(scene).inertia is not None:
         measured = drift(run, scene)
-        found |= {"energy": measured.energy, "angular momentum": measured.momentum}
+        found |= {
+            "energy, relative": measured.energy,
+            "angular momentum, relative": measured.momentum,
+        }
     for k, (name, values) in enumerate(found.items()):
         if values is None:
             continue
@@ -260,7 +263,7 @@ def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
             axes.plot(run.t, curve, color=COLOURS[k], ls=style, lw=1.5, label=label)
     if run.status.size > 1:
         axes.plot([], [], color="0.3", ls=":", lw=1.5, label="largest (others: median)")
-    axes.set(yscale="log", ylabel="relative drift")
+    axes.set(yscale="log", ylabel="drift, dimensionless")
     if not any((line.get_ydata() > 0.0).any() for line in axes.lines):
         axes.set_ylim(1e-17, 1e-15)
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center")

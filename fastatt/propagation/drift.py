@@ -17,13 +17,23 @@ from fastatt.scene.reaction_wheels import ReactionWheels
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Torque
+from fastatt.scene.torques import lever_of
+
+# why quantities are not conserved
+_REASONS = {
+    "energy": "no potential energy of the torque is known",
+    "momentum": "a torque acts",
+    "momentum_along_field": "no uniform field acts",
+}
+_OF_A_RATE = "the scene has a rate"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Drift:
     """The drift of a trajectory, as :func:`drift` measures it.
 
-    Each array is (S, N), or (S,) for one body.
+    Each array is (S, N), or (S,) for one body. ``print`` shows the largest values, and the reasons
+    for those that are None.
 
     Attributes
     ----------
@@ -35,11 +45,20 @@ class Drift:
     energy : ndarray or None
         The change of kinetic plus potential energy since the first save, relative to the largest
         kinetic energy of all saves. The kinetic energy is that of the rotation, and also that of
-        the translation if the torque depends on the position. None if the torque has no potential,
-        or for a rate scene.
+        the translation if the torque depends on the position. None if the torque has no potential
+        energy or its potential energy is not known, as that of a user-defined function, and for a
+        rate scene.
     momentum : ndarray or None
         The length of the change of the angular momentum along inertial axes, wheels included, since
-        the first save, relative to the largest angular momentum of all saves. None under a torque.
+        the first save, relative to the largest angular momentum of all saves. None under a torque,
+        and for a rate scene.
+    momentum_along_field : ndarray or None
+        The change of the component of the angular momentum along a uniform field, relative to the
+        largest angular momentum of all saves: the vertical component for ``torques.HeavyTop``, and
+        that along the field for ``torques.MagneticDipole``. None under other torques and for fields
+        that change with time.
+    reasons : dict
+        For each quantity that is None, why the scene does not conserve it.
     trajectory : Trajectory
         The trajectory.
     """
@@ -48,7 +67,18 @@ class Drift:
     orthogonality: NDArray[Any]
     energy: NDArray[Any] | None
     momentum: NDArray[Any] | None
+    momentum_along_field: NDArray[Any] | None
+    reasons: dict[str, str]
     trajectory: Trajectory
+
+    def __repr__(self) -> str:
+        n, saves = self.trajectory.status.size, self.trajectory.t.size
+        lines = [f"Drift of {n} bod{'y' if n == 1 else 'ies'} over {saves} saves, largest values:"]
+        for name in ("norm", "orthogonality", "energy", "momentum", "momentum_along_field"):
+            values = getattr(self, name)
+            told = f"None, {self.reasons[name]}" if values is None else f"{values.max():.1e}"
+            lines.append(f"  {name:<20}  {told}")
+        return "\n".join(lines)
 
     def angle_to(self, reference: ArrayLike) -> Any:
         """Geodesic angle between the trajectory's attitudes and reference attitudes.
@@ -93,6 +123,13 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.1, n_steps=100, save_every=50)
     >>> bool(fa.drift(run, body).energy.max() < 1e-13)
     True
+    >>> print(fa.drift(run, body))  # doctest: +ELLIPSIS
+    Drift of 1 body over 3 saves, largest values:
+      norm                  ...
+      orthogonality         ...
+      energy                ...
+      momentum              ...
+      momentum_along_field  None, no uniform field acts
     """
     if not isinstance(run, Trajectory):
         raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
@@ -104,11 +141,17 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     attitude = run.attitude
     of_matrix = attitude.to_dcm_array is not None
     of_quaternion = not of_matrix and attitude.to_quat_array in (None, same)
+    measured = {
+        "energy": _energy(run, scene),
+        "momentum": _momentum(run, scene),
+        "momentum_along_field": _along_field(run, scene),
+    }
+    why = _REASONS if scene.inertia is not None else dict.fromkeys(_REASONS, _OF_A_RATE)
     return Drift(
         norm=norm_error if of_quaternion else length,
         orthogonality=norm_error if of_matrix else matrix,
-        energy=_energy(run, scene),
-        momentum=_momentum(run, scene),
+        **measured,
+        reasons={name: why[name] for name, values in measured.items() if values is None},
         trajectory=run,
     )
 
@@ -143,6 +186,18 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     with np.errstate(over="ignore", invalid="ignore"):
         change = np.linalg.norm(total - total[0], axis=-1)
         return _relative(change, np.linalg.norm(total, axis=-1))
+
+
+def _along_field(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
+    lever = lever_of(scene.torque)
+    if scene.inertia is None or lever is None:
+        return None
+    field = lever[1]
+    strength = np.linalg.norm(field, axis=-1, keepdims=True)
+    total = quat_rotate(trajectory.q, angular_momentum(trajectory.w, scene.inertia))
+    with np.errstate(over="ignore", invalid="ignore"):
+        along = (total * (field / np.where(strength > 0.0, strength, 1.0))).sum(axis=-1)
+        return _relative(np.abs(along - along[0]), np.linalg.norm(total, axis=-1))
 
 
 def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:

@@ -285,7 +285,7 @@ def clock_of(
     if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
         return Clock.of(dt, n_steps, save_every, t_end=t_end)
     if save_every is not None:
-        other = "save_at" if save_at is not None else "steps of each body's own"
+        other = "save_at" if save_at is not None else "per-body step sizes"
         raise ValueError(f"save_every: found with {other}; accepted: save_at alone")
     steps = checks.array("dt", dt, "a number or (N,)").astype(np.float64)
     steps = np.ascontiguousarray(np.atleast_1d(steps))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
@@ -236,6 +237,7 @@ def propagate(
         found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "s0": s0, "t0": begin or None}
         _check_alone("resume; accepted: one of them", **found, save_at=save_at)
         _check_alone("resume; accepted: n_steps", t_end=t_end)
+        _check_alone("resume; accepted: one step size", dt=dt if np.ndim(dt) else None)
         if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
             raise ValueError(
                 f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "

@@ -166,9 +166,10 @@ def end_of(resume: Any) -> End:
         return end
     if hasattr(resume, "status"):
         raise ValueError(
-            "resume: this trajectory does not hold its end; accepted: one of propagate by a method "
-            f"that steps, of at most {MOST} bodies, with one step size, whole steps (t_end a "
-            "multiple of dt) and without save_at; a file that fa.checkpoint wrote, of any number"
+            "resume: found a trajectory that does not hold its end; accepted: one of propagate by "
+            f"a method that steps, of at most {MOST} bodies, with one step size, whole steps "
+            "(t_end a multiple of dt) and without save_at; a file that fa.checkpoint wrote, of any "
+            "number"
         )
     raise TypeError(
         f"resume: found {checks.brief(resume)}; accepted: a trajectory, a file's path or "

@@ -70,7 +70,8 @@ class Field(NamedTuple):
             accepted = f"values of {self.shape[0]} numbers" if self.table else "numbers, no table"
             raise ValueError(f"{name}: found {table!r}; accepted: {accepted}")
         if self.table == "slopes" and not table.form.cubic:
-            raise ValueError(f'{name}: found a linear table; accepted: one of kind "cubic"')
+            kind = "previous" if table.form.steps else "linear"
+            raise ValueError(f'{name}: found a table of kind "{kind}"; accepted: "cubic"')
 
 
 # annotations of a model's fields
@@ -130,7 +131,7 @@ class Model:
     def corners(self) -> NDArray[np.float64]:
         """Times, s, at which it jumps or has a corner for all bodies.
 
-        They are those of linear tables, and of tables whose slopes it takes.
+        They are those of tables that are not cubic, and of tables whose slopes it takes.
         """
         found = [np.zeros(0)]
         for name, field in self.fields.items():
@@ -431,10 +432,11 @@ def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str
     if not rows:
         return np.concatenate([np.zeros(0), *columns])
     if len(rows) > 1 or (n_bodies is not None and rows != {n_bodies}):
+        found, n = " and ".join(map(str, sorted(rows))), max(rows)
         expected = "one number of rows" if n_bodies is None else f"{n_bodies} bodies"
-        raise ValueError(
-            f"{name}: found parameters for {sorted(rows)} bodies; accepted: {expected}"
-        )
+        if n_bodies == 1:
+            expected = f"1, as the initial values have, or {n} with q0 of shape ({n}, 4)"
+        raise ValueError(f"{name}: found parameters for {found} bodies; accepted: {expected}")
     n = rows.pop()
     together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
     return np.ascontiguousarray(together)

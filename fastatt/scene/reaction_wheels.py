@@ -40,8 +40,12 @@ class ReactionWheels(Torque):
     the wheels' inertia about their axes; ``body_inertia`` takes that off the inertia of the whole.
 
     A run takes the initial h as ``s0`` and gives them as ``run.s``; ``momenta`` and ``speeds``
-    convert. The K torques that a sampled function holds come after them, then the states of the
-    command.
+    convert. ``s0`` and ``run.s`` hold, in this order:
+
+    - the K momenta h, N·m·s;
+    - the held torques, N·m: K, one for each motor, of a function with ``period``; three along body
+      axes of a ``SampledControl``; none otherwise;
+    - the states of the command.
 
     Parameters
     ----------

@@ -27,7 +27,9 @@ class SampledControl(Torque):
     Its states come in this order: the torque that is held, three numbers, N·m along body axes; then
     the controller's memory. A run takes them as ``s0``: if it begins between two sample times,
     the torque that ``s0`` gives is held up to the first. A save at a sample time holds the states
-    before they jump.
+    before they jump: with a period of 0.2 s, the held torque saved at t = 0.2 s is that of the
+    interval from 0 to 0.2 s. As ``command`` of ``ReactionWheels``, the states follow the momenta of
+    the wheels.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Scene:
     frame : {"body", "inertial"}, default "body"
         Axes along which the rate is given: q̇ = ½ q∘w for "body", q̇ = ½ w∘q for "inertial".
     inertia : array_like of shape (3,), (3, 3), (N, 3) or (N, 3, 3), optional
-        Principal moments or tensors, kg·m². A (3, 3) array is one tensor.
+        Principal moments, or tensors along the body axes, kg·m². A (3, 3) array is one tensor.
     torque : model or callable, optional
         A model of :mod:`fastatt.torques`, or a function ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m
         along body axes, with the unit quaternion q, the angular velocity w, rad/s, and ``params``

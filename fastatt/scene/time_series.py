@@ -41,6 +41,7 @@ class TableLayout(NamedTuple):
     uniform: bool
     holds: bool
     own: bool
+    steps: bool
 
 
 class TimeSeries:
@@ -57,8 +58,9 @@ class TimeSeries:
         Ascending times, s, at least 2. Look-ups are fastest if they are equally spaced.
     values : array_like of shape (T,), (T, k) or (N, T, k)
         Samples for all bodies, or in N rows.
-    kind : {"cubic", "linear"}, default "cubic"
-        The interpolation. "cubic" has a continuous derivative.
+    kind : {"cubic", "linear", "previous"}, default "cubic"
+        The interpolation. "cubic" has a continuous derivative. "previous" is a zero-order hold:
+        each sample holds from its time to the next.
     slopes : array_like, optional
         Time derivatives of the values, in their shape, if they are known, such as the velocities of
         an ephemeris. The default is the derivatives of the quartics through five samples.
@@ -78,9 +80,9 @@ class TimeSeries:
     most h² M2/8 (linear) or h⁴ M4/384 + h⁵ M5/20 (cubic; without the second term if slopes are
     given).
 
-    Steps of a run end at the samples of a linear table in a field of a model, and of the tables of
-    ``torques.Rotor`` and ``torques.QuaternionPD``, as at ``breakpoints`` of the scene. For a table
-    that a user-defined function reads, declare ``breakpoints=table.t``.
+    Steps of a run end at the samples of a "linear" or "previous" table in a field of a model, and
+    of the tables of ``torques.Rotor`` and ``torques.QuaternionPD``, as at ``breakpoints`` of the
+    scene. For a table that a user-defined function reads, declare ``breakpoints=table.t``.
 
     References
     ----------
@@ -112,7 +114,8 @@ class TimeSeries:
             raise ValueError(
                 f"t[{k}] is {times[k]} after {times[k - 1]}; accepted: ascending times"
             )
-        cubic = checks.choice("kind", kind, ("cubic", "linear")) == "cubic"
+        cubic = checks.choice("kind", kind, ("cubic", "linear", "previous")) == "cubic"
+        steps = kind == "previous"
         holds = checks.choice("outside", outside, ("nan", "hold")) == "hold"
         shape = checks.numbers("values", values, "numbers").shape
         samples = _samples("values", values, len(times))
@@ -132,12 +135,14 @@ class TimeSeries:
         n = len(times)
         slack = _SLACK * float(np.abs(times[[0, -1]]).max())
         width = (times[-1] - times[0]) / (n - 1)
-        uniform = bool(np.abs(times[0] + width * np.arange(n) - times).max() <= slack)
+        # a held sample begins at its time exactly
+        even = np.abs(times[0] + width * np.arange(n) - times).max() <= slack
+        uniform = bool(even) and not steps
         index = np.zeros(0) if uniform else _index(times)
         buckets = n - 1 if uniform else len(index) - n
         self.scalar = len(shape) == 1
         size = samples.shape[-1] // (2 if cubic else 1)
-        self.form = TableLayout(size, cubic, uniform, holds, own=len(shape) == 3)
+        self.form = TableLayout(size, cubic, uniform, holds, len(shape) == 3, steps)
         head = (
             times[0], times[-1], width if uniform else gaps.min(), buckets - 1.0, times[0] - slack,
             times[-1] + slack, len(samples), samples[0].size, n - 2.0, _HEAD + len(index) - n,
@@ -300,10 +305,15 @@ def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
     else:
         begin = take(_TIMES)
         k = take(_HEAD + k)
+        if form.steps:
+            k = choose((t < take(begin + k)) & (k > 0.0), k - 1.0, k)
         k = choose(t >= take(begin + k + 1.0), k + 1.0, k)
         k = choose(k < take(_INTERVAL), k, take(_INTERVAL))
         width = take(begin + k + 1.0) - take(begin + k)
         f = (t - take(begin + k)) / width
+        if form.steps:  # 1 at the last sample only; NaN stays
+            end = take(begin + k + 1.0)
+            f = choose(t >= end, 1.0, choose(t < end, 0.0, f))
     at = take(_SAMPLES) + (1.0 + form.cubic) * form.size * k
     if form.own:
         there = (row >= 0.0) & (row < take(_ROWS)) & (floor(row) == row)
@@ -313,15 +323,17 @@ def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
     if form.own or not form.holds:
         known = there if form.holds else inside & there
         f, width = choose(known, f, np.nan), choose(known, width, np.nan)
-    found = [_between(form, at + float(c), f, width, take) for c in range(form.size)]
+    found = [_between(form, at + float(c), f, width, ways) for c in range(form.size)]
     values, slopes = zip(*found, strict=True)
     return values, tuple(choose(inside, x, 0.0) for x in slopes) if form.holds else slopes
 
 
-def _between(form: TableLayout, at: Any, f: Any, width: Any, take: Callable[[Any], Any]) -> Any:
-    """(value, slope) at a fraction f of an interval between two samples."""
-    size = float(form.size)
+def _between(form: TableLayout, at: Any, f: Any, width: Any, ways: _Ways) -> Any:
+    """(value, slope) at a fraction f of an interval between two samples; NaN if f is."""
+    size, take, choose = float(form.size), ways.take, ways.choose
     a, b = take(at), take(at + (1.0 + form.cubic) * size)
+    if form.steps:
+        return choose(f < 1.0, a, choose(f >= 1.0, b, f)), choose(f < 2.0, 0.0, f)
     rise = b - a
     if not form.cubic:
         return a + f * rise, rise / width

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from operator import itemgetter
+from traceback import extract_tb
 from types import CellType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -154,24 +155,12 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     """The function called back in Python, after a trial; an error there gives NaN."""
     sizes, n = user.sizes, user.form.results
     n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
-    failed: Exception | None = None
-    for point in points(sizes, None):
-        try:
-            given = function(*nested(point, sizes))
-        except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
-            failed = error
-            continue
-        result = in_a_row(given, user.form)
-        if isinstance(result, tuple) != (n > 1) or not are_numbers(
-            result if isinstance(result, tuple) else (result,), n
-        ):
-            raise _wrong(user, checks.brief(given))
-        break
-    else:
-        raise TypeError(
-            f"{user.argument}: {user.described} raises {type(failed).__name__}: {failed}; accepted "
-            f"is a function of floats, with {_params_of(user)}"
-        )
+    given = _result(function, user)
+    result = in_a_row(given, user.form)
+    if isinstance(result, tuple) != (n > 1) or not are_numbers(
+        result if isinstance(result, tuple) else (result,), n
+    ):
+        raise _wrong(user, checks.brief(given)) from None
 
     def entry(given: Any, made: Any) -> None:
         try:
@@ -185,6 +174,22 @@ def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
     made = ENTRY(entry)
     made.address = ctypes.cast(made, ctypes.c_void_p).value  # type: ignore[attr-defined]
     return made
+
+
+def _result(function: Callable[..., Any], user: UserFunction) -> Any:
+    """What it returns in Python at the first point without an error; refused if there is none."""
+    failed = Exception()
+    for point in points(user.sizes, None):
+        try:
+            return function(*nested(point, user.sizes))
+        except Exception as error:  # noqa: BLE001  # it may be fine elsewhere
+            failed = error
+    place = extract_tb(failed.__traceback__)[-1]
+    raise TypeError(
+        f"{user.argument}: {user.described} raises {type(failed).__name__}: {failed} "
+        f"({place.filename}:{place.lineno}); accepted is a function of floats, with "
+        f"{_params_of(user)}"
+    ) from None
 
 
 def _params_of(user: UserFunction) -> str:
@@ -206,17 +211,18 @@ def compiled(function: Callable[..., Any], user: UserFunction) -> Any:
         inner = recompile(_with_constants(inner, len(before) + 1, first, named))
     try:
         inner.compile(signature)
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001  # Numba's traceback is of its own code
         raise TypeError(
             f"{user.argument}: {user.described} does not compile for floats, with "
             f"{_params_of(user)} ({_place_of(error, plain)}); accepted is a function that "
             f"numba.njit compiles, or that is traced: this is not, for {user.reason}. Numba says: "
             f"{_words_of(error)}"
-        ) from error
+        ) from None
     returned = inner.overloads[signature].signature.return_type
     items, lengths = _items(inner, user, returned)
     if not items:
-        raise _wrong(user, str(returned))
+        _result(interpreted(function), user)
+        raise _wrong(user, str(returned)) from None
     pointer = types.CPointer(f8)
     scope = {"inner": inner, "nan": math.nan}
     exec(_wrapper(user, items, lengths), scope)

@@ -20,6 +20,13 @@ _INSTRUCTIONS = {
     "round": "rint", "around": "rint", "floor": "floor",
 }  # fmt: skip
 
+#: why random numbers are refused
+RANDOM = (
+    "random numbers; accepted: a function that returns the same for the same arguments, since a "
+    "step evaluates it several times. A fastatt.TimeSeries or samples hold numbers that are drawn "
+    "before the run"
+)
+
 
 def is_recorded(*values: Any) -> bool:
     """Whether one of the values, or a part of a tuple, is a traced number."""
@@ -57,7 +64,7 @@ class Mathematics:
         value = getattr(self._module, name)
         label = f"{self._module.__name__}.{name}"
         if label == "numpy.random":
-            raise TraceError(f"{label}, which gives other numbers at every call")
+            raise TraceError(RANDOM)
         if isinstance(value, type(math)):
             return Mathematics(value)
         if not callable(value):

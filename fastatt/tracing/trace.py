@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+import random
 import types
 from collections.abc import Callable
 from typing import Any
@@ -19,13 +20,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
+from fastatt import checks
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition
-from fastatt.tracing.mathematics import BUILTINS, Mathematics, refused
+from fastatt.tracing.mathematics import BUILTINS, RANDOM, Mathematics, refused
 from fastatt.tracing.nodes import Recorded, TraceError
 from fastatt.tracing.references import opened, referred_to, snapshot
 from fastatt.tracing.rewriting import UNSET, located, name_of, rewritten
 
+_GENERATORS = np.random.Generator, np.random.RandomState, random.Random
 MAX_ANSWERS = 64  # conditions on one execution path through a function
 MAX_PATHS = 256
 
@@ -165,6 +168,19 @@ class ModuleProxy:
         return value
 
 
+class _Generator:
+    """Replaces a generator of random numbers and its methods: it can be referred to, but not used.
+
+    NumPy's generators, and those of ``random``, whose functions are methods of one of them.
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        raise TraceError(RANDOM)
+
+    def __call__(self, *_: Any, **__: Any) -> Any:
+        raise TraceError(RANDOM)
+
+
 class ObjectProxy(ModuleProxy):
     """Replaces the object whose method is traced: it can be read, but not changed."""
 
@@ -179,6 +195,8 @@ def stand_in(value: Any) -> Any:
     """The replacement of a value that a traced function refers to."""
     if value is math or value is np:
         return Mathematics(value)
+    if isinstance(value, _GENERATORS) or isinstance(getattr(value, "__self__", 0), _GENERATORS):
+        return _Generator()
     if isinstance(value, CPUDispatcher):
         return _lazily(value)
     if isinstance(value, types.ModuleType):
@@ -300,6 +318,8 @@ def _traced(plain: types.FunctionType) -> Callable[..., Any]:
             raise _located(error, str(error), place) from error
         except Exception as error:
             message = f"{type(error).__name__}: {error}"
+            if isinstance(error, AttributeError):
+                message += checks.nearest(error.name, dir(error.obj))
             raise _located(error, message, place) from error
 
     return call

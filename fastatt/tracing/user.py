@@ -33,6 +33,7 @@ from fastatt.tracing.called import (
 )
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
+from fastatt.tracing.mathematics import RANDOM
 from fastatt.tracing.nodes import Recorded, TraceError
 from fastatt.tracing.references import called_as, opened, signature_of, snapshot
 from fastatt.tracing.trace import traceable
@@ -158,6 +159,9 @@ class UserFunction:
             self._formula = self._checked(function, params)
         except TraceError as error:
             self.reason = str(error)
+            if self.reason.startswith(RANDOM):
+                found = f"{self.argument}: found {self.described} with {self.reason}"
+                raise TypeError(found) from None
             opaque = called_back if config.DISABLE_JIT else compiled
             self._compiled = opaque(function, self)
 

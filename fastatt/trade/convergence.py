@@ -72,7 +72,7 @@ class ConvergenceCheck:
     passed: bool
 
     def __str__(self) -> str:
-        found = "no order to be seen" if self.order is None else f"order {self.order:.2f}"
+        found = "no observed order" if self.order is None else f"observed order {self.order:.2f}"
         return (
             f"{self.method}: {found}, declared {self.declared}; error {self.error:.1e} rad at most "
             f"over {self.measured} of {self.n_bodies} bodies, against {self.divided} times the "
@@ -200,10 +200,12 @@ def check_convergence(
         n_bodies=ensemble.size,
         passed=passed,
     )
-    if not passed:
+    if order is not None and not passed:
         warnings.warn(
-            f"{check}: the error falls more slowly than it should; either the method is not what "
-            "it says, or the rate, torque or force is not smooth",
+            f"{check}. Halving the step size divides the error by {2.0**order:.3g}, where order "
+            f"{declared} predicts {2**declared}: a coefficient of the method is wrong, or the "
+            "rate, torque or force is not smooth (declare its jumps and corners as "
+            "Scene.breakpoints)",
             ConvergenceWarning,
             stacklevel=2,
         )

@@ -38,7 +38,8 @@ class Recommendation:
         Where errors were measured.
     expected_error : float
         Largest angle, rad, when the recommendation was run on ``measured`` bodies. It includes the
-        error of the reference.
+        error of the reference. The closed form "exact" in float64 is its own reference: then it is
+        the estimated rounding error of the closed form, and the text says "estimated".
     expected_seconds : float
         Time of the whole call to ``propagate``, s.
     runner_up : Point or None
@@ -91,7 +92,10 @@ class Recommendation:
         wanted = f"tol {self.tol:g}" if self.tol is not None else f"budget {self.budget:g} s"
         how = f"{self.n_steps} steps of {self.dt:.6g} s on {self.n_threads} threads"
         where = "over the run" if self.at == "run" else "at the end"
-        over = f"measured over {self.measured} of {self.n_bodies} bodies"
+        # a closed form in double precision is its own reference
+        is_reference = self.case.record.is_exact and self.dtype == "float64"
+        found = "estimated" if is_reference else "measured"
+        over = f"{found} over {self.measured} of {self.n_bodies} bodies"
         lines = [
             f"{self.case}: {how} ({wanted})",
             f"  error      {self.expected_error:.1e} rad at most {where}, {over}; limited by "

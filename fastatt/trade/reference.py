@@ -96,7 +96,7 @@ class Reference:
         """Raise ``ValueError`` for a tolerance, rad, that the reference is not well below."""
         own = float(self.own_error.max())
         if own > 0.25 * tol:
-            why = f"{self.doubt}; {_BREAKPOINTS}" if self.doubt else "that is rounding"
+            why = f"{self.doubt} {_BREAKPOINTS}" if self.doubt else "that is rounding"
             raise ValueError(
                 f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.source}, the "
                 f"reference, is good to {own:.1e} rad of some body: {why}"
@@ -247,8 +247,10 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
     rounded = len(changes) > 3 and 0.5 * ladder.worst(4) <= worst < _SETTLED
     enough = len(changes) > 2 and (rounded or float(own.max()) <= goal)
     doubt = (
-        f"its error falls with order {slopes[0]:.1f} in place of {order}, for corners in a torque "
-        "or rate, or rounding that the motion magnifies"
+        f"halving its step size divides its error by {2.0 ** slopes[0]:.3g}, where order {order} "
+        f"predicts {2**order}, so that its error is uncertain: a torque or rate has corners, the "
+        "motion magnifies rounding, or the run needs more steps than a reference takes. Remedies "
+        "are a larger tol, a shorter t_end, or"
     )
     return own, enough, doubt
 

@@ -50,8 +50,8 @@ def test_one_body():
     figure = drawn(fa.plots.history, run, scene=BODY)
     axis, angles, rates, drifts = figure.axes
     assert labels(figure) == [
-        "third body axis\nalong inertial X, Y, Z", "3-1-3 Euler angles, deg",
-        "angular velocity\nalong body axes, rad/s", "relative drift",
+        "third body axis (unit vector)\nalong inertial X, Y, Z", "3-1-3 Euler angles, deg",
+        "angular velocity\nalong body axes, rad/s", "drift, dimensionless",
     ]  # fmt: skip
     assert drifts.get_xlabel() == "time, s"
     assert np.array_equal(curves(axis)["Z"].get_ydata(), run.dcm[:, 2, 2])
@@ -60,7 +60,7 @@ def test_one_body():
     assert np.allclose(theta.get_ydata(), np.degrees(run.euler313[:, 1]))
     assert np.array_equal(curves(rates)["$w_y$"].get_ydata(), run.w[:, 1])
     assert np.array_equal(curves(rates)["|w|"].get_ydata(), np.linalg.norm(run.w, axis=1))
-    energy = curves(drifts)["energy"].get_ydata()
+    energy = curves(drifts)["energy, relative"].get_ydata()
     assert np.array_equal(energy[1:], fa.drift(run, BODY).energy[1:])
     alone = drawn(fa.plots.history, run, scene=None).axes
     assert set(curves(alone[3])) == {"norm error"}
@@ -104,7 +104,11 @@ def test_angles_break_where_the_third_axis_passes_the_pole():
 def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     run = run_of(9)
     figure = drawn(fa.plots.history, run, scene=BODY)
-    assert labels(figure) == ["angle from the first save, deg", "|w|, rad/s", "relative drift"]
+    assert labels(figure) == [
+        "angle from the first save, deg",
+        "|w|, rad/s",
+        "drift, dimensionless",
+    ]
     middle = curves(figure.axes[1])["median of the bodies"].get_ydata()
     assert np.allclose(middle, np.median(np.linalg.norm(run.w, axis=-1), axis=1), rtol=1e-15)
     assert "9 bodies" in figure.get_suptitle()
@@ -115,7 +119,7 @@ def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     )
     figure = drawn(fa.plots.history, run, scene=BODY)
     assert "1 flagged" in figure.get_suptitle()
-    assert np.isfinite(curves(figure.axes[2])["angular momentum"].get_ydata()[1:]).all()
+    assert np.isfinite(curves(figure.axes[2])["angular momentum, relative"].get_ydata()[1:]).all()
     assert len(drawn(fa.plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 4
     assert np.isfinite(curves(figure.axes[1])["median of the bodies"].get_ydata()).all()
 

@@ -382,6 +382,35 @@ def test_a_function_declares_the_samples_of_its_table():
     assert errors[1] > 1e-6
 
 
+@pytest.mark.parametrize("times", [0.1 * np.arange(51)[::5], UNEVEN], ids=["even", "uneven"])
+def test_a_held_table_brings_its_samples(times):
+    """Forwards and backwards; a function has to declare them."""
+    held = of_table(times, "previous")
+
+    def slope(t, y, torque):
+        w = y[4:]
+        turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
+        return np.concatenate([turned, (np.cross(J * w, w) + torque) / J])
+
+    y = np.append(START, W0)
+    for k, (a, b) in enumerate(pairwise(times)):
+        y = solve_ivp(
+            slope, (a, b), y, "DOP853", rtol=1e-13, atol=1e-14, args=(SAMPLES[k],)
+        ).y[:, -1]  # fmt: skip
+    exact = y[:4] / np.linalg.norm(y[:4])
+    steps = {"dt": END / 41, "n_steps": 41, "method": "rk8"}
+    given = fa.Scene(inertia=J, torque=fa.torques.Constant(held))
+    read = fa.Scene(inertia=J, torque=lambda t, q, w, p: held(t), breakpoints=held.t)
+    for scene in (given, read):
+        run = fa.propagate(scene, START, W0, **steps)
+        assert angle(run.q[-1], exact) < 1e-10
+        assert np.abs(run.w[-1] - y[4:]).max() < 1e-10
+    back = fa.propagate(given, exact, y[4:], **{**steps, "dt": -END / 41}, t0=END)
+    assert angle(back.q[-1], START) < 1e-10
+    late = fa.propagate(replace(read, breakpoints=()), START, W0, **steps)
+    assert angle(late.q[-1], exact) > 1e-4
+
+
 def test_a_switched_wheel_brings_its_samples():
     """Its torque is the slope of a cubic table, which has a corner at each sample."""
     momentum = fa.TimeSeries(SAMPLED_AT, 0.1 * SAMPLES)

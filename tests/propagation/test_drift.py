@@ -87,6 +87,47 @@ def test_refuses_what_is_neither(trajectory, scene):
         fa.drift(trajectory, scene)
 
 
+def test_momentum_along_a_uniform_field():
+    """The field exerts no torque about its own direction."""
+    tensor = np.array([[2.0, 0.3, -0.1], [0.3, 1.5, 0.2], [-0.1, 0.2, 1.2]])
+    w0 = np.array([[0.5, -0.3, 0.8], [0.1, 0.9, -0.4], [-0.6, 0.2, 0.3]])
+    options = {"dt": 0.05, "n_steps": 100, "save_every": 10}
+    b = (0.4, -0.5, 0.7)
+    for torque, field in (
+        (fa.torques.HeavyTop((0.02, -0.03, 0.2), [1.0, 2.0, 0.5]), (0.0, 0.0, 1.0)),
+        (fa.torques.MagneticDipole((0.1, 0.2, -0.3), b), b),
+    ):
+        scene = fa.Scene(inertia=tensor, torque=torque)
+        run = fa.propagate(scene, START3, w0, method="rk8", **options)
+        found = fa.drift(run, scene)
+        assert found.momentum_along_field.shape == (11, 3)
+        assert found.momentum_along_field.max() < 1e-11
+        coarse = fa.drift(fa.propagate(scene, START3, w0, method="rk4", **options), scene)
+        C = fa.quat_to_dcm(run.q)
+        total = (C @ (tensor @ run.w[..., None]))[..., 0]
+        change = np.linalg.norm(np.cross(total - total[0], field), axis=-1)
+        assert (change.max(axis=0) > 0.05).all()
+        assert 1e-9 < coarse.momentum_along_field.max() < 1e-3
+
+
+def test_summary_has_maxima_and_reasons():
+    top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.2), 1.0))
+    damped = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.Damping(0.1))
+    options = {"dt": 0.05, "n_steps": 4, "method": "rk4", "save_every": 2}
+    of_top, of_damped = (
+        fa.drift(fa.propagate(scene, START3, np.ones((3, 3)), **options), scene)
+        for scene in (top, damped)
+    )
+    of_rate = fa.drift(run("magnus4"), BODIES.scene)
+    assert of_top.reasons == {"momentum": "a torque acts"}
+    assert str(of_top).splitlines()[0] == "Drift of 3 bodies over 3 saves, largest values:"
+    assert f"energy                {of_top.energy.max():.1e}" in str(of_top)
+    assert "momentum              None, a torque acts" in str(of_top)
+    assert of_damped.reasons["energy"] == "no potential energy of the torque is known"
+    assert "momentum_along_field  None, no uniform field acts" in str(of_damped)
+    assert set(of_rate.reasons.values()) == {"the scene has a rate"}
+
+
 def test_a_body_that_is_lost_leaves_the_others_theirs():
     top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.2), 1.0))
     w0 = np.ones((3, 3))

@@ -278,7 +278,7 @@ def test_what_can_not_go_on(tmp_path):
         fa.propagate(free, Q0, W0, dt=0.05, n_steps=2, method="exact"),
         fa.propagate(free, Q0, W0, n_steps=2, save_at=[0.1], **RK4),
     ):
-        with pytest.raises(ValueError, match="resume: this trajectory does not hold its end"):
+        with pytest.raises(ValueError, match="resume: found a trajectory that does not hold"):
             fa.propagate(free, resume=run, dt=0.05, n_steps=1)
         with pytest.raises(ValueError, match="end: this trajectory does not hold it"):
             run.save_end(path)

@@ -516,7 +516,7 @@ SCENE = [
     (
         {"inertia": [MOMENTS] * 4, "torque": fa.torques.Damping([0.1, 0.2])},
         ValueError,
-        "found parameters for [2, 4] bodies",
+        "found parameters for 2 and 4 bodies",
     ),
 ]
 

@@ -292,3 +292,42 @@ def test_what_is_refused(options, error, message):
     given = {"axes": AXES, "inertia": INERTIA} | options
     with pytest.raises(error, match=message):
         fa.Scene(inertia=WHOLE, torque=fa.torques.ReactionWheels(**given))
+
+
+def held(t, q, w, s, p):
+    """Torques that tell the sample time, and one state of its own that counts samples."""
+    return (1.0 + t, 2.0 + t), (s[-1] + 1.0,)
+
+
+def on_body(t, q, w, s, p):
+    return (1.0 + t, 2.0 + t, 3.0 + t), (s[0] + 1.0,)
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "torques", "slopes"),
+    [
+        (held, {"period": 0.2, "states": 1}, (1.0, 2.0), (1.0, 2.0)),
+        (
+            fa.torques.SampledControl(on_body, 0.2, states=1),
+            {},
+            (1.0, 2.0, 3.0),
+            (-1.0, -2.0),
+        ),
+    ],
+    ids=["motors", "body"],
+)
+def test_states_are_momenta_held_torques_and_own_states(command, options, torques, slopes):
+    """A save at a sample time holds what was held up to there."""
+    pair = fa.torques.ReactionWheels(np.eye(3)[:2], 0.02, command, **options)
+    scene = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=pair)
+    first = [0.1, 0.2, *[9.0] * len(torques), 5.0]
+    run = fa.propagate(
+        scene, Q0, [0, 0, 0], s0=first, dt=0.1, n_steps=3, save_every=1, method="rk4"
+    )
+    momenta, kept, own = np.split(run.s, [2, -1], axis=1)
+    assert run.s.shape[1] == scene.states == len(first)
+    assert momenta[2] == pytest.approx([0.1, 0.2] + 0.2 * np.array(slopes), abs=1e-14)
+    times = [0.0, 0.0, 0.2]
+    assert kept[1:] == pytest.approx(np.add.outer(times, torques), abs=1e-14)
+    assert (kept[0] == 9.0).all()
+    assert own[:, 0].tolist() == [5.0, 6.0, 6.0, 7.0]

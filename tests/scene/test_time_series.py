@@ -99,9 +99,24 @@ def test_polynomials_and_their_slopes_are_exact(n, spacing):
     assert np.array_equal(table.at(np.array([1.5])), [[table(1.5)]])
 
 
+@pytest.mark.parametrize(
+    "times",
+    [0.1 * np.arange(41), uneven(9), 1e9 + 0.25 * np.arange(9), np.linspace(-3.7, 17.9, 99)],
+)
+def test_a_sample_holds_from_its_time_to_the_next(times):
+    """To the last bit of the times, whatever the rounding of their intervals."""
+    values = np.arange(1.0, len(times) + 1.0)
+    table = fa.TimeSeries(times, values, kind="previous")
+    assert np.array_equal(table.t, times)
+    assert np.array_equal(table.at(times)[:, 0], values)
+    assert np.array_equal(table.at(np.nextafter(times[1:], -np.inf))[:, 0], values[:-1])
+    assert table.slope(times[3]) == 0.0
+    assert np.isnan(table(times[-1] + 1.0))
+
+
 @pytest.mark.parametrize("outside", ["nan", "hold"])
 @pytest.mark.parametrize("spacing", [uniform, uneven])
-@pytest.mark.parametrize("kind", ["linear", "cubic"])
+@pytest.mark.parametrize("kind", ["linear", "cubic", "previous"])
 def test_recorded_numbers_give_what_python_gives(kind, spacing, outside):
     """Outside, at the samples and between, of rows that are there and rows that are not."""
     times = spacing(7)
@@ -474,7 +489,13 @@ def test_tables_are_values():
             lambda: torques.pack(
                 torques.Rotor(fa.TimeSeries([0, 1], np.ones((2, 3)), kind="linear")), None
             ),
-            'torque: Rotor.momentum: found a linear table; accepted: one of kind "cubic"',
+            'torque: Rotor.momentum: found a table of kind "linear"; accepted: "cubic"',
+        ),
+        (
+            lambda: torques.pack(
+                torques.Rotor(fa.TimeSeries([0, 1], np.ones((2, 3)), kind="previous")), None
+            ),
+            'torque: Rotor.momentum: found a table of kind "previous"; accepted: "cubic"',
         ),
         (
             lambda: torques.pack(torques.Damping(fa.TimeSeries([0, 1], [1, 2])), None),

@@ -587,7 +587,11 @@ REFUSED = [
     (place, "a whole number made of one", "return NUMBERS[x]"),
     (unknown_function, "math.gamma of numbers", "return math.gamma(x)"),
     (unknown_of_numpy, "numpy.linalg.det of numbers", "return np.linalg.det("),
-    (random, "numpy.random, which gives other numbers", "return x + np.random.normal()"),
+    (
+        random,
+        "random numbers; accepted: ",
+        "return x + np.random.normal()",
+    ),
     (prints, "print, which is not among the functions", "print(x)"),
     (tries, "the statement try", "try:"),
     (undefined, "NameError: name 'nowhere' is not defined", "return x + nowhere"),

@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import math
+import random
 import subprocess
 import sys
 import textwrap
@@ -365,6 +366,34 @@ def beyond(t, p):
     return p[0], p[1], p[2]
 
 
+GENERATOR = np.random.default_rng(1)
+NORMAL = GENERATOR.normal
+
+
+def draws(t, p):
+    return GENERATOR.normal(), t, t
+
+
+def draws_by_name(t, p):
+    return NORMAL(), t, t
+
+
+def draws_by_module(t, p):
+    return random.gauss(0.0, t), t, t
+
+
+def raises(t, p):
+    raise ValueError("too slow")
+
+
+def misnamed(t, p):
+    return fa.kernels.quat.multiply(p, p)[:3]
+
+
+def misplaced(t, p):
+    return fa.quat.mul(p, p)[:3]
+
+
 def calls_unknown(t, p):
     return math.isqrt(t), t, t
 
@@ -408,6 +437,23 @@ def test_words_of_numba_have_no_colours():
             "rate",
             rf"\({__file__}:\d+\); accepted .* Numba says: Unknown attribute 'isqrt'",
         ),
+        (
+            draws,
+            "rate",
+            (
+                r"found draws\(t, p\) with random numbers; accepted: .* fastatt.TimeSeries .*"
+                rf"\({__file__}:\d+: return GENERATOR.normal"
+            ),
+        ),
+        (draws_by_name, "rate", r"with random numbers; accepted: .*: return NORMAL\(\)"),
+        (draws_by_module, "rate", r"with random numbers; accepted: .*: return random\.gauss"),
+        (
+            raises,
+            "rate",
+            rf"raises\(t, p\) raises ValueError: too slow \({__file__}:\d+\); accepted",
+        ),
+        (misnamed, "rate", r"no attribute 'multiply' \(nearest: mul\)"),
+        (misplaced, "rate", r"no attribute 'quat' \(in fastatt.kernels: quat\)"),
         (3.0, "rate", r"found 3.0; accepted: a function rate\(t, p\)"),
         (math.sin, "torque", r"accepted: a function torque\(t, q, w, p\)"),
     ],
@@ -417,6 +463,7 @@ def test_wrong_functions_are_refused_each_time(function, argument, message):
         with pytest.raises(TypeError, match=f"^{argument}: .*{message}") as error:
             user_function(function, argument, 2)
         assert not isinstance(error.value, TraceError)
+        assert error.value.__suppress_context__ or error.value.__context__ is None
 
 
 def test_the_line_is_that_of_the_problem():
