@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from types import CodeType, FrameType, ModuleType
 from typing import Any
 
-from llvmlite import ir
 from numba.core.registry import CPUDispatcher
 
 from fastatt.codegen.modules import surroundings
@@ -47,27 +46,15 @@ class Mark:
         return _checked, self._found
 
 
-def mark(context: Any, module: Any, scalar: Formula, forms: tuple[Any, ...]) -> None:
+def mark(context: Any, scalar: Formula, forms: tuple[Any, ...]) -> None:
     """Mark a function that a formula is being compiled into.
 
-    The mark lies in the function's environment, which Numba keeps with each function that it is
-    inlined into, as long as a variable of the module refers to it: here from ``llvm.used``, which
-    no pass of LLVM removes.
+    The mark lies in the function's environment, for which Numba declares a variable in the
+    function's module. The variable remains where the function is inlined, and Numba keeps the
+    environments of all such variables with the machine code.
     """
     found = Mark(scalar.__name__, forms, digest_of(scalar, forms))
     context.environment.consts.append(found)
-    variable = context.declare_env_global(module, context.get_env_name(context.fndesc))
-    keep_variable(module, variable, "llvm.used")
-
-
-def keep_variable(module: Any, variable: Any, among: str) -> None:
-    """Name a variable in one of the two lists of those that LLVM does not remove."""
-    if among in module.globals:
-        return
-    pointers = ir.ArrayType(ir.IntType(8).as_pointer(), 1)
-    used = ir.GlobalVariable(module, pointers, among)
-    used.linkage, used.section = "appending", "llvm.metadata"
-    used.initializer = ir.Constant(pointers, [variable.bitcast(ir.IntType(8).as_pointer())])
 
 
 def digest_of(scalar: Formula, forms: tuple[Any, ...]) -> str:

@@ -28,7 +28,7 @@ from numba.extending import NativeValue, models, register_model, typeof_impl, un
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import POINTERS, write
 from fastatt.codegen.instructions import Code
-from fastatt.codegen.kept_formulas import Formula, keep_variable, mark
+from fastatt.codegen.kept_formulas import Formula, mark
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
 from fastatt.tracing.graph import flattened
@@ -289,7 +289,7 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
         if keys:
             _never_kept(builder.module)
         else:
-            mark(context, builder.module, self.scalar, forms)
+            mark(context, self.scalar, forms)
         for key, at in zip(keys, addresses(keys, self.scalar.tables), strict=True):
             pointer = context.add_dynamic_addr(builder, at, info=self.scalar.__name__)
             pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])
@@ -304,13 +304,17 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
 def _never_kept(module: Any) -> None:
     """Tell Numba that the code of this module, and code linked with it, is for this process only.
 
-    Numba keeps nothing on disk that has a variable of such a name.
+    Numba keeps nothing on disk that has a variable of such a name. LLVM does not remove variables
+    that ``llvm.compiler.used`` lists.
     """
     name = "numba.dynamic.globals.formula"
     if name not in module.globals:
         held = ir.GlobalVariable(module, ir.IntType(8), name)
         held.linkage, held.initializer = "internal", ir.Constant(ir.IntType(8), 0)
-        keep_variable(module, held, "llvm.compiler.used")
+        pointers = ir.ArrayType(ir.IntType(8).as_pointer(), 1)
+        used = ir.GlobalVariable(module, pointers, "llvm.compiler.used")
+        used.linkage, used.section = "appending", "llvm.metadata"
+        used.initializer = ir.Constant(pointers, [held])
 
 
 def _taken(builder: Any, form: Any, value: Any) -> Iterator[Any]:

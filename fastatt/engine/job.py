@@ -231,8 +231,7 @@ class Formulas:
         if not self.job.projects:
             return None
         scope = self.scope()
-        x = scope.state()
-        n = self.job.attitude.size
+        x, n = scope.state(), self.job.attitude.size
         if self.job.attitude.restore is None:
             return scope.finished((*x, 0.0))
         a, d = self.job.attitude.restore(x[:n])
@@ -284,10 +283,10 @@ class Scope:
     def __init__(self, formulas: Formulas, attitude: Attitude, graph: Graph) -> None:
         job = formulas.job
         self.formulas, self.graph = formulas, graph
-        self.kind = job.kind
-        self.job, self.attitude = job, attitude
+        self.kind, self.job, self.attitude = job.kind, job, attitude
         # time and parameters are of double precision, results of the state have its precision
         graph.narrow, graph.many = self.kind == "single", not job.shared
+        graph.evaluations = job.method.rate_calls / max(1, len(job.method.stages))
         p = graph.inputs("double", "p", formulas.parameters)
         self._bind(p, graph.input(self.kind, "h"))
 

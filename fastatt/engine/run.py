@@ -159,7 +159,10 @@ class Setup:
             *flags,
             *((x.infinite for x in DIAGNOSTICS) if job.method.iterates else flags),
         ]
-        self.tables = [(name, resources[name]) for name in formulas.resources]
+        self.tables = [
+            ((kind, x), x.address if kind == "function" else resources[kind, x])
+            for kind, x in formulas.resources
+        ]
         n_stages = len(job.method.stages)
         at = (x if isinstance(x, int) else address_of(x) for _, x in self.tables)
         self._whole = np.array([*at, n_stages], dtype=np.int64)

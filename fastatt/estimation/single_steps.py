@@ -21,6 +21,7 @@ from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import kind_of
 from fastatt.codegen.scalar import ScalarFunction, scalar_function
 from fastatt.engine.job import Formulas, Job, Scope
+from fastatt.estimation.conversions import taken_from_python
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.scene.scene import Scene, as_scene
@@ -77,7 +78,10 @@ class Stepper:
     -----
     Methods that step other variables than x (splitting methods, ``dmv``) convert to them and back
     in every ``step``, and prepare anew what depends on h. ``enter``, ``advance`` and ``leave`` do
-    so once. Arrays that are too short for the state or the parameters raise ``ValueError``.
+    so once. Arrays that are too short for the state or the parameters raise ``ValueError``. From
+    Python, lists, integers and integer arrays are converted at each call, which takes much longer
+    than a call with floats, tuples of floats or float arrays; ``step_into`` needs a float array
+    that can be written to.
     """
 
     method: str
@@ -376,8 +380,13 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
         check_p(p)
         return to_state(t, s, half_stage * h, y, p, e)
 
-    made = (step, step_and_angle, step_into, enter, advance, leave)
-    return {function.__name__: around_formulas(function) for function in made}
+    def sizes(name: str) -> int:
+        formulas = job.formulas
+        return {"p": formulas.parameters, "e": formulas.extras}.get(name, size)
+
+    made = (step, step_and_angle, enter, advance, leave)
+    found = {f.__name__: taken_from_python(around_formulas(f), sizes) for f in made}
+    return found | {"step_into": taken_from_python(around_formulas(step_into), sizes, "x")}
 
 
 def _through(small_angle: Any, any_angle: Any, stages: NDArray[np.float64], job: Job) -> Any:
@@ -430,4 +439,6 @@ def _ends(job: Job) -> tuple[Any, Any]:
         y = output(x, p)
         return quaternion(y[:stored]), y[stored:]
 
-    return around_formulas(start), around_formulas(read)
+    sizes = {"q": 4, "y": job.structure.tail, "x": size, "p": job.structure.n_params}
+    start, read = (taken_from_python(around_formulas(f), sizes.__getitem__) for f in (start, read))
+    return start, read

@@ -365,8 +365,8 @@ class Packed(NamedTuple):
     structure: Any
     #: flat parameters, (P,) shared or (N, P)
     params: NDArray[np.float64]
-    #: tables and functions that are not traced, by the names that graphs have for them: numbers
-    #: for fields of models, the objects themselves for those in a user-defined function
+    #: tables, by the names that graphs have for them: numbers for fields of models, the objects
+    #: themselves for those in a user-defined function
     resources: Resources
 
     @property
@@ -376,9 +376,7 @@ class Packed(NamedTuple):
 
 
 def resources_of(function: UserFunction) -> Resources:
-    """The tables and functions in the graph of a user-defined function, by their names there."""
-    if not function.straight:
-        return {("function", function): function.address}
+    """The tables in the graph of a user-defined function, by their names there."""
     return {("table", x): array for x, array in function.tables.items()}
 
 

@@ -262,8 +262,8 @@ class Scene:
         """The user-defined functions, as a tuple; ``straight`` of each says whether it is traced.
 
         A traced function becomes part of the compiled loop: it is vectorised and kept in the disk
-        cache. A function that can't be traced (``reason`` says why) is called for each body; a rate
-        whose parameters all bodies share is called once for a group of bodies.
+        cache. One that can't be traced (``reason`` says why), or is too long, is called for each
+        body; a rate whose parameters all bodies share is called once for a group of bodies.
         """
         structure = self.packed(None).structure
         laws = (structure.turning.law, structure.force)

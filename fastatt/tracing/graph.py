@@ -38,12 +38,13 @@ class Graph:
     (``span``). Sines of values that depend on a time are narrow too if the graph is ``many``, for
     many bodies. A graph for machine code only may be ``native`` (``fastatt.tracing.native``). While
     a graph is ``strict``, as for a user-defined function, 0 x, 0/x and x − x are operations, since
-    they are NaN for a NaN.
+    they are NaN for a NaN. ``evaluations`` is how often a step evaluates a user-defined function.
     """
 
     def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
         self.lanes, self.native = lanes, native
         self.narrow = self.many = self.strict = False
+        self.evaluations = 1.0
         self.nodes: list[Node] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._times: set[int] = set()

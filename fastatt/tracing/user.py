@@ -2,22 +2,24 @@
 
 A traced function is compared with its results in Python at a few points before it is used. A
 function that can't be traced is compiled by Numba and called for each body (``UserFunction.reason``
-says why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python.
+says why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python. So is a traced function with
+very many operations, since each evaluation in a step would repeat them in the machine code.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Sequence
 from types import FunctionType
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import config
 from numpy.typing import NDArray
 
 from fastatt import checks
+from fastatt._fork import cached_property
 from fastatt.tracing import functions, graph, source
 from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.called import (
@@ -34,12 +36,15 @@ from fastatt.tracing.called import (
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, Number
 from fastatt.tracing.mathematics import RANDOM
-from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.nodes import Recorded, TraceError, composed_of
 from fastatt.tracing.references import called_as, opened, signature_of, snapshot
 from fastatt.tracing.trace import traceable
 
 # tolerance of a component, relative to its largest value; a wrong formula differs by far more
 _TOLERANCE = 1e-9
+# operations of a function in all its evaluations of a step, up to which they are part of the step;
+# LLVM compiles that many in some 8 s
+_MOST = 60_000
 
 
 class Signature(NamedTuple):
@@ -89,7 +94,9 @@ FORMS = {
 }
 
 # user-defined functions with the values of their names for which they were made
-_KNOWN: WeakKeyDictionary[Any, dict[Any, tuple[Any, UserFunction]]] = WeakKeyDictionary()
+_KNOWN: weakref.WeakKeyDictionary[Any, dict[Any, tuple[Any, UserFunction]]] = (
+    weakref.WeakKeyDictionary()
+)
 
 
 def user_function(
@@ -130,7 +137,8 @@ class UserFunction:
 
     ``straight`` says whether it is traced, and ``reason`` why it is not. A function that is not
     traced is in a graph as ``("opaque", self, ...)`` and is called at ``address``, as
-    ``void(double* arguments, double* results)``.
+    ``void(double* arguments, double* results)``. A traced one is so if its operations in all
+    evaluations of a step (``Graph.evaluations``) are more than ``_MOST``, and Numba compiles it.
     """
 
     def __init__(
@@ -154,16 +162,19 @@ class UserFunction:
         self.tables: dict[Any, NDArray[np.float64]] = {}
         self.span = 0.0, 10.0
         self._formula: Callable[..., Any] | None = None
-        self._compiled: Any = None
+        #: operations of one evaluation, if it is traced
+        self.operations = 0
+        # a cached object must not keep the function alive
+        self._function = _reference(function)
         try:
             self._formula = self._checked(function, params)
-        except TraceError as error:
-            self.reason = str(error)
+        except (TraceError, RecursionError) as error:
+            deep = "an expression that is nested too deeply, or has too many terms"
+            self.reason = str(error) if isinstance(error, TraceError) else deep
             if self.reason.startswith(RANDOM):
                 found = f"{self.argument}: found {self.described} with {self.reason}"
                 raise TypeError(found) from None
-            opaque = called_back if config.DISABLE_JIT else compiled
-            self._compiled = opaque(function, self)
+            _ = self.address
 
     def _check_arguments(self, function: Callable[..., Any], form: str) -> None:
         """Refuse a function with another number of arguments, and say how to declare them."""
@@ -193,8 +204,32 @@ class UserFunction:
 
     @property
     def address(self) -> int:
-        """Address of the compiled function, if it is not traced."""
+        """Address of the compiled function."""
         return int(self._compiled.address)
+
+    @cached_property
+    def _compiled(self) -> Any:
+        opaque = called_back if config.DISABLE_JIT else compiled
+        return opaque(self._function(), self)
+
+    @cached_property
+    def _compiles(self) -> bool:
+        """Whether a traced function can be compiled by Numba too, with the results of Python."""
+        if config.DISABLE_JIT or self._function() is None:
+            return False
+        try:
+            return _agree(self._asked, np.array([self(*point) for point in self._points]))
+        except TypeError:
+            return False
+
+    def _is_inlined(self, numbers: Sequence[Any]) -> bool:
+        """Whether its operations become part of a graph; those for derivatives always do."""
+        if self._formula is None:
+            return False
+        recorder = next((x.graph for x in numbers if isinstance(x, Number)), None)
+        if recorder is None or composed_of(*numbers) is not None:
+            return True
+        return self.operations * recorder.evaluations <= _MOST or not self._compiles
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -209,13 +244,14 @@ class UserFunction:
     def call(self, *args: Any) -> Any:
         """Its result for traced numbers: 3 numbers, or one for a potential.
 
-        The time derivatives of its states follow, if it has states. A function that is not traced
+        The time derivatives of its states follow, if it has states. A function that is called
         computes in double precision.
         """
         args = tuple(tuple(x) if isinstance(x, (tuple, list)) else x for x in args)
         numbers = graph.flattened(list(args))
         like = next((x for x in numbers if isinstance(x, Recorded)), None)
-        if self._formula is not None:
+        if self._is_inlined(numbers):
+            assert self._formula is not None
             try:
                 return self._formula(*args)
             except TraceError:
@@ -239,7 +275,7 @@ class UserFunction:
         return self.call(*before[: len(self.form.before)], p)
 
     def __call__(self, *numbers: float) -> tuple[float, ...]:
-        """The result of a function that is not traced, for all its arguments' numbers in a row."""
+        """The result of the compiled function, for all its arguments' numbers in a row."""
         given = (ctypes.c_double * max(1, len(numbers)))(*numbers)
         made = (ctypes.c_double * self.form.results)()
         ENTRY(self.address)(given, made)
@@ -271,9 +307,10 @@ class UserFunction:
             start, end = sorted((float(spans[:, 0].max()), float(spans[:, 1].min())))
             self.span = start, end
         places = [k + (len(numbers) if group == "p" else 0) for group, k in flat.inputs()]
+        self.operations = flat.operations
         traced = source.function(flat, tables=self.tables)
         in_python = interpreted(function)
-        asked, found = [], []
+        asked, found, tried = [], [], []
         for point in points(self.sizes, params, self.span):
             try:
                 with np.errstate(all="ignore"):
@@ -282,11 +319,21 @@ class UserFunction:
             except Exception:  # noqa: BLE001  # whatever the user's function raises there
                 continue
             found.append(traced(*(point[k] for k in places)))
+            tried.append(point)
         if not asked:
             raise TraceError("an error in Python at every point where it was tried")
-        if not _agree(np.array(asked), np.array(found)):
+        self._points, self._asked = tried, np.array(asked)
+        if not _agree(self._asked, np.array(found)):
             raise TraceError("other values in Python than as it was traced")
         return formula
+
+
+def _reference(function: Any) -> Callable[[], Any]:
+    """A weak reference, or a strong one to an object that has none."""
+    try:
+        return weakref.ref(function)
+    except TypeError:
+        return lambda: function
 
 
 def _strict(formula: Callable[..., Any]) -> Callable[..., Any]:

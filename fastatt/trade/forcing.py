@@ -25,10 +25,21 @@ _JUMP = 1e-3
 _STEPS = 4.0  # steps of a reference in the time of a change
 # share of the largest value: a range below it is rounding
 _CONSTANT = 1e-8
+#: the way out where what acts jumps at known times
+BREAKPOINTS = (
+    "fa.Scene(..., breakpoints=times) of all jumps and corners in time, where steps then end"
+)
+_SMOOTHER = (
+    "a smooth function, such as tanh(w/w_s) for the sign of w; fa.torques.SampledControl for a "
+    "controller; an event of fa.propagate that ends the run at the jump"
+)
 
 
 class Forcing(NamedTuple):
-    """Steps that resolve rates, torques and forces, and where one jumps ("" for none)."""
+    """Steps that resolve rates, torques and forces, and where one jumps ("" for none).
+
+    ``jump`` also says what is accepted in place of it.
+    """
 
     steps: int
     jump: str
@@ -65,14 +76,14 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
             finest, where = _examined(problem, path, name, f)
             steps = max(steps, finest)
             if where is not None:
-                jump = jump or f"the {name} jumps near t = {where[0]:.6g} s (body {where[1]})"
+                jump = jump or f"the {name} {where}"
     return Forcing(steps, jump)
 
 
 def _examined(
     problem: Problem, path: NDArray[np.float64], name: str, f: NDArray[np.float64]
-) -> tuple[int, tuple[float, int] | None]:
-    """Steps that resolve a quantity (S, N, 3), and the time and the body of a jump."""
+) -> tuple[int, str | None]:
+    """Steps that resolve a quantity (S, N, 3), and where it jumps, if it does, in words."""
     ranges = np.ptp(f, axis=0).max(axis=-1)
     varies = ranges > _CONSTANT * np.abs(f).max(axis=(0, 2))
     changes = np.abs(np.diff(f, axis=0)).max(axis=-1)
@@ -96,7 +107,17 @@ def _examined(
     k, body = np.unravel_index(np.nanargmax(gaps), gaps.shape)
     if not gaps[k, body] > _JUMP:
         return int(min(steps, 2**31)) + 1, None
-    return 1, (float(low[k, body, 0]), int(problem.ensemble.places[body]))
+    # a jump in time is there for the earlier state too
+    later = low.copy()
+    later[..., 0] = high[..., 0]
+    change = np.abs(_acting(problem, later)[name] - f_low)[k, body].max()
+    in_time = change > 0.5 * ranges[body] * gaps[k, body]
+    how, accepted = ("", BREAKPOINTS) if in_time else (" with the state", _SMOOTHER)
+    place = f"t = {low[k, body, 0]:.6g} s (body {problem.ensemble.places[body]})"
+    return 1, (
+        f"jumps{how} near {place}, where no method keeps its order; accepted: what is smooth; "
+        f"{accepted}"
+    )
 
 
 def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:

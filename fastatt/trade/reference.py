@@ -21,7 +21,7 @@ from fastatt.propagation.breakpoints import breaks_of, corners_within
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.closed_forms import form_of
 from fastatt.scene import rates
-from fastatt.trade.forcing import forcing
+from fastatt.trade.forcing import BREAKPOINTS, forcing
 from fastatt.trade.ladder import Ladder
 from fastatt.trade.measure import Case, Problem, State
 
@@ -35,7 +35,6 @@ _WORK = 2e7
 _SETTLED = 1e-6  # rad; a larger change that does not fall with the step is not rounding
 _FITS = 0.75  # the least observed share of a method's order
 _DOUBTED = 4.0  # ratio of an error without an order and the last changes
-_BREAKPOINTS = "fa.Scene(..., breakpoints=times) of all jumps and corners, where steps then end"
 _INSTANTS = 16  # times at which a prescribed rate is evaluated
 
 
@@ -43,8 +42,9 @@ _INSTANTS = 16  # times at which a prescribed rate is evaluated
 class Reference:
     """What errors are measured against: a run of a case, or a ``motion`` in closed form.
 
-    ``own_error`` (N,) is its own error, rad, and ``source`` its name. ``jump`` says what jumps and
-    where, and ``doubt`` why its error does not fall as it should; both are "" if all is well.
+    ``own_error`` (N,) is its own error, rad, and ``source`` its name. ``jump`` says what jumps,
+    where, and what is accepted, and ``doubt`` why its error does not fall as it should; both are ""
+    if all is well.
     """
 
     problem: Problem
@@ -87,16 +87,13 @@ class Reference:
     def refuse_jumps(self) -> None:
         """Raise ``ValueError`` if a rate, torque or force jumps, since errors are unknown then."""
         if self.jump:
-            raise ValueError(
-                f"scene: {self.jump}, where no method keeps its order; accepted: what is smooth; "
-                f"{_BREAKPOINTS}"
-            )
+            raise ValueError(f"scene: {self.jump}")
 
     def refuse_beyond(self, tol: float) -> None:
         """Raise ``ValueError`` for a tolerance, rad, that the reference is not well below."""
         own = float(self.own_error.max())
         if own > 0.25 * tol:
-            why = f"{self.doubt} {_BREAKPOINTS}" if self.doubt else "that is rounding"
+            why = f"{self.doubt} {BREAKPOINTS}" if self.doubt else "that is rounding"
             raise ValueError(
                 f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.source}, the "
                 f"reference, is good to {own:.1e} rad of some body: {why}"

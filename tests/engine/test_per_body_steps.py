@@ -383,3 +383,8 @@ def test_no_steps_are_tried_that_rounding_makes_worse(monkeypatch):
     with pytest.raises(ValueError, match="accepted: what strang2 can meet, errors stay at"):
         fa.per_body_steps(SCENES["free"], Q0[:1], W0[:1], t_end=1.0, tol=1e-14, method="strang2")
     assert 1e5 < sum(tried) < 1e7
+    tried.clear()
+    # neither is the error larger with more steps, nor does it fall
+    with pytest.raises(ValueError, match="accepted: what suzuki4 can meet, errors stay at"):
+        fa.per_body_steps(SCENES["free"], Q0[:1], W0[:1], t_end=3.0, tol=1e-14, method="suzuki4")
+    assert 3 < len(tried) < 10

@@ -452,9 +452,57 @@ def test_refusals_of_types(magnus):
         magnus.state(START, (1.0, 0.0, 0.0))
     with pytest.raises(ValueError, match=r"q is the zero quaternion"):
         magnus.state((0.0, 0.0, 0.0, 0.0))
+    step, x = magnus.step, (1, 0, 0, 0)
     with pytest.raises(TypingError, match=r"step: found an integer .* write 1.0 instead of 1"):
-        magnus.step(0.0, H, (1, 0, 0, 0), magnus.params[0])
-    with pytest.raises(TypingError, match=r"p: found 2 numbers; accepted: 11"):
+        njit(lambda p: step(0.0, H, x, p))(magnus.params[0])
+    with pytest.raises(ValueError, match=r"^p: found 2 numbers; accepted: 11$"):
         magnus.step(0.0, H, (1.0, 0.0, 0.0, 0.0), (1.0, 2.0))
-    with pytest.raises(TypingError, match=r"x: found 3 numbers; accepted: 4"):
+    with pytest.raises(ValueError, match=r"^x: found 3 numbers; accepted: 4$"):
         magnus.step(0.0, H, (1.0, 0.0, 0.0), row(magnus, 0))
+
+
+def test_numbers_of_any_sort_from_python():
+    """Lists, integers and integer arrays are converted, as read-only arrays need not be."""
+    stepper = fa.single_step(FREE, method="strang2")
+    p = tuple(stepper.params[0].tolist())
+    x, kept = (1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0), np.array([1, 0, 0, 0, 1, 2, 3])
+    fixed = np.array(x)
+    fixed.flags.writeable = False
+    known = stepper.step(0.0, 1.0, x, p)
+    for given in (list(x), kept, kept.tolist(), tuple(kept.tolist()), fixed):
+        assert stepper.step(0, 1, given, list(p)) == known
+        assert stepper.step(t=0, h=1, x=given, p=p) == known
+        assert stepper.step_and_angle(0, 1, given, p)[0] == known
+        assert stepper.read(given, list(p)) == stepper.read(x, p)
+        assert (stepper.attitude(given) == stepper.attitude(x)).all()
+        y, e = stepper.enter(0, 1, given, p)
+        y = stepper.advance(0, 1, np.array(y), list(p), np.array(e))
+        assert stepper.leave(1, 1, 1, list(y), p, e) == pytest.approx(known, rel=1e-14)
+    assert stepper.start([1, 0, 0, 0], kept[4:], p) == stepper.start(x[:4], x[4:], p)
+    array = np.array(x)
+    stepper.step_into(0, 1, array, list(p))
+    assert tuple(array.tolist()) == known
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error", "message"),
+    [
+        ("t", "0", TypeError, "t: found '0'; accepted: a finite number"),
+        ("x", None, TypeError, "x: found None; accepted: 4 numbers"),
+        ("x", np.ones((2, 4)), ValueError, r"x: has shape \(2, 4\); accepted: \(4,\)"),
+        ("p", [1, 2], ValueError, "p: found 2 numbers; accepted: 11"),
+    ],
+)
+def test_refusals_of_steps_from_python(magnus, name, value, error, message):
+    given = {"t": 0.0, "h": H, "x": (1.0, 0.0, 0.0, 0.0), "p": row(magnus, 0)}
+    with pytest.raises(error, match=f"^{message}$"):
+        magnus.step(**given | {name: value})
+
+
+@pytest.mark.parametrize(
+    "x", [[1.0, 0.0, 0.0, 0.0], np.array([1, 0, 0, 0]), np.ones((2, 4)), np.broadcast_to(1.0, 4)]
+)
+def test_a_step_in_place_needs_an_array_that_can_be_written(magnus, x):
+    message = r"^x: found .*; accepted: a writable array of float64 or float32, of shape \(4,\)$"
+    with pytest.raises(TypeError, match=message):
+        magnus.step_into(0.0, H, x, row(magnus, 0))

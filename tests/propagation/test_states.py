@@ -548,7 +548,7 @@ def test_advice_sees_a_force_that_jumps_with_a_state():
         return (1.0 if s[0] > 0.5 else 0.0), 0.0, 0.0
 
     scene = fa.Scene(inertia=J, torque=valve, states=2, params=(2.0, 0.3), mass=2.0, force=switched)
-    with pytest.raises(ValueError, match=r"^scene: the force jumps near t = 0\.29"):
+    with pytest.raises(ValueError, match=r"^scene: the force jumps with the state near t = 0\.29"):
         fa.recommend(scene, Q0, W0, v0=[0, 0, 0], s0=[0.1, 0.0], t_end=3.0, tol=1e-7)
 
 

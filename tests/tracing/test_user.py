@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import linecache
 import math
 import random
 import subprocess
@@ -12,6 +13,7 @@ import weakref
 import numpy as np
 import pytest
 from numba import njit, types
+from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt.codegen.emitter import POINTERS, Emitter
@@ -673,3 +675,74 @@ def test_what_is_no_number_in_python_or_has_no_digit_is_flagged(rate, t0):
 def test_complex_numbers_are_refused():
     with pytest.raises(TypeError, match=r"returns .*complex128.*; accepted is a tuple of three fl"):
         fa.Scene(rate=lambda t, p: (1j * t, 0.0, 0.0))
+
+
+# traced, with very many operations
+
+
+def series(n):
+    """A torque of n sines, written out."""
+    terms = " + ".join(f"math.sin({0.1 + 0.01 * k} * t + q[{k % 4}])" for k in range(n))
+    scope = {"math": math}
+    text = f"def series(t, q, w, p):\n    x = p[0] * ({terms})\n    return x, -0.5 * x, 0.2 * x\n"
+    name = f"<series of {n}>"
+    linecache.cache[name] = len(text), None, text.splitlines(keepends=True), name
+    exec(compile(text, name, "exec"), scope)
+    return scope["series"]
+
+
+def test_a_function_that_would_compile_for_minutes_is_called():
+    """The steps of rk8 would be 105000 operations with 150 sines, and are 4000 with five."""
+    inertia = np.array([2.0, 1.0, 0.7])
+    start = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.1, 0.2, 0.3])
+    options = {"dt": 0.05, "n_steps": 40, "method": "rk8"}
+    few, torque = series(5), series(150)
+    short, long = (fa.Scene(inertia=inertia, torque=f, params=(1e-3,)) for f in (few, torque))
+    assert short.functions[0].straight
+    assert long.functions[0].straight
+    assert not fa.plan(short, 1, **options).calls
+    made = fa.plan(long, 1, **options)
+    assert made.calls
+
+    def slope(t, x):
+        q, w = x[:4] / np.linalg.norm(x[:4]), x[4:]
+        rate = fa.quat_multiply(q, [0.0, *(0.5 * w)])
+        acting = np.array(torque(t, q, w, (1e-3,)))
+        return np.concatenate([rate, (acting - np.cross(w, inertia * w)) / inertia])
+
+    known = solve_ivp(slope, (0.0, 2.0), np.concatenate(start), "DOP853", rtol=1e-13, atol=1e-15)
+    run = made(*start)
+    assert fa.angle_between(run.q[-1], known.y[:4, -1]) < 1e-12
+    assert run.w[-1] == pytest.approx(known.y[4:, -1], abs=1e-12)
+
+
+FACTOR = 2.0
+
+
+def test_a_long_function_is_traced_if_it_does_not_compile_as_it_was_traced(monkeypatch):
+    """With a table, which Numba does not know; and with another number than at first."""
+    monkeypatch.setattr(user, "_MOST", 0)
+    table = fa.TimeSeries([0.0, 1.0], [[1.0], [3.0]])
+    before = FACTOR
+
+    def is_called(torque):
+        scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=torque)
+        monkeypatch.setitem(globals(), "FACTOR", 7.0)
+        found = fa.plan(scene, 1, dt=0.05, n_steps=2, method="rk4")
+        monkeypatch.setitem(globals(), "FACTOR", before)
+        run = found((1, 0, 0, 0), (0, 0, 0))
+        assert run.w[-1, 0] == pytest.approx(0.1 * torque(0.05, 1, 1, ())[0] / 2.0, rel=1e-3)
+        return found.calls
+
+    assert is_called(lambda t, q, w, p: (2.0 + math.sin(t), 0.0, 0.0))
+    assert not is_called(lambda t, q, w, p: (table(t)[0], 0.0, 0.0))
+    assert not is_called(lambda t, q, w, p: (FACTOR, 0.0, 0.0))
+
+
+def test_an_expression_of_many_terms_is_compiled(monkeypatch):
+    """Python's own stack limits how deeply an expression can be rewritten."""
+    monkeypatch.setattr(user, "compiled", lambda function, made: ctypes.c_double())
+    monkeypatch.setattr(UserFunction, "address", 0)
+    found = user_function(series(1500), "torque", 1)
+    assert not found.straight
+    assert "nested" in found.reason

@@ -328,6 +328,20 @@ def test_a_pulse_is_refused_with_its_time(end):
             fa.recommend(scene, Q0[:20], 0.1 * W0[:20], t_end=10.0, tol=tol, methods=["gbs16"])
 
 
+def friction(t, q, w, p):
+    return (-p[0] if w[0] > 0.0 else p[0]), 0.0, 0.0
+
+
+@pytest.mark.parametrize("t0", [0.0, 1e6])
+def test_a_jump_with_the_state_is_told_from_one_in_time(t0):
+    """Friction of constant size reverses where the rotation does, at no time known beforehand."""
+    scene = fa.Scene(inertia=(4.0, 3.0, 2.5), torque=friction, params=(0.02,))
+    words = r"the torque jumps with the state near t = \d.* \(body 0\), .*smooth.*Sampled.*event"
+    with pytest.raises(ValueError, match=words) as caught:
+        fa.recommend(scene, Q0[:1], (0.3, 0.3, 1.5), t_end=10.0, t0=t0, tol=1e-4, methods=["rk8"])
+    assert "breakpoints" not in str(caught.value)
+
+
 @pytest.mark.parametrize("function", [fa.recommend, fa.per_body_steps])
 def test_a_pulse_of_one_body_of_many_is_refused(function):
     """The body is the only one of 4000 whose parameter is not 0, and the pulse is short."""
