@@ -532,7 +532,7 @@ def test_without_numbas_compiler(tmp_path):
     assert first == (
         "rate: two(t, p) returns (0.0, 0.0); accepted is a tuple of three floats, rad/s"
     )
-    assert second.startswith("rate: beyond(t, p) raises IndexError: tuple index out of range; ")
+    assert second.startswith("rate: beyond(t, p) raises IndexError: tuple index out of range (")
     assert third == "rate: found 3.0; accepted: a function rate(t, p)"
 
 
