@@ -24,7 +24,8 @@ class Breaks(NamedTuple):
     ``times`` are the times at which segments of the run begin, s, the first being that of the run;
     ``since`` are these times counted from the start of the run, with ``slack`` for their rounding.
     The rates, torques and forces of a segment are evaluated from ``low`` to ``high`` only, which
-    lie next to its two breakpoints.
+    lie next to its two breakpoints. Breakpoints that are equal to rounding are one, and the window
+    lies outside of all of them.
     ``sampled`` says which of them begin at a sample time, at which states jump.
     """
 
@@ -38,23 +39,34 @@ class Breaks(NamedTuple):
 
 def corners_of(scene: Scene) -> NDArray[np.float64]:
     """Times at which steps end, s: ``scene.breakpoints`` and those that models bring."""
+    every = _times_of(scene)
+    return every[_apart(every)]
+
+
+def _times_of(scene: Scene) -> NDArray[np.float64]:
+    """The times of ``corners_of`` before those that are equal to rounding are one."""
     known: NDArray[np.float64] | None = scene.memo.get("corners")
     if known is not None:
         return known
     acting = (scene.rate, scene.torque, scene.force)
     brought = [x.corners() for x in acting if isinstance(x, Model)]
-    every = np.sort(np.concatenate([np.array(scene.breakpoints), *brought]))
-    # once, where some are equal to rounding
-    apart = np.diff(every, prepend=-np.inf) > 16.0 * _EPS * np.abs(every)
-    found: NDArray[np.float64] = every[apart]
+    found = np.unique(np.concatenate([np.array(scene.breakpoints), *brought]))
     scene.memo["corners"] = found
+    return found
+
+
+def _apart(every: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Of sorted times, those that are not equal to the one before to rounding."""
+    found: NDArray[np.bool_] = np.diff(every, prepend=-np.inf) > 16.0 * _EPS * np.abs(every)
     return found
 
 
 def corners_within(scene: Scene, begin: float, duration: float) -> tuple[float, ...]:
     """The times at which steps of a run end, s, with at least one before and one after the run."""
-    found = corners_of(scene)
-    low, high = np.searchsorted(found, sorted((begin, begin + duration)))
+    found = _times_of(scene)
+    ends = np.sort([begin, begin + duration])
+    # those that are equal to an end, to rounding, are inside
+    low, high = np.searchsorted(found, ends + 32.0 * _EPS * np.abs(ends) * (-1.0, 1.0))
     return tuple(found[max(low - 2, 0) : high + 2].tolist())
 
 
@@ -72,11 +84,14 @@ def breaks_of(
     Times of ``sampling`` are breakpoints too, and the start may be one.
     """
     every = np.array(breakpoints, dtype=np.float64)
+    apart = _apart(every)
+    # the first and the last of those that are equal to rounding
+    every, last = every[apart], every[np.roll(apart, -1)]
     is_sample = np.zeros(every.size, dtype=bool)
     if sampling is not None:
-        every, is_sample = _with_samples(every, begin, duration, sampling)
-    edges = np.concatenate([[-np.inf], every, [np.inf]])
-    low, high = np.nextafter(edges[:-1], np.inf), np.nextafter(edges[1:], -np.inf)
+        every, last, is_sample = _with_samples(every, last, begin, duration, sampling)
+    low = np.nextafter(np.concatenate([[-np.inf], last]), np.inf)
+    high = np.nextafter(np.concatenate([every, [np.inf]]), -np.inf)
     sign = math.copysign(1.0, duration)
     since = every - begin
     slack = 16.0 * _EPS * (np.abs(every) + abs(begin))
@@ -97,9 +112,16 @@ def breaks_of(
 
 
 def _with_samples(
-    breakpoints: NDArray[np.float64], begin: float, duration: float, sampling: Sampling
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Breakpoints and sample times in order, those that are equal to rounding once; which are."""
+    breakpoints: NDArray[np.float64],
+    lasts: NDArray[np.float64],
+    begin: float,
+    duration: float,
+    sampling: Sampling,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Breakpoints and sample times in order, those that are equal to rounding once; which are.
+
+    Next to the times are the last of those that are equal to each.
+    """
     period, start = sampling
     first, last = sorted((begin, begin + duration))
     farthest = max(abs(first - start), abs(last - start))
@@ -112,10 +134,11 @@ def _with_samples(
     k = np.arange(math.floor((first - start) / period), math.ceil((last - start) / period) + 1)
     slack = 16.0 * _EPS * (np.abs(breakpoints) + abs(begin))
     nearest = start + np.rint((breakpoints - start) / period) * period
-    apart = breakpoints[np.abs(breakpoints - nearest) > slack]
-    every = np.concatenate([apart, start + k * period])
+    apart, samples = np.abs(breakpoints - nearest) > slack, start + k * period
+    every = np.concatenate([breakpoints[apart], samples])
     order = np.argsort(every)
-    return every[order], order >= apart.size
+    lasts = np.concatenate([lasts[apart], samples])
+    return every[order], lasts[order], order >= apart.sum()
 
 
 @lru_cache(maxsize=64)
