@@ -261,7 +261,10 @@ def test_a_body_that_waits_is_not_judged():
         ({"dt": STEPS, "n_steps": 30}, "n_steps: body .* ends after"),
         ({"dt": -STEPS * np.sign(W0[:, 0]), "n_steps": COUNTS}, "dt: found steps of both signs"),
         ({"dt": STEPS, "n_steps": COUNTS[:4]}, "n_steps: found array"),
-        ({"dt": STEPS, "n_steps": COUNTS, "save_every": 2}, "save_every: found with per-body step sizes"),
+        (
+            {"dt": STEPS, "n_steps": COUNTS, "save_every": 2},
+            "save_every: found with per-body step sizes",
+        ),
         ({"dt": 0.1, "n_steps": 3, "save_every": 2, "save_at": [0.1]}, "save_every: found with"),
         (
             {"dt": 0.1, "n_steps": 3, "save_at": [0.1, 0.4]},
