@@ -51,7 +51,7 @@ _RUNGS = 14
 _SHORTEST = 1e-290
 # rad, after which rounding alone is some 1e-4 rad
 _FARTHEST = 1e12
-_LOOKED_AT = 1024  # bodies whose prescribed rate is looked at for that
+_EVALUATED = 1024  # bodies whose prescribed rate is evaluated for that
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ def problem_over(
     """A problem over a duration, s, in which rounding leaves an attitude."""
     whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
     known = ensemble.w0 is not None
-    few = whole if known else whole.take(np.arange(min(ensemble.size, _LOOKED_AT)))
+    few = whole if known else whole.take(np.arange(min(ensemble.size, _EVALUATED)))
     angle = largest_rotation(few)
     if angle > _FARTHEST:
         most = whole.t_end * (_FARTHEST / angle)
