@@ -265,7 +265,8 @@ def text(job: Job) -> tuple[str, dict[str, Any]]:
             raise ValueError(
                 f'device: found "cuda" with {getattr(function, "name", function)}, a function that '
                 "is compiled for the processor alone; accepted: functions whose branches and "
-                "loops are known beforehand, of + - * / and the functions of math"
+                "loops are known beforehand, of + - * / and the functions of math, with up to "
+                "60000 operations in all evaluations of a step"
             )
     writer = _Writer(job)
     return writer.text(), writer.constants

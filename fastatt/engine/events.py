@@ -24,7 +24,7 @@ class Watch(NamedTuple):
 
     @property
     def reads_position(self) -> bool:
-        """Whether the function takes velocity and position, besides time, attitude and rate."""
+        """Whether the function takes velocity and position, not only time, attitude and rate."""
         return len(self.function.form.before) > 4
 
 

@@ -8,7 +8,7 @@ lanes for each (``fastatt.engine.program.Layout``).
 The polynomials of the small-angle form of an exponential hold up to a rotation of π in one step;
 the any-angle form takes a root and a division more. A block of steps runs in the small-angle form,
 and lanes with larger angles repeat the block in the any-angle form. That form is compiled when a
-lane first needs it: the loop then returns the number of that tile, to be called again from there.
+lane first needs it: the loop then returns the number of that tile, where the next call begins.
 Other lanes keep their results, so that the bits of a body do not depend on the other bodies of its
 tile. Bodies whose rotation angles are known beforehand are not monitored.
 

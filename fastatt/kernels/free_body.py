@@ -374,8 +374,7 @@ def evaluate(constants, t):
     y3 = math.sqrt(g[14] * g[14] + g[15] * y1 * y1)
     v = to_body((x[1], x[2], x[3]), g[4:9])
     q = quat.mul(g[0:4], (x[0], v[0], v[1], v[2]))
-    size = g[13]
-    return q, to_body((size * y1, size * y2, size * y3), g[4:9])
+    return q, to_body((g[13] * y1, g[13] * y2, g[13] * y3), g[4:9])
 
 
 # bodies with two equal moments
@@ -404,22 +403,21 @@ def symmetric_setup(q, w, inertia):
     The two closest of the three moments are taken as equal, with their mean.
     """
     F = type(w[0])
+    zero = F(0.0)
+    one = F(1.0)
     x = abs(inertia[1] - inertia[2])
     y = abs(inertia[2] - inertia[0])
     z = abs(inertia[0] - inertia[1])
-    axis = F(2.0) if z <= (x if x < y else y) else (F(0.0) if x <= y else F(1.0))
-    first = axis == F(0.0)
-    second = axis == F(1.0)
+    axis = F(2.0) if z <= (x if x < y else y) else (zero if x <= y else one)
+    first = axis == zero
+    second = axis == one
     C = inertia[0] if first else (inertia[1] if second else inertia[2])
     A1 = inertia[1] if first else (inertia[2] if second else inertia[0])
     A2 = inertia[2] if first else (inertia[0] if second else inertia[1])
     A = F(0.5) * A1 + F(0.5) * A2
     spin = w[0] if first else (w[1] if second else w[2])
-    e = (
-        F(1.0) if first else F(0.0),
-        F(1.0) if second else F(0.0),
-        F(0.0) if first else (F(0.0) if second else F(1.0)),
-    )
+    third = zero if first else (zero if second else one)
+    e = (one if first else zero, one if second else zero, third)
     excess = spin * ((C - A) / A)
     u = (w[0] + excess * e[0], w[1] + excess * e[1], w[2] + excess * e[2])
     return (

@@ -48,7 +48,7 @@ class MethodCurve:
     errors : sequence of float
         Errors, rad.
     leads : bool, default True
-        Whether no other method is both faster and more accurate everywhere.
+        Whether it is the fastest method for some error.
     """
 
     method: str

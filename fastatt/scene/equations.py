@@ -153,7 +153,7 @@ class EquationsOfMotion:
         raise NotImplementedError
 
     def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
-        """Time derivative of a state without low parts, then that of the states in ``beside``."""
+        """Time derivative of a state without low parts, then that of the scene's states."""
         raise NotImplementedError
 
     def base(self, x: Vector) -> Vector:

@@ -26,7 +26,7 @@ _FADE = 0.01
 
 
 class ReactionWheels(Torque):
-    """Reaction wheels that turn about axes fixed in the body, driven by motors against friction.
+    """Reaction wheels that rotate about axes fixed in the body, driven by motors against friction.
 
     The state of wheel k is its angular momentum about its axis a_k, relative to inertial space:
     h_k = J_k (Ω_k + a_k·w), N·m·s, with its speed Ω_k relative to the body. With the net torque
@@ -58,10 +58,11 @@ class ReactionWheels(Torque):
     command : callable, Torque or None
         What motors are commanded. A function ``command(t, q, w, s, p)`` gives a torque on each
         wheel, N·m, as a tuple of K, or a number of one wheel; s is the tuple of the speeds Ω,
-        rad/s, and of its own ``states``. A model of ``fastatt.torques`` gives the torque that the
-        motors are to exert on the body, N·m, which the pseudo-inverse of the axes distributes over
-        the wheels; it may carry states, such as a PID controller written with ``Custom(function,
-        params, states=3)``, and may be sampled, ``SampledControl``. None leaves the motors off.
+        rad/s, and of the ``states`` of the function. A model of ``fastatt.torques`` gives the
+        torque that the motors are to exert on the body, N·m, which the pseudo-inverse of the axes
+        distributes over the wheels; it may carry states, such as a PID controller written with
+        ``Custom(function, params, states=3)``, and may be sampled, ``SampledControl``. None leaves
+        the motors off.
     params : array_like, optional
         (P,) or (N, P), of a ``command`` that is a function: its argument p.
     states : int

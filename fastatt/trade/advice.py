@@ -14,10 +14,10 @@ from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
-from fastatt.trade.measure import Case, Problem
+from fastatt.trade.measure import Case
 from fastatt.trade.recommendation import Recommendation
 from fastatt.trade.search import SINGLE, Search, work
-from fastatt.trade.work_precision import DTYPES, cases_of, duration
+from fastatt.trade.work_precision import DTYPES, cases_of, problem_over
 
 # methods that were on the frontier for some measured scene; others are tried only if named
 _USUAL = {
@@ -145,7 +145,7 @@ def recommend(
         raise ValueError(f"tol, budget: found {found}; accepted: one of them")
     wanted = checks.above_zero("budget", budget) if tol is None else checks.above_zero("tol", tol)
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
-    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
+    whole = problem_over(ensemble, t_end, t0, n_threads)
     fitting = methods_for(scene)
     kind = "torqued" if scene.states else scene.kind
     usual = [m for m in _USUAL.get(kind, _USUAL["free"]) if m in fitting]

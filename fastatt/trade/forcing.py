@@ -16,7 +16,7 @@ from fastatt.scene.torque_record import Beside
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
-_BODIES = 64  # bodies, evenly from the first to the last, beside those with extreme numbers
+_BODIES = 64  # bodies, evenly from the first to the last, and those with extreme numbers
 _SAMPLES = 2**19  # in all, 1024 to 16384 for each body
 _SUSPECTS = 4  # intervals of a body with the largest changes, which are bisected
 _HALVINGS = 24
@@ -25,7 +25,7 @@ _JUMP = 1e-3
 _STEPS = 4.0  # steps of a reference in the time of a change
 # share of the largest value: a range below it is rounding
 _CONSTANT = 1e-8
-#: the way out where what acts jumps at known times
+#: what is accepted where a rate, torque or force jumps in time
 BREAKPOINTS = (
     "fa.Scene(..., breakpoints=times) of all jumps and corners in time, where steps then end"
 )

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 _SAVES = 8  # saves at which the drift is measured
 DRAWN = ("quat", "dcm", "quat in float32")
-PLATEAU = "round-off"
+PLATEAU, REFERENCE = "round-off", "reference"
 # error of any attitude, in units of rounding
 _ROUNDED = 20.0
 # s; of repeated runs over this time, one is undisturbed
@@ -178,7 +178,8 @@ class Row:
     order : float or None
         Order from the row before.
     plateau : str
-        "round-off" if a smaller step does not reduce the error.
+        "round-off" if a smaller step does not reduce the error; "reference" if the error of the
+        reference hides whether it does.
     status : str
         Number of bodies with each flag.
     """
@@ -291,12 +292,16 @@ def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int
     return (not steep and after < summed) or after < _ROUNDED * eps
 
 
-def with_orders(rows: Sequence[Row], case: Case, order: int) -> list[Row]:
-    """Rows of falling steps with their observed orders; ``order`` is the declared one."""
+def with_orders(rows: Sequence[Row], case: Case, order: int, unresolved: float = 0.0) -> list[Row]:
+    """Rows of falling steps with their observed orders; ``order`` is the declared one.
+
+    ``unresolved`` is the error, rad, below which the reference cannot tell a method's error.
+    """
     points = [(r.n_steps, r.error_median) for r in rows]
     flat = [False] * len(points)
     for i in range(1, len(points)):
         flat[i] = flat[i - 1] or is_flat(case, order, points[i - 1], points[i])
+        flat[i] |= points[i][1] <= unresolved
     # a row with hardly a larger error than the next ones belongs to the plateau
     for i in range(len(points) - 1):
         level = max((e for _, e in points[i + 1 :]), default=0.0)
@@ -307,7 +312,8 @@ def with_orders(rows: Sequence[Row], case: Case, order: int) -> list[Row]:
         if i and row.error_median > 0.0 and not flat[i]:
             fall = math.log(points[i - 1][1] / row.error_median)
             observed = fall / math.log(row.n_steps / points[i - 1][0])
-        found.append(replace(row, order=observed, plateau=PLATEAU if flat[i] else ""))
+        limit = REFERENCE if row.error_median <= 4.0 * unresolved else PLATEAU
+        found.append(replace(row, order=observed, plateau=limit if flat[i] else ""))
     return found
 
 

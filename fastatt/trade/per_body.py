@@ -19,7 +19,7 @@ from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.ladder import LARGE, largest_angle, times_compared
 from fastatt.trade.measure import Case, Problem
 from fastatt.trade.reference import Reference, reference
-from fastatt.trade.work_precision import duration, name_of
+from fastatt.trade.work_precision import name_of, problem_over
 
 _CLASSES = 12  # classes of similar rates
 _TIMES, _EARLY = 64, 8  # times at which errors are measured: equally spaced, and early ones
@@ -164,7 +164,7 @@ def per_body_steps(
     if as_scene(scene).kind == "rate":
         raise ValueError("scene: found a rate; accepted: with inertia")
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
-    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0))
+    whole = problem_over(ensemble, t_end, t0)
     wanted = checks.real("tol", tol)
     if not wanted >= _FINEST:
         raise ValueError(f"tol: found {tol}; accepted: at least {_FINEST}, less is rounding")

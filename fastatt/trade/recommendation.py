@@ -46,8 +46,9 @@ class Recommendation:
         The second-best case.
     margin : float or None
         Ratio of the times of the runner-up and of the recommendation.
-    limited_by : {"truncation", "round-off"}
-        "truncation" if a smaller step size would be more accurate.
+    limited_by : {"truncation", "round-off", "reference"}
+        "truncation" if a smaller step size would be more accurate, and "reference" if the error of
+        the reference hides whether it would.
     tol, budget : float or None
         The arguments.
     n_bodies : int

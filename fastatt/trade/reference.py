@@ -55,6 +55,8 @@ class Reference:
     jump: str = ""
     doubt: str = ""
     motion: Callable[[Problem, NDArray[np.float64]], NDArray[Any]] | None = None
+    #: whether its own error is rounding
+    is_rounding: bool = True
     #: the attitudes of the last call of ``at``, since successive cases use the same times
     _saved: dict[bytes, NDArray[Any]] = field(default_factory=dict, init=False)
 
@@ -83,6 +85,11 @@ class Reference:
             return reference(other)
         own = np.full(other.ensemble.size, self.own_error.max())
         return replace(self, problem=other, own_error=own)
+
+    @property
+    def unresolved(self) -> NDArray[np.float64]:
+        """Errors, (N,) rad, below which it cannot tell a method's error; 0 if only rounding is."""
+        return np.where(self.is_rounding, 0.0, self.own_error)
 
     def refuse_jumps(self) -> None:
         """Raise ``ValueError`` if a rate, torque or force jumps, since errors are unknown then."""
@@ -222,7 +229,10 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
         if settled or 2.0 * ladder.n_steps > longest or (acting.jump and goal > 0.0):
             break
     name = f"{method} at {problem.t_end / ladder.n_steps:.4g} s"
-    return Reference(problem, case, ladder.n_steps, name, own + _EPS, acting.jump, doubt)
+    is_rounding = ladder.worst() <= ladder.floor or _is_magnified_rounding(ladder)
+    return Reference(
+        problem, case, ladder.n_steps, name, own + _EPS, acting.jump, doubt, is_rounding=is_rounding
+    )
 
 
 def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.float64], bool, str]:
@@ -240,9 +250,7 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
     if len(slopes) == 2 and min(slopes) >= _FITS * order:
         return changes[-1], worst <= goal, ""
     own = _DOUBTED * np.max(changes[-3:], axis=0)
-    # rounding that the motion amplifies
-    rounded = len(changes) > 3 and 0.5 * ladder.worst(4) <= worst < _SETTLED
-    enough = len(changes) > 2 and (rounded or float(own.max()) <= goal)
+    enough = len(changes) > 2 and (_is_magnified_rounding(ladder) or float(own.max()) <= goal)
     doubt = (
         f"halving its step size divides its error by {2.0 ** slopes[0]:.3g}, where order {order} "
         f"predicts {2**order}, so that its error is uncertain: a torque or rate has corners, the "
@@ -250,6 +258,11 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
         "are a larger tol, a shorter t_end, or"
     )
     return own, enough, doubt
+
+
+def _is_magnified_rounding(ladder: Ladder) -> bool:
+    """Whether changes do not fall, as those by rounding that the motion magnifies."""
+    return len(ladder.changes) > 3 and 0.5 * ladder.worst(4) <= ladder.worst() < _SETTLED
 
 
 def confirm(problem: Problem, known: Reference) -> Confirmation:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import NamedTuple
 
-from fastatt.trade.measure import Case, best_time
+from fastatt.trade.measure import PLATEAU, REFERENCE, Case, best_time
 from fastatt.trade.recommendation import Point, Recommendation, in_words
 from fastatt.trade.sample import Candidate, Sample
 
@@ -215,7 +215,7 @@ class Search(Sample):
         rest += [(one.seconds, one) for one in met[len(close) :]]
         up = next((Point(o.candidate.case, o.n, o.error, s) for s, o in rest if s >= seconds), None)
         found, n = best.candidate, best.n
-        limit = "truncation" if self._gains(found, n) else "round-off"
+        limit = "truncation" if self._gains(found, n) else self._floor(found, n)
         return Recommendation(
             method=found.case.name, representation=found.case.stored_as, dtype=found.case.dtype,
             dt=self.whole.t_end / n, n_steps=n, t0=self.whole.t0,
@@ -236,6 +236,15 @@ class Search(Sample):
         if n == 1 and not (scene.is_constant and record.exact_for_constant):
             return True
         return bool(self.error(one, 2 * n) <= one.errors[n] * 0.5 ** (0.5 * one.order))
+
+    def _floor(self, one: Candidate, n: int) -> str:
+        """What limits the error where half the step size is not more accurate."""
+        if one.errors[n] <= 2.0 * float(self.known.unresolved.max()):
+            return REFERENCE
+        # a truncation error that falls irregularly is larger than both
+        is_rounding = not one.order or one.is_flat(n, 2 * n)
+        is_rounding |= one.errors[n] <= 2.0 * float(self.known.own_error.max())
+        return PLATEAU if is_rounding else "truncation"
 
     def _clock(self, one: Candidate, n: int) -> float:
         """Seconds of the whole call: measured if short, else extrapolated from fewer steps."""

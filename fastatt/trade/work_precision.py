@@ -49,6 +49,9 @@ _COARSEST = 2.0
 _RUNGS = 14
 # s; steps of shorter runs would underflow
 _SHORTEST = 1e-290
+# rad, after which rounding alone is some 1e-4 rad
+_FARTHEST = 1e12
+_EVALUATED = 1024  # bodies whose prescribed rate is evaluated for that
 
 
 @dataclass(frozen=True)
@@ -235,7 +238,7 @@ def work_precision(
     """
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     cases = cases_of(scene, methods, representations, dtypes)
-    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
+    whole = problem_over(ensemble, t_end, t0, n_threads)
     size = checks.whole("sample", sample, 1)
     rows = spread(whole, size, np.random.default_rng(rng))
     problem = whole.take(rows)
@@ -311,6 +314,23 @@ def name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
     return record.name if known.get(record.name) is record else record
 
 
+def problem_over(
+    ensemble: Ensemble, t_end: float, t0: float, n_threads: int | None = None
+) -> Problem:
+    """A problem over a duration, s, in which rounding leaves an attitude."""
+    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
+    known = ensemble.w0 is not None
+    few = whole if known else whole.take(np.arange(min(ensemble.size, _EVALUATED)))
+    angle = largest_rotation(few)
+    if angle > _FARTHEST:
+        most = whole.t_end * (_FARTHEST / angle)
+        raise ValueError(
+            f"t_end: found {t_end:g}; accepted: at most {most:.1e} s, in which the fastest body "
+            f"rotates by {_FARTHEST:g} rad; rounding grows with the rotation"
+        )
+    return whole
+
+
 def duration(t_end: float) -> float:
     """A finite duration above 0, s."""
     found = checks.above_zero("t_end", t_end, "a duration above 0, s")
@@ -353,9 +373,10 @@ def case_rows(
     first = max(1, math.ceil(largest_rotation(problem) / angle))
     order = case.record.order_of(problem.ensemble.scene.kind)
     rows: list[Row] = []
-    used = 0.0
+    used, unresolved = 0.0, float(np.median(known.unresolved))
     for n in steps or [first * 2**k for k in range(_RUNGS)]:
-        rows = with_orders([*rows, measure(problem, end, case, n, repeats, name)], case, order)
+        rows = [*rows, measure(problem, end, case, n, repeats, name)]
+        rows = with_orders(rows, case, order, unresolved)
         used += (repeats + 2) * rows[-1].seconds_per_body * problem.ensemble.size
         # the next run takes as long as all before it
         if steps is None and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):

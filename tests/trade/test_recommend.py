@@ -410,6 +410,38 @@ def test_a_corner_is_refused_below_what_the_reference_reaches():
         fa.per_body_steps(scene, Q0[:4], 0.1 * W0[:4], t_end=10.0, tol=1e-12, method="rk8")
 
 
+def test_the_error_of_the_reference_is_not_called_round_off(monkeypatch):
+    """Across a corner errors fall by order 2 and irregularly, those of the reference too."""
+    # by a clock of its own
+    monkeypatch.setattr(sample.Sample, "_run_steps", lambda self, case, dt, n: 1e-4 + 5e-6 * n)
+    monkeypatch.setattr(search.Search, "_clock", lambda self, look, n: look.seconds(n))
+    scene = fa.Scene(inertia=(4.0, 3.0, 2.5), torque=corner, params=(3.1,))
+    bodies, options = (scene, Q0[:20], 0.1 * W0[:20]), {"t_end": 10.0, "methods": ["rk8"], **DOUBLE}
+    fine = fa.recommend(*bodies, budget=0.6, **options)
+    assert fine.expected_error <= 2.0 * fine.reference_error
+    assert fine.limited_by == "reference"
+    coarse = fa.recommend(*bodies, tol=1e-3, **options)
+    assert coarse.reference_error < 0.1 * coarse.expected_error
+    assert coarse.limited_by == "truncation"
+
+
+@pytest.mark.parametrize("t_end", [1e15, 1e300])
+@pytest.mark.parametrize("scene", [FREE, CONING, fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 1.0)))])
+def test_a_duration_after_which_no_attitude_is_known_is_refused(scene, t_end):
+    w0 = W0 if scene is FREE else None
+    message = r"^t_end: found 1e\+.*; accepted: at most \d.* s, in which .* by 1e\+12 rad"
+    calls = [
+        (fa.recommend, {"tol": 1e-6}),
+        (fa.recommend, {"budget": 1.0}),
+        (fa.work_precision, {}),
+    ]
+    if w0 is not None:
+        calls.append((fa.per_body_steps, {"tol": 1e-6}))
+    for function, options in calls:
+        with pytest.raises(ValueError, match=message):
+            function(scene, Q0, w0, t_end=t_end, **options)
+
+
 def shot(t, q, w, p):
     return math.exp(-(((t - 5.01) / 0.004) ** 2)), 0.0, 0.0
 

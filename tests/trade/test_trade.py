@@ -176,6 +176,17 @@ def test_orders_stop_at_round_off():
     assert frontier(rows[4:]) == []
 
 
+def test_a_plateau_of_the_reference_is_named():
+    """It is good to 1e-11 rad: at smaller differences it says nothing of the method."""
+    errors = 1.6e-3, 1e-4, 6e-6, 3e-11, 1e-12
+    rows = [
+        row_of("", Case("rk4"), 1.0, 10 * 4**i, 1.0, np.array([e])) for i, e in enumerate(errors)
+    ]
+    rows = with_orders(rows, Case("rk4"), 4, 1e-11)
+    assert [r.plateau for r in rows] == ["", "", "", "", "reference"]
+    assert rows[-1].order is None
+
+
 def test_a_low_order_is_no_plateau():
     """Of a broken method the error falls too slowly, far above what rounding makes."""
     rows = ladder(Case("rk4"), 1e-3, 5e-4, 2.5e-4)
