@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 from fastatt._jit import kernel
-from fastatt.kernels import quat
+from fastatt.kernels import quat, vec3
 from fastatt.kernels.elliptic import cubic, first_kind_pair, theta_pair, theta_pair_at, weighted
 from fastatt.kernels.trig import sincos
 
@@ -67,30 +67,32 @@ TINY = 2.0**-1022
 
 
 @kernel
-def least_scaled(tiny):
-    """``TINY``, or the smallest normal number of float32, where it would be 0."""
-    F = type(tiny)
-    return tiny if tiny > F(0.0) else F(2.0**-126)
+def precision(x):
+    """2^52 and the smallest normal number of float64; 2^23 and that of float32."""
+    F = type(x)
+    single = F(TINY) == F(0.0)
+    return F(2.0**23 if single else 2.0**52), F(2.0**-126 if single else TINY)
 
 
 @kernel
 def scale(x):
     """A power of two s with 3/8 ≤ s x < 1, and 1/s, for normal x ≤ 1e290; 1 for smaller x."""
     F = type(x)
-    tiny = F(TINY)
-    shift = F(2.0**52) if tiny > F(0.0) else F(2.0**23)
+    shift, least = precision(x)
     # x is the last bit of the sum: rounded to one bit. Fusing changes nothing here
-    bit = (x * shift + x) - x * shift
-    bit = F(0.5) if x < least_scaled(tiny) else bit
+    bit = F(0.5) if x < least else (x * shift + x) - x * shift
     return F(0.5) / bit, F(2.0) * bit
 
 
 @kernel
-def largest(v):
-    """The largest of |v1|, |v2|, |v3|."""
-    m = abs(v[0])
-    m = abs(v[1]) if abs(v[1]) > m else m
-    return abs(v[2]) if abs(v[2]) > m else m
+def scaled(v):
+    """(s v, 1/s), where a power of two s brings the largest magnitude to 3/8 to 1."""
+    x = vec3.largest(v)
+    # a subnormal number has no s that is finite: two factors
+    shift, least = precision(x)
+    up = shift if x < least else type(x)(1.0)
+    s, unit = scale(up * x)
+    return (s * (up * v[0]), s * (up * v[1]), s * (up * v[2])), unit / up
 
 
 # axes
@@ -298,15 +300,12 @@ def setup(q, m, inertia):
 
     Notes
     -----
-    Moments and momentum are normal numbers up to 1e290 (float64). A body with a smaller momentum is
-    at rest, and remains so.
+    Moments and momentum are at most 1e290 (float64).
     """
     F = type(m[0])
-    sm, unit = scale(largest(m))
-    si, _ = scale(largest(inertia))
-    m = (sm * m[0], sm * m[1], sm * m[2])
-    inertia = (si * inertia[0], si * inertia[1], si * inertia[2])
-    return begin(q, m, (F(0.0), F(0.0), F(0.0)), inertia, unit, si * unit)
+    m, unit = scaled(m)
+    inertia, of_inertia = scaled(inertia)
+    return begin(q, m, (F(0.0), F(0.0), F(0.0)), inertia, unit, unit / of_inertia)
 
 
 @kernel
@@ -332,12 +331,11 @@ def setup_rate(q, w, inertia):
     The products I w keep their low parts: within 1e-12 of the separatrix, the rounding of m alone
     would move the next flip by 1e-4 of its time.
     """
-    sw, rate = scale(largest(w))
-    si, unit = scale(largest(inertia))
-    inertia = (si * inertia[0], si * inertia[1], si * inertia[2])
-    x = split_product(sw * w[0], inertia[0])
-    y = split_product(sw * w[1], inertia[1])
-    z = split_product(sw * w[2], inertia[2])
+    w, rate = scaled(w)
+    inertia, unit = scaled(inertia)
+    x = split_product(w[0], inertia[0])
+    y = split_product(w[1], inertia[1])
+    z = split_product(w[2], inertia[2])
     high = (x[0], y[0], z[0])
     low = (x[1], y[1], z[1])
     return begin(q, high, low, inertia, rate * unit, rate)

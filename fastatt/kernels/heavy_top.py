@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from fastatt._jit import kernel
-from fastatt.kernels import quat
+from fastatt.kernels import quat, vec3
 from fastatt.kernels.elliptic import (
     cubic,
     first_kind_pair,
@@ -26,7 +26,7 @@ from fastatt.kernels.elliptic import (
     theta_terms,
     weighted,
 )
-from fastatt.kernels.free_body import largest, scale
+from fastatt.kernels.free_body import scale, scaled
 from fastatt.kernels.trig import atan2, sincos
 
 __all__ = ["evaluate", "setup"]
@@ -77,10 +77,7 @@ def slope(p, x):
 def upright(v):
     """A quaternion that rotates the third axis to a vector v; the identity for v = 0."""
     F = type(v[0])
-    s, unit = scale(largest(v))
-    x = s * v[0]
-    y = s * v[1]
-    z = s * v[2]
+    (x, y, z), unit = scaled(v)
     size = math.sqrt(x * x + y * y + z * z)
     none = size == F(0.0)
     far = size + abs(z)
@@ -336,7 +333,7 @@ def setup(q, w, moments, pull):
     a = w[2] * (moments[2] / A)
     root = math.sqrt(F(2.0) * (size / A))
     # the unit of time makes all rates at most 1
-    f = largest((w[0], w[1], a))
+    f = vec3.largest((w[0], w[1], a))
     f, unit = scale(root if root > f else f)
     W0 = seen((f * w[0], f * w[1]))
     a = f * a

@@ -180,3 +180,22 @@ def rotate_axes_third(v, c, s):
         The components.
     """
     return c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]
+
+
+@kernel
+def largest(v):
+    """The largest of |v1|, |v2|, |v3|.
+
+    Parameters
+    ----------
+    v : tuple of 3 float
+        Vector.
+
+    Returns
+    -------
+    float
+        The largest magnitude of a component.
+    """
+    m = abs(v[0])
+    m = abs(v[1]) if abs(v[1]) > m else m
+    return abs(v[2]) if abs(v[2]) > m else m

@@ -120,9 +120,9 @@ ARGUMENTS = {
     "free_body.split_product": (0.3, -0.7),
     "free_body.split_difference": (0.3, 0.7),
     "free_body.split_multiply": ((0.3, 1e-17), (-0.7, 1e-17)),
-    "free_body.least_scaled": (1e-290,),
+    "free_body.precision": (1e-290,),
     "free_body.scale": (0.7,),
-    "free_body.largest": (V,),
+    "free_body.scaled": (V,),
     "free_body.exchange": (P, Q, 1.0),
     "free_body.order": (W, (0.0, 0.0, 0.0), (0.8, 0.5, 1.0)),
     "free_body.handed": ((0.5, -0.3, 0.0, 1.0), (0.8, 0.2, 0.0, 0.0), (1.0, 0.6, 0.0, 2.0)),
@@ -266,6 +266,7 @@ ARGUMENTS = {
     "vec3.neg": (U,),
     "vec3.rotate_axes_first": (U, 0.8, 0.6),
     "vec3.rotate_axes_third": (U, 0.8, 0.6),
+    "vec3.largest": (V,),
 }
 
 

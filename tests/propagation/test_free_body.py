@@ -225,6 +225,20 @@ def test_slow_rates_are_not_taken_for_rest(dtype, size):
     assert np.array_equal(size * runs[0].w.astype(float), runs[1].w)
 
 
+@pytest.mark.parametrize(("dtype", "least", "longest"), [("f8", -1070, 1020), ("f4", -145, 126)])
+@pytest.mark.parametrize("inertia", [(0.8, 0.5, 0.6), (0.8, 0.5, 0.5)])
+def test_subnormal_rates(dtype, least, longest, inertia):
+    scene, w = fa.Scene(inertia=inertia), np.array((0.75, -0.25, 0.5))
+    given = {"n_steps": 1, "method": "exact"}
+    for exponent in range(-longest - 5, least, -3):
+        slow = (2.0**exponent * w).astype(dtype)
+        run = fa.propagate(scene, ONE, slow, dt=2.0**longest, dtype=dtype, **given)
+        rate, time = np.ldexp(slow.astype(float), -exponent), 2.0 ** (longest + exponent)
+        truth = fa.propagate(scene, ONE, rate, dt=time, **given)
+        assert run.status[0] == 0
+        assert fa.angle_between(run.q[-1].astype(float), truth.q[-1]) < 4 * np.finfo(dtype).eps
+
+
 def test_long_times():
     assert (errors((0.5, -0.3, 0.9), (0.8, 0.5, 0.6), (150.0,)) <= BOUND).all()
 
