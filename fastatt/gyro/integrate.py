@@ -174,13 +174,10 @@ def warn_of_turns(
     # |w| is at most √3 of its components
     if seen * math.sqrt(3.0) <= limit:
         return
-    n = data.shape[1]
-    longer: Any = 1.0
-    if not increments:
-        around = np.concatenate([[0.0], np.broadcast_to(spans, n - 1), [0.0]])
-        longer = np.maximum(around[1:], around[:-1])
     with np.errstate(over="ignore", invalid="ignore"):
-        angle = np.sqrt((data * data) @ np.ones(3, dtype=data.dtype)) * longer
+        angle = np.sqrt((data * data) @ np.ones(3, dtype=data.dtype))
+        if not increments:  # of an interval, with the faster rate at its ends
+            angle = np.maximum(angle[:, :-1], angle[:, 1:]) * spans
     log, k = np.unravel_index(int(np.nanargmax(angle)), angle.shape)
     most = float(angle[log, k])
     if most > limit:
