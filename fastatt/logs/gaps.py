@@ -91,7 +91,7 @@ def in_order(
         raise table.error(
             f"{clock[:60]}: {shared.sum()} rows share the stamp of the row before, the first in "
             f"{table.place(int(np.argmax(shared)))}: packets, or stamps too coarse for the rate; "
-            "accepted: time stamps that grow, a rate in Hz, or on_bad_rows, which spreads them"
+            "accepted: increasing time stamps, rate=, or another on_bad_rows, which spreads them"
         )
     if shared.any():
         s = _spread(s, np.flatnonzero(~shared))
@@ -235,15 +235,15 @@ def _refuse_first(
     where, step = f"{clock} in {table.place(k)}", float(s[k] - s[max(k - 1, 0)])
     if k in gaps and k not in dropped:
         raise table.error(
-            f"{where}: a gap of {step:.6g} s; accepted: at most {longest:.6g} s, max_gap, or "
-            "on_bad_rows, to say what becomes of gaps"
+            f"{where}: a gap of {step:.6g} s; accepted: at most {longest:.6g} s, or more with "
+            'max_gap=; on_bad_rows="drop", "split" or "hold" accepts any gap'
         )
     what = "an outlier" if step > 0.0 or k == 0 else "decreasing" if step else "repeated"
     if k in resets:
         what = "decreasing, and the clock goes on from there"
     raise table.error(
-        f"{where} is {what} ({s[k] - s[0]:.9g} s after the first); accepted: time stamps that "
-        "grow, a rate in Hz, or on_bad_rows, to say what becomes of such rows"
+        f"{where} is {what} ({s[k] - s[0]:.9g} s after the first); accepted: increasing time "
+        'stamps, rate= in their place, or on_bad_rows="drop", "split" or "hold"'
     )
 
 
