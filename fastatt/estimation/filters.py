@@ -297,7 +297,7 @@ class Estimates:
 
     @property
     def covariance(self) -> Floats:
-        """Covariances of the errors: (D, D) or (N, D, D)."""
+        """Covariances of the errors, which can be changed in place: (D, D) or (N, D, D)."""
         return self._each(self._P)
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> Any:
