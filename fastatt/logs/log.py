@@ -143,9 +143,10 @@ def read_gyro_log(
         Treatment of bad rows, which have no rate, no time stamp or a stamp that does not increase,
         and of gaps. "refuse" raises an error. "drop" leaves bad rows out, so that the next interval
         is longer, and keeps a gap as one long interval. "split" leaves bad rows out too, and starts
-        a new piece (``log.pieces``) where samples are missing. "hold" gives a bad row the rates of
-        the row before, and inserts a sample with these rates before the end of a gap. Rows that
-        share time stamps are spread evenly in time, unless "refuse" is given.
+        a new piece (``log.pieces``) where samples are missing. "hold" gives a row without a rate
+        those of the row before, leaves out rows with a bad time stamp, and inserts a sample with
+        the last rates before the end of a gap. Except with "refuse", many rows that share time
+        stamps are spread evenly in time.
     max_gap : float, optional
         Longest interval that is not a gap, s; the default is 10 times the median interval, or
         10/``rate``.
