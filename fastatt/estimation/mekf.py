@@ -101,8 +101,8 @@ class MEKF(Estimates):
         Raises
         ------
         ValueError
-            If a shape does not fit, an interval is not above 0, and for bad samples as ``invalid``
-            says.
+            If a shape does not fit, the interval is not above 0, or a sample is not finite and
+            ``invalid`` is "raise".
         """
         rates, h = self._vectors("gyro", gyro), interval(dt)
         good = np.isfinite(rates).all(axis=-1, keepdims=True) if self._skips else True
