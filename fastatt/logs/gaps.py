@@ -7,6 +7,7 @@ packets, or too coarse for the rate: such rows are samples, and their times are 
 
 from __future__ import annotations
 
+import re
 from itertools import repeat
 from typing import NamedTuple
 
@@ -142,7 +143,8 @@ def in_order(
 def _said(table: Table, what: str, events: list[Event]) -> str:
     """The number of events of a kind, and where the first ones are."""
     some = [f"{table.place(e.row)} at {e.t:.6g} s" for e in events[:_SHOWN]]
-    return f"{len(events)} {what}: {', '.join([*some, '...'][: len(events)])}"
+    kind = what if len(events) > 1 else re.sub(r"s\b", "", what)
+    return f"{len(events)} {kind}: {', '.join([*some, '...'][: len(events)])}"
 
 
 def _shared(s: Floats, rates: Floats) -> Flags:
