@@ -85,10 +85,11 @@ def integrate_rates(
 
     Notes
     -----
-    Where an interval is longer than three times the median of the eight before it, samples are
-    missing, and a polynomial through the samples on both sides would magnify their noise. The
-    windows of the method then begin anew after that interval, and it is integrated on its own: from
-    the two rates at its ends, or from its increment. The error across it is that of "trapezoid".
+    An interval longer than three times the median of the eight before it is treated as a gap, since
+    a polynomial through the samples on both sides would magnify their noise. The windows of the
+    method begin anew after it. The interval itself is integrated as if the rate varied linearly
+    between its ends, or from its increment; the error across it is mainly that of linear
+    interpolation.
 
     Examples
     --------
