@@ -38,7 +38,7 @@ def rates(frequencies: tuple[float, ...], t: np.ndarray) -> np.ndarray:
 
 def samples() -> Iterator[str]:
     """Largest error over logs of 10 s, rad, of clean samples and of noisy ones."""
-    yield f"| motion, samples | {' | '.join(SAMPLED)} |"
+    yield f"| motion, intervals | {' | '.join(SAMPLED)} |"
     yield "| --- " * (len(SAMPLED) + 1) + "|"
     fine = 20
     for name, frequencies in motions().items():

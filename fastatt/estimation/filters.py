@@ -218,17 +218,18 @@ class Estimates:
         sigma : float
             Standard deviation of each component, in the unit of the vectors, above 0.
         gate : float, optional
-            Measurements whose normalised innovation squared is larger are not used.
+            Largest normalised innovation squared of a measurement that is used.
 
         Returns
         -------
         float or ndarray of shape (N,)
-            Normalised innovation squared (NIS); NaN if a measurement was left out.
+            Normalised innovation squared (NIS); NaN if a measurement was ignored since it was not
+            finite.
 
         Raises
         ------
         ValueError
-            If a shape does not fit, and for bad measurements as ``invalid`` says.
+            If a shape does not fit, or a measurement is not finite and ``invalid`` is "raise".
         """
         call = self._call("vector")
         seen, known = self._vectors("measured", measured), self._vectors("reference", reference)
@@ -240,7 +241,7 @@ class Estimates:
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
     ) -> Any:
-        """Update with a measured attitude, such as a star tracker's.
+        """Update with a measured attitude, such as that of a star tracker.
 
         Parameters
         ----------
@@ -250,17 +251,18 @@ class Estimates:
             Standard deviation about each body axis, rad, a number or (3,), or a covariance (3, 3),
             rad².
         gate : float, optional
-            Measurements whose normalised innovation squared is larger are not used.
+            Largest normalised innovation squared of a measurement that is used.
 
         Returns
         -------
         float or ndarray of shape (N,)
-            Normalised innovation squared (NIS); NaN if a measurement was left out.
+            Normalised innovation squared (NIS); NaN if a measurement was ignored since it was not
+            finite.
 
         Raises
         ------
         ValueError
-            If a shape does not fit, and for bad measurements as ``invalid`` says.
+            If a shape does not fit, or a measurement is not finite and ``invalid`` is "raise".
         """
         shapes = f"(4,) or ({len(self._q)}, 4)"
         rows = checks.attitudes("measured", measured, shapes, flag=self._skips)
@@ -297,7 +299,7 @@ class Estimates:
 
     @property
     def covariance(self) -> Floats:
-        """Covariances of the errors: (D, D) or (N, D, D)."""
+        """Covariances of the errors, which can be changed in place: (D, D) or (N, D, D)."""
         return self._each(self._P)
 
     def nees(self, q: ArrayLike, y: ArrayLike) -> Any:

@@ -55,16 +55,16 @@ class Preintegration:
     position : ndarray of shape (3,)
         Δp along the body axes at i, m.
     rotation_gyro : ndarray of shape (3, 3)
-        Derivative of ΔR, along the body axes at j, by the gyro bias.
+        Jacobian of the rotation error (along the body axes at j) with respect to the gyro bias.
     velocity_gyro, velocity_accel : ndarray of shape (3, 3)
-        Derivatives of Δv by the two biases.
+        Jacobians of Δv with respect to the gyro bias and to the accelerometer bias.
     position_gyro, position_accel : ndarray of shape (3, 3)
-        Derivatives of Δp by the two biases.
+        Jacobians of Δp with respect to the same biases.
     covariance : ndarray of shape (9, 9)
-        Covariance of the errors (δφ, δv, δp), in this order: of ΔR, rad, along the body axes at j,
-        with ΔR_true = ΔR∘exp(δφ); of Δv, m/s, and of Δp, m, along the body axes at i.
+        Covariance of the errors (δφ, δv, δp), in this order: δφ of ΔR, rad, along the body axes at
+        j, with ΔR_true = ΔR∘exp(δφ); δv of Δv, m/s, and δp of Δp, m, along the body axes at i.
     rows : ndarray of shape (101,)
-        All numbers.
+        The numbers from which the other attributes are made, without the redundant ones.
     """
 
     duration: NDArray[np.float64]
@@ -201,10 +201,10 @@ def preintegrate(
     accel_bias: ArrayLike = _TRIPLE,
     n_threads: int | None = None,
 ) -> Preintegration:
-    """Preintegrate a log of a gyro and an accelerometer.
+    """Preintegrate the samples of a gyro and an accelerometer between two times.
 
-    The result has the rotation, velocity and position increments, their derivatives by the biases,
-    and their covariance.
+    The result has the rotation, velocity and position increments, their covariance, and their
+    Jacobians with respect to the biases.
 
     Parameters
     ----------
@@ -215,9 +215,10 @@ def preintegrate(
     dt : float or array_like of shape (n,)
         The interval, or the n intervals, s.
     gyro_noise : float, default 0.0
-        Noise density σ_g, rad/√s; s √h for samples with the standard deviation s at intervals h.
+        Noise density σ_g, rad/√s. For samples with a standard deviation of s rad/s at intervals of
+        h seconds it is s √h.
     accel_noise : float, default 0.0
-        Noise density σ_a, m/s^1.5.
+        Noise density σ_a, m/s^1.5, in the same way.
     gyro_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Bias that is subtracted from ``gyro``, rad/s.
     accel_bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
@@ -318,7 +319,7 @@ class Preintegrator:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again, at the end of the last sample."""
+        """Start the next increments at the end of the last sample."""
         self._row = _start(1)
 
     def add(self, gyro: ArrayLike, accel: ArrayLike, dt: float) -> None:

@@ -29,22 +29,24 @@ class MEKF(Estimates):
     bias : array_like of shape (3,) or (N, 3), default (0, 0, 0)
         Gyro biases, rad/s.
     angle_noise : float
-        σ_v, rad/√s; a noise density of the rate, rad/s/√Hz, is the same number.
+        Angle random walk σ_v, rad/√s, which is the noise density of the rate in rad/s/√Hz. For
+        samples with a standard deviation of s rad/s at intervals of h seconds it is s √h.
     bias_noise : float
-        σ_u, rad/s^1.5.
+        Rate random walk σ_u of the bias, rad/s^1.5.
     invalid : {"raise", "skip"}, default "raise"
-        "raise" refuses samples and measurements that are not finite. "skip" leaves out such a
-        measurement for its filter, and replaces a gyro sample by the last good one (no rotation
-        before the first).
+        Treatment of gyro samples and measurements that are not finite. "raise" raises an error.
+        "skip" ignores such a measurement, and replaces such a gyro sample by the last finite one;
+        before the first one the body does not rotate.
 
     Notes
     -----
-    A ``predict`` of one filter takes some µs from Python, of many filters 0.06 µs each.
+    A call of ``predict`` takes some µs for one filter, and 0.06 µs for each of many filters.
 
     Updates return the normalised innovation squared (NIS), a number or (N,). For a consistent
-    filter it is χ² with three degrees of freedom; for a direction, whose length has no information,
-    with about two. A measurement whose NIS is above ``gate`` is not used: of good measurements 1 in
-    1000 is above 16.27, of directions above 13.82 (``scipy.stats.chi2.ppf(0.999, 3)`` or 2).
+    filter it has a χ² distribution with three degrees of freedom, or with about two for a
+    direction, whose length has no information. The filter does not use a measurement whose NIS is
+    above ``gate``. Of good measurements, 1 in 1000 has an NIS above 16.27, and of good directions
+    above 13.82 (``scipy.stats.chi2.ppf(0.999, 3)``, and with 2).
 
     References
     ----------
@@ -91,15 +93,16 @@ class MEKF(Estimates):
         Parameters
         ----------
         gyro : array_like of shape (3,) or (N, 3)
-            Gyro sample along body axes, rad/s; an increment over ``dt`` divided by ``dt``.
+            Mean rate over the interval along body axes, rad/s. From an angle increment, pass the
+            increment divided by ``dt``; from rates at instants, the mean of those at the ends.
         dt : float
             Interval, s, above 0.
 
         Raises
         ------
         ValueError
-            If a shape does not fit, an interval is not above 0, and for bad samples as ``invalid``
-            says.
+            If a shape does not fit, the interval is not above 0, or a sample is not finite and
+            ``invalid`` is "raise".
         """
         rates, h = self._vectors("gyro", gyro), interval(dt)
         good = np.isfinite(rates).all(axis=-1, keepdims=True) if self._skips else True
@@ -121,6 +124,6 @@ class MEKF(Estimates):
         Returns
         -------
         float or ndarray of shape (N,)
-            χ² with 6 degrees of freedom, if the filter is consistent.
+            If the filter is consistent, it has a χ² distribution with 6 degrees of freedom.
         """
         return super().nees(q, bias)

@@ -39,12 +39,14 @@ class TimedMotion:
 
 
 def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
-    """The motion at a gyro's rate less the bias, which is the first three auxiliary numbers.
+    """Return the motion at the rate of a gyro sample minus the bias.
+
+    The bias is the first three numbers of the auxiliary state.
 
     Parameters
     ----------
     gyro : array_like of shape (3,) or (N, 3)
-        Gyro samples, rad/s, held for ``dt``: one, or those of N filters, whose points follow each
+        Gyro sample, rad/s, held for ``dt``, or one for each of N filters, whose points follow each
         other in equal numbers.
     dt : float
         Interval, s.
@@ -99,7 +101,7 @@ def scene_motion(
     t0: float = 0.0,
     n_threads: int | None = None,
 ) -> Motion:
-    """The motion of a scene over some steps.
+    """Return the motion of a scene over some steps.
 
     Parameters
     ----------

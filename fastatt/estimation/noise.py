@@ -38,12 +38,12 @@ _UNITS: dict[str, float] = {
 
 
 def from_data_sheet(value: ArrayLike, unit: str) -> Any:
-    """Convert a figure of a data sheet to rad, m and s.
+    """Convert a number from a data sheet to units of rad, m and s.
 
     Parameters
     ----------
     value : float or array_like
-        The figure.
+        The number.
     unit : str
         "deg/sqrt(h)", "deg/h", "deg/h/sqrt(h)", "mdeg/s/sqrt(Hz)", "m/s/sqrt(h)", "ug/sqrt(Hz)",
         "mg" or a similar unit; "°", "√h", "dps" and "µ" are accepted too.
@@ -51,7 +51,7 @@ def from_data_sheet(value: ArrayLike, unit: str) -> Any:
     Returns
     -------
     float or ndarray
-        The figure in the units that filters and simulations here take.
+        The number in the units of the filters and simulations of this module.
 
     Raises
     ------
@@ -75,19 +75,19 @@ def from_data_sheet(value: ArrayLike, unit: str) -> Any:
 
 
 def to_data_sheet(value: ArrayLike, unit: str) -> Any:
-    """Convert a figure in rad, m and s to the unit of a data sheet.
+    """Convert a number in units of rad, m and s to the unit of a data sheet.
 
     Parameters
     ----------
     value : float or array_like
-        The figure.
+        The number.
     unit : str
         A unit, as in :func:`from_data_sheet`.
 
     Returns
     -------
     float or ndarray
-        The figure in this unit.
+        The number in this unit.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _one_of(unit: str) -> float:
 
 
 class SimulatedGyro(NamedTuple):
-    """Samples of a simulated gyro, and its bias.
+    """Samples of a simulated gyro, and its true bias.
 
     Attributes
     ----------
@@ -146,13 +146,13 @@ def simulate_gyro(
     runs: int | None = None,
     rng: Any = None,
 ) -> SimulatedGyro:
-    """Simulate a gyro's samples of a true motion, with angle random walk and rate random walk.
+    """Simulate the samples of a gyro with angle random walk, rate random walk and a bias.
 
     Parameters
     ----------
     rates : array_like of shape (n, 3) or (N, n, 3)
-        Means of the true angular velocity over n intervals, rad/s; with ``increments`` its
-        integrals, rad.
+        Means of the true angular velocity over n intervals, rad/s; with ``increments=True`` its
+        integrals over them, rad.
     dt : float
         Interval h, s, above 0.
     angle_noise : float, default 0.0
@@ -164,14 +164,14 @@ def simulate_gyro(
     increments : bool, default False
         Whether ``rates`` and the samples are increments, rad, in place of mean rates.
     runs : int, optional
-        N simulations of one motion (n, 3), each with its own noise.
+        Number N of simulations of one motion (n, 3), each with its own noise.
     rng : numpy.random.Generator or int, optional
         Random generator, or a seed for one.
 
     Returns
     -------
     SimulatedGyro
-        The samples, and the bias.
+        The samples, and the true bias.
 
     Raises
     ------

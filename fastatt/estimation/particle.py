@@ -31,9 +31,9 @@ from fastatt.estimation.motions import Motion, moved_rows
 class ParticleFilter:
     """Particle filter of attitudes with K auxiliary numbers each, for any distribution.
 
-    Particles move by the motion and its noise, are weighted by the likelihood of a measurement, and
-    are resampled systematically when their effective number is below ``threshold`` (sampling and
-    importance resampling).
+    The filter moves the particles by a motion and its noise, weights them by the likelihood of a
+    measurement, and resamples them systematically if their effective number is below ``threshold``
+    times their number (sampling and importance resampling).
 
     Parameters
     ----------

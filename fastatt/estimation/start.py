@@ -169,7 +169,7 @@ class StaticStart(NamedTuple):
     bias : ndarray of shape (3,)
         Gyro bias, rad/s, which includes the Earth's rotation.
     covariance : ndarray of shape (6, 6)
-        Covariance of (δθ, δb), rad and rad/s, as filters take it.
+        Covariance of (δθ, δb), rad and rad/s, in the form that the filters expect.
     gravity : float
         Mean specific force, m/s².
     """
@@ -202,9 +202,9 @@ def static_start(
     mag : array_like of shape (n, 3), optional
         Magnetic field along body axes, in any unit.
     sigma : float or array_like of shape (2,)
-        Standard deviations of the two mean directions apart from noise, rad: the accelerometer's
-        bias divided by gravity, 5e-3 for 5 mg, and the calibration of the magnetometer. The noise
-        is estimated from the samples and added.
+        Standard deviations of the systematic errors of the two mean directions, rad: for the
+        accelerometer its bias divided by gravity, such as 5e-3 for 5 mg, and for the magnetometer
+        that of its calibration. The function estimates the noise from the samples, and adds it.
     up : array_like of shape (3,), default (0, 0, 1)
         The direction up along inertial axes, of any length above zero.
     field : array_like of shape (3,), optional

@@ -47,13 +47,14 @@ class UKF(Estimates):
     kappa : float, default 1.0
         κ, above −D. With a negative κ the covariance may become indefinite.
     invalid : {"raise", "skip"}, default "raise"
-        "raise" refuses measurements that are not finite; "skip" leaves them out for their filters.
+        Treatment of measurements that are not finite: "raise" raises an error, and "skip" ignores
+        them.
 
     Raises
     ------
     ValueError, TypeError
-        If an argument does not fit. Calls raise ``ValueError`` if a covariance has become
-        indefinite; the estimates do not change then.
+        If an argument does not fit. A method raises ``ValueError`` if a covariance has become
+        indefinite; the estimates are then as before the call.
 
     Warns
     -----
@@ -70,14 +71,15 @@ class UKF(Estimates):
     weighted errors cancel, found by two Gauss-Newton steps. An update expresses the covariance
     along the axes of the corrected attitude.
 
-    Errors beyond π are ambiguous, so that no point lies farther than π/2 rad from the estimate.
-    With D = 6 and κ = 1, points lie closer from a deviation of 0.59 rad on, and their moments are
-    scaled (Julier 2002). The deviation of an unobservable heading may thus be of any size. Points
-    whose rates differ by δw during a motion of T s, by :func:`gyro_motion` or by a body's
-    :func:`scene_motion`, lie closer by ``|δw|`` T.
+    Errors beyond π are ambiguous, so that the filter places no point farther than π/2 rad from the
+    estimate. If a standard deviation would place them farther (with D = 6 and κ = 1, one above 0.59
+    rad), it moves the points closer and scales their moments (Julier 2002). The standard deviation
+    of an unobservable heading may thus be of any size. Points whose rates differ by δw during a
+    motion of T s, by :func:`gyro_motion` or by the :func:`scene_motion` of a body, lie closer by
+    ``|δw|`` T.
 
-    Updates return the normalised innovation squared, do not use measurements above ``gate``, and
-    return NaN for those that were left out; see :class:`MEKF`.
+    Updates return the normalised innovation squared, or NaN for measurements that were ignored, and
+    do not use measurements above ``gate``; see :class:`MEKF`.
 
     References
     ----------

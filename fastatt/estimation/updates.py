@@ -84,13 +84,14 @@ def mekf_update(q, b, P, z, H, R):
     Returns
     -------
     tuple
-        (q, b, P, NIS). NIS, the normalised innovation squared, is χ² with three degrees of freedom
-        if the filter is consistent and R has full rank. A gate is applied by the caller, who keeps
-        the previous estimate if NIS is too large.
+        (q, b, P, NIS). NIS, the normalised innovation squared, has a χ² distribution with three
+        degrees of freedom if the filter is consistent and R has full rank. The function applies no
+        gate: the caller keeps the previous estimate if NIS is too large.
 
     Notes
     -----
-    P stays along the axes of the q that was passed, which is right for corrections far below 1 rad.
+    The function does not rotate P to the axes of the corrected attitude, which is accurate for
+    corrections far below 1 rad.
     """
     o = type(q[0])(0.0)
     p, d, nis = _by_three(_rows_of(P), (o, o, o, o, o, o), z, H, R)
@@ -123,9 +124,9 @@ def mekf_update_vector(q, b, P, measured, reference, variance):
 
     Notes
     -----
-    The angle from the expected vector to the measured one is used. The difference of their lengths
-    is not, since its rounding would give a spurious angle if others are precise, but it counts in
-    NIS.
+    The correction depends on the angle between the expected and the measured vector, and not on the
+    difference of their lengths, whose rounding would give a spurious angle beside precise
+    measurements. The difference of the lengths counts in NIS.
     """
     q, b, p, nis, _ = by_vector(q, b, _rows_of(P), measured, reference, variance)
     return q, b, _blocks_of(p), nis
@@ -133,7 +134,7 @@ def mekf_update_vector(q, b, P, measured, reference, variance):
 
 @_formula
 def mekf_update_attitude(q, b, P, measured, R):
-    """Update an MEKF with a measured attitude, such as a star tracker's.
+    """Update an MEKF with a measured attitude, such as that of a star tracker.
 
     Parameters
     ----------

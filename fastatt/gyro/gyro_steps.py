@@ -45,7 +45,8 @@ def turned(q, u):
 
     Notes
     -----
-    A small angle takes the short exponential, with the same bits as the other one.
+    If the angle is small, the function evaluates a shorter series, with the same result bit for
+    bit.
     """
     F = type(q[0])
     if u[0] * u[0] + u[1] * u[1] + u[2] * u[2] < F(_SHORT):
@@ -365,7 +366,7 @@ class SampleStepper:
 
 
 def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
-    """The step of a method for gyro samples over one window.
+    """Return the step of a method for gyro samples over one window.
 
     Parameters
     ----------
@@ -386,9 +387,9 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
 
     Notes
     -----
-    The formulas are those of :func:`fastatt.integrate_rates`, which gives the same attitudes bit
-    for bit, as far as the compiler fuses the same operations, except at the ends of a log, where it
-    extrapolates.
+    The formulas are those of :func:`fastatt.integrate_rates`. The attitudes are the same, bit for
+    bit if the compiler fuses the same operations, except at the ends of a log, where
+    ``integrate_rates`` extrapolates.
 
     Examples
     --------

@@ -85,10 +85,11 @@ def integrate_rates(
 
     Notes
     -----
-    Where an interval is longer than three times the median of the eight before it, samples are
-    missing, and a polynomial through the samples on both sides would magnify their noise. The
-    windows of the method then begin anew after that interval, and it is integrated on its own: from
-    the two rates at its ends, or from its increment. The error across it is that of "trapezoid".
+    An interval longer than three times the median of the eight before it is treated as a gap, since
+    a polynomial through the samples on both sides would magnify their noise. The windows of the
+    method begin anew after it. The interval itself is integrated as if the rate varied linearly
+    between its ends, or from its increment; the error across it is mainly that of linear
+    interpolation.
 
     Examples
     --------
@@ -174,13 +175,10 @@ def warn_of_turns(
     # |w| is at most √3 of its components
     if seen * math.sqrt(3.0) <= limit:
         return
-    n = data.shape[1]
-    longer: Any = 1.0
-    if not increments:
-        around = np.concatenate([[0.0], np.broadcast_to(spans, n - 1), [0.0]])
-        longer = np.maximum(around[1:], around[:-1])
     with np.errstate(over="ignore", invalid="ignore"):
-        angle = np.sqrt((data * data) @ np.ones(3, dtype=data.dtype)) * longer
+        angle = np.sqrt((data * data) @ np.ones(3, dtype=data.dtype))
+        if not increments:  # of an interval, with the faster rate at its ends
+            angle = np.maximum(angle[:, :-1], angle[:, 1:]) * spans
     log, k = np.unravel_index(int(np.nanargmax(angle)), angle.shape)
     most = float(angle[log, k])
     if most > limit:

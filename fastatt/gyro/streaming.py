@@ -66,11 +66,11 @@ class GyroIntegrator:
 
     Notes
     -----
-    A method with windows returns the attitudes of a window when its last sample is known. With
-    "previous" every sample gives the attitude at its time. Only the second rate gives none, and the
-    third gives two attitudes, since the rate before the first is extrapolated from three rates (the
-    first of increments gives the initial attitude, and the second gives two more). The same holds
-    after a gap, where the windows begin anew.
+    With "coning2", "coning3" and "picard", ``push`` returns the attitudes of a window when the last
+    sample of the window arrives. With "previous" it returns an attitude for every sample, with one
+    exception: since the rate before the first one is extrapolated from three rates, the second rate
+    returns none, and the third returns two. (Of increments, the first returns the initial attitude,
+    and the second two more.) The same holds after a gap, where the windows begin anew.
     """
 
     def __init__(
@@ -106,10 +106,10 @@ class GyroIntegrator:
 
     @property
     def q(self) -> NDArray[Any]:
-        """Attitude (4,) or (N, 4) at the time of the last one returned; q0 before the first push.
+        """Last attitude that was returned, (4,) or (N, 4); q0 before the first push.
 
-        Assign an attitude of any norm above zero to correct it, for example by the update of a
-        filter. Later attitudes follow from the assigned one.
+        To correct it, for example with the update of a filter, assign an attitude of any norm above
+        zero. Later attitudes follow from the assigned one.
         """
         last = self._last if self._begun else self._start
         return np.array(last[0] if self._one else last)
@@ -125,15 +125,15 @@ class GyroIntegrator:
             self._q = beginning(self._start, len(self._start), self._last.dtype)
 
     def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> NDArray[Any]:
-        """Add samples and return the attitudes that are then final.
+        """Add samples, and return the attitudes that they complete.
 
         Parameters
         ----------
         rates : array_like of shape (3,) or (n, 3); (N, 3) or (N, n, 3) for N bodies
             Rates, rad/s, or increments, rad.
         dt : float or array_like of shape (n,), optional
-            For an integrator without ``dt``: the interval that ends at each sample, s, or one
-            number. The very first rate ends no interval: (n - 1,) in the first push.
+            Intervals that end at the samples, s, or one number for all; for an integrator without
+            ``dt``. No interval ends at the very first rate, so that the first push takes (n - 1,).
 
         Returns
         -------
@@ -143,8 +143,8 @@ class GyroIntegrator:
         Raises
         ------
         ValueError, TypeError
-            If an argument does not fit or is not finite, or after ``close``. The integrator does
-            not change then.
+            If an argument does not fit or is not finite, or after ``close``. The integrator is then
+            as before the call.
 
         Warns
         -----

@@ -7,6 +7,7 @@ packets, or too coarse for the rate: such rows are samples, and their times are 
 
 from __future__ import annotations
 
+import re
 from itertools import repeat
 from typing import NamedTuple
 
@@ -91,7 +92,7 @@ def in_order(
         raise table.error(
             f"{clock[:60]}: {shared.sum()} rows share the stamp of the row before, the first in "
             f"{table.place(int(np.argmax(shared)))}: packets, or stamps too coarse for the rate; "
-            "accepted: time stamps that grow, a rate in Hz, or on_bad_rows, which spreads them"
+            "accepted: increasing time stamps, rate=, or another on_bad_rows, which spreads them"
         )
     if shared.any():
         s = _spread(s, np.flatnonzero(~shared))
@@ -142,7 +143,8 @@ def in_order(
 def _said(table: Table, what: str, events: list[Event]) -> str:
     """The number of events of a kind, and where the first ones are."""
     some = [f"{table.place(e.row)} at {e.t:.6g} s" for e in events[:_SHOWN]]
-    return f"{len(events)} {what}: {', '.join([*some, '...'][: len(events)])}"
+    kind = what if len(events) > 1 else re.sub(r"s\b", "", what)
+    return f"{len(events)} {kind}: {', '.join([*some, '...'][: len(events)])}"
 
 
 def _shared(s: Floats, rates: Floats) -> Flags:
@@ -235,15 +237,15 @@ def _refuse_first(
     where, step = f"{clock} in {table.place(k)}", float(s[k] - s[max(k - 1, 0)])
     if k in gaps and k not in dropped:
         raise table.error(
-            f"{where}: a gap of {step:.6g} s; accepted: at most {longest:.6g} s, max_gap, or "
-            "on_bad_rows, to say what becomes of gaps"
+            f"{where}: a gap of {step:.6g} s; accepted: at most {longest:.6g} s, or more with "
+            'max_gap=; on_bad_rows="drop", "split" or "hold" accepts any gap'
         )
     what = "an outlier" if step > 0.0 or k == 0 else "decreasing" if step else "repeated"
     if k in resets:
         what = "decreasing, and the clock goes on from there"
     raise table.error(
-        f"{where} is {what} ({s[k] - s[0]:.9g} s after the first); accepted: time stamps that "
-        "grow, a rate in Hz, or on_bad_rows, to say what becomes of such rows"
+        f"{where} is {what} ({s[k] - s[0]:.9g} s after the first); accepted: increasing time "
+        'stamps, rate= in their place, or on_bad_rows="drop", "split" or "hold"'
     )
 
 

@@ -40,7 +40,7 @@ class GyroLog:
     path : Path
         The file.
     t : ndarray of shape (n,)
-        Times from the first sample, s; where the clock was reset, one usual interval passes.
+        Times from the first sample, s. Across a reset of the clock, the interval is the median one.
     rates : ndarray of shape (n, 3)
         Rates along body axes, rad/s.
     dt : ndarray of shape (n - 1,)
@@ -59,15 +59,17 @@ class GyroLog:
     timing : str
         The source of the times.
     rate : float
-        Sample rate, Hz: one over the mean interval, without those above 2.5 times the median.
+        Sample rate, Hz: the inverse of the mean interval, without intervals longer than 2.5 times
+        the median.
     start : float
         The first time stamp, s (0 if there is none).
     pieces : tuple of slice
-        Ranges of samples without a break: one, unless ``on_bad_rows="split"``.
+        Ranges of samples without a break: one, unless ``on_bad_rows="split"``. The intervals of a
+        piece are ``dt[piece.start : piece.stop - 1]``.
     events : tuple of (str, int, float)
-        Bad rows and gaps in order: "rows dropped", "rows held", "gaps" or "clock resets"; the index
-        of the row in the table, from 0, which for a gap is the first after it; and the time of the
-        last sample before it, s.
+        Bad rows and gaps in the order of the log, each with its kind ("rows dropped", "rows held",
+        "gaps" or "clock resets"), the index of its row in the table, from 0, and the time of the
+        last sample before that row, s. The row of a gap is the first one after the gap.
     summary : str
         A line that describes what was recognised.
     """
@@ -107,11 +109,12 @@ def read_gyro_log(
 ) -> GyroLog:
     """Read a gyro log.
 
-    A text table, which may be compressed with gzip, is separated by commas, semicolons, tabs or
-    blanks; its numbers may have decimal commas (quoted between commas). Names are in its first
-    lines or in a comment, and a line of units may follow. The columns of the gyro, and those of
-    time, accelerometer, magnetometer and attitude, are found by the names that loggers write. If
-    the columns are named x, y and z only, the name of the file must say that they are a gyro's.
+    The columns of a text table are separated by commas, semicolons, tabs or blanks, and its numbers
+    may have decimal commas (in quotes, if commas separate the columns). The table may be compressed
+    with gzip. The names of the columns are in its first lines or in a comment, and a line of units
+    may follow. The function finds the columns of time, gyro, accelerometer, magnetometer and
+    attitude by the names that loggers write. If the columns are only named x, y and z, the name of
+    the file must show that they are those of a gyro.
 
     Parameters
     ----------
@@ -137,16 +140,19 @@ def read_gyro_log(
     accel_columns, mag_columns : sequence of str or int, optional
         Names or numbers of the columns x, y and z of the accelerometer and of the magnetometer.
     on_bad_rows : {"refuse", "drop", "split", "hold"}, default "refuse"
-        What is done with rows without a rate or a stamp, stamps that do not increase, and gaps: an
-        error; leaving the row out, so that the next interval is longer; leaving it out and, where
-        samples are missing, starting a new piece (``log.pieces``); or holding the last rates, also
-        up to the end of a gap, where a sample is inserted. Rows that share stamps are spread
-        evenly, unless refused.
+        Treatment of bad rows, which have no rate, no time stamp or a stamp that does not increase,
+        and of gaps. "refuse" raises an error. "drop" leaves bad rows out, so that the next interval
+        is longer, and keeps a gap as one long interval. "split" leaves bad rows out too, and starts
+        a new piece (``log.pieces``) where samples are missing. "hold" gives a row without a rate
+        those of the row before, leaves out rows with a bad time stamp, and inserts a sample with
+        the last rates before the end of a gap. Except with "refuse", many rows that share time
+        stamps are spread evenly in time.
     max_gap : float, optional
-        The longest interval that is not a gap, s; the default is 10 times the median interval, or
+        Longest interval that is not a gap, s; the default is 10 times the median interval, or
         10/``rate``.
     bias_seconds : float, optional
-        Duration of a start at rest, s, whose mean rate is subtracted as the bias.
+        Duration, s, from the first sample, during which the sensor is at rest. The mean rate over
+        it is subtracted as the bias.
     progress : bool, default False
         Show a progress bar of the bytes read, which needs tqdm.
 
@@ -158,9 +164,9 @@ def read_gyro_log(
     Raises
     ------
     GyroLogError
-        A ``ValueError`` that says what was found, where, and which argument helps: more than one
-        gyro or time column, units or stamps that fit no gyro, a bad row, a start that is not at
-        rest.
+        If there is more than one gyro or time column, the units or stamps fit no gyro, a row is bad
+        or the sensor moves during ``bias_seconds``. It is a ``ValueError``, whose message names
+        what was found, its line, and the argument that helps.
     TypeError
         If an argument has the wrong type.
     OSError

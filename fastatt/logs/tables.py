@@ -120,7 +120,7 @@ class Frame(Table):
             if bad.any() and strict:
                 raise self.error(
                     f"row {int(np.argmax(bad))}: {self.column(i)[:60]} is no finite number; "
-                    "accepted: numbers, or on_bad_rows, to say what becomes of such rows"
+                    'accepted: numbers, or on_bad_rows="drop", "split" or "hold"'
                 )
         values = np.stack([columns[i] for i in wanted], axis=1)
         return values, stamps.joined(list(clocks.values()))

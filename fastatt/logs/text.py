@@ -171,7 +171,7 @@ class Text(Table):
             )
         return self.error(
             f"line {line}: {self.column(i)[:60]} is {self._row(text)[i][:60]!r}; accepted: "
-            f"{_MEANT[kind]}, or on_bad_rows, to say what becomes of such rows"
+            f'{_MEANT[kind]}, or on_bad_rows="drop", "split" or "hold"'
         )
 
     def _by_pyarrow(

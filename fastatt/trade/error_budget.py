@@ -55,13 +55,13 @@ class ErrorBudget:
     rate : float
         Sample rate, Hz.
     interpolation : float
-        Motion between samples that the polynomial through them misses, rad.
+        Error due to motion between the samples that the polynomial through them misses, rad.
     truncation : float
         Difference of the method from the exact integration of that polynomial, rad.
     round_off : float
-        Rounding, rad.
+        Error due to rounding, rad.
     noise : float
-        White noise of the samples: root mean square at the end, rad.
+        Error due to white noise of the samples: root mean square at the end of the log, rad.
     noise_density : float
         Density of the white noise, rad/s/√Hz.
     order : float or None
@@ -71,8 +71,8 @@ class ErrorBudget:
         The largest contribution, or "undersampled": with fewer than 12 samples per cycle the
         contributions of interpolation and noise are unknown (NaN).
     half_rate : dict of str to float
-        Largest change of the attitude, rad, without every second sample, by method: this one, and
-        rivals whose order the log resolves.
+        Largest change of the attitudes, rad, if every second sample is left out, for this method
+        and for those rivals whose order can be observed on the log.
     samples_per_cycle : float
         Samples per cycle of the fastest strong oscillation of the rates; inf if there is none.
 

@@ -347,6 +347,18 @@ def test_filters_side_by_side_are_filters_alone(spacecraft):
     assert (alone.q.shape, alone.bias.shape, many.q.shape) == ((4,), (3,), (3, 4))
 
 
+@pytest.mark.parametrize("start", [START, np.tile(START, (3, 1))])
+def test_a_covariance_changed_in_place_is_that_of_the_filter(start):
+    before, wider = P0.copy(), P0.copy()
+    wider[:3, :3] += 0.04 * np.eye(3)
+    changed, given = (es.MEKF(start, P, **NOISE) for P in (P0, wider))
+    changed.covariance[..., :3, :3] += 0.04 * np.eye(3)
+    for f in (changed, given):
+        f.update_vector(REFERENCE, REFERENCE, FIELD)
+    assert np.array_equal(changed.covariance, given.covariance)
+    assert np.array_equal(P0, before)
+
+
 # sigma points
 
 

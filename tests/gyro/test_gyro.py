@@ -213,7 +213,7 @@ def test_a_sample_counts_for_the_intervals_before_and_after_it(long, n_logs):
     spans[long] = 0.1
     assert 0.01 * 30.0 < limit < 0.1 * 30.0
     with pytest.warns(
-        fa.StepWarning, match=f"interval 5 of log {n_logs - 1} rotates by 3 rad"
+        fa.StepWarning, match=f"interval {long} of log {n_logs - 1} rotates by 3 rad"
     ) as said:
         fa.integrate_rates(rates, spans, method="coning2", max_gap=1.0)
     assert len(said) == 1

@@ -250,6 +250,6 @@ def test_what_an_integrator_takes_no_more():
 def test_long_turns_are_told_by_their_place_in_the_log():
     flow = fa.GyroIntegrator(START, 0.1, method="coning2")
     flow.push(np.zeros((60, 3)))
-    with pytest.warns(fa.StepWarning, match="interval 61 of log 0 rotates by 3 rad") as said:
+    with pytest.warns(fa.StepWarning, match="interval 60 of log 0 rotates by 3 rad") as said:
         flow.push([[0.0] * 3, [30.0, 0.0, 0.0], [0.0] * 3])
     assert said[0].filename == __file__

@@ -120,7 +120,7 @@ def test_a_reset_of_the_clock_costs_nothing(at, to):
         log = fa.read_gyro_log(table(t), on_bad_rows=how)
         assert np.array_equal(log.rates, RATES)
         assert np.allclose(log.t, T, rtol=0.0, atol=1e-12)
-        assert log.summary.endswith(f"; 1 clock resets: row {at} at {T[at - 1]:.6g} s")
+        assert log.summary.endswith(f"; 1 clock reset: row {at} at {T[at - 1]:.6g} s")
         assert log.events == (("clock resets", at, pytest.approx(T[at - 1])),)
         assert log.pieces == ((slice(0, at), slice(at, N)) if how == "split" else (slice(0, N),))
 
@@ -196,7 +196,7 @@ def test_more_than_a_hundredth_is_warned_of(bad, warned, tmp_path, capsys):
     places = "line 52 at 0.49 s, line 53 at 0.49 s, line 54 at 0.49 s, ..."
     said = (
         f"fastatt: warning: {path}: 11 of 1000 rows are left out (11 rows dropped: {places}; 1 "
-        "gaps: line 63 at 0.49 s)\n"
+        "gap: line 63 at 0.49 s)\n"
     )
     assert found.err == (said if warned else "")
     assert f"; {bad} rows dropped" in found.out

@@ -58,7 +58,7 @@ def test_bad_rows_dropped(size):
     assert log.rates[:, 0].tolist() == [1.0, 1.1, 1.3, 1.4, 1.5, 1.7, 1.8]
     assert log.dt.tolist() == np.diff(DROPPED).tolist()
     assert log.summary.endswith(
-        "; 5 rows dropped: line 4 at 0.1 s, line 6 at 0.3 s, line 7 at 0.3 s, ...; 1 gaps: "
+        "; 5 rows dropped: line 4 at 0.1 s, line 6 at 0.3 s, line 7 at 0.3 s, ...; 1 gap: "
         "line 9 at 0.4 s"
     )
     assert log.pieces == (slice(0, 7),)
@@ -78,8 +78,8 @@ def test_bad_rows_held(size):
     assert log.t.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, pytest.approx(4.9), 5.0, 5.2, 5.3]
     assert log.rates[:, 0].tolist() == [1.0, 1.1, 1.1, 1.3, 1.4, 1.4, 1.5, 1.7, 1.8]
     assert log.summary.endswith(
-        "; 4 rows dropped: line 6 at 0.3 s, line 7 at 0.3 s, line 10 at 5 s, ...; 1 rows held: "
-        "line 4 at 0.1 s; 1 gaps: line 9 at 0.4 s"
+        "; 4 rows dropped: line 6 at 0.3 s, line 7 at 0.3 s, line 10 at 5 s, ...; 1 row held: "
+        "line 4 at 0.1 s; 1 gap: line 9 at 0.4 s"
     )
 
 

@@ -281,7 +281,7 @@ def test_run_leaves_its_files(tmp_path, capsys, coning, monkeypatch):
     text = capsys.readouterr().out
     assert "Frontier, rate as samples" in text
     # a line of the report, no warning of Python's
-    assert "\ndata_xsens.txt: dt: interval 577 of log 0 rotates by 0.101 rad, hold's limit" in text
+    assert "\ndata_xsens.txt: dt: interval 576 of log 0 rotates by 0.101 rad, hold's limit" in text
 
 
 @pytest.mark.parametrize("scene", BODY_SCENES)
