@@ -67,30 +67,25 @@ TINY = 2.0**-1022
 
 
 @kernel
-def precision(x):
-    """2^52 and the smallest normal number of float64; 2^23 and that of float32."""
-    F = type(x)
-    single = F(TINY) == F(0.0)
-    return F(2.0**23 if single else 2.0**52), F(2.0**-126 if single else TINY)
-
-
-@kernel
 def scale(x):
     """A power of two s with 3/8 ≤ s x < 1, and 1/s, for normal x ≤ 1e290; 1 for smaller x."""
     F = type(x)
-    shift, least = precision(x)
+    single = F(TINY) == F(0.0)
+    shift = F(2.0**23 if single else 2.0**52)
     # x is the last bit of the sum: rounded to one bit. Fusing changes nothing here
-    bit = F(0.5) if x < least else (x * shift + x) - x * shift
+    bit = F(0.5) if x < F(2.0**-126 if single else TINY) else (x * shift + x) - x * shift
     return F(0.5) / bit, F(2.0) * bit
 
 
 @kernel
 def scaled(v):
     """(s v, 1/s), where a power of two s brings the largest magnitude to 3/8 to 1."""
+    F = type(v[0])
     x = vec3.largest(v)
     # a subnormal number has no s that is finite: two factors
-    shift, least = precision(x)
-    up = shift if x < least else type(x)(1.0)
+    single = F(TINY) == F(0.0)
+    least = F(2.0**-126 if single else TINY)
+    up = F(2.0**23 if single else 2.0**52) if x < least else F(1.0)
     s, unit = scale(up * x)
     return (s * (up * v[0]), s * (up * v[1]), s * (up * v[2])), unit / up
 
