@@ -100,8 +100,8 @@ class SampledControl(Torque):
         law, params = models.pack(control, Torque, n_bodies, resources, argument=label)[:2]
         if is_model and law.states:
             raise ValueError(
-                f"{label}: found a model with {law.states} states; accepted: a model without, or "
-                "a function with memory"
+                f"{label}: found a model with {law.states} states; accepted: a model without "
+                "states, or a function with memory"
             )
         held = _Held(None, law, Sampling(period, start), 3 + memory)
         return Law(held, (params.shape[-1],), (None,)), params

@@ -23,7 +23,7 @@ from fastatt.scene.inertia import (
     principal,
     sort_axes,
 )
-from fastatt.scene.models import Law, Packed, join, numbers
+from fastatt.scene.models import Law, Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.references import keep, sources
@@ -342,7 +342,7 @@ class Scene:
         found = self.principal
         rows = found.moments.shape[0] if found.moments.ndim == 2 else None
         if rows is not None and n_bodies not in (None, rows):
-            raise ValueError(f"inertia: found {rows} bodies; accepted: {n_bodies}, or (3,)")
+            raise ValueError(f"inertia: found {rows} bodies; accepted: {row_count(n_bodies, rows)}")
         if sorted_axes:
             found = sort_axes(found)
         model = self.torque
