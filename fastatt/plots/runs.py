@@ -38,22 +38,23 @@ _JUMP = 120.0
 
 
 def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> None:
-    """Draw attitude, angular velocity and drift over time.
+    """Draw attitude, angular velocity and errors of conserved quantities over time.
 
-    Of one body: the direction of its third axis in space, its 3-1-3 Euler angles without jumps by
-    360°, and its angular velocity. Of many bodies: percentiles, at up to 500 saves, of the angle
-    from the first save and of |w|. The drift is the norm error and, where the scene is given, the
-    error of energy and angular momentum, as :func:`fastatt.drift` defines them; of many bodies
-    the median and the largest.
+    For one body, the picture shows the direction of its third axis along inertial axes, its 3-1-3
+    Euler angles without jumps by 360°, and its angular velocity. For many bodies, it shows
+    percentiles of the rotation angle since the first save and of |w|, at up to 500 saves. The last
+    panel shows the norm error and, if the scene is passed, the drift of energy and angular
+    momentum, as :func:`fastatt.drift` defines them, where the motion conserves them; for many
+    bodies it shows the median and the largest value.
 
     Parameters
     ----------
     run : Trajectory
-        With two saves at least.
+        A run with at least two saves.
     path : str or Path
-        The picture's file; its ending names the format (png, pdf, svg).
+        The file of the picture. Its suffix selects the format (png, pdf, svg).
     scene : Scene, optional
-        The run's scene, for energy and angular momentum.
+        The scene of the run, from which energy and angular momentum are computed.
 
     Raises
     ------

@@ -157,7 +157,9 @@ def check_convergence(
     The step is halved three times, and further while the order is below the declared one, which
     takes 15 to some 250 times as long as the run on ``sample`` bodies. The check detects any error
     of the method that lowers its order, such as a wrong weight or sign or a stale rate. It does not
-    detect that a method of the same order solves other equations. With breakpoints or a sampled
+    detect that a method of the same order solves other equations. If rounding limits the error, the
+    finest run has the larger rounding errors, so that ``error`` can exceed the error of the run
+    itself. With breakpoints or a sampled
     controller, the parts of a divided step do not shrink in proportion to the step size: a lower
     order is then accepted if halving the steps reaches rounding.
 

@@ -228,7 +228,7 @@ BEGUN = {"own": OWN, "free": SCENES["free"], "thrust": thrust(0.1)}
         ("free", None, {"dt": 0.1}, r"dt: found 0\.1; accepted: 0\.05"),
         ("free", None, {"method": "rkmk4"}, "method: found rkmk4; accepted: rk4"),
         ("free", None, {"representation": "dcm"}, "representation: found dcm; accepted: quat"),
-        ("free", None, {"normalise": 3}, "normalise: found 3; accepted: 0"),
+        ("free", None, {"normalise": 3}, "normalise: found 3; accepted: output"),
         ("free", None, {"dtype": "f4"}, "dtype: found 'f4' with resume; accepted: float64"),
         ("free", None, {"q0": Q0}, "q0: found with resume"),
         ("free", None, {"t0": 1.0}, r"t0: found with resume"),
@@ -245,8 +245,8 @@ def test_another_run_is_refused(begun, scene, options, message, stored, tmp_path
 @pytest.mark.parametrize(
     ("begun", "now", "message"),
     [
-        ("never", "output", "normalise: found 0; accepted: never, with which the run began"),
-        ("output", "never", "normalise: found never; accepted: 0, with which the run began"),
+        ("never", "output", "normalise: found output; accepted: never, with which the run began"),
+        ("output", "never", "normalise: found never; accepted: output, with which the run began"),
         (3, 4, "normalise: found 4; accepted: 3, with which the run began"),
     ],
 )
