@@ -159,9 +159,9 @@ def check_convergence(
     of the method that lowers its order, such as a wrong weight or sign or a stale rate. It does not
     detect that a method of the same order solves other equations. If rounding limits the error, the
     finest run has the larger rounding errors, so that ``error`` can exceed the error of the run
-    itself. With breakpoints or a sampled
-    controller, the parts of a divided step do not shrink in proportion to the step size: a lower
-    order is then accepted if halving the steps reaches rounding.
+    itself. With breakpoints or a sampled controller, the parts of a divided step do not shrink in
+    proportion to the step size: a lower order is then accepted if halving the steps reaches
+    rounding.
 
     Examples
     --------
