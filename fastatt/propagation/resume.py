@@ -149,7 +149,7 @@ def loaded(path: str | os.PathLike[str]) -> End:
             )
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
-            f"resume: {str(path)!r} is no file of a run's end ({error}); accepted: "
+            f"resume: {str(path)!r} is not the end of a run ({error}); accepted: "
             "one that Trajectory.save_end or fa.checkpoint wrote"
         ) from None
 

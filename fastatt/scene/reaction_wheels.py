@@ -235,7 +235,8 @@ class ReactionWheels(Torque):
         Returns
         -------
         ndarray, shape (..., K)
-            Angular momenta, N·m·s: ``s0`` of a run, if the command has no states.
+            Angular momenta, N·m·s: ``s0`` of a run. If the command is sampled or has states, these
+            follow in ``s0``.
 
         Examples
         --------
@@ -297,7 +298,7 @@ class ReactionWheels(Torque):
         return np.asarray(np.einsum("...k,...ki->...i", np.asarray(s)[..., : axes.shape[-2]], axes))
 
     def body_inertia(self, inertia: ArrayLike) -> NDArray[np.float64]:
-        """``inertia`` of the scene: that of the whole spacecraft less Σ J_k a_k a_kᵀ.
+        """Subtract the moments of the wheels, Σ J_k a_k a_kᵀ, for ``inertia`` of the scene.
 
         Parameters
         ----------

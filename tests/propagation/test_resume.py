@@ -268,7 +268,7 @@ def test_a_file_of_another_format_is_refused(tmp_path):
         if number == about["format"]:
             fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
             continue
-        with pytest.raises(ValueError, match="is no file of a run's end"):
+        with pytest.raises(ValueError, match="is not the end of a run"):
             fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
 
 
@@ -296,7 +296,7 @@ def test_what_can_not_go_on(tmp_path):
     text = tmp_path / "text"
     text.write_text("nothing")
     for bad in (path, short, text):
-        with pytest.raises(ValueError, match=r"resume: .* is no file of a run's end"):
+        with pytest.raises(ValueError, match=r"resume: .* is not the end of a run"):
             fa.propagate(free, resume=bad, dt=0.05, n_steps=1)
     with pytest.raises(FileNotFoundError):
         fa.propagate(free, resume=tmp_path / "none", dt=0.05, n_steps=1)
