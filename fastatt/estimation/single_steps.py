@@ -202,8 +202,8 @@ def single_step(
     Notes
     -----
     Functions are compiled when they are first called, once in a process for all scenes that differ
-    only in the values of their numbers. With an exponential method a step takes 0.6 to 1.2 µs from
-    Python, and 4 to 25 ns in jitted code.
+    only in the values of their numbers. A step takes 0.6 to 1.2 µs from Python; with an exponential
+    method it takes 4 to 25 ns in jitted code.
 
     Results are those of :func:`fastatt.propagate` bit for bit, with two exceptions. After a
     rotation angle above π, ``propagate`` repeats a whole block of steps with a form of the

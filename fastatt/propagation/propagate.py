@@ -243,7 +243,7 @@ def propagate(
         if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
             raise ValueError(
                 f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "
-                "with which the run began, or None"
+                "as in the earlier run, or None"
             )
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
         clock = Clock.of(dt, n_steps, save_every, end.done)

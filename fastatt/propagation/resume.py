@@ -185,8 +185,8 @@ def check(end: End, plan: Plan, *, is_same_run: bool) -> None:
     for name, value in plan.about.items():
         if end.about[name] != value:
             raise ValueError(
-                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, with which "
-                "the run began that is resumed"
+                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, as in the "
+                "earlier run"
             )
     if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
         raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")

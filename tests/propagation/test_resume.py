@@ -245,9 +245,9 @@ def test_another_run_is_refused(begun, scene, options, message, stored, tmp_path
 @pytest.mark.parametrize(
     ("begun", "now", "message"),
     [
-        ("never", "output", "normalise: found output; accepted: never, with which the run began"),
-        ("output", "never", "normalise: found never; accepted: output, with which the run began"),
-        (3, 4, "normalise: found 4; accepted: 3, with which the run began"),
+        ("never", "output", "normalise: found output; accepted: never, as in the earlier run"),
+        ("output", "never", "normalise: found never; accepted: output, as in the earlier run"),
+        (3, 4, "normalise: found 4; accepted: 3, as in the earlier run"),
     ],
 )
 def test_a_state_goes_on_as_it_was_brought_back(begun, now, message):
