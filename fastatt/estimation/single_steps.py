@@ -202,15 +202,15 @@ def single_step(
     Notes
     -----
     Functions are compiled when they are first called, once in a process for all scenes that differ
-    in their numbers only. A step from Python takes 0.6 to 1.2 µs, one in jitted code 4 to 25 ns
-    with an exponential method.
+    only in the values of their numbers. A step takes 0.6 to 1.2 µs from Python; with an exponential
+    method it takes 4 to 25 ns in jitted code.
 
     Results are those of :func:`fastatt.propagate` bit for bit, with two exceptions. After a
-    rotation angle above π the engine repeats a whole block of steps with the any-angle form of the
-    exponential, a single step only itself. Methods that step other variables than x convert to them
-    and back in every ``step``, and divide the time of a stage otherwise, which changes a few ulps
-    in each step, and none with ``enter``, ``advance`` and ``leave`` if the torque does not depend
-    on time.
+    rotation angle above π, ``propagate`` repeats a whole block of steps with a form of the
+    exponential for all angles, whereas a single step repeats only itself. Methods that step other
+    variables than x convert to these and back in every ``step``, and round the times of stages
+    differently; this changes a few ulps in each step. With ``enter``, ``advance`` and ``leave`` it
+    changes nothing if the torque does not depend on time.
 
     Examples
     --------

@@ -42,15 +42,16 @@ def aem_of(
     run : Trajectory
         A run with saves at rising times.
     epoch : str or datetime
-        Time of the run's t = 0 in the metadata's TIME_SYSTEM, which is UTC by default: a
-        ``datetime``, or text such as "2026-01-01T00:00:00"; t then counts every second, including
-        the leap seconds of UTC. "unix" says that t is Unix time, which skips leap seconds, in UTC.
+        Date and time of t = 0 of the run, in the TIME_SYSTEM of the metadata, which is UTC by
+        default: a ``datetime``, or text such as "2026-01-01T00:00:00". From this epoch t counts
+        every second, leap seconds of UTC included. "unix" states that t is Unix time, which skips
+        leap seconds.
     frame : str
-        The standard's name of the inertial frame.
+        Name of the inertial frame in the standard, such as "EME2000" or "ICRF".
     body_frame : str, default "SC_BODY_1"
-        The standard's name of the body frame.
+        Name of the body frame in the standard.
     body : int, optional
-        Index of the body; required for an ensemble, since a message is of one object.
+        Index of the body. It is required for an ensemble, since a message describes one object.
     version : {"2.0", "1.0"}, default "2.0"
         "1.0" (CCSDS 504.0-B-1) or "2.0" (504.0-B-2).
     attitude_type : str, optional
@@ -58,7 +59,8 @@ def aem_of(
         "QUATERNION/ANGVEL" in 2.0. The default is
         "QUATERNION/RATE" in version 1.0 and "QUATERNION/ANGVEL" in 2.0, with the angular velocity.
     metadata : mapping of str to str, optional
-        Further keywords, such as ``{"OBJECT_NAME": "SAT-1"}``.
+        Further keywords, such as ``{"OBJECT_NAME": "SAT-1"}``. OBJECT_NAME and OBJECT_ID are
+        "UNKNOWN" if they are not given.
     header : mapping of str to str, optional
         Further keywords of the header.
 

@@ -31,16 +31,16 @@ def animation(
 ) -> None:
     """Write an animation of a body, drawn as a box with its axes, against inertial axes.
 
-    Attitudes between saves are those of :func:`fastatt.interpolate`.
+    :func:`fastatt.interpolate` computes the attitudes between saves.
 
     Parameters
     ----------
     run : Trajectory
-        With two saves at least, at most 180° of rotation apart.
+        A run with at least two saves, between which the body rotates by at most 180°.
     path : str or Path
-        The animation's file: .gif, or .mp4 where ffmpeg is installed.
+        The file of the animation: .gif, or .mp4 if ffmpeg is installed.
     body : int, default 0
-        Which body of an ensemble.
+        Index of the body in an ensemble.
     seconds : float, optional
         Duration of the animation, s. By default it lasts as long as the motion, at most 10 s.
     fps : int, default 20
@@ -49,9 +49,10 @@ def animation(
     Raises
     ------
     ValueError
-        An argument out of range, a file format without a writer, saves too far apart.
+        If an argument is out of range, no writer exists for the file format, or the saves are too
+        far apart.
     TypeError
-        ``run`` is no Trajectory.
+        If ``run`` is not a trajectory.
 
     Examples
     --------

@@ -38,29 +38,30 @@ _JUMP = 120.0
 
 
 def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> None:
-    """Draw attitude, angular velocity and drift over time.
+    """Draw attitude, angular velocity and errors of conserved quantities over time.
 
-    Of one body: the direction of its third axis in space, its 3-1-3 Euler angles without jumps by
-    360°, and its angular velocity. Of many bodies: percentiles, at up to 500 saves, of the angle
-    from the first save and of |w|. The drift is the norm error and, where the scene is given, the
-    error of energy and angular momentum, as :func:`fastatt.drift` defines them; of many bodies
-    the median and the largest.
+    For one body, the picture shows the direction of its third axis along inertial axes, its 3-1-3
+    Euler angles without jumps by 360°, and its angular velocity. For many bodies, it shows
+    percentiles of the rotation angle since the first save and of |w|, at up to 500 saves. The last
+    panel shows the norm error and, if the scene is passed, the drift of energy and angular
+    momentum, as :func:`fastatt.drift` defines them, where the motion conserves them; for many
+    bodies it shows the median and the largest value.
 
     Parameters
     ----------
     run : Trajectory
-        With two saves at least.
+        A run with at least two saves.
     path : str or Path
-        The picture's file; its ending names the format (png, pdf, svg).
+        The file of the picture. Its suffix selects the format (png, pdf, svg).
     scene : Scene, optional
-        The run's scene, for energy and angular momentum.
+        The scene of the run, from which energy and angular momentum are computed.
 
     Raises
     ------
     ValueError
-        A run with one save.
+        If the run has only one save.
     TypeError
-        ``run`` is no Trajectory.
+        If ``run`` is not a trajectory.
 
     Examples
     --------
@@ -95,21 +96,21 @@ def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> No
 def polhode(
     run: Trajectory, scene: Scene, path: str | Path, *, bodies: Sequence[int] | None = None
 ) -> None:
-    """Draw the direction of the angular momentum in body axes, and the angular velocity in space.
+    """Draw the polhode and the herpolhode of bodies.
 
-    On the left: the angular momentum's direction along body axes on the unit sphere, faint on the
-    far side. On the right: the angular velocity in the inertial plane through the body that is
-    perpendicular to the first save's angular momentum. Without torque these curves are Poinsot's
-    polhode and herpolhode.
+    The left panel shows the direction of the angular momentum along body axes on the unit sphere,
+    faint on the far side. The right panel shows the angular velocity, projected onto the inertial
+    plane that is perpendicular to the initial angular momentum. Without torque these curves are
+    Poinsot's polhode and herpolhode.
 
     Parameters
     ----------
     run : Trajectory
-        With two saves at least, close enough to draw curves through.
+        A run with at least two saves, which are close enough to be joined by curves.
     scene : Scene
-        The run's scene, with inertia.
+        The scene of the run, with inertia.
     path : str or Path
-        The picture's file; its ending names the format (png, pdf, svg).
+        The file of the picture. Its suffix selects the format (png, pdf, svg).
     bodies : sequence of int, optional
         Up to 8 bodies of an ensemble. By default 4 bodies without a flag, evenly spaced from the
         first to the last.
@@ -117,9 +118,10 @@ def polhode(
     Raises
     ------
     ValueError
-        A scene without inertia, a run with one save, bodies out of range or with a flag.
+        If the scene has no inertia, the run has only one save, or a body is out of range or has a
+        flag.
     TypeError
-        ``run`` is no Trajectory.
+        If ``run`` is not a trajectory.
 
     Examples
     --------

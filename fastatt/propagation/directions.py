@@ -33,10 +33,10 @@ def propagate_directions(
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Propagate directions that are fixed in inertial space, as the rotating body sees them.
 
-    The vectors satisfy Poisson's equation v̇ = v×w. Where only a star's direction or the field of
-    gravity is needed, this propagates three numbers for each direction in place of an attitude. For
-    a scene with ``frame="inertial"`` the vectors are fixed in the body, and their components are
-    along inertial axes.
+    The vectors satisfy Poisson's equation v̇ = v×w, along body axes. If only directions are needed,
+    such as that of a star or of gravity, this function propagates three numbers for each direction
+    instead of an attitude. For a scene with ``frame="inertial"`` the vectors are fixed in the body,
+    and their components are along inertial axes.
 
     Parameters
     ----------

@@ -121,9 +121,9 @@ def drift_statistics(
     save_every: int,
     **options: Any,
 ) -> DriftStatistics:
-    """Propagate and gather statistics of the drift without storing a history.
+    """Propagate and collect statistics of the drift without storing a history.
 
-    17 saves are in memory at a time, and 1 kB of counts for each body.
+    The run holds 17 saves at a time in memory, and 1 kB of counts for each body.
 
     Parameters
     ----------

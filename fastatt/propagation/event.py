@@ -75,9 +75,9 @@ class Event:
 def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -> Event:
     """Locate the first time at which a function of a body's motion crosses zero.
 
-    ``fastatt.propagate(..., events=[...])`` accepts the result, and the trajectory's
-    ``event_times`` holds the time of each body, located between the steps to the order of the
-    method. The function is traced, as torques are, so that it becomes part of the compiled loop.
+    The result is passed to ``fastatt.propagate(..., events=[...])``. ``Trajectory.event_times``
+    holds the time for each body, as accurate as the method, and NaN where no crossing was found.
+    The function is traced, as torques are, so that it becomes part of the compiled loop.
 
     Parameters
     ----------
@@ -89,8 +89,9 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
         ``g(t, q, w, v, r, s, p)`` are accepted too, with the velocity along body axes, m/s, and the
         position along inertial axes, m. The number of arguments, 4 to 7, tells the forms apart.
     direction : {0, 1, -1}, default 0
-        1 if g must rise through zero along the run, -1 if it must fall, 0 for either. A g that is
-        zero at the begin or the end of a step has crossed there.
+        1 counts only crossings from negative to positive, in the order of the steps; -1 counts only
+        those from positive to negative, and 0 counts both. A value of exactly zero at the start or
+        the end of a step is a crossing.
     terminal : bool, default False
         Whether the body stops at the event: all later saves hold its state at the event, its later
         events are not located, and its status does not change. The run continues for the other
@@ -111,10 +112,10 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     Notes
     -----
     A crossing is found if g has different signs at the two ends of a step. If g has the same sign
-    at both ends but approaches zero in between, its extremum within the step is searched, so that
-    two crossings in one step are found too. They are missed if g does not resemble a parabola
-    within the step, for example at a kink. Of three crossings in one step any one may be found.
-    Where g is NaN there is no crossing.
+    at both ends but approaches zero in between, the library searches for its extremum within the
+    step, so that two crossings in one step are found too. They can be missed if g does not resemble
+    a parabola within the step, for example at a kink. Of three crossings in one step any one may be
+    found. Where g is NaN there is no crossing.
 
     Examples
     --------

@@ -65,8 +65,8 @@ def interpolate(
     polynomial through the attitudes and the rates of the four saves around it. Its degree is 7, so
     that the error falls as the interval to the 8th power, and that of the rates as the 7th. Two
     saves give orders 4 and 3, three saves 6 and 5. At a save the result is the saved value, to
-    rounding. Across a breakpoint interpolate each part on its own, or save at the times that are
-    wanted (``save_at``).
+    rounding. Interpolate the parts before and after a breakpoint separately, or save at the
+    required times (``save_at``).
 
     References
     ----------
@@ -134,8 +134,8 @@ def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[
     -----
     The result is the polynomial through the eight nearest saves, four on either side where they
     exist, or through all saves if there are fewer. Its error falls as the interval to the 8th
-    power. Across a breakpoint, where a derivative jumps, interpolate each part on its own, or save
-    at the required times (``save_at``).
+    power. At a breakpoint a derivative jumps: interpolate the parts before and after it separately,
+    or save at the required times (``save_at``).
 
     References
     ----------

@@ -383,7 +383,7 @@ class Plan:
             "method": choice.method.name,
             "representation": self.attitude.name,
             "compensated": self.attitude.compensated,
-            "normalise": "never" if choice.raw else choice.projection,
+            "normalise": "never" if choice.raw else choice.projection or "output",
             "dtype": self.kind.name,
             "t_end": self.clock.ends,
             "breakpoints": list(self.scene.breakpoints),

@@ -122,7 +122,7 @@ def propagate(
     normalise : {"output", "never"} or int, default "output"
         When the state is renormalised (a quaternion to unit norm, a matrix to an orthogonal one).
         "output" renormalises the saved values only, "never" none, and a number k also the
-        propagated state every k steps. The status is set by the norm error before that. With
+        propagated state every k steps. The status depends on the norm error before that. With
         "output", a compensated state is renormalised every 64 steps.
     invalid : {"raise", "flag"}, default "raise"
         "raise" refuses zero quaternions and initial values that are not finite. "flag" runs the
@@ -139,9 +139,11 @@ def propagate(
     resume : Trajectory, str, os.PathLike or Checkpoint, optional
         Continue an earlier run from its end: a trajectory of at most 262144 bodies, or a file
         written by :meth:`Trajectory.save_end`. The result has the same bits as one uninterrupted
-        run. The initial values and ``t0`` are those of the earlier run, scene and method must be
-        the same, and ``save_every`` counts from its end. With :func:`fastatt.checkpoint` the run
-        writes its state to a file every ten seconds, and the same call continues from that file.
+        run. The initial values, ``t0``, method, precision and ``compensated`` are taken from the
+        earlier run. ``scene``, ``dt``, ``representation``, ``normalise`` and ``reduce`` must be
+        passed again with the same values, and ``save_every`` counts from the end of that run. With
+        :func:`fastatt.checkpoint` the run writes its state to a file every ten seconds, and the
+        same call continues from that file.
     save_at : array_like of shape (S,), optional
         Times at which states are saved, s, within the run and in its order. Each is reached from
         the last step before it with one shorter step of the same method.
@@ -241,7 +243,7 @@ def propagate(
         if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
             raise ValueError(
                 f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "
-                "with which the run began, or None"
+                "as in the earlier run, or None"
             )
         given, begin, position = end.given, end.t0, bool(end.about["r0"])
         clock = Clock.of(dt, n_steps, save_every, end.done)

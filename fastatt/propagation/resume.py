@@ -149,7 +149,7 @@ def loaded(path: str | os.PathLike[str]) -> End:
             )
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(
-            f"resume: {str(path)!r} is no file of a run's end ({error}); accepted: "
+            f"resume: {str(path)!r} is not the end of a run ({error}); accepted: "
             "one that Trajectory.save_end or fa.checkpoint wrote"
         ) from None
 
@@ -185,8 +185,8 @@ def check(end: End, plan: Plan, *, is_same_run: bool) -> None:
     for name, value in plan.about.items():
         if end.about[name] != value:
             raise ValueError(
-                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, with which "
-                "the run began that is resumed"
+                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, as in the "
+                "earlier run"
             )
     if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
         raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")

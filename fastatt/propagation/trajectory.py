@@ -336,16 +336,17 @@ class Trajectory:
         aem_of(self, **options).write(path)
 
     def plot(self, path: str | Path, scene: Scene | None = None) -> None:
-        """Plot attitude, |w| and drift over time into a file.
+        """Plot attitude, angular velocity and errors of conserved quantities over time.
 
-        For many bodies their percentiles are plotted.
+        For many bodies percentiles are plotted.
 
         Parameters
         ----------
         path : str or Path
             The picture, in a format that matplotlib writes.
         scene : Scene, optional
-            The scene of the run; with it, the drift of energy and angular momentum is plotted too.
+            The scene of the run. With it, the drift of those of energy and angular momentum that
+            the motion conserves is plotted too.
 
         See Also
         --------
@@ -392,8 +393,8 @@ class Trajectory:
         far = np.nan_to_num(np.abs(self.norm_error)).max()
         first = (
             f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
-            f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest departure from "
-            f"the group {far:.1e}"
+            f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest norm error "
+            f"{far:.1e}"
         )
         lines = [first]
         for flag in (f for f in Status if f):

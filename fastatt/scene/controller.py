@@ -22,14 +22,15 @@ _Gains = Annotated[ArrayLike, Field((-1,))]
 class QuaternionPD(Torque):
     """Attitude controller τ = −K sgn(e0) (e1, e2, e3) − D w, with the attitude error e = target*∘q.
 
-    If the target moves, its angular velocity along body axes is subtracted from w. The torque jumps
-    where e0 passes 0; a step across the jump has order 1 with any method.
+    The vector part of e is half the rotation vector when the error is small, so that a stiffness of
+    K N·m gives K/2 N·m/rad. If the target moves, its angular velocity along body axes is subtracted
+    from w. The torque jumps where e0 passes 0; a step across the jump has order 1 with any method.
 
     Parameters
     ----------
     stiffness : array_like
-        K, N·m: a number, (3,) per body axis, or a (3, 3) matrix along body axes, which is symmetric
-        and has no negative eigenvalues. Per body (N, 1, 1) or (N, 3, 3).
+        K, N·m: a number, one for each body axis, (3,), or a matrix along body axes, (3, 3), which
+        is symmetric and has no negative eigenvalues. One for each body is (N, 1, 1) or (N, 3, 3).
     damping : array_like
         D, N·m·s, in the same shapes.
     target : array_like or TimeSeries, default (1, 0, 0, 0)

@@ -108,8 +108,8 @@ class CentralGravity(Force):
     """Gravity of a point mass at the origin, F = −(μ m/r³) r.
 
     r is the position of the body, m, and m the mass of the scene. Methods for which
-    ``Method.couples`` is True accept this force. The largest step is the method's limit at the rate
-    2 √(μ/r³).
+    ``Method.couples`` is True accept this force. The check of the step size treats 2 √(μ/r³) as a
+    rate of rotation.
 
     Parameters
     ----------

@@ -424,17 +424,23 @@ def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return array.astype(np.float64, copy=False)
 
 
+def row_count(n_bodies: int | None, rows: int) -> str:
+    """Name the numbers of bodies that a scene may have, for a message; it has ``rows``."""
+    if n_bodies is None:
+        return "one number of rows"
+    if n_bodies == 1:
+        return f"1, as the initial values have, or {rows} with q0 of shape ({rows}, 4)"
+    return f"{n_bodies} bodies"
+
+
 def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str) -> Any:
     """Join columns of parameters: (P,) if all are shared, else (N, P)."""
     rows = {c.shape[0] for c in columns if c.ndim == 2}
     if not rows:
         return np.concatenate([np.zeros(0), *columns])
     if len(rows) > 1 or (n_bodies is not None and rows != {n_bodies}):
-        found, n = " and ".join(map(str, sorted(rows))), max(rows)
-        expected = "one number of rows" if n_bodies is None else f"{n_bodies} bodies"
-        if n_bodies == 1:
-            expected = f"1, as the initial values have, or {n} with q0 of shape ({n}, 4)"
-        raise ValueError(f"{name}: found parameters for {found} bodies; accepted: {expected}")
+        found, accepted = " and ".join(map(str, sorted(rows))), row_count(n_bodies, max(rows))
+        raise ValueError(f"{name}: found parameters for {found} bodies; accepted: {accepted}")
     n = rows.pop()
     together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
     return np.ascontiguousarray(together)

@@ -146,9 +146,9 @@ class Coning(Rate):
 
 
 class Precession(Rate):
-    """A rate of constant size whose transverse part rotates in the body.
+    """A rate of constant magnitude whose transverse part rotates in the body.
 
-    A free symmetric top moves so, w(t) = (A cos(k t + φ0), A sin(k t + φ0), s).
+    This is the motion of a free symmetric top, w(t) = (A cos(k t + φ0), A sin(k t + φ0), s).
 
     Parameters
     ----------

@@ -37,73 +37,75 @@ class ReactionWheels(Torque):
 
     so that the angular momentum C (I w + Σ a_k h_k) of body and wheels is constant in inertial axes
     unless other torques act. ``inertia`` of the scene is I, the spacecraft's inertia **without**
-    the wheels' inertia about their axes; ``body_inertia`` takes that off the inertia of the whole.
+    the moments of the wheels about their axes; ``body_inertia`` subtracts these from the inertia of
+    the whole spacecraft.
 
-    A run takes the initial h as ``s0`` and gives them as ``run.s``; ``momenta`` and ``speeds``
-    convert. ``s0`` and ``run.s`` hold, in this order:
+    A run takes the initial values of the states as ``s0`` and returns the states as ``run.s``.
+    ``momenta`` computes h from speeds, and ``speeds`` computes speeds from ``run.s``. With K wheels
+    the states are, in this order:
 
-    - the K momenta h, N·m·s;
-    - the held torques, N·m: K, one for each motor, of a function with ``period``; three along body
-      axes of a ``SampledControl``; none otherwise;
+    - the K angular momenta h, N·m·s;
+    - the held torques, N·m, of a sampled command: K, one for each motor, if the command is a
+      function with ``period``; three, along body axes, if it is a ``SampledControl``;
     - the states of the command.
 
     Parameters
     ----------
     axes : array_like
-        Unit vectors a_k along body axes, (K, 3) of any number of wheels, or (N, K, 3); normalised
-        here, and refused where a length is further than 1e-3 from 1.
+        Unit vectors a_k along body axes, of shape (K, 3) or (N, K, 3). They are normalised; a
+        length that differs from 1 by more than 1e-3 is refused.
     inertia : array_like
-        J_k about the axes, kg·m², above 0: a number for all wheels, (K,), or of each body (N, 1) or
-        (N, K). So are all that follow but ``command`` and ``params``.
+        Moments of inertia J_k about the axes, kg·m², above 0: a number for all wheels, or an array
+        of shape (K,), (N, 1) or (N, K). Friction and limits take the same shapes.
     command : callable, Torque or None
-        What motors are commanded. A function ``command(t, q, w, s, p)`` gives a torque on each
-        wheel, N·m, as a tuple of K, or a number of one wheel; s is the tuple of the speeds Ω,
-        rad/s, and of the ``states`` of the function. A model of ``fastatt.torques`` gives the
-        torque that the motors are to exert on the body, N·m, which the pseudo-inverse of the axes
-        distributes over the wheels; it may carry states, such as a PID controller written with
-        ``Custom(function, params, states=3)``, and may be sampled, ``SampledControl``. None leaves
-        the motors off.
-    params : array_like, optional
-        (P,) or (N, P), of a ``command`` that is a function: its argument p.
+        The torques that are commanded to the motors. A model of ``fastatt.torques`` computes the
+        torque on the body, N·m, which the pseudo-inverse of the axes distributes over the wheels.
+        The model may have states, such as a PID controller ``Custom(function, params, states=3)``,
+        or be sampled (``SampledControl``). A function ``command(t, q, w, s, p)`` returns the torque
+        on each wheel, N·m, as a tuple of K, or as a number if there is one wheel; s is the tuple of
+        the speeds Ω, rad/s, followed by the states of the function. None leaves the motors off.
+    params : array_like of shape (P,) or (N, P), optional
+        The argument p of a ``command`` that is a function.
     states : int
-        How many states a ``command`` that is a function has. It then returns two tuples: the
-        torques, and the time derivatives of its states, or their next values if it is sampled.
+        Number of states of a ``command`` that is a function. With states it returns two tuples: the
+        torques, and the time derivatives of the states (with ``period`` their next values).
     period : float, optional
-        s, above 0, of a ``command`` that is a function: it is evaluated at the sample times
-        start + k period, and its torques are held in between, as in :class:`SampledControl`.
-        Without it the command is evaluated at all times.
+        Time between samples, s, above 0, of a ``command`` that is a function. It is evaluated at
+        the sample times start + k period, and its torques are held in between, as in
+        :class:`SampledControl`. Without ``period`` the command is evaluated at all times.
     start : float
-        A sample time, s, on the clock of ``t0``.
+        A sample time, s, on the same clock as ``t0``.
     viscous : array_like
         Coefficient of viscous friction, N·m·s, 0 or more.
     coulomb : array_like
         Coulomb friction, N·m, 0 or more.
     coulomb_speed : array_like
-        Speed, rad/s, above 0, over which Coulomb friction changes its sign: the torque is within
-        2 % of ``coulomb`` from five times this speed on. It is smooth, so that methods keep their
-        order with steps shorter than the time in which a wheel passes this speed.
+        Width of the range of speeds in which Coulomb friction changes its sign, rad/s, above 0. At
+        five times this speed and above, the friction is within 2 % of ``coulomb``. Steps must be
+        shorter than the time in which a wheel passes this range.
     max_torque : array_like, optional
-        Largest torque of a motor, N·m, above 0: commands beyond are cut off.
+        Largest torque of a motor, N·m, above 0. Commands that exceed it are cut off.
     max_speed : array_like, optional
-        Speed, rad/s, above 0, up to which a motor accelerates its wheel: over the last hundredth of
-        it the accelerating torque falls linearly to 0.
+        Largest speed to which a motor accelerates its wheel, rad/s, above 0. Over the last
+        hundredth of the range the accelerating torque falls linearly to 0.
 
     Raises
     ------
     ValueError
-        For axes that are no unit vectors, and for numbers of another shape or sign.
+        If the axes are not unit vectors, or a number has the wrong shape or sign.
     TypeError
-        For a command that is neither a function nor a model.
+        If the command is neither a function nor a model.
 
     See Also
     --------
-    SampledControl : A sampled torque on the body, also as ``command``; it knows no wheel speeds.
+    SampledControl : A sampled torque on the body, which can be a ``command``; it does not read the
+        speeds of the wheels.
 
     Notes
     -----
-    A limit that is reached within a step leaves a corner there, which costs that step its order. A
-    wheel at rest that friction holds is not at rest exactly: it creeps at the speed at which the
-    smooth friction balances the motor.
+    Where a motor reaches or leaves a limit, its torque has a corner in time, and the step that
+    contains the corner is less accurate. A wheel that friction holds is not exactly at rest: it
+    creeps at the speed at which the smooth friction balances the motor.
 
     Examples
     --------
@@ -233,7 +235,8 @@ class ReactionWheels(Torque):
         Returns
         -------
         ndarray, shape (..., K)
-            Angular momenta, N·m·s: ``s0`` of a run, if the command has no states.
+            Angular momenta, N·m·s: ``s0`` of a run. If the command is sampled or has states, these
+            follow in ``s0``.
 
         Examples
         --------
@@ -295,7 +298,7 @@ class ReactionWheels(Torque):
         return np.asarray(np.einsum("...k,...ki->...i", np.asarray(s)[..., : axes.shape[-2]], axes))
 
     def body_inertia(self, inertia: ArrayLike) -> NDArray[np.float64]:
-        """``inertia`` of the scene: that of the whole spacecraft less Σ J_k a_k a_kᵀ.
+        """Subtract the moments of the wheels, Σ J_k a_k a_kᵀ, for ``inertia`` of the scene.
 
         Parameters
         ----------

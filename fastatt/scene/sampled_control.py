@@ -19,45 +19,46 @@ from fastatt.tracing.formulas import Vector, quat
 class SampledControl(Torque):
     """A controller that is evaluated at sample times start + k period, with a zero-order hold.
 
-    At each sample time within the run, its start included, the controller is evaluated at the state
-    at that time, and its torque, fixed in the body, is held until the next. Steps end at sample
-    times as at ``breakpoints``, so that a method keeps its order whatever ``dt`` is: one that
-    divides the period costs nothing, any other one step more for each sample.
+    At each sample time of the run, the first included, the controller computes a torque from the
+    state at that time. The torque is constant along body axes until the next sample time. Steps end
+    at sample times as at ``breakpoints``, so that a method keeps its order with any ``dt``. A
+    ``dt`` that divides the period adds no steps; any other adds one step for each sample.
 
-    Its states come in this order: the torque that is held, three numbers, N·m along body axes; then
-    the controller's memory. A run takes them as ``s0``: if it begins between two sample times,
-    the torque that ``s0`` gives is held up to the first. A save at a sample time holds the states
-    before they jump: with a period of 0.2 s, the held torque saved at t = 0.2 s is that of the
-    interval from 0 to 0.2 s. As ``command`` of ``ReactionWheels``, the states follow the momenta of
-    the wheels.
+    The states are the three components of the held torque, N·m along body axes, followed by the
+    memory of the controller. As ``command`` of ``ReactionWheels``, they follow the angular momenta
+    of the wheels. A run takes their initial values as ``s0``. If it begins at a sample time, the
+    held torque in ``s0`` has no effect, and zeros will do; if it begins between two sample times,
+    that torque acts until the first of them. A save at a sample time holds the states from before
+    the sample: with a period of 0.2 s, the held torque saved at t = 0.2 s is that of the interval
+    from 0 to 0.2 s.
 
     Parameters
     ----------
     control : callable or Torque
-        A function ``torque(t, q, w, p)``, N·m along body axes, as ``Scene`` takes it; one with
-        memory, ``torque(t, q, w, s, p) -> (torque, next s)``, two tuples, is a discrete-time
-        controller, whose memory s changes at sample times alone. Or a model of ``fastatt.torques``
-        without states, such as ``QuaternionPD``.
+        A model of ``fastatt.torques`` without states, such as ``QuaternionPD``; or a function
+        ``torque(t, q, w, p)`` that returns the torque on the body, N·m along body axes; or, for a
+        controller with memory, a function ``torque(t, q, w, s, p)`` that returns two tuples, the
+        torque and the memory s for the next sample.
     period : float
-        s, above 0.
-    params : array_like, optional
-        (P,) or (N, P), of a function: its argument p.
+        Time between samples, s, above 0.
+    params : array_like of shape (P,) or (N, P), optional
+        The argument p of a function.
     states : int
         Number of memory values of the function.
     start : float
-        A sample time, s, as ``t0``.
+        A sample time, s, on the same clock as ``t0``.
 
     Raises
     ------
     ValueError
-        For a period that is not above 0, for a model with states, and, by the scene, for two
-        controllers with different sample times.
+        If the period is not above 0 or the model has states. ``Scene`` raises it if two controllers
+        have different sample times.
     TypeError
-        For what is neither a function nor a model.
+        If ``control`` is neither a function nor a model.
 
     Notes
     -----
-    A run goes forwards only: a negative ``dt`` is refused, as are ``fa.single_step`` and
+    A scene with a sampled controller refuses a negative ``dt``, ``fa.single_step`` and
     ``device="cuda"``. Åström, Wittenmark, *Computer-Controlled Systems* (1997), §2.3.
 
     Examples
@@ -100,8 +101,8 @@ class SampledControl(Torque):
         law, params = models.pack(control, Torque, n_bodies, resources, argument=label)[:2]
         if is_model and law.states:
             raise ValueError(
-                f"{label}: found a model with {law.states} states; accepted: a model without, or "
-                "a function with memory"
+                f"{label}: found a model with {law.states} states; accepted: a model without "
+                "states, or a function with memory"
             )
         held = _Held(None, law, Sampling(period, start), 3 + memory)
         return Law(held, (params.shape[-1],), (None,)), params

@@ -23,7 +23,7 @@ from fastatt.scene.inertia import (
     principal,
     sort_axes,
 )
-from fastatt.scene.models import Law, Packed, join, numbers
+from fastatt.scene.models import Law, Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.references import keep, sources
@@ -36,7 +36,7 @@ class Scene:
 
     A scene has either a prescribed ``rate``, or ``inertia`` and optionally a ``torque``; then
     Euler's equations are integrated. With ``mass`` and ``force`` the velocity is propagated too.
-    Each number may be one for all bodies, or an array with one row per body.
+    Each number may be the same for all bodies, or an array with one row for each body.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Scene:
         along body axes, with the unit quaternion q, the angular velocity w, rad/s, and ``params``
         p.
     allow_unphysical : bool, default False
-        Accept inertia that no body has.
+        Accept an inertia that no rigid body can have.
     mass : float or array_like of shape (N,), optional
         Mass, kg. The velocity v along body axes is then propagated, by m (v̇ + w×v) = F.
     force : model, array_like or callable, optional
@@ -67,7 +67,7 @@ class Scene:
         The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
         Times, s, at which a rate, torque or force jumps or has a kink. Steps end there, so that the
-        method keeps its order. Linear tables and some models, as ``rates.Slew``, bring theirs.
+        method keeps its order. Those of tables in models and of ``rates.Slew`` are known.
 
     Attributes
     ----------
@@ -88,13 +88,13 @@ class Scene:
     If a torque or a force depends on the position, or if there are states, everything is stepped as
     one system, to the order of the method, by methods for which ``Method.couples`` is True.
 
-    A step that contains a breakpoint is divided by the same method. Up to the breakpoint the
-    function is evaluated before it, and afterwards after it, whether the function compares with
-    ``<`` or ``<=``.
+    A step that contains a breakpoint is divided into shorter steps of the same method. A part that
+    ends at the breakpoint evaluates the function just before it, and a part that begins there just
+    after it, so that ``<`` and ``<=`` in the function give the same result.
 
     A scene keeps read-only copies of its arrays; ``dataclasses.replace`` makes a changed scene.
-    Scenes of equal numbers are equal. ``scene[bodies]``, with an index, a slice or an array, is the
-    scene of these bodies alone; numbers that all bodies share stay shared.
+    Scenes with equal values are equal. ``scene[bodies]``, with an index, a slice or an array, is
+    the scene of these bodies alone; numbers that all bodies share stay shared.
 
     Examples
     --------
@@ -342,7 +342,7 @@ class Scene:
         found = self.principal
         rows = found.moments.shape[0] if found.moments.ndim == 2 else None
         if rows is not None and n_bodies not in (None, rows):
-            raise ValueError(f"inertia: found {rows} bodies; accepted: {n_bodies}, or (3,)")
+            raise ValueError(f"inertia: found {rows} bodies; accepted: {row_count(n_bodies, rows)}")
         if sorted_axes:
             found = sort_axes(found)
         model = self.torque

@@ -45,19 +45,19 @@ class TableLayout(NamedTuple):
 
 
 class TimeSeries:
-    """A table of numbers sampled in time, for user-defined functions and for fields of models.
+    """A table of numbers sampled in time, for user-defined functions and for models.
 
     ``table(t)``, or ``table(t, row)`` for values (N, T, k), returns a tuple of k floats, or a float
     for values (T,). Both may be called within a traced function, with ``row`` a parameter of the
-    body such as ``p[0]``. Tables of equal numbers are equal; ``table[rows]`` is a table of some of
+    body such as ``p[0]``. Tables with equal values are equal; ``table[rows]`` is a table of some of
     the rows.
 
     Parameters
     ----------
     t : array_like of shape (T,)
-        Ascending times, s, at least 2. Look-ups are fastest if they are equally spaced.
+        Increasing times, s, at least two. Tables with equal intervals are evaluated fastest.
     values : array_like of shape (T,), (T, k) or (N, T, k)
-        Samples for all bodies, or in N rows.
+        Samples for all bodies, or with one row for each of N bodies.
     kind : {"cubic", "linear", "previous"}, default "cubic"
         The interpolation. "cubic" has a continuous derivative. "previous" is a zero-order hold:
         each sample holds from its time to the next.
@@ -71,8 +71,8 @@ class TimeSeries:
     Raises
     ------
     TypeError, ValueError
-        If times do not ascend, numbers are not finite or have the wrong shape, or spacings differ
-        so much that the index would be too large.
+        If the times do not increase, numbers are not finite or have the wrong shape, or intervals
+        differ so much that the index of the table would be too large.
 
     Notes
     -----
@@ -80,8 +80,8 @@ class TimeSeries:
     most h² M2/8 (linear) or h⁴ M4/384 + h⁵ M5/20 (cubic; without the second term if slopes are
     given).
 
-    Steps of a run end at the samples of a "linear" or "previous" table in a field of a model, and
-    of the tables of ``torques.Rotor`` and ``torques.QuaternionPD``, as at ``breakpoints`` of the
+    Steps of a run end at the samples of a "linear" or "previous" table that a model uses, and of
+    the tables of ``torques.Rotor`` and ``torques.QuaternionPD``, as at ``breakpoints`` of the
     scene. For a table that a user-defined function reads, declare ``breakpoints=table.t``.
 
     References

@@ -255,8 +255,8 @@ class Rotor(Torque):
 class Sampled(Torque):
     """A history of torques along body axes, linear between the samples.
 
-    The torque has a corner at each sample, and steps end there, as at ``breakpoints`` of the scene:
-    a step size that divides the interval costs nothing, any other one more step for each sample.
+    The torque has a corner at each sample, and steps end there, as at ``breakpoints`` of the scene.
+    A step size that divides the interval adds no steps; any other adds one step for each sample.
 
     Parameters
     ----------

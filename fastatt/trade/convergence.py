@@ -75,8 +75,9 @@ class ConvergenceCheck:
         found = "no observed order" if self.order is None else f"observed order {self.order:.2f}"
         return (
             f"{self.method}: {found}, declared {self.declared}; error {self.error:.1e} rad at most "
-            f"over {self.measured} of {self.n_bodies} bodies, against {self.divided} times the "
-            f"steps, limited by {self.limited_by}; norm off by {self.norm:.1e}"
+            f"over {self.measured} of {self.n_bodies} bodies, against a run of "
+            f"{self.divided} times the steps, limited by {self.limited_by}; norm error "
+            f"{self.norm:.1e}"
         )
 
 
@@ -156,9 +157,11 @@ def check_convergence(
     The step is halved three times, and further while the order is below the declared one, which
     takes 15 to some 250 times as long as the run on ``sample`` bodies. The check detects any error
     of the method that lowers its order, such as a wrong weight or sign or a stale rate. It does not
-    detect that a method of the same order solves other equations. With breakpoints or a sampled
-    controller, the parts of a divided step do not shrink in proportion to the step size: a lower
-    order is then accepted if halving the steps reaches rounding.
+    detect that a method of the same order solves other equations. If rounding limits the error, the
+    finest run has the larger rounding errors, so that ``error`` can exceed the error of the run
+    itself. With breakpoints or a sampled controller, the parts of a divided step do not shrink in
+    proportion to the step size: a lower order is then accepted if halving the steps reaches
+    rounding.
 
     Examples
     --------

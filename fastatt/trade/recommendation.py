@@ -108,7 +108,9 @@ class Recommendation:
             lines.append(
                 f"  runner-up  {up.case}, {up.n_steps} steps: {self.margin:.2f} times as long"
             )
-        lines.append(f"  reference  {self.reference}, good to {self.reference_error:.1e} rad")
+        lines.append(
+            f"  reference  {self.reference}, with an error of {self.reference_error:.1e} rad"
+        )
         return "\n".join(lines)
 
 

@@ -105,7 +105,8 @@ class WorkPrecision:
         return (
             f"{machine_line()}\n"
             f"{self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s; reference: "
-            f"{self.reference}, good to {self.reference_error:.1e} rad; {self.confirmation}\n"
+            f"{self.reference}, with an error of {self.reference_error:.1e} rad; "
+            f"{self.confirmation}\n"
             f"{self.table()}\n\nFrontier\n{trade_table(self.frontier)}"
         )
 

@@ -121,7 +121,7 @@ def test_a_run_that_goes_on_or_is_run_in_parts(monkeypatch, tmp_path):
     for end in (first, tmp_path / "end.npz"):
         again = fa.propagate(BODY, resume=end, reduce=WATCH, **half)
         assert np.array_equal(again.reduced, whole.reduced)
-    with pytest.raises(ValueError, match="reduce: found 0; accepted: 3, with which the run began"):
+    with pytest.raises(ValueError, match="reduce: found 0; accepted: 3, as in the earlier run"):
         fa.propagate(BODY, resume=first, **half)
     monkeypatch.setattr("fastatt.propagation.execute.PART", 32)
     assert np.array_equal(fa.propagate(BODY, Q0, W0, reduce=WATCH, **STEP).reduced, whole.reduced)
@@ -201,7 +201,7 @@ def test_states_are_of_double_precision_in_a_float32_run(options, tmp_path):
     half = {**given, "n_steps": 30}
     begun = fa.propagate(BODY, Q0, W0, reduce=reduce, **half)
     begun.save_end(tmp_path / "end")
-    with pytest.raises(ValueError, match="reduce: found 0; accepted: 3, with which the run began"):
+    with pytest.raises(ValueError, match="reduce: found 0; accepted: 3, as in the earlier run"):
         fa.propagate(BODY, resume=begun, dt=0.05, n_steps=30)
     rest = fa.propagate(BODY, resume=tmp_path / "end", reduce=reduce, dt=0.05, n_steps=30)
     assert np.array_equal(rest.reduced, run.reduced)

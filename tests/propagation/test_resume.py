@@ -228,7 +228,7 @@ BEGUN = {"own": OWN, "free": SCENES["free"], "thrust": thrust(0.1)}
         ("free", None, {"dt": 0.1}, r"dt: found 0\.1; accepted: 0\.05"),
         ("free", None, {"method": "rkmk4"}, "method: found rkmk4; accepted: rk4"),
         ("free", None, {"representation": "dcm"}, "representation: found dcm; accepted: quat"),
-        ("free", None, {"normalise": 3}, "normalise: found 3; accepted: 0"),
+        ("free", None, {"normalise": 3}, "normalise: found 3; accepted: output"),
         ("free", None, {"dtype": "f4"}, "dtype: found 'f4' with resume; accepted: float64"),
         ("free", None, {"q0": Q0}, "q0: found with resume"),
         ("free", None, {"t0": 1.0}, r"t0: found with resume"),
@@ -245,9 +245,9 @@ def test_another_run_is_refused(begun, scene, options, message, stored, tmp_path
 @pytest.mark.parametrize(
     ("begun", "now", "message"),
     [
-        ("never", "output", "normalise: found 0; accepted: never, with which the run began"),
-        ("output", "never", "normalise: found never; accepted: 0, with which the run began"),
-        (3, 4, "normalise: found 4; accepted: 3, with which the run began"),
+        ("never", "output", "normalise: found output; accepted: never, as in the earlier run"),
+        ("output", "never", "normalise: found never; accepted: output, as in the earlier run"),
+        (3, 4, "normalise: found 4; accepted: 3, as in the earlier run"),
     ],
 )
 def test_a_state_goes_on_as_it_was_brought_back(begun, now, message):
@@ -268,7 +268,7 @@ def test_a_file_of_another_format_is_refused(tmp_path):
         if number == about["format"]:
             fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
             continue
-        with pytest.raises(ValueError, match="is no file of a run's end"):
+        with pytest.raises(ValueError, match="is not the end of a run"):
             fa.propagate(SCENES["free"], resume=path, dt=0.05, n_steps=1)
 
 
@@ -296,7 +296,7 @@ def test_what_can_not_go_on(tmp_path):
     text = tmp_path / "text"
     text.write_text("nothing")
     for bad in (path, short, text):
-        with pytest.raises(ValueError, match=r"resume: .* is no file of a run's end"):
+        with pytest.raises(ValueError, match=r"resume: .* is not the end of a run"):
             fa.propagate(free, resume=bad, dt=0.05, n_steps=1)
     with pytest.raises(FileNotFoundError):
         fa.propagate(free, resume=tmp_path / "none", dt=0.05, n_steps=1)

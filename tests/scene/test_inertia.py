@@ -229,6 +229,8 @@ def test_no_tensor_of_a_body_reads_as_three_bodies():
 def test_number_of_bodies():
     with pytest.raises(ValueError, match="inertia: found 4 bodies; accepted: 5"):
         fa.Scene(inertia=np.ones((4, 3))).packed(5)
+    with pytest.raises(ValueError, match=r"accepted: 1, .* or 4 with q0 of shape \(4, 4\)"):
+        fa.Scene(inertia=np.ones((4, 3))).packed(1)
     assert len(fa.Scene(inertia=np.ones((4, 3))).packed(4).params) == 4
 
 
