@@ -23,7 +23,7 @@ from fastatt.propagation.initial import Given
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_FORMAT = 5
+_FORMAT = 6
 #: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 
