@@ -103,7 +103,7 @@ class Reference:
             why = f"{self.doubt} {BREAKPOINTS}" if self.doubt else "that is rounding"
             raise ValueError(
                 f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.source}, the "
-                f"reference, is good to {own:.1e} rad of some body: {why}"
+                f"reference, has an error of {own:.1e} rad for some body: {why}"
             )
 
 
