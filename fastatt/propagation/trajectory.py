@@ -390,11 +390,12 @@ class Trajectory:
         """
         n = self.status.size
         bodies = "1 body" if n == 1 else f"{n} bodies"
-        far = np.nan_to_num(np.abs(self.norm_error)).max()
+        errors = np.abs(self.norm_error[np.isfinite(self.norm_error)])
+        largest = errors.max() if errors.size else np.nan
         first = (
             f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
             f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest norm error "
-            f"{far:.1e}"
+            f"{largest:.1e}"
         )
         lines = [first]
         for flag in (f for f in Status if f):

@@ -75,9 +75,8 @@ class ConvergenceCheck:
         found = "no observed order" if self.order is None else f"observed order {self.order:.2f}"
         return (
             f"{self.method}: {found}, declared {self.declared}; error {self.error:.1e} rad at most "
-            f"over {self.measured} of {self.n_bodies} bodies, against a run of "
-            f"{self.divided} times the steps, limited by {self.limited_by}; norm error "
-            f"{self.norm:.1e}"
+            f"over {self.measured} of {self.n_bodies} bodies, against a run with {self.divided} "
+            f"times as many steps, limited by {self.limited_by}; norm error {self.norm:.1e}"
         )
 
 

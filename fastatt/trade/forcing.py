@@ -29,6 +29,7 @@ _CONSTANT = 1e-8
 BREAKPOINTS = (
     "fa.Scene(..., breakpoints=times) of all jumps and corners in time, where steps then end"
 )
+_IN_TIME = f"a smooth function; {BREAKPOINTS}"
 _SMOOTHER = (
     "a smooth function, such as tanh(w/w_s) for the sign of w; fa.torques.SampledControl for a "
     "controller; an event of fa.propagate that ends the run at the jump"
@@ -112,12 +113,9 @@ def _examined(
     later[..., 0] = high[..., 0]
     change = np.abs(_acting(problem, later)[name] - f_low)[k, body].max()
     in_time = change > 0.5 * ranges[body] * gaps[k, body]
-    how, accepted = ("", BREAKPOINTS) if in_time else (" with the state", _SMOOTHER)
+    how, accepted = ("", _IN_TIME) if in_time else (" with the state", _SMOOTHER)
     place = f"t = {low[k, body, 0]:.6g} s (body {problem.ensemble.places[body]})"
-    return 1, (
-        f"jumps{how} near {place}, where no method keeps its order; accepted: what is smooth; "
-        f"{accepted}"
-    )
+    return 1, (f"jumps{how} near {place}, where no method keeps its order; accepted: {accepted}")
 
 
 def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:

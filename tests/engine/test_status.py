@@ -259,6 +259,8 @@ def test_summary_names_what_went_wrong():
     fine = fa.propagate(FREE, Q0[0], W0[0], dt=0.01, n_steps=10, method="rk4")
     assert fine.summary().count("\n") == 0
     assert "1 body" in fine.summary()
+    lost = fa.propagate(FREE, q[3], W0[0], dt=0.01, n_steps=10, method="rk4", invalid="flag")
+    assert "largest norm error nan" in lost.summary()
 
 
 def relative(x):
