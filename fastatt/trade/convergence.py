@@ -16,6 +16,7 @@ from fastatt.propagation.breakpoints import corners_of
 from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
+from fastatt.trade.forcing import forcing
 from fastatt.trade.ladder import LARGE, Ladder, largest_angle, times_compared
 from fastatt.trade.measure import Case, Problem
 from fastatt.trade.work_precision import spread
@@ -57,7 +58,8 @@ class ConvergenceCheck:
     n_bodies : int
         Number of bodies in the ensemble.
     passed : bool
-        False if an order was observed that is below the declared one.
+        False if an order was observed that is below the declared one, or if a rate, torque or force
+        jumps where no breakpoint is declared.
     """
 
     method: str
@@ -149,7 +151,8 @@ def check_convergence(
     ConvergenceWarning
         If the observed order is below the declared one by more than 0.5: the method is wrong, or
         the rate, torque or force is not smooth, such as a sampled torque whose interval is not a
-        whole number of steps.
+        whole number of steps. Also if a rate, torque or force jumps between breakpoints, which is
+        looked for at many times along the motion.
 
     Notes
     -----
@@ -188,6 +191,7 @@ def check_convergence(
     ladder = Ladder(whole.take(rows), Case(record, representation, kind), count, most)
     order = _order_of(ladder, declared := record.order_of(scene.kind))
     passed = declared == 0 or order is None or order >= declared - _SLACK
+    jump = forcing(ladder.problem, ladder.case, count).jump if passed and record.is_stepped else ""
     worst = float(largest_angle(ladder.start.q, ladder.sight.q).max())
     hidden = "step" if worst > LARGE else "round-off"
     check = ConvergenceCheck(
@@ -200,9 +204,12 @@ def check_convergence(
         norm=float(np.abs(ladder.start.run.norm_error).max()),
         measured=rows.size,
         n_bodies=ensemble.size,
-        passed=passed,
+        passed=passed and not jump,
     )
-    if order is not None and not passed:
+    if jump:
+        # two step sizes may have the same error at a jump by chance
+        warnings.warn(f"{check}; but {jump}", ConvergenceWarning, stacklevel=2)
+    elif order is not None and not passed:
         warnings.warn(
             f"{check}. Halving the step size divides the error by {2.0**order:.3g}, where order "
             f"{declared} predicts {2**declared}: a coefficient of the method is wrong, or the "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import replace
 from typing import NamedTuple
@@ -222,3 +223,19 @@ def test_parts_of_a_step_between_breakpoints_do_not_fail():
             )
         found.append((check.passed, check.error < 1e-6))
     assert found == [(True, True), (False, False)]
+
+
+def jumping(t, p):
+    return 0.3, 1.0 if t > p[0] else 0.0, 0.1 * math.sin(t)
+
+
+@pytest.mark.parametrize("method", ["magnus4", "magnus8"])
+def test_a_jump_that_two_step_sizes_do_not_show_is_found(method):
+    start, rng = ([1.0, 0.0, 0.0, 0.0],), np.random.default_rng(1)
+    for time in rng.uniform(0.2, 9.8, 12):
+        given = {"dt": 0.1, "n_steps": 100, "method": method}
+        with pytest.warns(fa.ConvergenceWarning, match="breakpoints"):
+            found = fa.check_convergence(fa.Scene(rate=jumping, params=(time,)), *start, **given)
+        assert not found.passed
+    declared = fa.Scene(rate=jumping, params=(time,), breakpoints=(time,))
+    assert fa.check_convergence(declared, *start, **given).passed
