@@ -357,7 +357,6 @@ def search_block(tile, body_of, left, search, block):
             continue
         body = body_of[j]
         was_stopped = stopped[body] == stopped[body]
-        stops = False
         for event in range(events):
             mark, at = (size + 2 * events + event) * width + j, body * events + event
             if rows[mark] == 0.0 or was_stopped:
@@ -367,11 +366,11 @@ def search_block(tile, body_of, left, search, block):
                 _flush(search)
             if times[at] != times[at]:
                 _join_queue(tile, search, (j, body, base + j, event, first, last))
-                stops = stops or search.numbers[OF_EACH + 2 * event + 1] != 0
-        if stops:
-            _flush(search)
-            may_stop = True
-        if stopped[body] == stopped[body]:
+                may_stop = may_stop or search.numbers[OF_EACH + 2 * event + 1] != 0
+    if may_stop:
+        _flush(search)
+    for j in range(count):
+        if left[j] >= last and stopped[body_of[j]] == stopped[body_of[j]]:
             for i in range(angle_row):
                 rows[i * width + j] = search.begun_at[i * width + j]
     return may_stop
