@@ -124,9 +124,10 @@ def warn(plan: Plan, angles: NDArray[Any]) -> bool:
             h = float(np.broadcast_to(h, worst_of.shape)[worst_of.argmax()] if seen.size else 0.0)
     text = ""
     if most > limit:
+        measure = "" if method.measure == "angle" else f" by the measure {method.measure!r}"
         text = (
-            f"dt: a step of body {seen.argmax()} is {most:.3g} rad, {method.name}'s limit is "
-            f"{limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
+            f"dt: a step of body {seen.argmax()} is {most:.3g} rad{measure}, {method.name}'s limit "
+            f"is {limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
             f"|dt| <= {abs(h) * limit / most:.3g}"
         )
     elif (damped > method.damping_limit).any():
