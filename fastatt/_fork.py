@@ -27,23 +27,23 @@ from typing import Any, Generic, TypeVar, overload
 
 _bootstrap: Any = import_module("importlib._bootstrap")
 _AWAITED = ("fastatt", "numba", "llvmlite", "numpy")
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
-class cached_property(Generic[T]):  # noqa: N801  # as in functools
+class cached_property(Generic[_T]):  # noqa: N801  # as in functools
     """An attribute that is computed when it is first read, without a lock."""
 
-    def __init__(self, compute: Callable[[Any], T]) -> None:
+    def __init__(self, compute: Callable[[Any], _T]) -> None:
         self._compute, self.__doc__ = compute, compute.__doc__
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
 
     @overload
-    def __get__(self, instance: None, owner: type) -> cached_property[T]: ...
+    def __get__(self, instance: None, owner: type) -> cached_property[_T]: ...
 
     @overload
-    def __get__(self, instance: object, owner: type) -> T: ...
+    def __get__(self, instance: object, owner: type) -> _T: ...
 
     def __get__(self, instance: Any, owner: type) -> Any:
         if instance is None:

@@ -23,6 +23,7 @@ from fastatt.engine.status import DIAGNOSTICS
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat, Forms
 from fastatt.tracing.nodes import LIBRARY, Node
+from fastatt.tracing.user import MOST_OPERATIONS
 
 #: arguments of a kernel before its tables
 ARGUMENTS = (
@@ -266,7 +267,7 @@ def text(job: Job) -> tuple[str, dict[str, Any]]:
                 f'device: found "cuda" with {getattr(function, "name", function)}, a function that '
                 "is compiled for the processor alone; accepted: functions whose branches and "
                 "loops are known beforehand, of + - * / and the functions of math, with up to "
-                "60000 operations in all evaluations of a step"
+                f"{MOST_OPERATIONS} operations in all evaluations of a step"
             )
     writer = _Writer(job)
     return writer.text(), writer.constants

@@ -125,7 +125,7 @@ def mekf_update_vector(q, b, P, measured, reference, variance):
     Notes
     -----
     The correction depends on the angle between the expected and the measured vector, and not on the
-    difference of their lengths, whose rounding would give a spurious angle beside precise
+    difference of their lengths, whose rounding would give a spurious angle next to precise
     measurements. The difference of the lengths counts in NIS.
     """
     q, b, p, nis, _ = by_vector(q, b, _rows_of(P), measured, reference, variance)

@@ -1,7 +1,7 @@
 """Gaps between samples, at which the windows of a method begin anew.
 
 A polynomial through samples on both sides of a gap magnifies their noise. The interval of a gap is
-therefore integrated as a log of its own: of the two rates at its ends, or of its one increment.
+therefore integrated as a separate log: of the two rates at its ends, or of its one increment.
 """
 
 from __future__ import annotations

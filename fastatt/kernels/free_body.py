@@ -67,13 +67,20 @@ TINY = 2.0**-1022
 
 
 @kernel
+def least_scaled(tiny):
+    """``TINY``, or the smallest normal number of float32, where it would be 0."""
+    F = type(tiny)
+    return tiny if tiny > F(0.0) else F(2.0**-126)
+
+
+@kernel
 def scale(x):
     """A power of two s with 3/8 ≤ s x < 1, and 1/s, for normal x ≤ 1e290; 1 for smaller x."""
     F = type(x)
-    single = F(TINY) == F(0.0)
-    shift = F(2.0**23 if single else 2.0**52)
+    tiny = F(TINY)
+    shift = F(2.0**52) if tiny > F(0.0) else F(2.0**23)
     # x is the last bit of the sum: rounded to one bit. Fusing changes nothing here
-    bit = F(0.5) if x < F(2.0**-126 if single else TINY) else (x * shift + x) - x * shift
+    bit = F(0.5) if x < least_scaled(tiny) else (x * shift + x) - x * shift
     return F(0.5) / bit, F(2.0) * bit
 
 
@@ -83,9 +90,7 @@ def scaled(v):
     F = type(v[0])
     x = vec3.largest(v)
     # a subnormal number has no s that is finite: two factors
-    single = F(TINY) == F(0.0)
-    least = F(2.0**-126 if single else TINY)
-    up = F(2.0**23 if single else 2.0**52) if x < least else F(1.0)
+    up = F(2.0**52) if x < least_scaled(F(TINY)) else F(1.0)
     s, unit = scale(up * x)
     return (s * (up * v[0]), s * (up * v[1]), s * (up * v[2])), unit / up
 

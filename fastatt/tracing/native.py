@@ -21,8 +21,7 @@ def _octaves(a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _scale(x: Any) -> tuple[Any, Any]:
-    least = free_body.TINY if x.kind == "double" else 2.0**-126
-    n = choose(x < least, -1.0, apply("exponent", x))
+    n = choose(x < free_body.least_scaled(x.rounded(free_body.TINY)), -1.0, apply("exponent", x))
     return apply("power_of_two", -1.0 - n), apply("power_of_two", n + 1.0)
 
 

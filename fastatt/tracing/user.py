@@ -42,18 +42,17 @@ from fastatt.tracing.trace import traceable
 
 # tolerance of a component, relative to its largest value; a wrong formula differs by far more
 _TOLERANCE = 1e-9
-# operations of a function in all its evaluations of a step, up to which they are part of the step;
-# LLVM compiles that many in some 8 s
-_MOST = 60_000
+#: operations of a function in all its evaluations of a step, up to which they are part of the step;
+#: LLVM compiles that many in some 8 s
+MOST_OPERATIONS = 60_000
 
 
 class Signature(NamedTuple):
     """A function's arguments before its parameters (0: a number, n: a tuple), and its results.
 
-    ``results`` 0 means as many as there are parameters, −1 as many as states that are not the
-    function's own. A function that
-    ``carries`` states returns two tuples, the second with their time derivatives; ``results`` are
-    then the numbers of both.
+    ``results`` 0 means as many as there are parameters, −1 as many as states that are not those of
+    the function. A function that ``carries`` states returns two tuples, the second with their time
+    derivatives; ``results`` are then the numbers of both.
     """
 
     call: str
@@ -138,7 +137,8 @@ class UserFunction:
     ``straight`` says whether it is traced, and ``reason`` why it is not. A function that is not
     traced is in a graph as ``("opaque", self, ...)`` and is called at ``address``, as
     ``void(double* arguments, double* results)``. A traced one is so if its operations in all
-    evaluations of a step (``Graph.evaluations``) are more than ``_MOST``, and Numba compiles it.
+    evaluations of a step (``Graph.evaluations``) are more than ``MOST_OPERATIONS``, and Numba
+    compiles it.
     """
 
     def __init__(
@@ -229,7 +229,7 @@ class UserFunction:
         recorder = next((x.graph for x in numbers if isinstance(x, Number)), None)
         if recorder is None or composed_of(*numbers) is not None:
             return True
-        return self.operations * recorder.evaluations <= _MOST or not self._compiles
+        return self.operations * recorder.evaluations <= MOST_OPERATIONS or not self._compiles
 
     @property
     def sizes(self) -> tuple[int, ...]:

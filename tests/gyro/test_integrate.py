@@ -480,21 +480,6 @@ def test_a_gap_does_not_magnify_noise(method):
     assert np.sqrt(np.mean(turned**2)) == pytest.approx(0.5e-4 * math.sqrt(1.5), rel=0.2)
 
 
-@pytest.mark.parametrize("begun", [0, 3, 8])
-def test_gaps_are_those_of_the_definition(begun):
-    """Intervals longer than three times the median of the eight before, the first repeated."""
-    rng = np.random.default_rng(4)
-    spans = 0.01 * np.exp(rng.normal(0.0, 0.6, 400)) * np.where(rng.random(400) < 0.5, 1.0, 3.0)
-    known = [spans[0]] * 8 + spans.tolist()
-    expected = []
-    for k in range(begun, 400):
-        usual = np.median(known[k : k + 8])
-        if spans[k] > 3.0 * usual:
-            expected.append((k - begun, usual))
-    assert len(expected) > 20
-    assert gaps(spans[begun:], spans[:begun]) == expected
-
-
 def test_intervals_that_only_vary_are_no_gaps():
     """Of a slow part of a log after its first eight intervals, the part itself is none."""
     assert gaps(np.array([0.01] * 20 + [0.1] * 20))[0] == (20, 0.01)

@@ -120,6 +120,7 @@ ARGUMENTS = {
     "free_body.split_product": (0.3, -0.7),
     "free_body.split_difference": (0.3, 0.7),
     "free_body.split_multiply": ((0.3, 1e-17), (-0.7, 1e-17)),
+    "free_body.least_scaled": (1e-290,),
     "free_body.scale": (0.7,),
     "free_body.scaled": (V,),
     "free_body.exchange": (P, Q, 1.0),

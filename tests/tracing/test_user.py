@@ -721,7 +721,7 @@ FACTOR = 2.0
 
 def test_a_long_function_is_traced_if_it_does_not_compile_as_it_was_traced(monkeypatch):
     """With a table, which Numba does not know; and with another number than at first."""
-    monkeypatch.setattr(user, "_MOST", 0)
+    monkeypatch.setattr(user, "MOST_OPERATIONS", 0)
     table = fa.TimeSeries([0.0, 1.0], [[1.0], [3.0]])
     before = FACTOR
 
